@@ -1,0 +1,44 @@
+"""The seam between the simulated sensor and whatever makes full-resolution pictures.
+
+A source gives the full-resolution video v of Eq. 1, frame by frame, and where it knows it the truth.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """What is really in one picture; n may be 0."""
+
+    boxes: NDArray[np.float32]  # (n, 4) xyxy, full-resolution pixels
+    ids: NDArray[np.int32]  # (n,), constant per object over the whole source
+    labels: tuple[str, ...]  # n of: ball, player, goalkeeper, main referee, assistant referee, …
+    visible: NDArray[np.float32]  # (n,) share of the object that is not hidden, 0..1
+
+
+class FrameSource(Protocol):
+    """A full-resolution video. Construction opens it and raises `DriverError` when it cannot."""
+
+    size_px: tuple[int, int]  # width, height
+    rate_hz: float
+    length: int | None  # frames; None: endless
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        """Frame `index` as (h, w, 3) RGB, valid until the next call; IndexError past the end.
+
+        Asking in ascending order is fast; any order is allowed. Raises `DriverError` naming file
+        and place when the picture cannot be read.
+        """
+        ...
+
+    def truth(self, index: int) -> Truth | None:
+        """What is in frame `index`; None where the source does not know."""
+        ...
+
+    def close(self) -> None:
+        """Release files and threads."""
+        ...

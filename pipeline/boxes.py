@@ -1,0 +1,71 @@
+"""Box arithmetic: `xyxy` boxes in, numbers or boxes out. Everything takes (n, 4) arrays."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.messages import Geometry
+
+Array = NDArray[np.float32]
+
+
+def areas(boxes: Array) -> Array:
+    """Area of each box, 0 where it is empty: (n, 4) -> (n,), square pixels.
+
+    >>> areas(np.array([[0, 0, 2, 3], [5, 5, 4, 9]], np.float32)).tolist()
+    [6.0, 0.0]
+    """
+    sides = np.maximum(boxes[..., 2:] - boxes[..., :2], 0)
+    return np.asarray(sides[..., 0] * sides[..., 1], np.float32)
+
+
+def intersections(a: Array, b: Array) -> Array:
+    """Common area of every pair: (n, 4), (m, 4) -> (n, m), square pixels."""
+    low = np.maximum(a[:, None, :2], b[None, :, :2])
+    high = np.minimum(a[:, None, 2:], b[None, :, 2:])
+    sides = np.maximum(high - low, 0)
+    return np.asarray(sides[..., 0] * sides[..., 1], np.float32)
+
+
+def iou(a: Array, b: Array) -> Array:
+    """Intersection over union of every pair: (n, 4), (m, 4) -> (n, m), 0..1.
+
+    >>> iou(np.array([[0, 0, 2, 2]], np.float32), np.array([[1, 0, 3, 2]], np.float32)).round(3)
+    array([[0.333]], dtype=float32)
+    """
+    common = intersections(a, b)
+    union = areas(a)[:, None] + areas(b)[None, :] - common
+    return np.asarray(common / np.maximum(union, 1e-9), np.float32)
+
+
+def covered(boxes: Array, window: Array) -> Array:
+    """Share of each box that lies inside one window: (n, 4), (4,) -> (n,), 0..1; empty boxes 0."""
+    common = intersections(boxes, np.asarray(window, np.float32)[None])[:, 0]
+    return np.asarray(common / np.maximum(areas(boxes), 1e-9), np.float32)
+
+
+def centres(boxes: Array) -> Array:
+    """Centre of each box: (..., 4) -> (..., 2), x then y."""
+    return np.asarray((boxes[..., :2] + boxes[..., 2:]) / 2, np.float32)
+
+
+def from_centres(centre: Array, size: Array) -> Array:
+    """Boxes around centres: (..., 2) and width, height (..., 2) -> (..., 4)."""
+    half = np.asarray(size, np.float32) / 2
+    return np.concatenate([centre - half, centre + half], -1).astype(np.float32)
+
+
+def roi_window(centre: Array, geometry: Geometry) -> tuple[int, int, int, int]:
+    """The sensor window of the ROI's size nearest to `centre` (x, y), inside the field, aligned.
+
+    >>> g = Geometry(width_px=100, height_px=60, roi_width_px=20, roi_height_px=10, step_px=4)
+    >>> roi_window(np.array([97.0, 30.0], np.float32), g)
+    (80, 24, 100, 34)
+    """
+    left = _start(float(centre[0]), geometry.width_px, geometry.roi_width_px, geometry)
+    top = _start(float(centre[1]), geometry.height_px, geometry.roi_height_px, geometry)
+    return left, top, left + geometry.roi_width_px, top + geometry.roi_height_px
+
+
+def _start(centre: float, field_px: int, side_px: int, geometry: Geometry) -> int:
+    free = round(centre - side_px / 2)
+    return geometry.aligned(max(0, min(free, field_px - side_px)))

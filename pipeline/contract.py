@@ -1,0 +1,162 @@
+"""The contract of an operator: settings and messages in, messages out.
+
+An operator is a class with frozen settings, inputs declared as class attributes, and one handler
+per input (`on_<input>`) or per joined set of inputs (`on_<first>_<second>`). It runs as a process
+of its own, beside others in one process, or in the in-line runner, and cannot tell which.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, Literal, TypeVar, get_args, get_origin
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pipeline.errors import SettingsError
+from pipeline.messages import Header, Message
+
+S = TypeVar("S")
+Out = TypeVar("Out")
+Keep = Literal["latest", "every"]
+Loan = Callable[[str, tuple[int, ...], DTypeLike], NDArray[Any]]  # output, shape, dtype -> memory
+
+
+@dataclass(frozen=True)
+class Input:
+    """One typed entrance of an operator.
+
+    Joined inputs (the rule) of one operator wait for one another and arrive as a set of equal
+    `seq`. A `join=False` input has a handler of its own, `on_<input>`, which answers nothing; in
+    lockstep it runs after the set of the same frame.
+    """
+
+    message: type[Message]
+    keep: Keep = "latest"  # latest: drop older, counted; every: lossless, the writer waits
+    depth: int = 8  # frames that may wait here (and sets in the join table)
+    join: bool = True
+    optional: bool = False  # the handler gets None when it is absent
+    wait_ms: float = 0.0  # realtime: how long a complete set waits for its optional members
+    max_age_ms: float = 0.0  # realtime: older than this since the stamp is stale; 0: no limit
+    stale: Literal["drop", "pass"] = "drop"  # what happens to stale ones; both are counted
+    command: bool = False  # a sensor command: closes the loop, always the newest
+    tap: bool = False  # a viewer: copies what it would otherwise pin
+
+
+@dataclass(frozen=True)
+class Output:
+    """A named exit; an operator without one has a single exit named `out`."""
+
+    message: type[Message]
+
+
+class Operator(Generic[S, Out]):
+    """A part of a graph. `Out` is the message type its handlers answer with (or None: nothing).
+
+    `__init__` only stores; `open` acquires, in the process that uses it; `close` releases after
+    any outcome. Operators with named outputs answer with a mapping of output name to message.
+    """
+
+    def __init__(self, settings: S, *, loan: Loan | None = None) -> None:
+        self.settings = settings
+        self._loan = loan or (lambda _output, shape, dtype: np.empty(shape, dtype))
+
+    def open(self) -> None:
+        """Acquire what the handlers need: models, files, devices."""
+
+    def close(self) -> None:
+        """Release everything; called after any outcome, also when `open` failed."""
+
+    def on_stream(self, header: Header) -> None:
+        """A sensor was opened anew: forget what belonged to the old stream."""
+
+    def state(self) -> object | None:
+        """What must survive a swap, as one dataclass of plain values and arrays."""
+        return None
+
+    def restore(self, state: Any) -> None:
+        """Take over what another instance's `state` gave."""
+
+    def summary(self) -> Mapping[str, Any]:
+        """Figures for the run's report, asked for once at the end."""
+        return {}
+
+    def loan(self, shape: tuple[int, ...], dtype: DTypeLike, output: str = "out") -> NDArray[Any]:
+        """Memory of an output to write a big array into, so that sending it copies nothing."""
+        return self._loan(output, shape, dtype)
+
+
+class Source(Operator[S, Out]):
+    """An operator that makes frames instead of answering them: capture.
+
+    `produce` and the handler of a command input are called by different threads. `realtime` is
+    True when the source must keep its own rate, False in lockstep, where frame k+1 is asked for
+    when the graph has answered frame k.
+    """
+
+    realtime: bool = True
+
+    def produce(self) -> Mapping[str, Message] | None:
+        """The next exposure, one message per output; None at the end of the stream.
+
+        Raises `PoolExhausted` when a reader holds all the memory: the exposure is an overrun.
+        """
+        raise NotImplementedError
+
+
+def inputs_of(operator: type[Operator[Any, Any]]) -> dict[str, Input]:
+    """Declared inputs by name, base classes first, in the order they are written."""
+    return _declared(operator, Input)
+
+
+def outputs_of(operator: type[Operator[Any, Any]]) -> dict[str, type[Message]]:
+    """Message type of each exit by name; empty for an operator that only consumes."""
+    named = _declared(operator, Output)
+    if named:
+        return {name: output.message for name, output in named.items()}
+    out = _parameter(operator, 1)
+    return {"out": out} if isinstance(out, type) and issubclass(out, Message) else {}
+
+
+def settings_of(operator: type[Operator[Any, Any]]) -> type[Any]:
+    """The settings dataclass named in `Operator[Settings, Message]`."""
+    settings = _parameter(operator, 0)
+    if not isinstance(settings, type):
+        raise SettingsError(
+            f"{operator.__module__}:{operator.__qualname__}: expected Operator[Settings, Message] "
+            "among its bases, got none"
+        )
+    return settings
+
+
+def joined(operator: type[Operator[Any, Any]]) -> tuple[str, ...]:
+    """Names of the inputs that arrive as one set; commands never do."""
+    return tuple(n for n, i in inputs_of(operator).items() if i.join and not i.command)
+
+
+def handler_of(operator: Operator[Any, Any], names: tuple[str, ...]) -> Callable[..., Any]:
+    """The method `on_<first>_<second>…` for a set of inputs."""
+    name = "on_" + "_".join(names)
+    handler = getattr(operator, name, None)
+    if not callable(handler):
+        raise SettingsError(f"{type(operator).__qualname__}: no handler {name} for its inputs")
+    return handler  # type: ignore[no-any-return]
+
+
+D = TypeVar("D")
+
+
+def _declared(operator: type[Any], kind: type[D]) -> dict[str, D]:
+    found: dict[str, D] = {}
+    for base in reversed(operator.__mro__):
+        found.update({n: v for n, v in vars(base).items() if isinstance(v, kind)})
+    return found
+
+
+def _parameter(operator: type[Any], index: int) -> Any:
+    for base in operator.__mro__:
+        for generic in getattr(base, "__orig_bases__", ()):
+            origin, arguments = get_origin(generic), get_args(generic)
+            if isinstance(origin, type) and issubclass(origin, Operator) and len(arguments) > index:
+                if not isinstance(arguments[index], TypeVar):
+                    return arguments[index]
+    return None

@@ -1,0 +1,43 @@
+"""ONNX networks on this machine's processor: named arrays in, named arrays out.
+
+The only file that knows ONNX Runtime.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from pipeline.errors import WeightsError
+
+
+class Network:
+    """A loaded ONNX file. `threads` bounds the cores one call uses; calls are not re-entrant."""
+
+    def __init__(self, path: str | Path, *, threads: int = 1) -> None:
+        path = Path(path)
+        if not path.is_file():
+            raise WeightsError(f"{path}: no such weights; try `fovea weights pull`")
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        # a spinning pool would take the cores that the other stages of the graph need
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        try:
+            self._session = onnxruntime.InferenceSession(
+                str(path), options, providers=["CPUExecutionProvider"]
+            )
+        except Exception as error:  # the library's errors share no base class
+            raise WeightsError(f"{path}: not a network that can be loaded: {error}") from error
+        self.inputs = {i.name: i.shape for i in self._session.get_inputs()}
+        self.outputs = {o.name: o.shape for o in self._session.get_outputs()}
+        self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
+
+    def __call__(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Run once: arrays by input name -> arrays by output name."""
+        results = self._session.run(None, dict(feeds))
+        return {name: np.asarray(value) for name, value in zip(self.outputs, results, strict=True)}

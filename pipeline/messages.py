@@ -1,0 +1,183 @@
+"""The messages that flow between operators (Eq. 2, 3 and 6 of the paper, and what surrounds them).
+
+Every box is `xyxy` float32 in sensor pixels (full resolution), whichever stream it was seen in.
+Messages are immutable; absent arrays are empty, never `None`. `Shape` states what the codec
+checks: a number is a fixed side, a name is a side that every array of one message agrees on.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import MessageError
+
+
+@dataclass(frozen=True)
+class Shape:
+    """The sides of an array, outermost first; several alternatives are allowed."""
+
+    sides: tuple[tuple[int | str, ...], ...]
+
+    @staticmethod
+    def of(*sides: int | str) -> "Shape":
+        """One allowed form, e.g. `Shape.of("n", 4)`."""
+        return Shape((sides,))
+
+    def check(self, where: str, shape: tuple[int, ...], known: dict[str, int]) -> None:
+        """Raise `MessageError` unless `shape` fits; named sides are remembered in `known`."""
+        for form in self.sides:
+            if len(form) == len(shape) and all(
+                (known.get(want, got) if isinstance(want, str) else want) == got
+                for want, got in zip(form, shape, strict=True)
+            ):
+                known.update({n: s for n, s in zip(form, shape, strict=True) if isinstance(n, str)})
+                return
+        raise MessageError(f"{where}: expected shape {self}, got {shape}")
+
+    def __str__(self) -> str:
+        return " or ".join("(" + ", ".join(map(str, form)) + ")" for form in self.sides)
+
+
+Boxes = Annotated[NDArray[np.float32], Shape.of("n", 4)]  # xyxy, sensor pixels
+Ids = Annotated[NDArray[np.int32], Shape.of("n")]
+Scores = Annotated[NDArray[np.float32], Shape.of("n")]
+Pixels = Annotated[NDArray[np.uint8] | NDArray[np.uint16], Shape((("h", "w"), ("h", "w", 3)))]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Span:
+    """What one stage did with a message; times in nanoseconds of this host's monotonic clock."""
+
+    stage: str
+    received_ns: int
+    done_ns: int
+    handler_ns: int  # inside the operator's own code
+    wait_ns: int  # runnable but without a core, outside the handler, since the last message
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometry:
+    """What the sensor can do, so that no stage hard-codes it; all in sensor pixels."""
+
+    width_px: int = 0
+    height_px: int = 0
+    roi_width_px: int = 0
+    roi_height_px: int = 0
+    step_px: int = 1  # windows start at multiples of this
+
+    def aligned(self, value_px: int) -> int:
+        """The nearest start at or below `value_px` that the sensor can address."""
+        return value_px - value_px % self.step_px
+
+
+@dataclass(frozen=True, kw_only=True)
+class Header:
+    """Which exposure a message speaks of; stream, seq and stamp pass every stage untouched."""
+
+    stream: str  # new each time a sensor is opened
+    seq: int  # index k of the exposure within the stream
+    stamp_ns: int  # when the picture was ready, before it was read out
+    clock: str = "monotonic"
+    geometry: Geometry = Geometry()
+    epoch: int = 0  # instance of the node that sent this; set by the runtime
+    trace: tuple[Span, ...] = ()  # stages passed so far; set by the runtime
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Message:
+    """Base of everything that travels."""
+
+    header: Header
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame(Message):
+    """Pixels of one exposure: (h, w) for a Bayer mosaic or grey, (h, w, 3) for RGB.
+
+    `window` is the region of the sensor they show (xyxy), so scale = window / size. A sensor that
+    reads no region in this exposure sends an empty picture (0, 0, 3) with an empty window.
+    """
+
+    pixels: Pixels
+    pixel_format: str = "rgb8"  # rgb8 | grey8 | bayer_rggb8 | bayer_rggb16
+    window: tuple[int, int, int, int] = (0, 0, 0, 0)  # sensor pixels
+    command_seq: int = -1  # seq of the RoiSchedule that shaped the window, -1: none did
+    status: str = "ok"  # ok | unplanned (no command covered it) | stale (it came too late)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Detections(Message):
+    """Objects seen in one context frame (Eq. 2); n may be 0."""
+
+    boxes: Boxes
+    angles: Scores  # radians, 0 for upright boxes
+    scores: Scores  # 0..1
+    labels: Ids  # index into names
+    features: Annotated[NDArray[np.float32], Shape.of("n", "channels")]  # stride-8 map, RoIAlign
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tracks(Message):
+    """Objects followed over the last To frames and foreseen over the next Tp (Eq. 3).
+
+    Column To-1 is this frame, column 0 of `predicted` the next. Gaps are filled by the filter;
+    `visible` says which columns were seen.
+    """
+
+    ids: Ids
+    labels: Ids
+    scores: Scores
+    boxes: Annotated[NDArray[np.float32], Shape.of("n", "observed", 4)]
+    visible: Annotated[NDArray[np.bool_], Shape.of("n", "observed")]
+    features: Annotated[NDArray[np.float32], Shape.of("n", "observed", "channels")]
+    predicted: Annotated[NDArray[np.float32], Shape.of("n", "horizon", 4)]
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoiFeatures(Message):
+    """High-resolution appearance of the tracks that lay inside this frame's ROI."""
+
+    ids: Ids
+    features: Annotated[NDArray[np.float32], Shape.of("n", "channels")]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scanpath(Message):
+    """Which object to look at in each of the next Tp frames (Eq. 6); Tp 0: no proposal."""
+
+    ids: Ids
+    probability: Annotated[NDArray[np.float32], Shape.of("horizon", "n")]
+    choice: Annotated[NDArray[np.int32], Shape.of("horizon")]  # track id, -1: a place, no object
+    boxes: Annotated[NDArray[np.float32], Shape.of("horizon", 4)]  # where it will be
+    first_seq: int  # the frame that row 0 speaks of
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoiSchedule(Message):
+    """The sensor command: one window per frame from `first_seq` on; T 0: nothing new."""
+
+    first_seq: int
+    windows: Annotated[NDArray[np.int32], Shape.of("frames", 4)]  # xyxy, sensor pixels
+    scanpath_seq: int = -1  # seq of the scanpath it came from
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Percept(Message):
+    """What a consumer made of context and ROI: boxes with ids, texts, or an action."""
+
+    boxes: Boxes
+    ids: Ids
+    scores: Scores
+    texts: tuple[str, ...] = ()
+    action: Annotated[NDArray[np.float32], Shape.of("actions")] = field(
+        default_factory=lambda: np.zeros(0, np.float32)
+    )
+
+
+def stamped(header: Header, *, epoch: int, span: Span) -> Header:
+    """The header that leaves a stage: the same exposure, one more span."""
+    return replace(header, epoch=epoch, trace=(*header.trace, span))
