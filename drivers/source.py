@@ -1,6 +1,6 @@
 """The seam between the simulated sensor and whatever makes full-resolution pictures.
 
-A source gives the full-resolution video v of Eq. 1, frame by frame, and where it knows it the truth.
+A source gives the full-resolution video v of Eq. 1, frame by frame, and the truth where known.
 """
 
 from dataclasses import dataclass

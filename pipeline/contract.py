@@ -156,7 +156,7 @@ def _parameter(operator: type[Any], index: int) -> Any:
     for base in operator.__mro__:
         for generic in getattr(base, "__orig_bases__", ()):
             origin, arguments = get_origin(generic), get_args(generic)
-            if isinstance(origin, type) and issubclass(origin, Operator) and len(arguments) > index:
-                if not isinstance(arguments[index], TypeVar):
-                    return arguments[index]
+            ours = isinstance(origin, type) and issubclass(origin, Operator)
+            if ours and len(arguments) > index and not isinstance(arguments[index], TypeVar):
+                return arguments[index]
     return None
