@@ -1,0 +1,100 @@
+"""Bytes between processes: the only file that knows Zenoh.
+
+Every node listens on a unix socket of its own in a private directory and connects to the hub (the
+supervisor's session); gossip then gives the peers direct links. Nothing listens on a network, no
+multicast is sent, and Zenoh's own shared memory is off: frames travel through `pipeline.pool`.
+"""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import zenoh
+
+from pipeline.errors import RunError
+
+OnBytes = Callable[[bytes], None]
+
+
+class Sender(Protocol):
+    """One key's writing end."""
+
+    def send(self, payload: bytes) -> None:
+        """Hand over to the transport; never waits for a reader."""
+        ...
+
+    def matching(self) -> bool:
+        """Whether anybody subscribes."""
+        ...
+
+
+class Session:
+    """A peer of the graph's bus. Close it before the process ends, or Zenoh keeps it alive."""
+
+    def __init__(self, folder: Path, name: str, *, hub: str = "hub") -> None:
+        own = f"unixsock-stream/{folder / name}.sock"
+        links = {"listen": {"endpoints": [own]}}
+        if name != hub:
+            links["connect"] = {"endpoints": [f"unixsock-stream/{folder / hub}.sock"]}
+        self._session = _open({**links, **_COMMON}, f"{folder}: no bus there")
+
+    def sender(self, key: str, *, urgent: bool = False) -> Sender:
+        """A publisher; `urgent` ones (sensor commands) overtake everything else."""
+        priority = zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA
+        publisher = self._session.declare_publisher(
+            key,
+            # the runtime's own credit is the back-pressure: a queue can only fill behind a reader
+            # that stopped, and then waiting for it would stop the others too
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=priority,
+            express=True,
+        )
+        return _Sender(publisher)
+
+    def listen(self, key: str, on_bytes: OnBytes) -> Callable[[], None]:
+        """Call `on_bytes` from the transport's thread for every payload; returns the way to stop.
+
+        It must be quick and must not call the bus.
+        """
+
+        def receive(sample: zenoh.Sample) -> None:
+            on_bytes(sample.payload.to_bytes())
+
+        subscriber = self._session.declare_subscriber(
+            key, zenoh.handlers.Callback(receive, indirect=False)
+        )
+        return subscriber.undeclare
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._session.close()
+
+
+class _Sender:
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self._publisher = publisher
+
+    def send(self, payload: bytes) -> None:
+        self._publisher.put(payload)
+
+    def matching(self) -> bool:
+        return bool(self._publisher.matching_status.matching)
+
+
+_COMMON: dict[str, object] = {
+    "mode": "peer",
+    "scouting": {
+        "multicast": {"enabled": False},
+        "gossip": {"enabled": True, "autoconnect": {"peer": ["router", "peer"]}},
+    },
+    "transport": {"shared_memory": {"enabled": False}},
+}
+
+
+def _open(config: dict[str, object], what: str) -> zenoh.Session:
+    zenoh.init_log_from_env_or("error")
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError as error:
+        raise RunError(f"{what}: {error}") from error

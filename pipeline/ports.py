@@ -1,0 +1,302 @@
+"""The ends of an edge: messages out to descriptors on the bus, descriptors in to messages.
+
+Big arrays go through the frame pool, small ones inside the descriptor; a subscriber that does not
+share this host's memory gets all of it on a second key, rendered only while somebody listens.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pipeline import codec
+from pipeline.bus import Sender
+from pipeline.errors import MessageError, PoolExhausted
+from pipeline.ledger import EdgeAccount
+from pipeline.messages import Header, Message
+from pipeline.pool import Lease, PoolReader, PoolWriter, SlotRef
+
+VERSION = 1
+HELLO, MESSAGE, NOTHING = 0, 1, 2
+INLINE_BYTES = 4096  # arrays up to this size travel inside the descriptor
+TAP_SLOTS = 2  # what a viewer may pin before it copies
+BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """What came through an input: a message, or word that there is none for this exposure."""
+
+    header: Header
+    message: Message | None
+    ordinal: int
+
+
+@dataclass(frozen=True)
+class Reader:
+    """An edge as its writer sees it."""
+
+    account: EdgeAccount
+    lossless: bool
+    depth: int
+
+    def has_credit(self) -> bool:
+        """Whether one more message finds room; readers that are gone do not count."""
+        account = self.account
+        return not self.lossless or not account.live or account.in_flight < self.depth
+
+    def has_seen(self, ordinal: int, newest: int) -> bool:
+        """Whether the message may be overwritten for all this reader cares."""
+        if not self.account.live:
+            return True
+        if self.account.seen >= ordinal:
+            return True
+        return not self.lossless and newest >= ordinal + 2
+
+
+class OutPort:
+    """One output of a node."""
+
+    def __init__(
+        self, message: type[Message], sender: Sender, remote: Sender, readers: Sequence[Reader],
+        pool: Callable[[Callable[[int], bool]], PoolWriter], epoch: int,
+    ) -> None:  # fmt: skip
+        self._message, self._sender, self._remote = message, sender, remote
+        self.readers = tuple(readers)
+        self._epoch = epoch
+        self._ordinal = max((r.account.sent for r in readers), default=0)
+        self._pool = pool(self._free)
+        self._leases: list[Lease] = []
+
+    def loan(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """Memory in the pool for an array of the next message; raises `PoolExhausted`."""
+        nbytes = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
+        if nbytes <= INLINE_BYTES:
+            return np.empty(shape, dtype)
+        for lease in self._leases:
+            array = lease.array(shape, dtype)
+            if array is not None:
+                return array
+        lease = self._pool.lease(nbytes)
+        self._leases.append(lease)
+        array = lease.array(shape, dtype)
+        if array is None:
+            raise PoolExhausted(f"{self._message.__name__}: slot of {nbytes} bytes is too small")
+        return array
+
+    def has_credit(self) -> bool:
+        """Whether every lossless reader has room for one more message."""
+        return all(reader.has_credit() for reader in self.readers)
+
+    def hello(self) -> bool:
+        """Greet readers that have not heard this instance; True when all that live have."""
+        waiting = [r for r in self.readers if r.account.reader_epoch and not r.account.live]
+        if waiting:
+            self._broadcast(self._wrap(HELLO, None, []))
+        return not waiting
+
+    def send(self, message: Message | None, header: Header) -> None:
+        """Publish a message, or with None the word that there is nothing for this exposure.
+
+        Raises `PoolExhausted` (a slot is not to be had) before anything was counted.
+        """
+        if any(reader.account.writer_epoch > self._epoch for reader in self.readers):
+            return  # a successor speaks for this node now
+        if message is None:
+            self.discard()
+            self._count()
+            self._broadcast(self._wrap(NOTHING, None, codec.pack(header)))
+            return
+        if type(message) is not self._message:
+            raise MessageError(
+                f"expected {self._message.__name__} to send, got {type(message).__name__}"
+            )
+        lease = self._room_for(message)
+        try:
+            body = codec.pack(message, lambda array: _place(array, lease))
+        except MessageError:
+            self.discard()
+            raise
+        if lease is not None:
+            self._leases.remove(lease)
+            self._pool.publish(lease, self._ordinal + 1)
+        self.discard()  # loans of this handler call that went into no message
+        self._count()
+        self._sender.send(self._wrap(MESSAGE, lease.ref() if lease else None, body))
+        if self._remote.matching():
+            self._remote.send(self._wrap(MESSAGE, None, codec.pack(message)))
+
+    def discard(self) -> None:
+        """Give back loans that were not sent."""
+        for lease in self._leases:
+            self._pool.abandon(lease)
+        self._leases.clear()
+
+    def overrun(self) -> None:
+        """Count an exposure that found no room, and mark the edge that is to blame."""
+        for reader in self.readers:
+            reader.account.add("overrun")
+            if not reader.has_credit():
+                reader.account.put("broken", 1)
+
+    def _count(self) -> None:
+        """Before it is sent: killed in between, the message counts as lost, never as sent twice."""
+        self._ordinal += 1
+        for reader in self.readers:
+            reader.account.add("sent")
+
+    def _broadcast(self, payload: bytes) -> None:
+        self._sender.send(payload)
+        if self._remote.matching():
+            self._remote.send(payload)
+
+    def _wrap(self, kind: int, ref: SlotRef | None, body: list[Any]) -> bytes:
+        slot = [ref.file, ref.pool_id, ref.slot, ref.generation, ref.nbytes] if ref else None
+        mark = codec.fingerprint(self._message)
+        return codec.to_bytes([VERSION, kind, self._ordinal, self._epoch, mark, slot, body])
+
+    def _room_for(self, message: Message) -> Lease | None:
+        """The slot the message was written into, or one for arrays that are elsewhere."""
+        big = [a for a in vars(message).values() if _is_big(a)]
+        for lease in self._leases:
+            if any(lease.offset_of(a) is not None for a in big):
+                return lease
+        if not big:
+            return None
+        lease = self._pool.lease(sum(a.nbytes + 64 for a in big))
+        self._leases.append(lease)
+        return lease
+
+    def _free(self, ordinal: int) -> bool:
+        return all(reader.has_seen(ordinal, self._ordinal) for reader in self.readers)
+
+
+class InPort:
+    """One input of a node: accounts for everything that arrives, hands on what is good.
+
+    `receive` is called by the transport's thread only.
+    """
+
+    def __init__(
+        self, message: type[Message], account: EdgeAccount, pool: PoolReader, epoch: int,
+        deliver: Callable[[Arrival], None], *, tap: bool = False,
+    ) -> None:  # fmt: skip
+        self._message, self._account, self._pool = message, account, pool
+        self._epoch, self._deliver, self._tap = epoch, deliver, tap
+        self._sender_epoch = -1
+        # what the predecessor had taken and not finished died with it
+        account.add("lost_in_crash", max(0, account.seen - account.accounted))
+
+    def receive(self, payload: bytes) -> None:
+        """Take one descriptor; never raises."""
+        account = self._account
+        try:
+            envelope = Envelope.parse(payload)
+        except MessageError:
+            account.add("strays")  # without a number it is nobody's message
+            return
+        fresh = account.attached_epoch != self._epoch or envelope.epoch != self._sender_epoch
+        missing = envelope.ordinal - account.seen - (envelope.kind != HELLO)
+        if missing < 0:
+            account.add("strays")
+            return
+        arrival, fate = self._open(envelope)
+        account.put("seen", envelope.ordinal)
+        if missing:
+            account.add("lost_in_crash" if fresh else "gap", missing)
+        self._sender_epoch = envelope.epoch
+        account.put("attached_epoch", self._epoch)
+        if arrival is not None:
+            self._deliver(arrival)
+        elif fate:
+            account.add(fate)
+
+    def _open(self, envelope: "Envelope") -> tuple[Arrival | None, str]:
+        """The arrival, or None and which drop it counts as (none for a greeting)."""
+        if envelope.kind == HELLO:
+            return None, ""
+        if envelope.epoch < self._account.writer_epoch:
+            return None, "fenced"
+        try:
+            return self._decode(envelope), "overwritten"
+        except MessageError:
+            return None, "refused"
+
+    def _decode(self, envelope: "Envelope") -> Arrival | None:
+        if envelope.mark != codec.fingerprint(self._message):
+            raise MessageError(f"expected {self._message.__name__}, got another schema")
+        if envelope.kind == NOTHING:
+            return Arrival(codec.unpack(Header, envelope.body), None, envelope.ordinal)
+        if envelope.slot is None:
+            message = codec.unpack(self._message, envelope.body)
+            return Arrival(message.header, message, envelope.ordinal)
+        raw = self._pool.take(envelope.slot)
+        if raw is None:
+            return None
+        if self._tap and self._pool.pinned > TAP_SLOTS:
+            raw = raw.copy()
+            raw.flags.writeable = False
+        message = codec.unpack(self._message, envelope.body, lambda at, size: _cut(raw, at, size))
+        return Arrival(message.header, message, envelope.ordinal)
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What surrounds a message on the bus."""
+
+    kind: int
+    ordinal: int
+    epoch: int
+    mark: bytes
+    slot: SlotRef | None
+    body: Any
+
+    @staticmethod
+    def parse(payload: bytes) -> "Envelope":
+        """Read an envelope from untrusted bytes; raises `MessageError`."""
+        parts = codec.from_bytes(payload)
+        if not isinstance(parts, list) or len(parts) != 7 or parts[0] != VERSION:
+            raise MessageError("not an envelope of this version")
+        _, kind, ordinal, epoch, mark, slot, body = parts
+        numbers = (kind, ordinal, epoch)
+        if not all(type(n) is int and 0 <= n < 1 << 62 for n in numbers) or kind > NOTHING:
+            raise MessageError("not an envelope: numbers out of range")
+        if not isinstance(mark, bytes):
+            raise MessageError("not an envelope: no fingerprint")
+        return Envelope(kind, ordinal, epoch, mark, _slot(slot), body)
+
+
+def _slot(parts: Any) -> SlotRef | None:
+    if parts is None:
+        return None
+    fits = isinstance(parts, list) and len(parts) == 5 and isinstance(parts[0], str)
+    if not fits or not all(type(n) is int for n in parts[1:]):
+        raise MessageError("not an envelope: no slot")
+    return SlotRef(*parts)
+
+
+def _is_big(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and value.nbytes > INLINE_BYTES
+
+
+def _place(array: NDArray[Any], lease: Lease | None) -> bytes | int:
+    """Where an array of a message goes: it may lie in the slot already."""
+    if lease is None or not _is_big(array):
+        return array.tobytes()
+    offset = lease.offset_of(array)
+    if offset is None:
+        copy = lease.array(array.shape, array.dtype)
+        if copy is None:
+            return array.tobytes()
+        copy[...] = array
+        offset = lease.offset_of(copy)
+    assert offset is not None
+    return offset
+
+
+def _cut(raw: NDArray[np.uint8], offset: int, nbytes: int) -> NDArray[np.uint8]:
+    if offset + nbytes > raw.nbytes:
+        raise MessageError(f"an array ends at {offset + nbytes} of {raw.nbytes} bytes")
+    return raw[offset : offset + nbytes]
