@@ -68,7 +68,7 @@ class Session:
 
     def close(self) -> None:
         """Leave the bus."""
-        self._session.close()
+        self._session.close()  # type: ignore[no-untyped-call]
 
 
 class _Sender:
@@ -79,7 +79,7 @@ class _Sender:
         self._publisher.put(payload)
 
     def matching(self) -> bool:
-        return bool(self._publisher.matching_status.matching)
+        return bool(self._publisher.matching_status)
 
 
 _COMMON: dict[str, object] = {

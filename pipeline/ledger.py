@@ -38,7 +38,8 @@ _EDGE = {
     for index, name in enumerate(
         (
             "sent", "overrun", "broken",  # the writing node
-            "seen", "delivered", *DROPS, "lost_in_crash", "attached_epoch", "strays",  # the reading node
+            "seen", "delivered", *DROPS, "lost_in_crash",  # the reading node
+            "attached_epoch", "strays",  # likewise
             "reader_epoch", "writer_epoch",  # the supervisor
         )
     )

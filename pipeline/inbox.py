@@ -1,0 +1,165 @@
+"""What waits in front of an operator: arrivals in, complete sets of one exposure out.
+
+Inputs that belong together are joined on `seq`, exactly. Streams are ordered, so once an input has
+delivered frame k+1 its frame k will never come: a set that waits for it is given up at once, and
+its members are counted as unmatched. No thread and no clock of its own: the caller gives the time.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from pipeline.contract import Input
+from pipeline.messages import Header, Message
+from pipeline.ports import Arrival
+
+Settle = Callable[[str, str], None]  # input name, fate: "delivered" or the name of a drop
+
+
+@dataclass(frozen=True)
+class Work:
+    """One call of a handler: messages by input name; `answer` is False when any said nothing."""
+
+    header: Header
+    messages: Mapping[str, Message | None]
+    answer: bool
+    new_stream: bool = False
+
+
+@dataclass
+class _Set:
+    arrivals: dict[str, Arrival] = field(default_factory=dict)
+    complete_ns: int = 0  # when the last required member came
+
+
+class Inbox:
+    """The joins and queues of one operator; not thread-safe."""
+
+    def __init__(self, inputs: Mapping[str, Input], settle: Settle, *, lockstep: bool) -> None:
+        self._inputs, self._settle, self._lockstep = dict(inputs), settle, lockstep
+        self._joined = tuple(n for n, i in inputs.items() if i.join and not i.command)
+        self._required = tuple(n for n in self._joined if not inputs[n].optional)
+        self._every = lockstep or any(inputs[n].keep == "every" for n in self._joined)
+        self._depth = max((inputs[n].depth for n in self._joined), default=1)
+        self._wait_ns = max((int(inputs[n].wait_ms * 1e6) for n in self._joined), default=0)
+        self._sets: dict[int, _Set] = {}
+        self._last: dict[str, int] = {}
+        self._handled = -1
+        self._stream, self._retired = "", deque[str](maxlen=16)
+        self._fresh = False
+        self._side: deque[tuple[str, Arrival]] = deque()
+
+    def offer(self, name: str, arrival: Arrival, now_ns: int) -> None:
+        """Take an arrival in."""
+        if not self._same_stream(name, arrival):
+            return
+        if name not in self._joined:
+            self._offer_side(name, arrival)
+            return
+        seq = arrival.header.seq
+        self._last[name] = seq
+        if seq <= self._handled:
+            self._settle(name, "unmatched")
+        else:
+            waiting = self._sets.setdefault(seq, _Set())
+            waiting.arrivals[name] = arrival
+            if all(n in waiting.arrivals for n in self._required):
+                waiting.complete_ns = waiting.complete_ns or now_ns
+        self._give_up(lambda s: any(self._never(n, s) for n in self._required))
+        while len(self._sets) > self._depth:
+            self._drop(min(self._sets), "unmatched")
+
+    def take(self, now_ns: int) -> Work | None:
+        """The next call to make, or None while nothing is complete."""
+        if self._side and self._side_may_go():
+            name, arrival = self._side.popleft()
+            return self._work(arrival.header, {name: arrival})
+        ready = [s for s in sorted(self._sets) if self._complete(s, now_ns)]
+        if not ready:
+            return None
+        seq = ready[0] if self._every else ready[-1]
+        for older in [s for s in self._sets if s < seq]:
+            self._drop(older, "superseded" if older in ready else "unmatched")
+        waiting = self._sets.pop(seq)
+        self._handled = seq
+        header = next(iter(waiting.arrivals.values())).header
+        if self._is_stale(header, now_ns):
+            for name in waiting.arrivals:
+                self._settle(name, "stale")
+            return Work(header, {}, answer=False, new_stream=self._once_fresh())
+        return self._work(header, waiting.arrivals)
+
+    def due_ns(self) -> int | None:
+        """When a set stops waiting for its optional members; None when none does."""
+        times = [s.complete_ns + self._wait_ns for s in self._sets.values() if s.complete_ns]
+        return min(times) if times and not self._lockstep else None
+
+    def __len__(self) -> int:
+        return len(self._sets) + len(self._side)
+
+    def _work(self, header: Header, arrivals: Mapping[str, Arrival]) -> Work:
+        names = self._joined if next(iter(arrivals)) in self._joined else tuple(arrivals)
+        messages = {n: arrivals[n].message if n in arrivals else None for n in names}
+        needed = self._required if names == self._joined else names
+        answer = all(messages[n] is not None for n in needed)
+        return Work(header, messages, answer, self._once_fresh())
+
+    def _once_fresh(self) -> bool:
+        fresh, self._fresh = self._fresh, False
+        return fresh
+
+    def _same_stream(self, name: str, arrival: Arrival) -> bool:
+        stream = arrival.header.stream
+        if stream == self._stream:
+            return True
+        if stream in self._retired:
+            self._settle(name, "unmatched")
+            return False
+        if self._stream:
+            self._retired.append(self._stream)
+        self._stream, self._fresh, self._handled = stream, True, -1
+        self._last.clear()
+        self._give_up(lambda _seq: True)
+        while self._side:
+            self._settle(self._side.popleft()[0], "unmatched")
+        return True
+
+    def _offer_side(self, name: str, arrival: Arrival) -> None:
+        if self._inputs[name].keep == "latest" and not self._lockstep:
+            for older in [entry for entry in self._side if entry[0] == name]:
+                self._side.remove(older)
+                self._settle(name, "superseded")
+        self._side.append((name, arrival))
+
+    def _side_may_go(self) -> bool:
+        """In lockstep the set of a frame is handled before what comes beside it."""
+        first = self._side[0][1].header.seq
+        return not self._lockstep or not self._joined or first <= self._handled
+
+    def _never(self, name: str, seq: int) -> bool:
+        return self._last.get(name, -1) >= seq and name not in self._sets[seq].arrivals
+
+    def _complete(self, seq: int, now_ns: int) -> bool:
+        waiting = self._sets[seq]
+        if not waiting.complete_ns:
+            return False
+        absent = [n for n in self._joined if n not in waiting.arrivals and not self._never(n, seq)]
+        late = not self._lockstep and now_ns - waiting.complete_ns >= self._wait_ns
+        return not absent or late
+
+    def _is_stale(self, header: Header, now_ns: int) -> bool:
+        limits = [
+            i.max_age_ms
+            for i in (self._inputs[n] for n in self._joined)
+            if i.max_age_ms and i.stale == "drop"
+        ]
+        age_ms = (now_ns - header.stamp_ns) / 1e6
+        return bool(limits) and not self._lockstep and age_ms > min(limits)
+
+    def _give_up(self, doomed: Callable[[int], bool]) -> None:
+        for seq in [s for s in self._sets if doomed(s)]:
+            self._drop(seq, "unmatched")
+
+    def _drop(self, seq: int, reason: str) -> None:
+        for name in self._sets.pop(seq).arrivals:
+            self._settle(name, reason)
