@@ -18,10 +18,11 @@ Settle = Callable[[str, str], None]  # input name, fate: "delivered" or the name
 
 @dataclass(frozen=True)
 class Work:
-    """One call of a handler: messages by input name; `answer` is False when any said nothing."""
+    """One call of a handler; `answer` is False when there is nothing to answer: hand that on."""
 
     header: Header
-    messages: Mapping[str, Message | None]
+    messages: Mapping[str, Message | None]  # by input name, in the handler's order
+    arrived: tuple[str, ...]  # the inputs whose arrivals are to be settled
     answer: bool
     new_stream: bool = False
 
@@ -86,7 +87,7 @@ class Inbox:
         if self._is_stale(header, now_ns):
             for name in waiting.arrivals:
                 self._settle(name, "stale")
-            return Work(header, {}, answer=False, new_stream=self._once_fresh())
+            return Work(header, {}, (), answer=False, new_stream=self._once_fresh())
         return self._work(header, waiting.arrivals)
 
     def due_ns(self) -> int | None:
@@ -102,7 +103,7 @@ class Inbox:
         messages = {n: arrivals[n].message if n in arrivals else None for n in names}
         needed = self._required if names == self._joined else names
         answer = all(messages[n] is not None for n in needed)
-        return Work(header, messages, answer, self._once_fresh())
+        return Work(header, messages, tuple(arrivals), answer, self._once_fresh())
 
     def _once_fresh(self) -> bool:
         fresh, self._fresh = self._fresh, False

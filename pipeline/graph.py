@@ -1,0 +1,358 @@
+"""Graph files: YAML to a checked plan. Every complaint says file, line, what, expected and got.
+
+Everything is checked before a process starts: keys, operators, settings, ports, message types of
+both ends, loops. Overlays change a graph without editing it: a source file replaces the settings of
+the node that makes frames, `node.setting=value` changes one value.
+"""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from pipeline import settings as checked
+from pipeline.contract import Input, Operator, Source, inputs_of, joined, outputs_of, settings_of
+from pipeline.errors import GraphError, SettingsError
+from pipeline.plan import Edge, Node, Plan, Restart, load_operator
+
+GRAPH_KEYS = ("name", "clock", "nodes")
+NODE_KEYS = ("operator", "inputs", "settings", "group", "host", "threads", "stall_s", "restart",
+             "manual")  # fmt: skip
+EDGE_KEYS = ("from", "keep", "depth", "wait_ms", "max_age_ms", "stale", "transport")
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """What a command line lays over a graph file."""
+
+    source: Path | None = None
+    changes: tuple[str, ...] = ()  # node.setting=value
+    clock: str = ""
+    wanted: tuple[str, ...] = ()  # manual nodes to start
+
+
+def load(path: Path, overlay: Overlay | None = None) -> Plan:
+    """Read, lay over, check; raises `GraphError` or `SettingsError` with file and line."""
+    overlay = overlay or Overlay()
+    file = _File(path)
+    document = file.document
+    file.only(document, GRAPH_KEYS, "graph")
+    nodes = file.mapping(document, "nodes", "graph")
+    if overlay.source:
+        _lay_source(file, nodes, overlay.source)
+    for change in overlay.changes:
+        _lay_change(nodes, change, path)
+    clock = overlay.clock or document.get("clock", "realtime")
+    if clock not in ("realtime", "lockstep"):
+        file.fail(document, "clock", f"clock: expected realtime or lockstep, got {clock!r}")
+    for name in overlay.wanted:
+        if name not in nodes:
+            raise GraphError(f"{path}: no node {name}{checked.suggest(name, nodes)}")
+    started = {
+        name: _Part(file, nodes, name)
+        for name in nodes
+        if name in overlay.wanted or not file.mapping(nodes, name, "nodes").get("manual", False)
+    }
+    edges = tuple(_edges(file, started, clock))
+    plan = Plan(
+        name=str(document.get("name", path.stem)),
+        clock="lockstep" if clock == "lockstep" else "realtime",
+        nodes=tuple(part.node(i) for i, part in enumerate(started.values())),
+        edges=edges,
+    )
+    _check_loops(plan, path)
+    return plan
+
+
+class _File:
+    """A YAML mapping that knows the line of every key."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            document = YAML(typ="rt").load(path.read_text("utf-8"))
+        except OSError as error:
+            raise GraphError(f"{path}: cannot be read: {error.strerror}") from error
+        except MarkedYAMLError as error:
+            line = (error.problem_mark.line + 1) if error.problem_mark else 1
+            raise GraphError(f"{path}:{line}: not YAML: {error.problem}") from error
+        except (YAMLError, UnicodeDecodeError) as error:
+            raise GraphError(f"{path}:1: not YAML: {error}") from error
+        if not isinstance(document, CommentedMap):
+            raise GraphError(f"{path}:1: expected a mapping, got {type(document).__name__}")
+        self.document = document
+
+    def at(self, parent: Any, key: str) -> str:
+        """`file:line` of a key, or of its parent when it is not there."""
+        try:
+            line = parent.lc.key(key)[0] if key in parent else parent.lc.line
+        except (AttributeError, KeyError, TypeError):
+            return str(self.path)  # laid over from the command line
+        return f"{self.path}:{line + 1}"
+
+    def fail(self, parent: Any, key: str, what: str) -> NoReturn:
+        """Raise with the place in front."""
+        raise GraphError(f"{self.at(parent, key)}: {what}")
+
+    def mapping(self, parent: Any, key: str, where: str) -> Any:
+        """A nested mapping."""
+        value = parent.get(key)
+        if not isinstance(value, Mapping):
+            got = "nothing" if value is None else type(value).__name__
+            self.fail(parent, key, f"{where}.{key}: expected a mapping, got {got}")
+        return value
+
+    def only(self, mapping: Any, known: Iterable[str], where: str) -> None:
+        """Refuse keys that mean nothing."""
+        known = tuple(known)
+        for key in mapping:
+            if key not in known:
+                hint = checked.suggest(str(key), known)
+                self.fail(mapping, key, f"{where}.{key}: no such key{hint}")
+
+
+class _Part:
+    """One node of the file, its operator imported and its settings checked."""
+
+    def __init__(self, file: _File, nodes: Any, name: str) -> None:
+        self.file, self.name = file, name
+        self.entry = file.mapping(nodes, name, "nodes")
+        file.only(self.entry, NODE_KEYS, name)
+        path = self.entry.get("operator")
+        if not isinstance(path, str) or ":" not in path:
+            file.fail(self.entry, "operator", f"{name}.operator: expected module:Class, got {path}")
+        try:
+            self.operator: type[Operator[Any, Any]] = load_operator(path)
+        except GraphError as error:
+            file.fail(self.entry, "operator", f"{name}.operator: {error}")
+        self.inputs = inputs_of(self.operator)
+        self.outputs = outputs_of(self.operator)
+        self.settings = self._settings()
+        self._check_handlers()
+
+    def node(self, index: int) -> Node:
+        """The plan's node."""
+        entry = self.entry
+        return Node(
+            index=index,
+            name=self.name,
+            operator=entry["operator"],
+            settings=self.settings,
+            group=self._typed("group", str, ""),
+            host=self._typed("host", str, ""),
+            threads=self._typed("threads", int, 1),
+            stall_s=float(self._typed("stall_s", (int, float), 10.0)),
+            restart=self._restart(),
+        )
+
+    def _settings(self) -> dict[str, Any]:
+        values = plain(self.entry.get("settings") or {})
+        cls = settings_of(self.operator)
+        if "threads" in self.entry and "threads" in {f.name for f in fields(cls)}:
+            values.setdefault("threads", self.entry["threads"])
+        where = f"{self.file.at(self.entry, 'settings')}: {self.name}"
+        if not isinstance(values, dict):
+            raise GraphError(f"{where}.settings: expected a mapping, got {values!r}")
+        self._build(cls, values, where)
+        return values
+
+    def _build(self, cls: type[Any], values: dict[str, Any], where: str) -> None:
+        try:
+            checked.build(cls, values, where)
+        except SettingsError as error:
+            settings = self.entry.get("settings")
+            for key in values:  # point at the very line when the complaint names the setting
+                if f"{self.name}.{key}:" in str(error) or f"{self.name}.{key}." in str(error):
+                    place = self.file.at(settings, key)
+                    raise SettingsError(f"{place}: {str(error).split(': ', 1)[1]}") from error
+            raise
+
+    def _restart(self) -> Restart:
+        value = plain(self.entry.get("restart", {}))
+        if isinstance(value, str):
+            value = {"policy": value}
+        where = f"{self.file.at(self.entry, 'restart')}: {self.name}.restart"
+        if not isinstance(value, dict):
+            raise GraphError(f"{where}: expected a policy or a mapping, got {value!r}")
+        return checked.build(Restart, value, where)
+
+    def _typed(self, key: str, kinds: Any, default: Any) -> Any:
+        value = self.entry.get(key, default)
+        if not isinstance(value, kinds) or isinstance(value, bool):
+            self.file.fail(self.entry, key, f"{self.name}.{key}: got {value!r}")
+        return value
+
+    def _check_handlers(self) -> None:
+        groups: list[tuple[str, ...]] = [
+            (n,) for n, i in self.inputs.items() if i.command or not i.join
+        ]
+        if together := joined(self.operator):
+            groups.append(together)
+        for names in groups:
+            handler = "on_" + "_".join(names)
+            if not callable(getattr(self.operator, handler, None)):
+                self.file.fail(
+                    self.entry,
+                    "operator",
+                    f"{self.name}: {self.operator.__name__} has no {handler}",
+                )
+
+
+def plain(value: Any) -> Any:
+    """Without the parser's own types."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [plain(v) for v in value]
+    for kind in (bool, int, float, str):
+        if isinstance(value, kind):
+            return kind(value)
+    return value
+
+
+def _lay_source(file: _File, nodes: Any, path: Path) -> None:
+    over = _File(path)
+    over.only(over.document, ("operator", "settings"), "source")
+    found = [n for n in nodes if _makes_frames(nodes[n])]
+    if len(found) != 1:
+        raise GraphError(
+            f"{file.path}: --source needs one node that makes frames, got {len(found)}"
+        )
+    entry = nodes[found[0]]
+    for key in over.document:
+        entry[key] = over.document[key]
+
+
+def _makes_frames(entry: Any) -> bool:
+    try:
+        return issubclass(load_operator(str(entry.get("operator"))), Source)
+    except (GraphError, AttributeError):
+        return False
+
+
+def _lay_change(nodes: Any, change: str, path: Path) -> None:
+    target, equals, text = change.partition("=")
+    name, dot, setting = target.partition(".")
+    if not (equals and dot and setting):
+        raise GraphError(f"--set {change}: expected node.setting=value")
+    if name not in nodes:
+        raise GraphError(f"--set {change}: {path} has no node {name}{checked.suggest(name, nodes)}")
+    try:
+        value = YAML(typ="safe").load(text) if text else ""
+    except YAMLError as error:
+        raise GraphError(f"--set {change}: not a value: {error}") from error
+    entry = nodes[name]
+    settings = entry.setdefault("settings", CommentedMap())
+    cls = settings_of(load_operator(str(entry.get("operator"))))
+    names = {f.name for f in fields(cls)}
+    first, *rest = setting.split(".")
+    if first not in names and "options" in names:
+        first, rest = "options", [first, *rest]
+    for key in (first, *rest)[:-1]:
+        settings = settings.setdefault(key, CommentedMap())
+    settings[(first, *rest)[-1]] = value
+
+
+def _edges(file: _File, parts: Mapping[str, _Part], clock: str) -> Iterable[Edge]:
+    index = 0
+    for part in parts.values():
+        given = part.entry.get("inputs") or {}
+        if not isinstance(given, Mapping):
+            file.fail(part.entry, "inputs", f"{part.name}.inputs: expected a mapping, got {given}")
+        for name in given:
+            if name not in part.inputs:
+                hint = checked.suggest(str(name), part.inputs)
+                file.fail(given, name, f"{part.name}.inputs.{name}: no such input{hint}")
+        for name, port in part.inputs.items():
+            if name not in given:
+                if not (port.optional or port.command or not port.join):
+                    file.fail(
+                        part.entry, "inputs", f"{part.name}.inputs.{name}: required, got nothing"
+                    )
+                continue
+            edge = _edge(file, parts, part, name, port, given)
+            if edge is None:
+                continue
+            yield replace(edge, index=index, keep="every" if clock == "lockstep" else edge.keep)
+            index += 1
+
+
+def _edge(
+    file: _File, parts: Mapping[str, _Part], part: _Part, name: str, port: Input, given: Any
+) -> Edge | None:
+    where = f"{part.name}.inputs.{name}"
+    long = given[name] if isinstance(given[name], Mapping) else {"from": given[name]}
+    file.only(long, EDGE_KEYS, where)
+    origin = long.get("from")
+    if not isinstance(origin, str):
+        file.fail(given, name, f"{where}: expected node or node.output, got {origin!r}")
+    source, _, output = origin.partition(".")
+    if source not in parts:
+        hint = _suggest_origin(origin, parts)
+        file.fail(given, name, f"{where}: no node {source}{hint}")
+    writer = parts[source]
+    output = output or "out"
+    if output not in writer.outputs:
+        options = [o if o != "out" else source for o in (f"{source}.{o}" for o in writer.outputs)]
+        hint = checked.suggest(origin, options)
+        file.fail(given, name, f"{where}: {source} has no output {output}{hint}")
+    sent = writer.outputs[output]
+    if sent is not port.message:
+        file.fail(
+            given, name, f"{where}: expected {port.message.__name__}, got {sent.__name__} "
+            f"from {origin}",
+        )  # fmt: skip
+    values = _edge_values(file, given, name, where, long, port)
+    return Edge(
+        index=0, source=source, output=output, target=part.name, input=name, join=port.join,
+        optional=port.optional, command=port.command, tap=port.tap, **values,
+    )  # fmt: skip
+
+
+def _edge_values(
+    file: _File, given: Any, name: str, where: str, long: Mapping[str, Any], port: Input
+) -> dict[str, Any]:
+    values: dict[str, Any] = {
+        "keep": long.get("keep", port.keep),
+        "depth": long.get("depth", port.depth),
+        "wait_ms": float(long.get("wait_ms", port.wait_ms)),
+        "max_age_ms": float(long.get("max_age_ms", port.max_age_ms)),
+        "stale": long.get("stale", port.stale),
+        "transport": long.get("transport", "pool"),
+    }
+    for key, allowed in (
+        ("keep", ("latest", "every")), ("stale", ("drop", "pass")), ("transport", ("pool", "bytes"))
+    ):  # fmt: skip
+        if values[key] not in allowed:
+            hint = difflib.get_close_matches(str(values[key]), allowed, 1)
+            also = f", did you mean {hint[0]}?" if hint else ""
+            file.fail(
+                given, name, f"{where}.{key}: expected {' or '.join(allowed)}, got "
+                f"{values[key]!r}{also}",
+            )  # fmt: skip
+    if not isinstance(values["depth"], int) or not 1 <= values["depth"] <= 64:
+        file.fail(given, name, f"{where}.depth: expected 1 to 64, got {values['depth']!r}")
+    if port.command and values["keep"] != "latest":
+        file.fail(given, name, f"{where}.keep: a sensor command is always latest, got every")
+    return values
+
+
+def _suggest_origin(origin: str, parts: Mapping[str, _Part]) -> str:
+    options = [
+        name if output == "out" else f"{name}.{output}"
+        for name, part in parts.items()
+        for output in part.outputs
+    ]
+    return checked.suggest(origin, options)
+
+
+def _check_loops(plan: Plan, path: Path) -> None:
+    try:
+        plan.order()
+    except GraphError as error:
+        raise GraphError(f"{path}: {error}") from error

@@ -1,0 +1,217 @@
+"""Runs one operator: arrivals to handler calls, answers to output ports, progress to the ledger.
+
+The same for a process of its own and for a group; the transport's threads only deliver, the host's
+own thread calls the operator.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pipeline.contract import Input, Operator, handler_of
+from pipeline.corewait import CoreWait
+from pipeline.errors import PoolExhausted, RunError
+from pipeline.inbox import Inbox, Work
+from pipeline.ledger import EdgeAccount, NodeAccount
+from pipeline.messages import Header, Message, Span, stamped
+from pipeline.ports import Arrival, OutPort
+
+IDLE_S = 0.2  # the heartbeat of a host that has nothing to do
+GREET_S = 0.02  # while a reader has not heard us yet
+CREDIT_S = 0.0005
+
+
+class Host:
+    """One operator with its inbox and its outputs."""
+
+    def __init__(
+        self, name: str, operator: Operator[Any, Any], inputs: Mapping[str, Input],
+        edges: Mapping[str, EdgeAccount], outs: Mapping[str, OutPort], account: NodeAccount,
+        *, lockstep: bool, epoch: int,
+    ) -> None:  # fmt: skip
+        self.name, self.operator, self.outs = name, operator, dict(outs)
+        self._edges, self.account, self._epoch = dict(edges), account, epoch
+        self.lockstep = lockstep
+        self._changed = threading.Condition()
+        self._inbox = Inbox(inputs, self.settle, lockstep=lockstep)
+        self._arrived_wait_ns = 0
+        self.corewait = CoreWait()
+        self.stopping = threading.Event()
+        operator._loan = self._loan
+
+    def settle(self, name: str, fate: str) -> None:
+        """Account for the end of a message on one of this node's edges."""
+        self._edges[name].add(fate)
+
+    def deliver(self, name: str, arrival: Arrival) -> None:
+        """Called by the transport's thread."""
+        waited = self.corewait.since_last_ns()
+        with self._changed:
+            self._arrived_wait_ns += waited
+            self._inbox.offer(name, arrival, time.monotonic_ns())
+            self._changed.notify()
+
+    def run(self) -> None:
+        """Handle what arrives until told to stop; an operator's exception passes through."""
+        self.account.enter("waiting")
+        while not self.stopping.is_set():
+            work = self._wait()
+            if work is None:
+                continue
+            try:
+                self._handle(work)
+            except PoolExhausted:
+                if not self.stopping.is_set():
+                    raise
+
+    def stop(self) -> None:
+        """Let `run` return after the message in hand."""
+        self.stopping.set()
+        with self._changed:
+            self._changed.notify_all()
+
+    def greet(self) -> bool:
+        """Greet readers that have not heard this instance; True when all have."""
+        return all([port.hello() for port in self.outs.values()])
+
+    def _wait(self) -> Work | None:
+        greeted = self.greet()
+        self.account.put("heartbeat_ns", time.monotonic_ns())
+        with self._changed:
+            work = self._inbox.take(time.monotonic_ns())
+            if work is None:
+                due = self._inbox.due_ns()
+                patience = IDLE_S if greeted else GREET_S
+                if due is not None:
+                    patience = min(patience, max(0.0, (due - time.monotonic_ns()) / 1e9))
+                self._changed.wait(patience)
+                work = self._inbox.take(time.monotonic_ns())
+        return work
+
+    def _handle(self, work: Work) -> None:
+        begun = time.monotonic_ns()
+        waited = self.corewait.since_last_ns() + self._take_arrived_wait()
+        self.busy(begun, work.header.seq)
+        if work.new_stream:
+            self.operator.on_stream(work.header)
+        answers: Mapping[str, Message | None] = dict.fromkeys(self.outs)
+        side = len(work.messages) == 1 and not self._is_joined(next(iter(work.messages)))
+        if work.answer:
+            given = handler_of(self.operator, tuple(work.messages))(**work.messages)
+            if not side:
+                answers = self.answers(given)
+        ended = time.monotonic_ns()
+        if not side:
+            span = Span(
+                stage=self.name, received_ns=begun, done_ns=ended, handler_ns=ended - begun,
+                wait_ns=waited,
+            )  # fmt: skip
+            self.publish(answers, stamped(_critical(work), epoch=self._epoch, span=span))
+        self.corewait.since_last_ns()  # waits inside the handler are the handler's own time
+        for name in work.arrived:
+            self._edges[name].age.add(begun - work.header.stamp_ns)
+            self.settle(name, "delivered")
+        self.account.histograms["handler"].add(ended - begun)
+        if work.header.trace:
+            self.account.histograms["hop"].add(begun - work.header.trace[-1].done_ns)
+        self.idle()
+
+    def busy(self, now_ns: int, seq: int) -> None:
+        """Note that a message was taken."""
+        self.account.put("busy_since_ns", now_ns)
+        self.account.put("last_seq", max(0, seq))
+        self.account.enter("busy")
+
+    def idle(self) -> None:
+        """Note that it was finished."""
+        self.account.add("handled")
+        self.account.put("heartbeat_ns", time.monotonic_ns())
+        self.account.enter("waiting")
+
+    def publish(self, answers: Mapping[str, Message | None], header: Header) -> None:
+        """Send every output's answer, waiting for the credit of lossless readers."""
+        self.await_credit()
+        for name, port in self.outs.items():
+            message = answers.get(name)
+            if message is not None:
+                message = with_header(message, header)
+            self.patiently(partial(port.send, message, header))
+
+    def await_credit(self) -> None:
+        """Back-pressure: stand still while a lossless reader has no room."""
+        if all(port.has_credit() for port in self.outs.values()):
+            return
+        self.account.enter("credit")
+        while not all(port.has_credit() for port in self.outs.values()):
+            if self.stopping.wait(CREDIT_S):
+                return
+            self.greet()
+            self.account.put("heartbeat_ns", time.monotonic_ns())
+        self.account.enter("busy")
+
+    def patiently(self, act: Callable[[], Any]) -> Any:
+        """Do something that needs a slot, as soon as a reader gives one back."""
+        while True:
+            try:
+                return act()
+            except PoolExhausted:
+                self.account.enter("credit")
+                self.account.put("heartbeat_ns", time.monotonic_ns())
+                if self.stopping.wait(CREDIT_S):
+                    raise
+            finally:
+                self.account.enter("busy")
+
+    def answers(self, given: Any) -> Mapping[str, Message | None]:
+        """What a handler returned, by output name; raises `RunError` for anything else."""
+        if given is None:
+            return dict.fromkeys(self.outs)
+        if isinstance(given, Message) and not self.outs:
+            return {}
+        if isinstance(given, Message) and "out" in self.outs:
+            return {"out": given}
+        if isinstance(given, Mapping) and set(given) <= set(self.outs):
+            return given
+        raise RunError(
+            f"{self.name}: expected a message per output ({', '.join(self.outs) or 'none'}), got "
+            f"{type(given).__name__}"
+        )
+
+    def _loan(self, output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        port = self.outs.get(output)
+        if port is None:  # nobody reads it
+            return np.empty(shape, dtype)
+        return self.lend(port, shape, dtype)
+
+    def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """Memory for an output; waits until there is some."""
+        memory: NDArray[Any] = self.patiently(lambda: port.loan(shape, dtype))
+        return memory
+
+    def _is_joined(self, name: str) -> bool:
+        declared: Input = getattr(type(self.operator), name)
+        return declared.join and not declared.command
+
+    def _take_arrived_wait(self) -> int:
+        with self._changed:
+            waited, self._arrived_wait_ns = self._arrived_wait_ns, 0
+        return waited
+
+
+def with_header(message: Message, header: Header) -> Message:
+    """The message under the header of the exposure it answers."""
+    copy: Message = object.__new__(type(message))
+    copy.__dict__.update(message.__dict__)
+    copy.__dict__["header"] = header
+    return copy
+
+
+def _critical(work: Work) -> Header:
+    """The header whose trace ended last: the path that decided when this call could begin."""
+    headers = [m.header for m in work.messages.values() if m is not None] or [work.header]
+    return max(headers, key=lambda h: h.trace[-1].done_ns if h.trace else 0)

@@ -1,0 +1,256 @@
+"""A node process: a plan on its standard input, operators of one group run until told to stop.
+
+The supervisor speaks over standard input (`go`, `finish`, `stop`, end of file: it died) and hears
+events as JSON lines; everything an operator prints goes to the log.
+"""
+
+import faulthandler
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+from pydantic import TypeAdapter
+
+from pipeline import settings as checked
+from pipeline.bus import Session
+from pipeline.contract import Input, Operator, Source, outputs_of, settings_of
+from pipeline.errors import FoveaError
+from pipeline.host import GREET_S, Host
+from pipeline.ledger import Ledger
+from pipeline.plan import Edge, Node, Plan, inputs_for, load_operator, slots
+from pipeline.pool import PoolReader, PoolWriter
+from pipeline.ports import BYTES_SUFFIX, InPort, OutPort, Reader
+from pipeline.source import SourceHost
+
+FAREWELL_S = 3.0  # after this the process ends whatever an operator does
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assignment:
+    """What the supervisor gives a process to do."""
+
+    plan: Plan
+    process: str
+    run_folder: str
+    memory_folder: str
+    prefix: str  # of every file of this run in the memory folder
+    epochs: dict[str, int]  # by node
+    frames: int = 0
+
+
+class Process:
+    """The nodes of one group in this process."""
+
+    def __init__(self, job: Assignment, events: TextIO) -> None:
+        self._job, self._events = job, events
+        self._nodes = [n for n in job.plan.nodes if n.process == job.process]
+        self._memory = Path(job.memory_folder)
+        self._ledger = Ledger.open(
+            self._memory / f"{job.prefix}ledger", len(job.plan.edges), len(job.plan.nodes)
+        )
+        self._hosts: list[Host] = []
+        self._operators: list[Operator[Any, Any]] = []
+        self._session: Session | None = None
+        self._stops: list[Any] = []
+        self.go = threading.Event()
+        self.failed = False
+
+    def run(self) -> None:
+        """Open everything, run until stopped, close everything."""
+        try:
+            for node in self._nodes:
+                account = self._ledger.nodes[node.index]
+                account.put("epoch", self._job.epochs[node.name])
+                account.enter("starting")
+                self._operators.append(self._make(node))
+                self._operators[-1].open()
+            self._session = Session(Path(self._job.run_folder), self._job.process)
+            self._hosts = [
+                self._host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
+            ]
+            self.say("ready")
+            self._run_hosts()
+        except Exception as error:
+            self._report(error)
+        finally:
+            self._close()
+
+    def stop(self) -> None:
+        """Let every host return."""
+        self.go.set()
+        for host in self._hosts:
+            host.stop()
+
+    def finish(self) -> None:
+        """Sources make no more frames."""
+        for host in self._hosts:
+            if isinstance(host, SourceHost):
+                host.end()
+
+    def say(self, event: str, **more: Any) -> None:
+        """Tell the supervisor."""
+        self._events.write(json.dumps({"event": event, **more}) + "\n")
+        self._events.flush()
+
+    def _make(self, node: Node) -> Operator[Any, Any]:
+        cls = load_operator(node.operator)
+        operator = cls(checked.build(settings_of(cls), node.settings, node.name))
+        if isinstance(operator, Source):
+            operator.realtime = self._job.plan.clock == "realtime"
+        return operator
+
+    def _host(self, node: Node, operator: Operator[Any, Any]) -> Host:
+        job, plan = self._job, self._job.plan
+        edges = plan.inputs(node.name)
+        outs = {
+            name: self._out_port(node, name, message)
+            for name, message in outputs_of(type(operator)).items()
+        }
+        common: dict[str, Any] = {
+            "inputs": inputs_for(plan, node),
+            "edges": {name: self._ledger.edges[e.index] for name, e in edges.items()},
+            "outs": outs,
+            "account": self._ledger.nodes[node.index],
+            "lockstep": plan.clock == "lockstep",
+            "epoch": job.epochs[node.name],
+        }
+        host = (
+            SourceHost(
+                node.name, operator, drained=self._ledger.drained, limit=job.frames, **common
+            )
+            if isinstance(operator, Source)
+            else Host(node.name, operator, **common)
+        )
+        for edge in edges.values():
+            self._listen(host, edge, common["inputs"][edge.input])
+        return host
+
+    def _out_port(self, node: Node, output: str, message: type[Any]) -> OutPort:
+        job = self._job
+        edges = job.plan.readers(node.name, output)
+        readers = [
+            Reader(self._ledger.edges[e.index], e.keep == "every", e.depth + 1) for e in edges
+        ]
+        assert self._session is not None
+        key = key_of(job.plan.name, node.name, output)
+        urgent = any(e.command for e in edges)
+        stem = f"{job.prefix}{node.name}.{output}"
+        return OutPort(
+            message,
+            self._session.sender(key, urgent=urgent),
+            self._session.sender(key + BYTES_SUFFIX, urgent=urgent),
+            readers,
+            lambda free: PoolWriter(self._memory, stem, slots(edges), free),
+            job.epochs[node.name],
+        )
+
+    def _listen(self, host: Host, edge: Edge, declared: Input) -> None:
+        job = self._job
+        port = InPort(
+            declared.message,
+            self._ledger.edges[edge.index],
+            PoolReader(self._memory, f"{job.prefix}{edge.source}.{edge.output}"),
+            job.epochs[edge.target],
+            lambda arrival: host.deliver(edge.input, arrival),
+            tap=edge.tap,
+        )
+        key = key_of(job.plan.name, edge.source, edge.output)
+        assert self._session is not None
+        suffix = BYTES_SUFFIX if edge.transport == "bytes" else ""
+        self._stops.append(self._session.listen(key + suffix, port.receive))
+
+    def _run_hosts(self) -> None:
+        threads = [
+            threading.Thread(target=self._guard, args=(host,), name=host.name)
+            for host in self._hosts
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+
+    def _guard(self, host: Host) -> None:
+        try:
+            if isinstance(host, SourceHost):
+                host.on_finished = lambda: self.say("finished", node=host.name)
+                while not self.go.wait(GREET_S):
+                    host.greet()
+            host.run()
+        except Exception as error:
+            self._report(error)
+            self.stop()
+
+    def _report(self, error: Exception) -> None:
+        self.failed = True
+        if isinstance(error, FoveaError):
+            log.error("%s", error)
+        traceback.print_exc()
+        self.say("failed", error=f"{type(error).__name__}: {error}")
+
+    def _close(self) -> None:
+        for node, operator in zip(self._nodes, self._operators, strict=False):
+            try:
+                self.say("summary", node=node.name, figures=_plain(operator.summary()))
+                operator.close()
+            except Exception as error:
+                self._report(error)
+            self._ledger.nodes[node.index].enter("stopped")
+        for host in self._hosts:
+            if isinstance(host, SourceHost):
+                self.say("summary", node=host.name, figures=host.figures())
+        for stop in self._stops:
+            stop()
+        if self._session is not None:
+            self._session.close()
+
+
+def key_of(graph: str, node: str, output: str) -> str:
+    """The Zenoh key of an output."""
+    return f"fovea/{graph}/{node}/{output}"
+
+
+def main() -> None:
+    """Read an assignment, do it, leave with 0 or 1."""
+    events = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # whatever an operator prints belongs into the log
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    faulthandler.register(signal.SIGUSR1)  # the supervisor asks before it kills a stalled node
+    sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
+    job = TypeAdapter(Assignment).validate_json(sys.stdin.readline())
+    process = Process(job, events)
+    threading.Thread(target=_obey, args=(process,), daemon=True).start()
+    process.run()
+    events.close()
+    os._exit(1 if process.failed else 0)  # Zenoh's threads would keep the interpreter waiting
+
+
+def _obey(process: Process) -> None:
+    for line in sys.stdin:
+        word = line.strip()
+        if word == "go":
+            process.go.set()
+        elif word == "finish":
+            process.finish()
+        elif word == "stop":
+            break
+    process.stop()
+    threading.Event().wait(FAREWELL_S)
+    os._exit(2)
+
+
+def _plain(figures: Mapping[str, Any]) -> dict[str, Any]:
+    plain: dict[str, Any] = json.loads(json.dumps(dict(figures)))
+    return plain
+
+
+if __name__ == "__main__":
+    main()

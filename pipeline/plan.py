@@ -1,0 +1,180 @@
+"""A checked graph, ready to run: nodes and edges with every default filled in.
+
+The loader makes a plan; the supervisor hands it to node processes as JSON, the in-line runner uses
+it as it is.
+"""
+
+import importlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from pipeline.contract import Input, Keep, Operator, Source, inputs_of
+from pipeline.errors import GraphError
+
+Clock = Literal["realtime", "lockstep"]
+RestartPolicy = Literal["never", "on-failure", "always"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Restart:
+    """What happens when a node ends: restarts allowed per window, with doubling back-off."""
+
+    policy: RestartPolicy = "on-failure"
+    backoff_s: float = 0.05
+    window_s: float = 60.0
+    most: int = 10  # restarts within the window; one more ends the run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Edge:
+    """One arrow of the graph with what holds for it."""
+
+    index: int
+    source: str
+    output: str
+    target: str
+    input: str
+    keep: Keep
+    depth: int
+    join: bool
+    optional: bool
+    wait_ms: float
+    max_age_ms: float
+    stale: Literal["drop", "pass"]
+    command: bool
+    tap: bool
+    transport: Literal["pool", "bytes"]
+
+    @property
+    def origin(self) -> str:
+        """`node` or `node.output`, as a graph file writes it."""
+        return self.source if self.output == "out" else f"{self.source}.{self.output}"
+
+    @property
+    def end(self) -> str:
+        """`node.input`."""
+        return f"{self.target}.{self.input}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Node:
+    """One operator and how its process is kept."""
+
+    index: int
+    name: str
+    operator: str  # import path module:Class
+    settings: dict[str, Any]
+    group: str = ""  # nodes of one group share a process
+    host: str = ""
+    threads: int = 1
+    stall_s: float = 10.0  # an input taken and not finished for this long is a stall
+    restart: Restart = field(default_factory=Restart)
+
+    @property
+    def process(self) -> str:
+        """Name of the process it runs in."""
+        return self.group or self.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """The whole graph."""
+
+    name: str
+    clock: Clock
+    nodes: tuple[Node, ...]
+    edges: tuple[Edge, ...]
+
+    def node(self, name: str) -> Node:
+        """The node of that name."""
+        return next(n for n in self.nodes if n.name == name)
+
+    def inputs(self, node: str) -> dict[str, Edge]:
+        """The edges into a node by input name, in the order the operator declares them."""
+        return {e.input: e for e in self.edges if e.target == node}
+
+    def readers(self, node: str, output: str) -> tuple[Edge, ...]:
+        """The edges out of one output."""
+        return tuple(e for e in self.edges if e.source == node and e.output == output)
+
+    def processes(self) -> dict[str, tuple[Node, ...]]:
+        """Nodes by process, in dependency order of each process's first node."""
+        found: dict[str, list[Node]] = {}
+        for name in self.order():
+            node = self.node(name)
+            found.setdefault(node.process, []).append(node)
+        return {name: tuple(nodes) for name, nodes in found.items()}
+
+    def order(self) -> tuple[str, ...]:
+        """Node names so that every writer stands before its readers; commands do not count."""
+        waiting = {n.name: {e.source for e in self.inputs(n.name).values()} for n in self.nodes}
+        for edge in self.edges:
+            if edge.command:
+                waiting[edge.target].discard(edge.source)
+        done: list[str] = []
+        while waiting:
+            free = [n for n, needs in waiting.items() if not needs - set(done)]
+            if not free:
+                raise GraphError(
+                    f"nodes {', '.join(sorted(waiting))} wait for one another: expected a sensor "
+                    "command in every loop, got none"
+                )
+            done += free
+            waiting = {n: w for n, w in waiting.items() if n not in free}
+        return tuple(done)
+
+
+def slots(readers: tuple[Edge, ...]) -> int:
+    """Slots of an output's pool: what each reader may hold, one in hand, and two to write into."""
+    return 2 + sum(_held(edge) + 1 for edge in readers)
+
+
+def inputs_for(plan: Plan, node: Node) -> dict[str, Input]:
+    """A node's connected inputs with the values that the graph file gave them."""
+    operator = load_operator(node.operator)
+    edges = plan.inputs(node.name)
+    return {name: _effective(operator, edges[name], plan.clock) for name in edges}
+
+
+def load_operator(path: str) -> type[Operator[Any, Any]]:
+    """The class behind `module:Class`; raises `GraphError` when it is no operator."""
+    module, _, name = path.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise GraphError(f"{path}: cannot be imported: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Operator)):
+        raise GraphError(f"{path}: expected an Operator, got {found!r}")
+    return found
+
+
+def is_source(node: Node) -> bool:
+    """Whether the node makes frames."""
+    return issubclass(load_operator(node.operator), Source)
+
+
+def sources(plan: Plan) -> Iterator[Node]:
+    """The nodes that make frames."""
+    return (node for node in plan.nodes if is_source(node))
+
+
+def _held(edge: Edge) -> int:
+    if edge.keep == "every" or edge.join:
+        return edge.depth
+    return 1
+
+
+def _effective(operator: type[Operator[Any, Any]], edge: Edge, clock: Clock) -> Input:
+    return Input(
+        inputs_of(operator)[edge.input].message,
+        keep="every" if clock == "lockstep" else edge.keep,
+        depth=edge.depth,
+        join=edge.join,
+        optional=edge.optional,
+        wait_ms=edge.wait_ms,
+        max_age_ms=edge.max_age_ms,
+        stale=edge.stale,
+        command=edge.command,
+        tap=edge.tap,
+    )

@@ -1,0 +1,126 @@
+"""Where a running graph keeps its sockets, logs and shared memory, and how remains are removed.
+
+    <tmp>/fovea-<uid>/<graph>/   0700: lock, run.json, <process>.sock, <process>.log
+    /dev/shm/fovea-<run>-…       the ledger and the frame pools of one run
+
+Whoever holds the lock owns the graph. A folder whose lock is free belongs to nobody: the next start
+removes what it left in memory and ends what it left running.
+"""
+
+import fcntl
+import json
+import os
+import secrets
+import signal
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from pipeline.errors import RunError
+from pipeline.pool import remove_pools
+
+MEMORY = Path("/dev/shm")
+
+
+def base() -> Path:
+    """The folder of this user's graphs, made when it is not there; raises `RunError`."""
+    folder = Path(tempfile.gettempdir()) / f"fovea-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    seen = folder.lstat()
+    if seen.st_uid != os.getuid() or seen.st_mode & 0o077 or not folder.is_dir():
+        raise RunError(f"{folder}: expected a private folder of this user, got somebody else's")
+    return folder
+
+
+@dataclass
+class RunFolder:
+    """The owned folder of a running graph."""
+
+    folder: Path
+    prefix: str
+    _lock: int
+
+    @staticmethod
+    def claim(graph: str) -> "RunFolder":
+        """Own the graph's name; raises `RunError` when it runs already."""
+        folder = base() / graph
+        folder.mkdir(mode=0o700, exist_ok=True)
+        lock = _locked(folder)
+        if lock is None:
+            raise RunError(f"{graph}: already running, see `fovea ps`")
+        sweep()
+        _remove_remains(folder)
+        prefix = f"fovea-{secrets.token_hex(4)}-"
+        return RunFolder(folder, prefix, lock)
+
+    def note(self, facts: dict[str, Any]) -> None:
+        """Write down what others may want to know about this run."""
+        part = self.folder / "run.json.part"
+        part.write_text(json.dumps({"prefix": self.prefix, "pid": os.getpid(), **facts}))
+        part.rename(self.folder / "run.json")
+
+    def release(self) -> None:
+        """Remove sockets and memory; the logs stay for reading."""
+        remove_pools(MEMORY, self.prefix)
+        for path in (*self.folder.glob("*.sock"), self.folder / "run.json"):
+            path.unlink(missing_ok=True)
+        os.close(self._lock)
+
+
+def running() -> dict[str, dict[str, Any]]:
+    """What is noted of every graph of this user that runs now, by name."""
+    found = {}
+    for folder in sorted(base().iterdir()):
+        lock = _locked(folder)
+        if lock is not None:
+            os.close(lock)
+            continue
+        try:
+            found[folder.name] = json.loads((folder / "run.json").read_text())
+        except (OSError, ValueError):
+            continue
+    return found
+
+
+def sweep() -> None:
+    """Remove what killed supervisors left behind."""
+    for folder in base().iterdir():
+        lock = _locked(folder)
+        if lock is not None:
+            _remove_remains(folder)
+            os.close(lock)
+
+
+def _locked(folder: Path) -> int | None:
+    try:
+        handle = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        return None
+    return handle
+
+
+def _remove_remains(folder: Path) -> None:
+    try:
+        prefix = str(json.loads((folder / "run.json").read_text())["prefix"])
+    except (OSError, ValueError, KeyError, TypeError):
+        prefix = ""
+    if prefix.startswith("fovea-"):
+        _end_orphans(prefix)
+        remove_pools(MEMORY, prefix)
+    for path in (*folder.glob("*.sock"), folder / "run.json"):
+        path.unlink(missing_ok=True)
+
+
+def _end_orphans(prefix: str) -> None:
+    """Nodes end by themselves when their supervisor dies; a frozen one cannot."""
+    for process in psutil.process_iter(["cmdline"]):
+        if prefix in (process.info["cmdline"] or []):
+            process.send_signal(signal.SIGKILL)

@@ -1,0 +1,262 @@
+"""Keeps a graph running: starts its processes, watches progress, restarts, stops, accounts.
+
+Only this process writes who reads and who speaks for a node now (`reader_epoch`, `writer_epoch`).
+"""
+
+import logging
+import queue
+import signal
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+from pipeline.bus import Session
+from pipeline.child import Child, Events, Sample
+from pipeline.errors import RunError
+from pipeline.ledger import Ledger
+from pipeline.node import Assignment
+from pipeline.plan import Node, Plan, is_source
+from pipeline.rundir import MEMORY, RunFolder
+
+TICK_S = 0.02
+SAMPLE_S = 1.0
+FROZEN_S = 3.0  # no heartbeat for this long: the process does not run at all
+START_S = 60.0
+DRAIN_S = 5.0
+STOP_S = 4.0
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class _Slot:
+    """A process of the plan and its present incarnation."""
+
+    name: str
+    nodes: tuple[Node, ...]
+    child: Child | None = None
+    epoch: int = 0
+    next_start_s: float = 0.0
+    deaths: deque[float] = field(default_factory=lambda: deque(maxlen=64))
+    samples: list[Sample] = field(default_factory=list)
+    sources: frozenset[str] = frozenset()
+
+
+class Supervisor:
+    """Runs a plan in the foreground. Use it as a context: leaving it stops and removes all."""
+
+    def __init__(self, plan: Plan, *, frames: int = 0) -> None:
+        self.plan, self._frames = plan, frames
+        self._run = RunFolder.claim(plan.name)
+        self.ledger = Ledger.create(
+            MEMORY / f"{self._run.prefix}ledger", len(plan.edges), len(plan.nodes)
+        )
+        self._hub = Session(self._run.folder, "hub")
+        self._events: Events = queue.SimpleQueue()
+        self._slots = {
+            name: _Slot(name, nodes, sources=frozenset(n.name for n in nodes if is_source(n)))
+            for name, nodes in plan.processes().items()
+        }
+        self.summaries: dict[str, dict[str, Any]] = {}
+        self.restarts: dict[str, int] = {}
+        self._finished: set[str] = set()
+        self._sampled_s = 0.0
+        self.started_s = time.monotonic()
+        self.failure = ""
+
+    def __enter__(self) -> "Supervisor":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Start every process, consumers first; frames flow once all are ready."""
+        for slot in reversed(self._slots.values()):
+            self._start(slot)
+        self._note()
+        deadline = time.monotonic() + START_S
+        while not self._all_going():
+            self.tick()
+            if self.failure:
+                raise RunError(self.failure)
+            if time.monotonic() > deadline:
+                late = [s.name for s in self._slots.values() if not (s.child and s.child.ready)]
+                raise RunError(f"not ready after {START_S:.0f} s: {', '.join(late) or 'an edge'}")
+        self.started_s = time.monotonic()
+
+    def tick(self) -> None:
+        """Look after everything once, then rest for a moment."""
+        self._hear()
+        now_s = time.monotonic()
+        for slot in self._slots.values():
+            self._look_after(slot, now_s)
+        if now_s - self._sampled_s >= SAMPLE_S:
+            self._sampled_s = now_s
+            self._sample()
+        time.sleep(TICK_S)
+
+    @property
+    def finished(self) -> bool:
+        """Every source has made its last frame, or the run has failed."""
+        wanted = set().union(*(slot.sources for slot in self._slots.values()))
+        return bool(self.failure) or (bool(wanted) and wanted <= self._finished)
+
+    def finish(self) -> None:
+        """Let the sources end and what is under way arrive; bounded in time."""
+        for slot in self._slots.values():
+            if slot.sources and slot.child:
+                slot.child.tell("finish")
+        deadline = time.monotonic() + DRAIN_S
+        while time.monotonic() < deadline and not (self.finished and self.ledger.drained()):
+            self.tick()
+
+    def stop(self) -> None:
+        """Stop every process, collect what they have to say."""
+        self._sample()
+        children = [slot.child for slot in self._slots.values() if slot.child]
+        for child in children:
+            child.tell("stop")
+        deadline = time.monotonic() + STOP_S
+        for child in children:
+            child.reap(max(0.1, deadline - time.monotonic()))
+        for slot in self._slots.values():
+            slot.child = None
+        self._hear()
+
+    def close(self) -> None:
+        """Nothing is left behind: no process, no socket, no memory."""
+        if any(slot.child for slot in self._slots.values()):
+            self.stop()
+        self._hub.close()
+        self._run.release()
+
+    def samples(self, process: str) -> list[Sample]:
+        """What a process used, about once a second."""
+        return self._slots[process].samples
+
+    def pid(self, process: str) -> int:
+        """Its present process id, 0 while there is none."""
+        child = self._slots[process].child
+        return child.pid if child else 0
+
+    def _all_going(self) -> bool:
+        return all(slot.child and slot.child.going for slot in self._slots.values())
+
+    def _start(self, slot: _Slot) -> None:
+        slot.epoch += 1
+        for node in slot.nodes:
+            self.ledger.nodes[node.index].enter("starting")
+            for edge in self.plan.edges:
+                account = self.ledger.edges[edge.index]
+                if edge.source == node.name:
+                    account.put("writer_epoch", slot.epoch)
+                if edge.target == node.name:
+                    account.put("reader_epoch", slot.epoch)
+        job = Assignment(
+            plan=self.plan,
+            process=slot.name,
+            run_folder=str(self._run.folder),
+            memory_folder=str(MEMORY),
+            prefix=self._run.prefix,
+            epochs={node.name: slot.epoch for node in slot.nodes},
+            frames=self._frames,
+        )
+        slot.child = Child(job, self._events, threads=max(n.threads for n in slot.nodes))
+
+    def _hear(self) -> None:
+        while True:
+            try:
+                process, pid, event = self._events.get_nowait()
+            except queue.Empty:
+                return
+            slot = self._slots[process]
+            kind = event.get("event")
+            if kind == "ready" and slot.child and slot.child.pid == pid:
+                slot.child.ready = True
+            elif kind == "finished":
+                self._finished.add(str(event["node"]))
+            elif kind == "summary":
+                self.summaries.setdefault(str(event["node"]), {}).update(event["figures"])
+            elif kind == "failed":
+                log.error("%s: %s", process, event.get("error"))
+
+    def _look_after(self, slot: _Slot, now_s: float) -> None:
+        if slot.child is None:
+            if slot.next_start_s and now_s >= slot.next_start_s:
+                slot.next_start_s = 0.0
+                self._start(slot)
+                self._note()
+            return
+        status = slot.child.ended()
+        if status is not None:
+            self._bury(slot, status, now_s)
+        elif slot.child.ready and not slot.child.going and self._may_go(slot):
+            slot.child.going = True
+            slot.child.tell("go")
+        elif slot.child.ready and (complaint := self._stalled(slot)):
+            log.error("%s: %s; killed", slot.name, complaint)
+            slot.child.kill(with_traceback=True)
+
+    def _may_go(self, slot: _Slot) -> bool:
+        """Sources begin when every reader has heard them; the others at once."""
+        if not slot.sources:
+            return True
+        if slot.epoch == 1 and not all(s.child and s.child.ready for s in self._slots.values()):
+            return False
+        mine = [e for e in self.plan.edges if slot.epoch == 1 or e.source in slot.sources]
+        accounts = [self.ledger.edges[e.index] for e in mine]
+        return all(account.live or not account.reader_epoch for account in accounts)
+
+    def _bury(self, slot: _Slot, status: int, now_s: float) -> None:
+        assert slot.child is not None
+        slot.child.reap(0.1)
+        slot.child = None
+        for edge in self.plan.edges:
+            if edge.target in {node.name for node in slot.nodes}:
+                self.ledger.edges[edge.index].put("reader_epoch", 0)
+        for node in slot.nodes:
+            self.ledger.nodes[node.index].enter("absent")
+        how = f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+        log.warning("%s ended by %s, see `fovea logs %s`", slot.name, how, slot.name)
+        rule = slot.nodes[0].restart
+        slot.deaths.append(now_s)
+        recent = sum(1 for death in slot.deaths if now_s - death < rule.window_s)
+        if self.plan.clock == "lockstep":
+            self.failure = f"{slot.name} ended by {how}: a lockstep run cannot go on"
+        elif rule.policy == "never" or (rule.policy == "on-failure" and status == 0):
+            self._finished |= slot.sources
+        elif recent > rule.most:
+            self.failure = f"{slot.name} died {recent} times within {rule.window_s:.0f} s"
+        else:
+            slot.next_start_s = now_s + min(5.0, rule.backoff_s * 2 ** (recent - 1))
+            self.restarts[slot.name] = self.restarts.get(slot.name, 0) + 1
+
+    def _stalled(self, slot: _Slot) -> str:
+        now_ns = time.monotonic_ns()
+        for node in slot.nodes:
+            account = self.ledger.nodes[node.index]
+            busy_s = (now_ns - account.busy_since_ns) / 1e9
+            silent_s = (now_ns - account.heartbeat_ns) / 1e9
+            if account.condition == "busy" and busy_s > node.stall_s:
+                return f"{node.name} has worked on frame {account.last_seq} for {busy_s:.1f} s"
+            if account.condition in ("waiting", "credit") and silent_s > FROZEN_S:
+                return f"{node.name} gave no sign of life for {silent_s:.1f} s"
+        return ""
+
+    def _sample(self) -> None:
+        for slot in self._slots.values():
+            sample = slot.child.sample() if slot.child else None
+            if sample:
+                slot.samples.append(sample)
+
+    def _note(self) -> None:
+        self._run.note(
+            {
+                "graph": self.plan.name,
+                "clock": self.plan.clock,
+                "nodes": [{"name": n.name, "process": n.process} for n in self.plan.nodes],
+                "edges": [{"from": e.origin, "to": e.end} for e in self.plan.edges],
+                "pids": {s.name: s.child.pid for s in self._slots.values() if s.child},
+            }
+        )
