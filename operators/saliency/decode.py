@@ -1,0 +1,189 @@
+"""A detector's raw output -> candidates: boxes, angles, scores and classes, in input pixels.
+
+Three kinds of output are understood:
+- `yolo`  (1, 4 + classes, anchors): centre x, y, width, height in pixels, then class scores 0..1;
+- `obb`   the same with one more row, the angle in radians;
+- `yolox` (1, anchors, 5 + classes): Ge et al., "YOLOX" (2021): offsets in cells, log sizes,
+  objectness and class scores 0..1, anchors row by row over strides 8, 16 and 32.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import WeightsError
+from pipeline.boxes import iou
+
+Array = NDArray[np.float32]
+Kind = Literal["yolo", "obb", "yolox"]
+CANDIDATES = 300  # best ones that reach suppression, whose cost grows with their square
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidates:
+    """Found objects, best first. A turned box lies around the same centre as its upright one."""
+
+    boxes: Array  # (n, 4) xyxy, pixels of the network's input, before turning
+    angles: Array  # (n,) radians
+    scores: Array  # (n,) 0..1
+    classes: NDArray[np.intp]  # (n,) row of the class in the output
+
+    def take(self, rows: NDArray[np.intp]) -> "Candidates":
+        """The named rows, in that order."""
+        return Candidates(
+            boxes=self.boxes[rows],
+            angles=self.angles[rows],
+            scores=self.scores[rows],
+            classes=self.classes[rows],
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Grid:
+    """Cells of a YOLOX output: top left corner in cells and stride of each anchor."""
+
+    cells: Array  # (anchors, 2) x, y
+    strides: Array  # (anchors, 1) pixels
+
+
+def yolox_grid(width_px: int, height_px: int, strides: tuple[int, ...] = (8, 16, 32)) -> Grid:
+    """All anchors of an input of this size.
+
+    >>> yolox_grid(416, 416).cells.shape
+    (3549, 2)
+    """
+    cells, steps = [], []
+    for stride in strides:
+        rows, columns = height_px // stride, width_px // stride
+        y, x = np.mgrid[:rows, :columns].reshape(2, -1)
+        cells.append(np.stack([x, y], 1))
+        steps.append(np.full((rows * columns, 1), stride))
+    return Grid(
+        cells=np.concatenate(cells).astype(np.float32),
+        strides=np.concatenate(steps).astype(np.float32),
+    )
+
+
+def kind_of(shape: tuple[int, ...], width_px: int, height_px: int, task: str) -> Kind:
+    """Tell the kind by the output's shape and the task named in the metadata ("" if none is).
+
+    Raises `WeightsError` for a shape that is none of the three.
+
+    >>> kind_of((1, 84, 8400), 640, 640, "")
+    'yolo'
+    """
+    if len(shape) == 3 and shape[0] == 1:
+        if 4 < shape[1] < shape[2]:
+            return "obb" if task == "obb" else "yolo"
+        anchors = sum((width_px // s) * (height_px // s) for s in (8, 16, 32))
+        if shape[1] == anchors and shape[2] > 5:
+            return "yolox"
+    raise WeightsError(
+        "saliency: expected an output (1, 4 + classes, anchors) or (1, anchors, 5 + classes) for a "
+        f"{width_px}x{height_px} input, got {shape}"
+    )
+
+
+def class_count(shape: tuple[int, ...], kind: Kind) -> int:
+    """Number of classes in an output of this shape."""
+    return {"yolo": shape[1] - 4, "obb": shape[1] - 5, "yolox": shape[2] - 5}[kind]
+
+
+def decode_yolo(output: Array, thresholds: Array, *, turned: bool = False) -> Candidates:
+    """Candidates above their class's threshold, best first, at most `CANDIDATES`.
+
+    `output` (4 + classes [+ 1], anchors); `thresholds` (classes,), above 1 to leave a class out.
+    """
+    scores = output[4 : 4 + len(thresholds)]
+    anchors = np.flatnonzero((scores >= thresholds[:, None]).any(0))
+    found = scores[:, anchors]
+    kept = _best(np.where(found >= thresholds[:, None], found, 0), output[:4, anchors].T)
+    if not turned:
+        return kept[0]
+    candidates, rows = kept
+    angles = output[4 + len(thresholds), anchors[rows]]
+    return Candidates(
+        boxes=candidates.boxes,
+        angles=angles,
+        scores=candidates.scores,
+        classes=candidates.classes,
+    )
+
+
+def decode_yolox(output: Array, thresholds: Array, grid: Grid) -> Candidates:
+    """Candidates of an (anchors, 5 + classes) output above their class's threshold, best first."""
+    objectness = output[:, 4]
+    # the product of both is at most the objectness: most anchors need no further look
+    likely = np.flatnonzero(objectness >= thresholds.min())
+    scores = output[likely, 5:] * objectness[likely, None]
+    passed = (scores >= thresholds).any(1)
+    anchors, scores = likely[passed], scores[passed]
+    raw, strides = output[anchors, :4], grid.strides[anchors]
+    centres = (raw[:, :2] + grid.cells[anchors]) * strides
+    # a wild log size must not overflow: no box is larger than e^10 cells
+    sizes = np.exp(np.minimum(raw[:, 2:], 10)) * strides
+    return _best(np.where(scores >= thresholds, scores, 0).T, np.hstack([centres, sizes]))[0]
+
+
+def _best(scores: Array, centred: Array) -> tuple[Candidates, NDArray[np.intp]]:
+    """Class and order of candidates: (classes, n) scores, (n, 4) centre and size."""
+    if not scores.size:
+        scores = np.zeros((1, 0), np.float32)
+    classes = scores.argmax(0)
+    best = scores[classes, np.arange(scores.shape[1])]
+    rows = np.argsort(-best, kind="stable")[:CANDIDATES]
+    half = centred[rows, 2:] / 2
+    boxes = np.hstack([centred[rows, :2] - half, centred[rows, :2] + half])
+    found = Candidates(
+        boxes=boxes.astype(np.float32),
+        angles=np.zeros(len(rows), np.float32),
+        scores=best[rows].astype(np.float32),
+        classes=classes[rows],
+    )
+    return found, rows
+
+
+def suppress(candidates: Candidates, limit_iou: float, *, agnostic: bool) -> NDArray[np.intp]:
+    """Rows that remain after greedy non-maximum suppression, best first.
+
+    A row falls when a better one of its class (of any class if `agnostic`) overlaps it by more
+    than `limit_iou`.
+    """
+    if not len(candidates.scores):
+        return np.zeros(0, np.intp)
+    same = np.ones((len(candidates.scores),) * 2, np.bool_)
+    if not agnostic:
+        same = candidates.classes[:, None] == candidates.classes[None]
+    turned = bool(candidates.angles.any())
+    overlap = _turned_iou(candidates) if turned else iou(candidates.boxes, candidates.boxes)
+    rival = (overlap > limit_iou) & same
+    alive = np.ones(len(rival), np.bool_)
+    for row in range(len(rival)):
+        if alive[row]:
+            alive[row + 1 :] &= ~rival[row, row + 1 :]
+    return np.flatnonzero(alive)
+
+
+def _turned_iou(candidates: Candidates) -> Array:
+    """Intersection over union of every pair of turned boxes: (n, n)."""
+    low, high = candidates.boxes[:, :2], candidates.boxes[:, 2:]
+    centres, sizes = (low + high) / 2, np.maximum(high - low, 0)
+    turns = np.degrees(candidates.angles)
+    shapes = [
+        ((float(c[0]), float(c[1])), (float(s[0]), float(s[1])), float(t))
+        for c, s, t in zip(centres, sizes, turns, strict=True)
+    ]
+    areas = sizes[:, 0] * sizes[:, 1]
+    reach = np.linalg.norm(sizes, axis=1) / 2
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    near = np.argwhere(np.triu(distance < reach[:, None] + reach[None], 1))
+    overlap = np.zeros((len(areas), len(areas)), np.float32)
+    for i, j in near:
+        _, corners = cv2.rotatedRectangleIntersection(shapes[i], shapes[j])
+        if corners is not None and len(corners) > 2:
+            common = cv2.contourArea(cv2.convexHull(corners))
+            overlap[i, j] = overlap[j, i] = common / max(areas[i] + areas[j] - common, 1e-9)
+    return overlap

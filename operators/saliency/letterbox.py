@@ -1,0 +1,83 @@
+"""Fit a picture of any size into a network's input: (h, w[, 3]) uint8 -> (1, 3, H, W) float32."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placement:
+    """Where the picture lies in the input: input = picture * gain + offset."""
+
+    gain: float
+    left_px: int
+    top_px: int
+    width_px: int
+    height_px: int
+
+
+class Letterbox:
+    """A reused input tensor; pictures are scaled with their aspect kept, the rest is `fill`."""
+
+    def __init__(
+        self,
+        width_px: int,
+        height_px: int,
+        *,
+        scale: float,
+        bgr: bool,
+        corner: bool,
+        fill: int = 114,
+    ) -> None:
+        self._scale = np.float32(scale)
+        self._order = (2, 1, 0) if bgr else (0, 1, 2)
+        self._corner = corner
+        self._fill = np.float32(fill * scale)
+        self.tensor = np.full((1, 3, height_px, width_px), self._fill, np.float32)
+        self._source: tuple[int, ...] = ()
+        self._placement = Placement(gain=1, left_px=0, top_px=0, width_px=0, height_px=0)
+        self._planes: list[NDArray[np.uint8]] = []
+
+    def put(self, picture: NDArray[np.uint8]) -> Placement:
+        """Write one RGB or grey picture into `tensor`."""
+        if picture.shape != self._source:
+            self._arrange(picture)
+        p = self._placement
+        if picture.shape[:2] != (p.height_px, p.width_px):
+            # linear looks at two pixels a side: below one half it would lose small objects
+            how = cv2.INTER_AREA if p.gain < 0.5 else cv2.INTER_LINEAR
+            picture = cv2.resize(picture, (p.width_px, p.height_px), interpolation=how)  # type: ignore[assignment]
+        # planes first: a strided conversion of the interleaved picture takes three times as long
+        cv2.split(picture, self._planes)
+        rows = slice(p.top_px, p.top_px + p.height_px)
+        columns = slice(p.left_px, p.left_px + p.width_px)
+        for channel, target in zip(self._order, self.tensor[0, :, rows, columns], strict=True):
+            plane = self._planes[channel if len(self._planes) == 3 else 0]
+            np.multiply(plane, self._scale, out=target)
+        return p
+
+    def _arrange(self, picture: NDArray[np.uint8]) -> None:
+        self._source = picture.shape
+        height_px, width_px = self.tensor.shape[2:]
+        self._placement = place(
+            picture.shape[1], picture.shape[0], width_px, height_px, self._corner
+        )
+        shape = (self._placement.height_px, self._placement.width_px)
+        self._planes = [np.empty(shape, np.uint8) for _ in range(3 if picture.ndim == 3 else 1)]
+        self.tensor[:] = self._fill
+
+
+def place(
+    width_px: int, height_px: int, into_width_px: int, into_height_px: int, corner: bool
+) -> Placement:
+    """Scale (w, h) to the largest size inside (W, H); in the top left corner or in the middle.
+
+    >>> place(480, 270, 480, 288, False)
+    Placement(gain=1.0, left_px=0, top_px=9, width_px=480, height_px=270)
+    """
+    gain = min(into_width_px / width_px, into_height_px / height_px)
+    wide, high = max(1, round(width_px * gain)), max(1, round(height_px * gain))
+    left, top = (0, 0) if corner else ((into_width_px - wide) // 2, (into_height_px - high) // 2)
+    return Placement(gain=gain, left_px=left, top_px=top, width_px=wide, height_px=high)

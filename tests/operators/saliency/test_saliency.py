@@ -1,0 +1,222 @@
+"""The operator over tiny networks of known output, and over YOLOX-nano where it is at hand."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper, save_model
+
+from operators.saliency import Saliency
+from pipeline import Detections, Frame, MessageError, SettingsError, WeightsError
+from pipeline.testing import drive, header, picture
+
+SHARED = Path(__file__).parents[4] / "shared"
+YOLOX = SHARED / "models/yolox/yolox_nano_416.onnx"
+CLIP = SHARED / "data/soccernet/SNMOT-116a/img1"
+
+
+def constant_network(
+    path: Path,
+    output: NDArray[np.float32],
+    *,
+    size_px: tuple[int, int] = (480, 288),
+    features: NDArray[np.float32] | None = None,
+    **metadata: str,
+) -> str:
+    """A network that answers every picture with the same arrays."""
+    width_px, height_px = size_px
+    nodes, outputs, weights = [], [], []
+    for name, array in {"output": output, "features": features}.items():
+        if array is None:
+            continue
+        weights.append(numpy_helper.from_array(array, name + "_weights"))
+        # the output must hang on the input, or the run-time takes the input away
+        nodes.append(helper.make_node("ReduceSum", ["images"], [name + "_sum"], keepdims=0))
+        nodes.append(helper.make_node("Mul", [name + "_sum", "zero"], [name + "_none"]))
+        nodes.append(helper.make_node("Add", [name + "_none", name + "_weights"], [name]))
+        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, array.shape))
+    weights.append(numpy_helper.from_array(np.zeros((), np.float32), "zero"))
+    images = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, height_px, width_px))
+    graph = helper.make_graph(nodes, "constant", [images], outputs, weights)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    helper.set_model_props(model, metadata)
+    save_model(model, path)
+    return str(path)
+
+
+def yolo_output(*rows: tuple[float, ...], anchors: int = 64) -> NDArray[np.float32]:
+    """(1, len(row), anchors) with one column per row given, the others empty."""
+    output = np.zeros((1, len(rows[0]), anchors), np.float32)
+    output[0, :, : len(rows)] = np.array(rows, np.float32).T
+    return output
+
+
+def context(seq: int = 0) -> Frame:
+    """A quarter-size picture of a full-HD sensor."""
+    return Frame(header=header(seq), pixels=picture(270, 480, seed=1), window=(0, 0, 1920, 1080))
+
+
+def seen(weights: str, frame: Frame | None = None, **settings: object) -> Detections:
+    """What the operator answers to one frame."""
+    (answer,) = drive(Saliency, [frame or context()], {"weights": weights, **settings})
+    assert isinstance(answer, Detections)
+    return answer
+
+
+def test_a_box_of_the_input_is_told_in_sensor_pixels(tmp_path: Path) -> None:
+    # 9 rows of padding above the 270 rows of the picture
+    output = yolo_output((100, 59, 20, 40, 0.9, 0.1))
+    weights = constant_network(tmp_path / "n.onnx", output, names="{0: 'player', 1: 'ball'}")
+
+    found = seen(weights)
+
+    assert found.boxes.tolist() == [[360, 120, 440, 280]]
+    assert found.names[found.labels[0]] == "player"
+    assert found.scores[0] == pytest.approx(0.9)
+    assert found.features.shape == (1, 0)
+
+
+def test_a_window_that_does_not_start_at_the_corner_is_added(tmp_path: Path) -> None:
+    weights = constant_network(tmp_path / "n.onnx", yolo_output((100, 59, 20, 40, 0.9)))
+    frame = Frame(header=header(), pixels=picture(270, 480, seed=1), window=(1000, 500, 1480, 770))
+
+    found = seen(weights, frame)
+
+    assert found.boxes.tolist() == [[1090, 530, 1110, 570]]
+
+
+def test_boxes_are_cut_at_the_window(tmp_path: Path) -> None:
+    weights = constant_network(tmp_path / "n.onnx", yolo_output((0, 9, 40, 40, 0.9)))
+
+    assert seen(weights).boxes.tolist() == [[0, 0, 80, 80]]
+
+
+def test_the_weaker_of_two_boxes_in_one_place_is_suppressed(tmp_path: Path) -> None:
+    output = yolo_output((100, 99, 20, 40, 0.6, 0), (101, 99, 20, 40, 0, 0.8))
+    weights = constant_network(tmp_path / "n.onnx", output)
+
+    assert seen(weights).scores.tolist() == pytest.approx([0.8])
+    assert len(seen(weights, class_agnostic=False).scores) == 2
+
+
+def test_thresholds_come_from_settings_before_the_metadata(tmp_path: Path) -> None:
+    output = yolo_output((100, 99, 20, 40, 0.45, 0), (300, 99, 9, 9, 0, 0.35))
+    weights = constant_network(
+        tmp_path / "n.onnx",
+        output,
+        names="['player', 'ball']",
+        confidence="{'player': 0.5, 'ball': 0.3}",
+    )
+
+    assert seen(weights).labels.tolist() == [1]
+    assert seen(weights, class_confidence={"ball": 0.4}).labels.tolist() == []
+    assert seen(weights, confidence=0.4).labels.tolist() == [0]
+
+
+def test_classes_are_renamed_and_others_left_out(tmp_path: Path) -> None:
+    output = yolo_output((100, 99, 20, 40, 0.9, 0, 0), (300, 99, 9, 9, 0, 0.9, 0))
+    weights = constant_network(tmp_path / "n.onnx", output, names="['car', 'person', 'dog']")
+
+    found = seen(weights, names={"person": "player"})
+
+    assert found.names == ("player",)
+    assert found.labels.tolist() == [0]
+    assert found.boxes[0, 0] == pytest.approx(4 * 295.5)
+
+
+def test_features_are_aligned_from_the_stride_8_map(tmp_path: Path) -> None:
+    ramp = np.broadcast_to(np.arange(60, dtype=np.float32), (1, 2, 36, 60)).copy()
+    weights = constant_network(
+        tmp_path / "n.onnx", yolo_output((100, 99, 16, 16, 0.9)), features=ramp
+    )
+
+    assert seen(weights).features == pytest.approx(np.full((1, 2), 100 / 8 - 0.5))
+
+
+def test_turned_boxes_keep_their_angle_and_their_neighbours(tmp_path: Path) -> None:
+    # two long boxes crossing at a right angle share little; a third lies on the first
+    output = yolo_output(
+        (200, 99, 100, 10, 0.9, 0.0), (200, 99, 100, 10, 0.8, 1.57), (200, 99, 100, 10, 0.7, 0.02)
+    )
+    weights = constant_network(tmp_path / "n.onnx", output, task="obb")
+
+    found = seen(weights)
+
+    assert found.angles == pytest.approx([0, 1.57])
+    assert found.boxes.tolist() == [[600, 340, 1000, 380]] * 2
+
+
+def test_an_empty_picture_gives_an_empty_answer(tmp_path: Path) -> None:
+    weights = constant_network(tmp_path / "n.onnx", yolo_output((100, 99, 16, 16, 0.9)))
+    frame = Frame(header=header(7), pixels=np.zeros((0, 0, 3), np.uint8))
+
+    found = seen(weights, frame)
+
+    assert found.boxes.shape == (0, 4)
+    assert found.header.seq == 7
+
+
+def test_a_mosaic_is_refused_with_a_hint(tmp_path: Path) -> None:
+    weights = constant_network(tmp_path / "n.onnx", yolo_output((100, 99, 16, 16, 0.9)))
+    frame = Frame(
+        header=header(),
+        pixels=picture(270, 480, seed=1)[..., 0],
+        pixel_format="bayer_rggb8",
+        window=(0, 0, 1920, 1080),
+    )
+
+    with pytest.raises(MessageError, match=r"bayer_rggb8 uint8; put operators\.downsample before"):
+        seen(weights, frame)
+
+
+def test_missing_weights_are_named(tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match=r"nowhere\.onnx: no such weights"):
+        seen(str(tmp_path / "nowhere.onnx"))
+
+
+def test_a_file_that_is_no_network_is_named(tmp_path: Path) -> None:
+    (tmp_path / "text.onnx").write_text("not a network")
+
+    with pytest.raises(WeightsError, match=r"text\.onnx: not a network"):
+        seen(str(tmp_path / "text.onnx"))
+
+
+def test_an_output_of_unknown_shape_is_refused(tmp_path: Path) -> None:
+    weights = constant_network(tmp_path / "n.onnx", np.zeros((1, 300, 6), np.float32))
+
+    with pytest.raises(WeightsError, match=r"got \(1, 300, 6\)"):
+        seen(weights)
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"confidence": 1.5}, "confidence: must be within 0..1, got 1.5"),
+        ({"class_confidence": {"ball": -1.0}}, "class_confidence.ball: must be within"),
+        ({"max_objects": 0}, "max_objects: must be at least 1, got 0"),
+        ({"class_confidence": {"bal": 0.5}}, "expected names among 0, got bal"),
+        ({"names": {"person": "player"}}, "names.person: expected a class of the network"),
+    ],
+)
+def test_a_wrong_setting_is_named(
+    tmp_path: Path, settings: dict[str, object], complaint: str
+) -> None:
+    weights = constant_network(tmp_path / "n.onnx", yolo_output((100, 99, 16, 16, 0.9)))
+
+    with pytest.raises(SettingsError, match=complaint):
+        seen(weights, **settings)
+
+
+@pytest.mark.skipif(not (YOLOX.exists() and CLIP.exists()), reason="needs ../shared")
+def test_yolox_nano_finds_players_in_real_footage() -> None:
+    full = cv2.imread(str(CLIP / "000100.jpg"), cv2.IMREAD_COLOR_RGB)
+    small = cv2.resize(full, (480, 270), interpolation=cv2.INTER_AREA)
+    frame = Frame(header=header(), pixels=np.asarray(small), window=(0, 0, 1920, 1080))
+
+    found = seen(str(YOLOX), frame, names={"0": "player", "32": "ball"})
+
+    assert len(found.scores) >= 8
+    assert set(found.labels.tolist()) == {0}
+    assert np.all(np.diff(found.boxes[:, [1, 3]]) > 40)
