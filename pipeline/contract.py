@@ -5,7 +5,7 @@ per input (`on_<input>`) or per joined set of inputs (`on_<first>_<second>`). It
 of its own, beside others in one process, or in the in-line runner, and cannot tell which.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar, get_args, get_origin
 
@@ -79,6 +79,11 @@ class Operator(Generic[S, Out]):
     def summary(self) -> Mapping[str, Any]:
         """Figures for the run's report, asked for once at the end."""
         return {}
+
+    @classmethod
+    def advise(cls, settings: Mapping[str, Any]) -> Iterable[str]:
+        """Sentences for `fovea check`: what these settings mean, warnings; nothing is opened."""
+        return ()
 
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike, output: str = "out") -> NDArray[Any]:
         """Memory of an output to write a big array into, so that sending it copies nothing."""

@@ -69,6 +69,18 @@ def load(path: Path, overlay: Overlay | None = None) -> Plan:
     return plan
 
 
+def manual_nodes(path: Path, setting: str) -> list[str]:
+    """Nodes that start only on request and have that setting."""
+    nodes = _File(path).document.get("nodes") or {}
+    found = []
+    for name, entry in nodes.items():
+        if isinstance(entry, Mapping) and entry.get("manual"):
+            cls = settings_of(load_operator(str(entry.get("operator"))))
+            if setting in {f.name for f in fields(cls)}:
+                found.append(str(name))
+    return found
+
+
 class _File:
     """A YAML mapping that knows the line of every key."""
 

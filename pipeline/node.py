@@ -191,10 +191,10 @@ class Process:
 
     def _report(self, error: Exception) -> None:
         self.failed = True
-        if isinstance(error, FoveaError):
-            log.error("%s", error)
         traceback.print_exc()
-        self.say("failed", error=f"{type(error).__name__}: {error}")
+        expected = isinstance(error, FoveaError)
+        said = str(error) if expected else f"{type(error).__name__}: {error}"
+        self.say("failed", error=said, expected=expected)
 
     def _close(self) -> None:
         for node, operator in zip(self._nodes, self._operators, strict=False):

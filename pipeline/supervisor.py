@@ -179,7 +179,15 @@ class Supervisor:
             elif kind == "summary":
                 self.summaries.setdefault(str(event["node"]), {}).update(event["figures"])
             elif kind == "failed":
-                log.error("%s: %s", process, event.get("error"))
+                self._note_failure(slot, event)
+
+    def _note_failure(self, slot: _Slot, event: dict[str, Any]) -> None:
+        """What starting it again cannot mend ends the run: a graph that never began, a source."""
+        unborn = slot.epoch == 1 and not (slot.child and slot.child.ready)
+        if event.get("expected") and (unborn or slot.sources) and not self.failure:
+            self.failure = str(event["error"])
+        else:
+            log.error("%s: %s", slot.name, event.get("error"))
 
     def _look_after(self, slot: _Slot, now_s: float) -> None:
         if slot.child is None:
@@ -255,7 +263,10 @@ class Supervisor:
             {
                 "graph": self.plan.name,
                 "clock": self.plan.clock,
-                "nodes": [{"name": n.name, "process": n.process} for n in self.plan.nodes],
+                "nodes": [
+                    {"name": n.name, "process": n.process, "operator": n.operator}
+                    for n in self.plan.nodes
+                ],
                 "edges": [{"from": e.origin, "to": e.end} for e in self.plan.edges],
                 "pids": {s.name: s.child.pid for s in self._slots.values() if s.child},
             }

@@ -1,0 +1,187 @@
+"""The command line: `fovea run | check | draw | ps | top | logs | echo | hz | weights`."""
+
+import json
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.logging import RichHandler
+
+from pipeline import running, watching
+from pipeline.drawing import mermaid
+from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
+from pipeline.graph import Overlay, load, manual_nodes
+from pipeline.graph_schema import graph_schema
+from pipeline.plan import Plan
+from pipeline.report import tables
+from pipeline.weights import weights_commands
+
+console = Console()
+GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
+
+
+def main() -> None:
+    """Entry point: one sentence and an exit status for every expected failure."""
+    sys.path.insert(0, "")  # operators of the user's own lie in the folder they work in
+    logging.basicConfig(
+        level=logging.INFO, format="%(message)s", handlers=[RichHandler(show_path=False)]
+    )
+    try:
+        commands(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except (click.Abort, KeyboardInterrupt):
+        sys.exit(130)
+    except FoveaError as error:
+        click.echo(f"fovea: {error}", err=True)
+        sys.exit(2 if isinstance(error, (GraphError, SettingsError, WeightsError)) else 1)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="fovea")
+def commands() -> None:
+    """Let an ultra-high-resolution image sensor decide, in real time, where to look."""
+
+
+def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that lay something over a graph file."""
+    for option in (
+        click.option("--source", type=click.Path(path_type=Path), help="Where frames come from."),
+        click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE"),
+        click.option("--clock", type=click.Choice(["realtime", "lockstep"])),
+        click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node."),
+    ):
+        command = option(command)
+    return command
+
+
+@commands.command()
+@GRAPH
+@overlaid
+@click.option("--inline", is_flag=True, help="One thread, no processes, in lockstep.")
+@click.option("--frames", type=click.IntRange(1), help="Stop after so many exposures.")
+@click.option("--duration-s", type=click.FloatRange(0, min_open=True), help="Stop after this.")
+@click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
+@click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
+def run(
+    graph: Path, inline: bool, frames: int | None, duration_s: float | None,
+    save: Path | None, report: Path | None, **laid: Any,
+) -> None:  # fmt: skip
+    """Run a graph in the foreground until its source ends, a limit, or Ctrl-C."""
+    if frames and duration_s:
+        raise click.UsageError("--frames and --duration-s: give one of them")
+    if inline and (laid["clock"] == "realtime" or duration_s):
+        raise click.UsageError("--inline runs in lockstep: limit it by --frames")
+    if inline:
+        laid["clock"] = "lockstep"
+    plan = _load(graph, save=save, **laid)
+    if report:
+        report.parent.mkdir(parents=True, exist_ok=True)
+    if inline:
+        result = running.inline(plan, frames or 0, console)
+    else:
+        result = running.processes(plan, frames or 0, duration_s or 0.0, console)
+    console.print(tables(result))
+    if report:
+        report.write_text(json.dumps(result, indent=1))
+    if save:
+        console.print(f"recording: {save}, open it with: rerun {save}")
+    if result.get("failure"):
+        raise click.ClickException(result["failure"])
+
+
+@commands.command()
+@click.argument("graph", required=False, type=click.Path(path_type=Path, dir_okay=False))
+@overlaid
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of graph files.")
+def check(graph: Path | None, schema: bool, **laid: Any) -> None:
+    """Check a graph without starting anything."""
+    plan = _load(graph, **laid) if graph else None
+    if schema:
+        click.echo(json.dumps(graph_schema(plan), indent=1))
+    elif plan is None:
+        raise click.UsageError("Missing argument 'GRAPH'.")
+    else:
+        console.print(
+            f"{graph}: {plan.name}, {len(plan.nodes)} nodes in {len(plan.processes())} processes, "
+            f"{len(plan.edges)} edges, {plan.clock}"
+        )
+        for line in running.advice(plan):
+            console.print(line)
+
+
+@commands.command()
+@GRAPH
+@overlaid
+def draw(graph: Path, **laid: Any) -> None:
+    """Print the graph as a Mermaid flow chart."""
+    click.echo(mermaid(_load(graph, **laid)))
+
+
+@commands.command()
+def ps() -> None:
+    """List the running graphs and their processes."""
+    console.print(watching.process_table())
+
+
+@commands.command()
+@click.argument("graph", required=False)
+@click.option("--once", is_flag=True, help="Print one table and leave.")
+@click.option("--every-s", default=1.0, type=click.FloatRange(0.1), show_default=True)
+def top(graph: str | None, once: bool, every_s: float) -> None:
+    """Watch rates, latencies, drops and back-pressure of a running graph."""
+    watching.top(graph or "", every_s, once=once, console=console)
+
+
+@commands.command()
+@click.argument("node")
+@click.option("--graph", default="", help="Which graph, when several run.")
+@click.option("--follow", "-f", is_flag=True)
+@click.option("--lines", "-n", default=40, type=click.IntRange(0), show_default=True)
+def logs(node: str, graph: str, follow: bool, lines: int) -> None:
+    """Show what a node wrote, also after it ended."""
+    for line in watching.log_lines(graph, node, lines, follow=follow):
+        click.echo(line)
+
+
+@commands.command()
+@click.argument("output", metavar="NODE[.OUTPUT]")
+@click.option("--graph", default="", help="Which graph, when several run.")
+@click.option("--count", default=0, type=click.IntRange(0), help="Leave after so many.")
+def echo(output: str, graph: str, count: int) -> None:
+    """Print the messages of an output as they come."""
+    for line in watching.echo(graph, output, count):
+        click.echo(line)
+
+
+@commands.command()
+@click.argument("output", metavar="NODE[.OUTPUT]")
+@click.option("--graph", default="", help="Which graph, when several run.")
+@click.option("--duration-s", default=5.0, type=click.FloatRange(0.1), show_default=True)
+def hz(output: str, graph: str, duration_s: float) -> None:
+    """Measure rate, jitter and age of an output's messages."""
+    click.echo(watching.rate(graph, output, duration_s))
+
+
+def _load(
+    graph: Path, *, save: Path | None = None, source: Path | None, changes: tuple[str, ...],
+    clock: str | None, wanted: tuple[str, ...],
+) -> Plan:  # fmt: skip
+    if save:
+        viewer = manual_nodes(graph, "save")
+        if not viewer:
+            raise GraphError(f"{graph}: --save needs a node with a setting `save`, got none")
+        wanted = (*wanted, viewer[0])
+        changes = (*changes, f"{viewer[0]}.save={save}")
+    return load(graph, Overlay(source, changes, clock or "", wanted))
+
+
+commands.add_command(weights_commands)
+
+if __name__ == "__main__":
+    main()

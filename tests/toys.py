@@ -1,0 +1,191 @@
+"""Small operators for testing the runtime: a source of numbered pictures and things to do to them."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+
+from pipeline import (
+    DriverError,
+    Frame,
+    Geometry,
+    Header,
+    Input,
+    Message,
+    Operator,
+    Output,
+    Percept,
+    RoiSchedule,
+    SettingsError,
+    Source,
+)
+
+GEOMETRY = Geometry(width_px=64, height_px=48, roi_width_px=16, roi_height_px=12)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TickerSettings:
+    """A clock that shows pictures."""
+
+    rate_hz: float = 100.0
+    side_px: int = 64
+    length: int = 0
+    fail_at: int = -1
+
+    def __post_init__(self) -> None:
+        if self.rate_hz <= 0:
+            raise SettingsError(f"rate_hz: must be positive, got {self.rate_hz}")
+
+
+class Ticker(Source[TickerSettings, Mapping[str, Message]]):
+    """Two streams of pictures filled with their own number."""
+
+    context = Output(Frame)
+    roi = Output(Frame)
+    schedule = Input(RoiSchedule, command=True)
+
+    def open(self) -> None:
+        self.stream, self.seq, self.start_s = uuid4().hex, 0, time.monotonic()
+        self.newest = RoiSchedule(
+            header=Header(stream="", seq=-1, stamp_ns=0),
+            first_seq=0,
+            windows=np.zeros((0, 4), np.int32),
+        )
+        self.commanded = 0
+
+    def on_schedule(self, schedule: RoiSchedule) -> None:
+        self.newest = schedule
+        self.commanded += 1
+
+    def produce(self) -> Mapping[str, Message] | None:
+        settings = self.settings
+        if settings.length and self.seq >= settings.length:
+            return None
+        if self.realtime:
+            due_s = self.start_s + self.seq / settings.rate_hz
+            time.sleep(max(0.0, due_s - time.monotonic()))
+        seq, self.seq = self.seq, self.seq + 1
+        if seq == settings.fail_at:
+            raise DriverError(f"picture {seq}: torn")
+        header = Header(
+            stream=self.stream, seq=seq, stamp_ns=time.monotonic_ns(), geometry=GEOMETRY
+        )
+        frames = {}
+        for name in ("context", "roi"):
+            pixels = self.loan((settings.side_px, settings.side_px, 3), np.uint8, name)
+            pixels[...] = seq % 251
+            window = (0, 0, 64, 48)
+            frames[name] = Frame(header=header, pixels=pixels, window=window)
+        return frames
+
+    def summary(self) -> Mapping[str, Any]:
+        return {"frames": {"exposed": self.seq, "skipped": 0}, "commanded": self.commanded}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkSettings:
+    """How a toy misbehaves."""
+
+    sleep_s: float = 0.0
+    crash_at: int = -1
+    hang_at: int = -1
+    every: int = 1  # answers nothing for the others
+    hold: int = 0  # keeps that many pictures
+
+
+class Pass(Operator[WorkSettings, Frame]):
+    """The same picture again."""
+
+    frame = Input(Frame, keep="latest")
+
+    def open(self) -> None:
+        self.held: list[Frame] = []
+
+    def on_frame(self, frame: Frame) -> Frame | None:
+        settings = self.settings
+        if settings.sleep_s:
+            time.sleep(settings.sleep_s)
+        if frame.header.seq == settings.crash_at:
+            raise ValueError("told to crash")
+        if frame.header.seq == settings.hang_at:
+            time.sleep(1000)
+        self.held = [*self.held, frame][-settings.hold :] if settings.hold else []
+        if frame.header.seq % settings.every:
+            return None
+        return replace(frame, pixels=frame.pixels)
+
+
+class PassEvery(Pass):
+    """Likewise, without losing one."""
+
+    frame = Input(Frame, keep="every")
+
+
+class Pair(Operator[WorkSettings, Percept]):
+    """Joins two pictures of one exposure and answers with what they hold."""
+
+    left = Input(Frame, keep="latest")
+    right = Input(Frame, keep="latest")
+
+    def open(self) -> None:
+        self.seen: list[int] = []
+
+    def on_left_right(self, left: Frame, right: Frame) -> Percept:
+        assert left.header.seq == right.header.seq
+        values = np.array([left.pixels[0, 0, 0], right.pixels[-1, -1, -1]], np.float32)
+        self.seen.append(left.header.seq)
+        return Percept(
+            header=left.header,
+            boxes=np.zeros((0, 4), np.float32),
+            ids=np.zeros(0, np.int32),
+            scores=np.zeros(0, np.float32),
+            action=values,
+        )
+
+    def summary(self) -> Mapping[str, Any]:
+        return {"seen": self.seen[-2000:]}
+
+
+class PairEvery(Pair):
+    """Likewise, without losing one."""
+
+    left = Input(Frame, keep="every")
+    right = Input(Frame, keep="every")
+
+
+class Steer(Operator[WorkSettings, RoiSchedule]):
+    """A sensor command for every percept."""
+
+    percept = Input(Percept, keep="every")
+
+    def on_percept(self, percept: Percept) -> RoiSchedule:
+        seq = percept.header.seq
+        x = int(percept.action[0]) % 48
+        return RoiSchedule(
+            header=percept.header,
+            first_seq=seq + 1,
+            windows=np.array([[x, 0, x + 16, 12]] * 4, np.int32),
+            scanpath_seq=seq,
+        )
+
+
+class Count(Operator[WorkSettings, None]):
+    """Only looks, and remembers which pictures it saw and whether they were whole."""
+
+    frame = Input(Frame, keep="every")
+
+    def open(self) -> None:
+        self.seen: list[int] = []
+        self.torn = 0
+
+    def on_frame(self, frame: Frame) -> None:
+        if self.settings.sleep_s:
+            time.sleep(self.settings.sleep_s)
+        self.torn += int((frame.pixels != frame.header.seq % 251).any())
+        self.seen.append(frame.header.seq)
+
+    def summary(self) -> Mapping[str, Any]:
+        return {"seen": self.seen[-5000:], "torn": self.torn}
