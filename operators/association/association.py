@@ -1,0 +1,182 @@
+"""Follow objects through time: Detections -> Tracks, with gaps filled and the near future foreseen.
+
+Paper, section 3.3: Hungarian matching with the same class first, and a constant-velocity Kalman
+filter on the centre. The size is no part of the filter's state (as in the paper) and is smoothed
+beside it: a velocity of the size, extrapolated over Tp frames, blows boxes up or turns them over.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.association.kalman import extrapolate, motion_model
+from operators.association.matching import match
+from operators.association.table import Table, advance, born, box_sizes, empty, see, select
+from pipeline import Detections, Geometry, Header, Input, Operator, SettingsError, Tracks
+from pipeline.boxes import from_centres
+from pipeline.errors import MessageError
+
+AssociationState = Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssociationSettings:
+    """What a graph may set; noises and the gate are the paper's (see kalman.py for their units)."""
+
+    observed: int = 4  # To, frames of history
+    horizon: int = 16  # Tp, frames foreseen
+    max_objects: int = 25
+    iou_gate: float = 0.1
+    process_noise: float = 0.001
+    measurement_noise: float = 0.01
+    confirm: int = 2  # sightings before an object is reported
+    max_missed: int = 12  # frames an object may stay unseen
+    max_missed_unconfirmed: int = 2
+    birth_score: float = 0.0  # detections below it continue tracks but start none
+    small_share: float = 0.02  # of the field's width: smaller objects may also match by nearness
+    small_reach: float = 1.25  # how far such an object may stray, box sizes per frame; 0: off
+
+    def __post_init__(self) -> None:
+        for name in ("observed", "horizon", "max_objects", "confirm"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
+        for name in ("max_missed", "max_missed_unconfirmed", "small_share", "small_reach"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
+        for name in ("process_noise", "measurement_noise"):
+            if getattr(self, name) <= 0:
+                raise SettingsError(f"{name}: must be above 0, got {getattr(self, name)}")
+        for name in ("iou_gate", "birth_score"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise SettingsError(f"{name}: must be within 0..1, got {getattr(self, name)}")
+
+
+class Association(Operator[AssociationSettings, Tracks]):
+    """Report at most `max_objects` confirmed objects, ordered by id; the same input, the same ids.
+
+    Raises `MessageError` when frames run backwards or the number of feature channels changes.
+    """
+
+    detections = Input(Detections, keep="every")
+
+    def open(self) -> None:
+        """Start without objects."""
+        s = self.settings
+        self._model = motion_model(s.process_noise, s.measurement_noise)
+        self._table = empty(s.observed, 0)
+
+    def on_stream(self, header: Header) -> None:
+        """Objects of another stream are other objects."""
+        self._table = empty(self.settings.observed, 0)
+
+    def state(self) -> Table:
+        """Everything known about the objects."""
+        return self._table
+
+    def restore(self, state: Table) -> None:
+        """Go on with the objects of another instance; raises `SettingsError` when To differs."""
+        if state.boxes.shape[1] != self.settings.observed:
+            raise SettingsError(
+                f"observed: the state holds {state.boxes.shape[1]} frames, "
+                f"expected {self.settings.observed}"
+            )
+        self._table = state
+
+    def on_detections(self, detections: Detections) -> Tracks:
+        """Match, correct, bury, give birth and report."""
+        s, table = self.settings, self._foreseen(detections)
+        pairs = match(
+            table.boxes[:, -1],
+            detections.boxes,
+            table.labels[:, None] == detections.labels[None],
+            iou_gate=s.iou_gate,
+            reach_px=reaches(table, detections.header.geometry.width_px, s),
+        )
+        table = see(table, pairs, detections, self._model)
+        table = select(table, alive(table, detections.header.geometry, s))
+        fresh = newcomers(detections.scores, pairs[:, 1], s.birth_score)
+        # the detector's noise may fill four places for each that is reported, no more
+        fresh = np.sort(fresh[: max(4 * s.max_objects - len(table.ids), 0)])
+        self._table = born(table, fresh, detections, self._model)
+        return self._report(detections.header)
+
+    def _foreseen(self, detections: Detections) -> Table:
+        """The table at this frame, before anything is matched."""
+        s, table, seq = self.settings, self._table, detections.header.seq
+        channels = detections.features.shape[1]
+        if len(table.ids) and channels != table.features.shape[2]:
+            raise MessageError(
+                f"association: expected {table.features.shape[2]} feature channels, got {channels}"
+            )
+        if seq <= table.seq:
+            raise MessageError(f"association: expected a frame after {table.seq}, got {seq}")
+        if table.seq < 0 or seq - table.seq > s.max_missed + 1:
+            nobody = empty(s.observed, channels, detections.names)
+            return replace(nobody, seq=seq, next_id=table.next_id)
+        return advance(table, seq, self._model)
+
+    def _report(self, header: Header) -> Tracks:
+        """The objects worth telling, with their future."""
+        s = self.settings
+        kept = select(self._table, worth_telling(self._table, s.confirm, s.max_objects))
+        ahead = extrapolate(kept.mean, np.arange(1, s.horizon + 1))
+        sizes = np.broadcast_to(kept.size[:, None], ahead.shape)
+        return Tracks(
+            header=header,
+            ids=kept.ids,
+            labels=kept.labels,
+            scores=kept.scores,
+            boxes=kept.boxes,
+            visible=kept.visible,
+            features=kept.features,
+            predicted=from_centres(ahead.astype(np.float32), sizes),
+            names=kept.names,
+        )
+
+
+def reaches(table: Table, width_px: int, s: AssociationSettings) -> NDArray[np.float32]:
+    """How far each object may be from where it was foreseen: (n,), pixels; 0 if it is not small.
+
+    A 16 px ball at 18 px per frame does not overlap its last box, and not its foreseen one either
+    before the filter knows its speed.
+    """
+    sizes = box_sizes(table)
+    elapsed = (table.seq - table.last_seq).astype(np.float32)
+    small = sizes <= s.small_share * width_px
+    return np.where(small, s.small_reach * sizes * elapsed, np.float32(0))
+
+
+def alive(table: Table, field: Geometry, s: AssociationSettings) -> NDArray[np.bool_]:
+    """Which objects to go on with: (n,). Unseen ones end, sooner if unconfirmed or outside."""
+    missed = table.seq - table.last_seq
+    patience = np.where(table.hits >= s.confirm, s.max_missed, s.max_missed_unconfirmed)
+    if not field.width_px:
+        return np.asarray(missed <= patience)
+    x, y = table.mean[:, 0], table.mean[:, 1]
+    inside = (x >= 0) & (y >= 0) & (x <= field.width_px) & (y <= field.height_px)
+    return np.asarray((missed == 0) | (inside & (missed <= patience)))
+
+
+def newcomers(
+    scores: NDArray[np.float32], matched: NDArray[np.int64], least: float
+) -> NDArray[np.int64]:
+    """Unmatched detections scored at least `least`: (m,), (k,) -> indices, best first."""
+    fresh = np.setdiff1d(np.flatnonzero(scores >= least), matched)
+    return np.asarray(fresh[np.argsort(-scores[fresh], kind="stable")])
+
+
+def worth_telling(table: Table, confirm: int, most: int) -> NDArray[np.int64]:
+    """Rows of at most `most` confirmed objects, ascending.
+
+    The best of every class comes first, the rarest class before the others, so that 25 players do
+    not push out the one ball; then score, then age.
+    """
+    rows = np.flatnonzero(table.hits >= confirm)
+    if len(rows) <= most:
+        return rows
+    rows = rows[np.lexsort((table.ids[rows], -table.scores[rows]))]
+    labels, first, count = np.unique(table.labels[rows], return_index=True, return_counts=True)
+    envoys = first[np.lexsort((labels, count))]
+    order = np.concatenate([envoys, np.setdiff1d(np.arange(len(rows)), envoys)])
+    return np.sort(rows[order[:most]])
