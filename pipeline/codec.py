@@ -190,7 +190,8 @@ class _Array(_Kind):
         return [value.dtype.str, list(value.shape), place(value)]
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
-        if not isinstance(item, list) or len(item) != 3 or item[0] not in self.dtypes:
+        named = isinstance(item, list) and len(item) == 3 and isinstance(item[0], str)
+        if not named or item[0] not in self.dtypes:
             raise MessageError(f"{where}: expected {self.text}, got {_say(item)}")
         dtype, sides, spot = _DTYPES[item[0]], item[1], item[2]
         if not isinstance(sides, list) or not all(type(s) is int and s >= 0 for s in sides):

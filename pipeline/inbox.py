@@ -30,7 +30,7 @@ class Work:
 @dataclass
 class _Set:
     arrivals: dict[str, Arrival] = field(default_factory=dict)
-    complete_ns: int = 0  # when the last required member came
+    complete_ns: int | None = None  # when the last required member came
 
 
 class Inbox:
@@ -65,7 +65,7 @@ class Inbox:
             waiting = self._sets.setdefault(seq, _Set())
             waiting.arrivals[name] = arrival
             if all(n in waiting.arrivals for n in self._required):
-                waiting.complete_ns = waiting.complete_ns or now_ns
+                waiting.complete_ns = now_ns if waiting.complete_ns is None else waiting.complete_ns
         self._give_up(lambda s: any(self._never(n, s) for n in self._required))
         while len(self._sets) > self._depth:
             self._drop(min(self._sets), "unmatched")
@@ -92,7 +92,9 @@ class Inbox:
 
     def due_ns(self) -> int | None:
         """When a set stops waiting for its optional members; None when none does."""
-        times = [s.complete_ns + self._wait_ns for s in self._sets.values() if s.complete_ns]
+        times = [
+            s.complete_ns + self._wait_ns for s in self._sets.values() if s.complete_ns is not None
+        ]
         return min(times) if times and not self._lockstep else None
 
     def __len__(self) -> int:
@@ -142,7 +144,7 @@ class Inbox:
 
     def _complete(self, seq: int, now_ns: int) -> bool:
         waiting = self._sets[seq]
-        if not waiting.complete_ns:
+        if waiting.complete_ns is None:
             return False
         absent = [n for n in self._joined if n not in waiting.arrivals and not self._never(n, seq)]
         late = not self._lockstep and now_ns - waiting.complete_ns >= self._wait_ns
