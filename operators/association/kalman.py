@@ -14,7 +14,7 @@ The paper gives process noise 0.001 and measurement noise 0.01 without units. Wh
 - Read as standard deviations (ratio 0.01) the filter is slower: better on noisy boxes of people,
   worse on a ball; read as variances, as here, it follows the ball.
 - Process noise on the acceleration (filterpy's discrete white noise) or the same number on every
-  state variable: no difference within 1 %.
+  state variable: no difference beyond 2 %.
 """
 
 from dataclasses import dataclass

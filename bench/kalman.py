@@ -1,0 +1,157 @@
+"""How far off the motion model is, for several readings of the paper's two noise numbers.
+
+`python -m bench.kalman [--data FOLDER] [--seed 7]`: FOLDER is a SoccerNet sequence (the folder with
+gt/ and gameinfo.ini); without it, and beside it, made-up tracks. Prints JSON: mean distance in
+pixels between the foreseen and the true centre at 1, 4, 8 and 13 frames, and the associator's time.
+"""
+
+import argparse
+import json
+import platform
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from filterpy.common import Q_discrete_white_noise
+from numpy.typing import NDArray
+
+from operators.association import Association, AssociationSettings
+from pipeline import Detections
+from pipeline.testing import header
+
+AHEAD = (1, 4, 8, 13)  # frames
+RATE_HZ = 25.0
+Array = NDArray[np.float64]
+Path2D = tuple[Array, Array]  # centres (k, 2) px, sizes (k,) px
+Reading = tuple[Array, float, Array, float]  # process (2, 2), measurement, first (2, 2), time step
+
+
+def readings() -> dict[str, Reading]:
+    """What "process noise 0.001, measurement noise 0.01" may mean; lengths in box sizes."""
+    one, q, r, tick = np.eye(2), 1e-3, 1e-2, 1 / RATE_HZ
+    first = np.diag([r, 1.0])
+    return {
+        "variances, frames, noise on acceleration (ours)": (white(1.0, q), r, first, 1.0),
+        "variances, frames, noise on every state": (q * one, r, one, 1.0),
+        "variances, seconds, noise on acceleration": (white(tick, q), r, one, tick),
+        "variances, seconds, noise on every state": (q * one, r, one, tick),
+        "deviations, frames, noise on acceleration": (white(1.0, q**2), r**2, one, 1.0),
+        "ours, lengths in pixels of a 16 px box": (
+            white(1.0, q * 256),
+            r * 256,
+            first * 256,
+            1.0,
+        ),
+    }
+
+
+def white(step: float, variance: float) -> Array:
+    """filterpy's discrete white noise on the acceleration, one axis."""
+    return np.asarray(Q_discrete_white_noise(2, dt=step, var=variance))
+
+
+def errors(paths: list[Path2D], reading: Reading | None, noise: float, seed: int) -> list[float]:
+    """Mean error at each of AHEAD, measuring with `noise` box sizes; None: the last place holds."""
+    rng = np.random.default_rng(seed)
+    off: dict[int, list[Array]] = {h: [] for h in AHEAD}
+    for centres, sizes in paths:
+        measured = centres + rng.normal(size=centres.shape) * noise * sizes[:, None]
+        for h in AHEAD:
+            if len(centres) > h + 4:
+                guess = measured if reading is None else foreseen(measured, reading, h)
+                off[h].append(np.linalg.norm(guess[4:-h] - centres[4 + h :], axis=1))
+    return [round(float(np.concatenate(off[h]).mean()), 1) for h in AHEAD]
+
+
+def foreseen(measured: Array, reading: Reading, ahead: int) -> Array:
+    """Where the filter puts each frame's object `ahead` frames later: (k, 2) -> (k, 2)."""
+    process, noise, covariance, step = reading
+    transition = np.array([[1, step], [0, 1]])
+    state, out = np.stack([measured[0], np.zeros(2)]), [measured[0]]
+    for z in measured[1:]:
+        state, covariance = transition @ state, transition @ covariance @ transition.T + process
+        gain = covariance[:, 0] / (covariance[0, 0] + noise)
+        state = state + gain[:, None] * (z - state[0])
+        covariance = covariance - np.outer(gain, covariance[0])
+        out.append(state[0] + step * ahead * state[1])
+    return np.array(out)
+
+
+def made_up(seed: int, count: int = 40, frames: int = 200) -> list[Path2D]:
+    """Objects that run straight for a while, then turn or stop, as players do."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for _ in range(count):
+        legs = rng.integers(10, 60, frames // 10)
+        pace = np.repeat(rng.normal(size=(len(legs), 2)) * rng.choice([0, 2, 5, 12]), legs, axis=0)
+        found.append((pace[:frames].cumsum(0), np.full(frames, rng.choice([16.0, 45.0, 60.0]))))
+    return found
+
+
+def footage(folder: Path) -> Iterator[tuple[str, Path2D]]:
+    """Role and unbroken pieces of at least 20 frames of every tracklet."""
+    rows = np.loadtxt(folder / "gt" / "gt.txt", delimiter=",")
+    text = (folder / "gameinfo.ini").read_text()
+    for track in np.unique(rows[:, 1]).astype(int):
+        role = "ball" if f"trackletID_{track}= ball" in text else "people"
+        own = rows[rows[:, 1] == track]
+        for piece in np.split(own, np.flatnonzero(np.diff(own[:, 0]) != 1) + 1):
+            if len(piece) >= 20:
+                sides = piece[:, 4:6]
+                yield role, (piece[:, 2:4] + sides / 2, np.sqrt(sides.prod(axis=1)))
+
+
+def associator_ms(objects: int, seed: int, frames: int = 200) -> dict[str, float]:
+    """Time of one frame of the whole operator with `objects` players of 40x90 px in view."""
+    rng = np.random.default_rng(seed)
+    at = rng.uniform((50, 50), (1870, 1030), (objects, 2))
+    pace = rng.normal(size=(objects, 2)) * 3
+    subject, spent = Association(AssociationSettings()), []
+    subject.open()
+    for k in range(frames):
+        corner = at + k * pace + rng.normal(size=at.shape)
+        detections = Detections(
+            header=header(k),
+            boxes=np.concatenate([corner, corner + np.array([40, 90])], axis=1).astype(np.float32),
+            angles=np.zeros(objects, np.float32),
+            scores=np.full(objects, 0.8, np.float32),
+            labels=np.ones(objects, np.int32),
+            features=np.zeros((objects, 64), np.float32),
+            names=("ball", "player"),
+        )
+        start = time.perf_counter_ns()
+        subject.on_detections(detections)
+        spent.append((time.perf_counter_ns() - start) / 1e6)
+    return {f"p{q}": round(float(np.percentile(spent, q)), 3) for q in (50, 99)}
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path)
+    parser.add_argument("--seed", type=int, default=7)
+    options = parser.parse_args()
+    sets: dict[str, list[Path2D]] = {"made-up": made_up(options.seed)}
+    for role, piece in footage(options.data) if options.data else ():
+        sets.setdefault(role, []).append(piece)
+    table = {
+        f"{name}, measured to {noise} box": {
+            title: errors(paths, reading, noise, options.seed)
+            for title, reading in {**readings(), "hold the last place": None}.items()
+        }
+        for name, paths in sets.items()
+        for noise in (0.0, 0.1)
+    }
+    result = {
+        "machine": platform.processor() or platform.machine(),
+        "seed": options.seed,
+        "ahead_frames": AHEAD,
+        "error_px": table,
+        "associator_ms_at_25_objects": associator_ms(25, options.seed),
+    }
+    print(json.dumps(result, indent=1))
+
+
+if __name__ == "__main__":
+    main()
