@@ -1,0 +1,107 @@
+"""The contract of a dual-stream sensor: ROI schedules in, exposures of two frames out.
+
+A sensor shows its whole field of view in a small context picture and one region of it at full
+resolution, in the same exposure. Real and simulated sensors keep this contract and pass the same
+tests; `operators.capture` knows nothing else.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+from pipeline.contract import Loan
+from pipeline.messages import Frame, Geometry, Header, RoiSchedule
+
+EMPTY_WINDOW = (0, 0, 0, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capabilities:
+    """What a sensor can do; known once it is open."""
+
+    geometry: Geometry  # pixel grid, size and step of the ROI window in use
+    context_px: tuple[int, int]  # width, height of the context picture
+    context_binning: float  # sensor pixels per context pixel, along one side
+    roi_sizes_px: tuple[tuple[int, int], ...]  # window sizes it can read; none: it has no ROI
+    roi_binning: float  # sensor pixels per ROI pixel, along one side
+    rates_hz: tuple[float, float]  # lowest and highest
+    pixel_formats: tuple[str, ...]  # what `Mode.pixel_format` may ask for
+    lead_frames: int  # a command made from frame j shapes j + lead_frames at the earliest
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """What may be chosen between `open` and `start`; 0 and "" leave a value as it is."""
+
+    rate_hz: float = 0.0
+    roi_px: tuple[int, int] = (0, 0)
+    pixel_format: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposure:
+    """Both pictures of one exposure, under one header.
+
+    `roi` is empty, with an empty window, when the sensor reads no region in this exposure.
+    """
+
+    header: Header
+    context: Frame
+    roi: Frame
+
+
+class DualStreamSensor(Protocol):
+    """`open configure start (set_rois | read)* stop close`; `close` is safe after any outcome.
+
+    Built as `Sensor(settings)` with an instance of `settings_type`, a frozen dataclass.
+    """
+
+    settings_type: ClassVar[type[Any]]
+
+    def open(self, *, realtime: bool) -> None:
+        """Acquire the device under a new stream id; raises `DriverError`.
+
+        `realtime` False is lockstep: exposure k+1 happens when it is asked for.
+        """
+        ...
+
+    def capabilities(self) -> Capabilities:
+        """What it can do; needs `open`."""
+        ...
+
+    def configure(self, mode: Mode) -> None:
+        """Choose a mode before `start`; raises `SettingsError` with the figures if it cannot."""
+        ...
+
+    def start(self) -> None:
+        """Begin to expose."""
+        ...
+
+    def set_rois(self, schedule: RoiSchedule) -> None:
+        """Command the windows of coming frames; may be called by another thread than `read`.
+
+        Windows of the wrong size are replaced by one of the ROI's size around the same centre;
+        then clamped to the field, then aligned down to the sensor's step. The frame says the
+        window it really had. Late schedules and those of another stream are counted, not used.
+        """
+        ...
+
+    def read(self, loan: Loan) -> Exposure | None:
+        """The next exposure, written into memory from `loan("context" | "roi", shape, dtype)`.
+
+        Blocks until it is there; None after the last one and after `stop`. When `loan` raises
+        `PoolExhausted` the exposure is spent (`seq` goes on) and the error passes on.
+        """
+        ...
+
+    def stop(self) -> None:
+        """End exposing; a `read` that waits in another thread returns None."""
+        ...
+
+    def close(self) -> None:
+        """Release the device."""
+        ...
+
+    def summary(self) -> Mapping[str, Any]:
+        """Figures of the run so far; also after `close`."""
+        ...

@@ -1,0 +1,75 @@
+"""Eq. 1 on one picture: a full-resolution RGB picture in, context D(v) and ROI C(v) out.
+
+D averages areas, C crops; both write into the memory they are given. A Bayer mosaic and noise are
+added on the way when asked for.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.simulated.mosaic import to_rggb
+
+Window = tuple[int, int, int, int]
+
+
+class Readout:
+    """Reads regions of pictures out of the sensor, with scratch memory for what needs a detour."""
+
+    def __init__(self, *, mosaic: bool, noise: float, seed: int) -> None:
+        self.mosaic, self._noise, self._seed = mosaic, noise, seed
+        self._scratch: dict[int, NDArray[np.uint8]] = {}
+        self._normal: dict[int, NDArray[np.float32]] = {}
+
+    @property
+    def pixel_format(self) -> str:
+        """How the frames name what they carry."""
+        return "bayer_rggb8" if self.mosaic else "rgb8"
+
+    def shape(self, size_px: tuple[int, int]) -> tuple[int, ...]:
+        """Shape of the array that a picture of this width and height fills."""
+        width, height = size_px
+        return (height, width) if self.mosaic else (height, width, 3)
+
+    def read(
+        self,
+        picture: NDArray[np.uint8],
+        window: Window,
+        out: NDArray[np.uint8],
+        *,
+        seq: int,
+        port: int,
+    ) -> None:
+        """Fill `out` with `window` of the picture; `port` tells the two streams' noise apart."""
+        left, top, right, bottom = window
+        region = picture[top:bottom, left:right]
+        height, width = out.shape[:2]
+        if region.shape[:2] != (height, width):
+            target = self._scratch_of(port, (height, width, 3)) if self.mosaic else out
+            region = _area(region, target)
+        if self.mosaic:
+            to_rggb(region, out)
+        elif region is not out:
+            np.copyto(out, region)
+        if self._noise:
+            self._add_noise(out, seq, port)
+
+    def _scratch_of(self, port: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        found = self._scratch.get(port)
+        if found is None or found.shape != shape:
+            found = self._scratch[port] = np.empty(shape, np.uint8)
+        return found
+
+    def _add_noise(self, out: NDArray[np.uint8], seq: int, port: int) -> None:
+        normal = self._normal.get(port)
+        if normal is None or normal.shape != out.shape:
+            normal = self._normal[port] = np.empty(out.shape, np.float32)
+        np.random.default_rng((self._seed, seq, port)).standard_normal(dtype=np.float32, out=normal)
+        np.multiply(normal, self._noise, out=normal)
+        cv2.add(out, normal, dst=out, dtype=cv2.CV_8U)
+
+
+def _area(region: NDArray[np.uint8], out: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height, width = out.shape[:2]
+    cv2.resize(region, (width, height), dst=out, interpolation=cv2.INTER_AREA)
+    return out

@@ -1,0 +1,105 @@
+"""What a graph may set of the simulated sensor, checked; sampling and geometry follow from it."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.simulated.scenes import check_arguments, scene_path
+from drivers.simulated.strategies import (
+    STRATEGIES,
+    Sampling,
+    Strategy,
+    check_budget,
+    sampling,
+    scaled,
+)
+from pipeline.errors import SettingsError
+from pipeline.messages import Geometry
+
+RATES_HZ = (0.01, 10_000.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedSensorSettings:
+    """What a graph may set. Exactly one of `scene` and `source` says what there is to see."""
+
+    scene: str = ""  # soccer, or an import path module:Class
+    source: str = ""  # import path of a recording, e.g. drivers.video:VideoFile
+    path: str = ""  # the recording's file or folder
+    source_options: Mapping[str, Any] = field(default_factory=dict)  # further keyword arguments
+    size_px: tuple[int, int] = (0, 0)  # of the whole field; 0: the source's own
+    context_scale: float = 0.25  # context side per field side
+    roi_area: float = 0.0625  # share of the field that the ROI shows, aspect kept
+    roi_scale: float = 1.0  # read-out side per ROI side
+    step_px: int = 0  # windows start at multiples of it; 0: 1, or 2 under a mosaic
+    rate_hz: float = 0.0  # 0: the source's own
+    seed: int = 0
+    frames: int = 0  # exposures' worth of time; 0: all the source has
+    loop: bool = False  # begin again where the source ends
+    mosaic: bool = False  # Bayer RGGB instead of RGB
+    noise: float = 0.0  # standard deviation, digital numbers of 8 bit
+    latency_frames: int = 0  # a command from frame j shapes j + 1 + latency_frames at the earliest
+    budget: float = 0.125  # share of the full pixel rate
+    strategy: Strategy = "foveated"
+    oracle_label: str = "ball"
+
+    def __post_init__(self) -> None:
+        if bool(self.scene) == bool(self.source):
+            got = f"{self.scene!r} and {self.source!r}"
+            raise SettingsError(f"scene or source: expected exactly one of them, got {got}")
+        if self.strategy not in STRATEGIES:
+            raise SettingsError(f"strategy: expected {', '.join(STRATEGIES)}, got {self.strategy}")
+        for name in ("context_scale", "roi_area", "roi_scale", "budget"):
+            if not 0 < getattr(self, name) <= 1:
+                raise SettingsError(f"{name}: expected above 0 to 1, got {getattr(self, name)}")
+        for name in ("step_px", "seed", "frames", "noise", "latency_frames", "rate_hz"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise SettingsError(f"{name}: must be at least 0, got {value}")
+        if self.mosaic and self.step_px % 2:
+            raise SettingsError(f"step_px: a mosaic needs an even step, got {self.step_px}")
+        if self.size_px != (0, 0) and not all(16 <= side <= 32_768 for side in self.size_px):
+            raise SettingsError(f"size_px: expected sides of 16 to 32768, got {self.size_px}")
+        check_budget(self.strategy, self.budget, self.context_scale, self.roi_area, self.roi_scale)
+        if self.source:
+            given = {"path": self.path} if self.path else {}
+            check_arguments("source", self.source, {**given, **self.source_options})
+        else:
+            scene_path(self.scene)
+        if self.rate_hz and not RATES_HZ[0] <= self.rate_hz <= RATES_HZ[1]:
+            low, high = RATES_HZ
+            raise SettingsError(f"rate_hz: expected {low:g} to {high:g}, got {self.rate_hz}")
+
+    @property
+    def share(self) -> float:
+        """The budget that holds: everything for `full`."""
+        return 1.0 if self.strategy == "full" else self.budget
+
+    @property
+    def multiple_px(self) -> int:
+        """Sides and steps of a mosaic are whole cells of 2x2."""
+        return 2 if self.mosaic else 1
+
+    def sampling(self, size_px: tuple[int, int]) -> Sampling:
+        """What is read of a field of this size; raises `SettingsError` over the budget."""
+        return sampling(
+            self.strategy,
+            size_px,
+            budget=self.budget,
+            context_scale=self.context_scale,
+            roi_area=self.roi_area,
+            roi_scale=self.roi_scale,
+            multiple_px=self.multiple_px,
+        )
+
+    def geometry(self, size_px: tuple[int, int]) -> Geometry:
+        """What every header tells of the sensor."""
+        roi_px = scaled(size_px, math.sqrt(self.roi_area), self.multiple_px)
+        return Geometry(
+            width_px=size_px[0],
+            height_px=size_px[1],
+            roi_width_px=roi_px[0],
+            roi_height_px=roi_px[1],
+            step_px=self.step_px or self.multiple_px,
+        )

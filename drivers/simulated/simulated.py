@@ -1,0 +1,251 @@
+"""The simulated dual-stream sensor: Eq. 1 over any full-resolution source.
+
+The full frame never leaves it. Every strategy the paper compares is a setting of this one class,
+so all are measured by one ruler at one pixel budget.
+"""
+
+import math
+import uuid
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from drivers.commands import Commanded, CommandTable
+from drivers.scan import scan_window
+from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
+from drivers.simulated.coverage import Coverage, where
+from drivers.simulated.playback import Playback, Timing
+from drivers.simulated.prefetch import Ready
+from drivers.simulated.readout import Readout
+from drivers.simulated.scenes import open_recording, open_scene
+from drivers.simulated.settings import RATES_HZ, SimulatedSensorSettings
+from drivers.source import FrameSource, Truth
+from pipeline.boxes import roi_window
+from pipeline.contract import Loan
+from pipeline.errors import DriverError, PoolExhausted, SettingsError
+from pipeline.messages import Frame, Header, RoiSchedule
+
+USUAL_RATE_HZ = 30.0  # of a source that has no rate of its own
+
+
+class SimulatedSensor:
+    """A `DualStreamSensor`. In realtime late pictures are skipped and counted, never stretched."""
+
+    settings_type: ClassVar[type[Any]] = SimulatedSensorSettings
+
+    def __init__(self, settings: SimulatedSensorSettings) -> None:
+        self._settings = settings
+        self._source: FrameSource | None = None
+        self._playback: Playback | None = None
+        self._commands: CommandTable | None = None
+        self._coverage = Coverage()
+        self._windows: Counter[str] = Counter()
+        self._exposed = self._overrun = 0
+
+    def open(self, *, realtime: bool) -> None:
+        """Open the source; raises `DriverError` or `SettingsError` when it cannot."""
+        settings = self._settings
+        self._realtime, self._stream = realtime, uuid.uuid4().hex
+        self._source = source = _open_source(settings)
+        if settings.size_px not in ((0, 0), source.size_px):
+            raise DriverError(
+                f"{settings.path or settings.scene}: expected {_by(settings.size_px)} as size_px "
+                f"says, got {_by(source.size_px)}"
+            )
+        self._prepare(source)
+
+    def capabilities(self) -> Capabilities:
+        """What the settings make of it; needs `open`."""
+        self._opened()
+        found, geometry = self._sampling, self._geometry
+        window_px = found.window_px
+        return Capabilities(
+            geometry=geometry,
+            context_px=found.context_px,
+            context_binning=geometry.width_px / found.context_px[0],
+            roi_sizes_px=(window_px,) if any(window_px) else (),
+            roi_binning=window_px[0] / found.roi_px[0] if any(window_px) else 1.0,
+            rates_hz=RATES_HZ,
+            pixel_formats=("rgb8", "bayer_rggb8"),
+            lead_frames=1 + self._settings.latency_frames,
+        )
+
+    def configure(self, mode: Mode) -> None:
+        """Change rate or pixel format; the ROI's size follows from the settings."""
+        can, changes = self.capabilities(), dict[str, Any]()
+        if mode.roi_px not in ((0, 0), *can.roi_sizes_px):
+            raise SettingsError(f"roi_px: expected one of {can.roi_sizes_px}, got {mode.roi_px}")
+        if mode.rate_hz:
+            changes["rate_hz"] = mode.rate_hz
+        if mode.pixel_format not in ("", *can.pixel_formats):
+            known = " or ".join(can.pixel_formats)
+            raise SettingsError(f"pixel_format: expected {known}, got {mode.pixel_format}")
+        if mode.pixel_format:
+            changes["mosaic"] = mode.pixel_format == "bayer_rggb8"
+        self._settings = replace(self._settings, **changes)
+        self._prepare(self._opened())
+
+    def start(self) -> None:
+        """Begin to decode; the clock of `realtime` starts with the first `read`."""
+        source, settings = self._opened(), self._settings
+        timing = Timing(
+            rate_hz=settings.rate_hz or source.rate_hz or USUAL_RATE_HZ,
+            interval=self._sampling.interval,
+            averaged=self._sampling.averaged,
+            frames=settings.frames,
+            loop=settings.loop,
+            realtime=self._realtime,
+        )
+        self._playback = Playback(source, timing)
+
+    def set_rois(self, schedule: RoiSchedule) -> None:
+        """Command the windows of coming frames; any thread may call it."""
+        if self._commands is None:
+            raise DriverError("simulated sensor: set_rois needs open before it")
+        self._commands.accept(schedule)
+
+    def read(self, loan: Loan) -> Exposure | None:
+        """The next exposure at its time; None after the last one."""
+        if self._playback is None:
+            raise DriverError("simulated sensor: read needs start before it")
+        taken = self._playback.take()
+        if taken is None:
+            return None
+        ready, stamp_ns = taken
+        header = Header(
+            stream=self._stream, seq=ready.seq, stamp_ns=stamp_ns, geometry=self._geometry
+        )
+        try:
+            exposure = self._expose(header, ready, loan)
+        except PoolExhausted:
+            self._overrun += 1
+            raise
+        finally:
+            self._playback.done(ready)
+        self._exposed += 1
+        if ready.truth is not None and any(self._sampling.window_px):
+            self._coverage.add(ready.truth, exposure.roi.window)
+        return exposure
+
+    def stop(self) -> None:
+        """End the stream."""
+        if self._playback is not None:
+            self._playback.stop()
+
+    def close(self) -> None:
+        """Release source and thread; safe after any outcome."""
+        if self._playback is not None:
+            self._playback.close()
+        if self._source is not None:
+            self._source.close()
+            self._source = None
+
+    def summary(self) -> Mapping[str, Any]:
+        """Frames, pixels against the budget, commands, and how much of the truth the ROI saw.
+
+        `elapsed` is source time in frames; `late` are those of `skipped` that the strategy did
+        not leave out on purpose; `windows` counts the status of the ROI.
+        """
+        played, commands = self._playback, self._commands
+        elapsed = played.elapsed if played else 0
+        return {
+            "strategy": self._settings.strategy,
+            "frames": {
+                "exposed": self._exposed,
+                "skipped": played.skipped if played else 0,
+                "late": played.late if played else 0,
+                "overrun": self._overrun,
+                "elapsed": elapsed,
+            },
+            "pixels": {
+                "budget": self._settings.share,
+                "used": self._exposed * self._share / elapsed if elapsed else 0.0,
+            },
+            "commands": {
+                "accepted": commands.accepted if commands else 0,
+                "late": commands.late if commands else 0,
+                "foreign": commands.foreign if commands else 0,
+            },
+            "windows": dict(self._windows),
+            "roi_coverage": self._coverage.shares(),
+            "roi_coverage_frames": self._coverage.frames(),
+        }
+
+    def _opened(self) -> FrameSource:
+        if self._source is None:
+            raise DriverError("simulated sensor: not open")
+        return self._source
+
+    def _prepare(self, source: FrameSource) -> None:
+        settings = self._settings
+        self._sampling = settings.sampling(source.size_px)
+        self._share = self._sampling.emitted_px() / math.prod(source.size_px)
+        self._geometry = geometry = settings.geometry(source.size_px)
+        self._readout = Readout(mosaic=settings.mosaic, noise=settings.noise, seed=settings.seed)
+        self._commands = CommandTable(
+            self._stream, geometry, latency_frames=settings.latency_frames
+        )
+        self._window = roi_window(
+            np.array([side / 2 for side in source.size_px], np.float32), geometry
+        )
+
+    def _expose(self, header: Header, ready: Ready, loan: Loan) -> Exposure:
+        found, readout, seq = self._sampling, self._readout, header.seq
+        whole = (0, 0, self._geometry.width_px, self._geometry.height_px)
+        context = loan("context", readout.shape(found.context_px), np.uint8)
+        aim = Commanded(EMPTY_WINDOW, -1, "ok")
+        roi = np.empty(readout.shape((0, 0)), np.uint8)
+        if any(found.roi_px):
+            roi = loan("roi", readout.shape(found.roi_px), np.uint8)
+            aim = self._aim(seq, ready.truth)
+            readout.read(ready.pixels, aim.window, roi, seq=seq, port=1)
+        readout.read(ready.pixels, whole, context, seq=seq, port=0)
+        form = readout.pixel_format
+        return Exposure(
+            header=header,
+            context=Frame(header=header, pixels=context, pixel_format=form, window=whole),
+            roi=Frame(
+                header=header,
+                pixels=roi,
+                pixel_format=form,
+                window=aim.window,
+                command_seq=aim.command_seq,
+                status=aim.status,
+            ),
+        )
+
+    def _aim(self, seq: int, truth: Truth | None) -> Commanded:
+        """Where the ROI looks in frame `seq`; what nothing covers holds the last window."""
+        settings, geometry = self._settings, self._geometry
+        found = Commanded(self._window, -1, "ok")
+        if settings.strategy == "round_robin":
+            found = Commanded(scan_window(seq, geometry), -1, "ok")
+        elif settings.strategy == "oracle" and truth is not None:
+            place = where(truth, settings.oracle_label)
+            if place is not None:
+                found = Commanded(roi_window(place, geometry), -1, "ok")
+        elif settings.strategy == "foveated" and self._commands is not None:
+            found = self._commands.look_up(seq, held=self._window)
+        self._window = found.window
+        self._windows[found.status] += 1
+        return found
+
+
+def _open_source(settings: SimulatedSensorSettings) -> FrameSource:
+    if settings.source:
+        return open_recording(settings.source, path=settings.path, options=settings.source_options)
+    return open_scene(
+        settings.scene,
+        size_px=settings.size_px,
+        rate_hz=settings.rate_hz,
+        seed=settings.seed,
+        length=None if settings.loop else settings.frames or None,
+        options=settings.source_options,
+    )
+
+
+def _by(size_px: tuple[int, int]) -> str:
+    return f"{size_px[0]}x{size_px[1]}"

@@ -1,0 +1,89 @@
+"""A video file: its path in, RGB pictures out."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.source import Truth
+from pipeline.errors import DriverError
+
+SKIP_FRAMES = 48  # up to so many frames ahead, skipping is cheaper than seeking to a key frame
+
+
+class VideoFile:
+    """A `FrameSource` over whatever OpenCV's FFmpeg decodes. It knows no truth.
+
+    `length` is what can really be read: containers promise a frame or two too many.
+    """
+
+    def __init__(self, *, path: str) -> None:
+        self._path = Path(path)
+        if not self._path.is_file():
+            raise DriverError(f"{path}: expected a video file, got no such file")
+        self._capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG)
+        if not self._capture.isOpened():
+            raise DriverError(f"{path}: expected a video, got something that cannot be decoded")
+        self.rate_hz = float(self._capture.get(cv2.CAP_PROP_FPS))
+        promised = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if not (self.rate_hz > 0 and promised > 0):
+            self.close()
+            raise DriverError(
+                f"{path}: expected a rate and a length, got {self.rate_hz:g} Hz, {promised} frames"
+            )
+        width, height = (
+            int(self._capture.get(key))
+            for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+        )
+        self.size_px = (width, height)
+        self._raw = np.empty((height, width, 3), np.uint8)
+        self._rgb = np.empty_like(self._raw)
+        self._next = 0
+        self.length: int | None = self._readable(promised)
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        if not 0 <= index < (self.length or 0):
+            raise IndexError(f"{self._path}: no frame {index} in {self.length}")
+        if index == self._next - 1:
+            return self._rgb
+        if not self._read(index):
+            raise DriverError(f"{self._path}: frame {index} of {self.length} cannot be decoded")
+        cv2.cvtColor(self._raw, cv2.COLOR_BGR2RGB, self._rgb)
+        return self._rgb
+
+    def truth(self, index: int) -> Truth | None:
+        """Not known."""
+        return None
+
+    def close(self) -> None:
+        """Release the decoder."""
+        self._capture.release()
+
+    def _readable(self, promised: int) -> int:
+        """The promised number of frames less those at the end that are not there."""
+        for length in range(promised, max(0, promised - max(2, round(self.rate_hz))), -1):
+            if self._read(length - 1):
+                self._next = -1  # the picture of this frame was not converted
+                return length
+        self.close()
+        raise DriverError(
+            f"{self._path}: expected {promised} frames, got a file that ends before the last second"
+        )
+
+    def _read(self, index: int) -> bool:
+        ahead = index - self._next
+        if not 0 <= ahead <= SKIP_FRAMES or self._next < 0:
+            self._capture.set(cv2.CAP_PROP_POS_FRAMES, index)
+            ahead = 0
+        self._next = -1  # where a failure leaves the decoder is not known
+        for _ in range(ahead):
+            if not self._capture.grab():
+                return False
+        done, frame = self._capture.read(self._raw)
+        if not done or frame.shape != self._raw.shape:
+            return False
+        self._raw = np.asarray(frame, np.uint8)
+        self._next = index + 1
+        return True

@@ -1,0 +1,77 @@
+"""Light into the graph: ROI schedules in, context and ROI frames of each exposure out."""
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.sensor import DualStreamSensor
+from pipeline.contract import Input, Output, Source
+from pipeline.errors import SettingsError
+from pipeline.messages import Frame, Message, RoiSchedule
+from pipeline.settings import build
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureSettings:
+    """What a graph may set: the sensor, and whatever that sensor's own settings allow."""
+
+    sensor: str = "drivers.simulated:SimulatedSensor"  # import path module:Class
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.build()  # everything wrong is said before a process starts
+
+    def build(self) -> DualStreamSensor:
+        """The sensor, not yet open; raises `SettingsError`."""
+        sensor = _load(self.sensor)
+        built: DualStreamSensor = sensor(build(sensor.settings_type, self.options, "options"))
+        return built
+
+
+class Capture(Source[CaptureSettings, Frame]):
+    """Own the sensor: read exposures at its pace, pass commands on from whatever thread."""
+
+    schedule = Input(RoiSchedule, command=True)
+    context = Output(Frame)
+    roi = Output(Frame)
+
+    def open(self) -> None:
+        """Open the device and let it run."""
+        self._sensor = self.settings.build()
+        self._sensor.open(realtime=self.realtime)
+        self._sensor.start()
+
+    def on_schedule(self, schedule: RoiSchedule) -> None:
+        """Pass a command to the sensor."""
+        self._sensor.set_rois(schedule)
+
+    def produce(self) -> Mapping[str, Message] | None:
+        """The next exposure, one message per stream."""
+        exposure = self._sensor.read(self._loan)
+        if exposure is None:
+            return None
+        return {"context": exposure.context, "roi": exposure.roi}
+
+    def summary(self) -> Mapping[str, Any]:
+        """The sensor's figures."""
+        return self._sensor.summary()
+
+    def close(self) -> None:
+        """Stop and release the device."""
+        if hasattr(self, "_sensor"):
+            self._sensor.stop()
+            self._sensor.close()
+
+
+def _load(path: str) -> Any:
+    module, colon, name = path.partition(":")
+    if not (module and colon and name):
+        raise SettingsError(f"sensor: expected an import path module:Class, got {path!r}")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise SettingsError(f"sensor: {path} cannot be imported: {error}") from error
+    if not hasattr(found, "settings_type"):
+        raise SettingsError(f"sensor: expected a DualStreamSensor, got {path}")
+    return found

@@ -1,0 +1,142 @@
+"""Say where the sensor looks next: Scanpath -> RoiSchedule (Eq. 6 made into windows)."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.scan import scan_window
+from pipeline.boxes import centres, roi_window
+from pipeline.contract import Input, Operator
+from pipeline.errors import SettingsError
+from pipeline.messages import Geometry, Header, RoiSchedule, Scanpath
+
+Fill = Literal["hold", "centre", "scan"]
+Window = tuple[int, int, int, int]  # xyxy, sensor pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class DispatchSettings:
+    """What a graph may set."""
+
+    replan_every: int = 1  # Ta: frames from one plan to the next; 1: every scanpath is one
+    fill: Fill = "hold"  # where to look in frames for which a plan has no box
+
+    def __post_init__(self) -> None:
+        if self.replan_every < 1:
+            raise SettingsError(f"replan_every: must be at least 1, got {self.replan_every}")
+        if self.fill not in ("hold", "centre", "scan"):
+            raise SettingsError(f"fill: expected hold, centre or scan, got {self.fill}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DispatchState:
+    """What a successor must know: the plan in force."""
+
+    stream: str
+    first_seq: int
+    windows: NDArray[np.int32]  # (T, 4) xyxy, sensor pixels; T 0: none yet
+
+
+class Dispatch(Operator[DispatchSettings, RoiSchedule]):
+    """One window of the sensor's ROI size per frame, around the box predicted for that frame."""
+
+    scanpath = Input(Scanpath, keep="every")
+
+    def open(self) -> None:
+        """Begin without a plan."""
+        self._plan = _no_plan("")
+
+    def on_stream(self, header: Header) -> None:
+        """Forget the plan of another stream."""
+        self._plan = _no_plan(header.stream)
+
+    def on_scanpath(self, scanpath: Scanpath) -> RoiSchedule | None:
+        """Answer a scanpath that is due with a schedule, any other with nothing."""
+        if not len(scanpath.boxes) or not self._due(scanpath.first_seq):
+            return None
+        geometry = scanpath.header.geometry
+        held = self._held(scanpath.first_seq, geometry)
+        windows = plan_windows(
+            scanpath.boxes, scanpath.first_seq, geometry, fill=self.settings.fill, held=held
+        )
+        self._plan = DispatchState(
+            stream=scanpath.header.stream, first_seq=scanpath.first_seq, windows=windows
+        )
+        return RoiSchedule(
+            header=scanpath.header,
+            first_seq=scanpath.first_seq,
+            windows=windows,
+            scanpath_seq=scanpath.header.seq,
+        )
+
+    def state(self) -> DispatchState:
+        """The plan in force."""
+        return self._plan
+
+    def restore(self, state: Any) -> None:
+        """Go on with the plan of another instance."""
+        self._plan = state
+
+    def _due(self, first_seq: int) -> bool:
+        if not len(self._plan.windows):
+            return True
+        return first_seq - self._plan.first_seq >= self.settings.replan_every
+
+    def _held(self, first_seq: int, geometry: Geometry) -> Window:
+        """The window of the frame before `first_seq`, the middle when there was none."""
+        known = self._plan.windows
+        if not len(known):
+            return _centre(geometry)
+        row = min(max(first_seq - 1 - self._plan.first_seq, 0), len(known) - 1)
+        left, top, right, bottom = (int(side) for side in known[row])
+        return left, top, right, bottom
+
+
+def plan_windows(
+    boxes: NDArray[np.float32], first_seq: int, geometry: Geometry, *, fill: Fill, held: Window
+) -> NDArray[np.int32]:
+    """Windows (T, 4) of the ROI's size around boxes (T, 4), clamped to the field and aligned.
+
+    A row that is no box (empty, or not finite) is filled: `hold` repeats the window before it,
+    `held` at first; `centre` looks at the middle; `scan` tours the field.
+    """
+    windows = np.empty((len(boxes), 4), np.int32)
+    for row, box in enumerate(boxes):
+        if is_box(box):
+            window = roi_window(centres(box), geometry)
+        elif fill == "centre":
+            window = _centre(geometry)
+        elif fill == "scan":
+            window = scan_window(first_seq + row, geometry)
+        else:
+            window = held
+        windows[row] = held = window
+    return windows
+
+
+def is_box(box: NDArray[np.float32]) -> bool:
+    """Whether a row (4,) is a box with area."""
+    return bool(np.isfinite(box).all() and box[2] > box[0] and box[3] > box[1])
+
+
+def coverage(delay_frames: int, replan_every: int, horizon: int) -> float:
+    """Share of frames for which some plan in force has a window.
+
+    A plan made from frame j speaks of j+1 … j+horizon and is in force after `delay_frames`; the
+    next one replaces it `replan_every` frames later.
+
+    >>> coverage(8, 8, 16), coverage(13, 8, 16), coverage(20, 8, 16)
+    (1.0, 0.375, 0.0)
+    """
+    return min(max(horizon - delay_frames, 0), replan_every) / replan_every
+
+
+def _no_plan(stream: str) -> DispatchState:
+    return DispatchState(stream=stream, first_seq=0, windows=np.zeros((0, 4), np.int32))
+
+
+def _centre(geometry: Geometry) -> Window:
+    middle = np.array([geometry.width_px / 2, geometry.height_px / 2], np.float32)
+    return roi_window(middle, geometry)
