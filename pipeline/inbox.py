@@ -41,7 +41,9 @@ class Inbox:
         self._joined = tuple(n for n, i in inputs.items() if i.join and not i.command)
         self._required = tuple(n for n in self._joined if not inputs[n].optional)
         self._every = lockstep or any(inputs[n].keep == "every" for n in self._joined)
-        self._depth = max((inputs[n].depth for n in self._joined), default=1)
+        depths = [inputs[n].depth for n in self._joined] or [1]
+        # lossless writers stop by themselves, with one message in hand beyond the depth
+        self._depth = sum(d + 1 for d in depths) if self._every else max(depths)
         self._wait_ns = max((int(inputs[n].wait_ms * 1e6) for n in self._joined), default=0)
         self._sets: dict[int, _Set] = {}
         self._last: dict[str, int] = {}

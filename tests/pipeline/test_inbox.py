@@ -166,7 +166,7 @@ def test_every_arrival_is_settled_once_and_memory_is_bounded(
     keep: str, data: st.DataObject
 ) -> None:
     declared = Input(Frame, keep=keep, depth=4)  # type: ignore[arg-type]
-    desk = Desk(left=declared, right=declared)
+    desk, bound = Desk(left=declared, right=declared), 4 if keep == "latest" else 10
     streams = {
         name: sorted(data.draw(st.sets(st.integers(0, 30), max_size=12)))
         for name in ("left", "right")
@@ -179,7 +179,7 @@ def test_every_arrival_is_settled_once_and_memory_is_bounded(
         if data.draw(st.booleans()) and (work := desk.inbox.take(0)):
             handled.append(work.header.seq)
             settled.update(work.arrived)
-        assert len(desk.inbox) <= 4
+        assert len(desk.inbox) <= bound
 
     while work := desk.inbox.take(0):
         handled.append(work.header.seq)
@@ -187,7 +187,7 @@ def test_every_arrival_is_settled_once_and_memory_is_bounded(
     settled.update(name for name, _fate in desk.fates)
 
     waiting = Counter(order) - settled
-    assert sum(waiting.values()) <= 4
+    assert sum(waiting.values()) <= bound
     assert not settled - Counter(order)
     assert handled == sorted(set(handled))
 
