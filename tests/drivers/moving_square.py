@@ -1,0 +1,79 @@
+"""A small made-up source for tests: a white square crosses a textured field, truth included."""
+
+import threading
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.source import Truth
+
+SIDE_PX = 8
+
+
+class MovingSquare:
+    """Frame k shows the square k * 5 pixels further right; `slow_s` makes pictures take time."""
+
+    open_sources = 0
+
+    def __init__(
+        self,
+        *,
+        size_px: tuple[int, int] = (320, 192),
+        rate_hz: float = 100.0,
+        seed: int = 0,
+        length: int | None = 40,
+        slow_s: float = 0.0,
+    ) -> None:
+        width, height = size_px
+        self.size_px, self.rate_hz, self.length, self._slow_s = size_px, rate_hz, length, slow_s
+        self._field = np.random.default_rng(seed).integers(0, 200, (height, width, 3), np.uint8)
+        self._buffer = np.empty_like(self._field)
+        self.threads: set[int] = set()
+        MovingSquare.open_sources += 1
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        if self.length is not None and not 0 <= index < self.length:
+            raise IndexError(f"no frame {index}")
+        self.threads.add(threading.get_ident())
+        time.sleep(self._slow_s)
+        np.copyto(self._buffer, self._field)
+        left, top, right, bottom = (int(v) for v in self.box(index))
+        self._buffer[top:bottom, left:right] = 255
+        return self._buffer
+
+    def truth(self, index: int) -> Truth | None:
+        return Truth(
+            boxes=self.box(index)[None],
+            ids=np.array([1], np.int32),
+            labels=("ball",),
+            visible=np.ones(1, np.float32),
+        )
+
+    def box(self, index: int) -> NDArray[np.float32]:
+        left = index * 5 % (self.size_px[0] - SIDE_PX)
+        top = self.size_px[1] // 2
+        return np.array([left, top, left + SIDE_PX, top + SIDE_PX], np.float32)
+
+    def close(self) -> None:
+        MovingSquare.open_sources -= 1
+
+
+class Unreadable(MovingSquare):
+    """Frame 3 cannot be read."""
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        from pipeline.errors import DriverError
+
+        if index == 3:
+            raise DriverError("somewhere: frame 3 cannot be read")
+        return super().picture(index)
+
+
+class EndsEarly(MovingSquare):
+    """Promises more frames than it has."""
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        if index >= 5:
+            raise IndexError("no more")
+        return super().picture(index)
