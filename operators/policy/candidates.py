@@ -1,0 +1,94 @@
+"""Which tracks could be the target, and how good they are: tracks -> numbers per track."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.plan import future
+from pipeline import Tracks
+from pipeline.boxes import areas, centres, covered
+
+WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
+BRISK = 0.25  # box sizes per frame: from here on something counts as moving
+MOVING_BONUS = 0.15  # worth in score of a brisk motion
+INSIDE_MALUS = 0.15  # cost in score of lying within somebody
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sightings:
+    """In how many frames each present track was seen; tracks that are gone are forgotten."""
+
+    ids: NDArray[np.int32]  # (n,)
+    counts: NDArray[np.int32]  # (n,)
+
+
+def none_seen() -> Sightings:
+    """Before the first frame."""
+    return Sightings(ids=np.zeros(0, np.int32), counts=np.zeros(0, np.int32))
+
+
+def count(before: Sightings, tracks: Tracks) -> Sightings:
+    """Add this frame. A track new to us counts what its history shows, at most To frames."""
+    history = tracks.visible.sum(axis=1).astype(np.int32)
+    known = {int(i): int(c) for i, c in zip(before.ids, before.counts, strict=True)}
+    counts = [
+        known[int(i)] + int(now) if int(i) in known else int(past)
+        for i, now, past in zip(tracks.ids, tracks.visible[:, -1], history, strict=True)
+    ]
+    return Sightings(ids=tracks.ids, counts=np.array(counts, np.int32))
+
+
+def sizes(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Root of the area of each box: (n, 4) -> (n,), pixels, at least 1."""
+    return np.asarray(np.maximum(np.sqrt(areas(boxes)), 1), np.float32)
+
+
+def mobility(tracks: Tracks) -> NDArray[np.float32]:
+    """How briskly each track moves against the others, 0..1: (n,).
+
+    The median motion of all stands for the camera's, so that what lies still in a panned picture
+    (a corner flag, the penalty spot, their false balls) counts as still.
+    """
+    if not len(tracks.ids):
+        return np.zeros(0, np.float32)
+    path = np.stack([centres(future(tracks, row, 2)) for row in range(len(tracks.ids))])
+    motion = path[:, 1] - path[:, 0]
+    camera = np.median(motion, axis=0) if len(motion) >= WITNESSES else np.zeros(2)
+    away = np.linalg.norm(motion - camera, axis=1)
+    brisk = away / (BRISK * sizes(tracks.boxes[:, -1]))
+    return np.asarray(np.minimum(brisk, 1), np.float32)
+
+
+def worth(tracks: Tracks, holders: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """How good a candidate each track is: (n,). Score, more if it moves, less inside a holder.
+
+    False balls are boots and socks (inside somebody) and marks on the ground (still), see
+    `INSIDE_MALUS` and `MOVING_BONUS`.
+    """
+    boxes = tracks.boxes[:, -1]
+    inside = np.zeros(len(boxes), np.bool_)
+    for row in np.flatnonzero(holders):
+        inside |= covered(boxes, boxes[row]) > 0.8
+    malus = np.where(inside & ~holders, INSIDE_MALUS, 0)
+    return (tracks.scores + MOVING_BONUS * mobility(tracks) - malus).astype(np.float32)
+
+
+def nearest(
+    box: NDArray[np.float32], others: NDArray[np.float32], reach_px: float
+) -> tuple[int, float]:
+    """Index of the nearest of `others` (n, 4) to the centre of `box` (4,), and how far it is.
+
+    The distance is to the edge, 0 inside; index -1 when nothing lies within the reach.
+
+    >>> near = np.array([[0, 0, 10, 10], [30, 0, 40, 10]], np.float32)
+    >>> nearest(np.array([24, 4, 26, 6], np.float32), near, 8.0)
+    (1, 5.0)
+    """
+    if not len(others):
+        return -1, np.inf
+    centre = centres(box)
+    gap = np.maximum(np.maximum(others[:, :2] - centre, centre - others[:, 2:]), 0)
+    away = np.hypot(gap[:, 0], gap[:, 1])
+    first = int(away.argmin())
+    return (first, float(away[first])) if away[first] <= reach_px else (-1, np.inf)

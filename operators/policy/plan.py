@@ -1,0 +1,63 @@
+"""A plan: which object or place to look at in each of the next frames."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import Geometry, Scanpath, Tracks
+
+PLACE = -1  # a choice that is no object
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """One row per frame after the tracks' own."""
+
+    choice: NDArray[np.int32]  # (Tp,), track id or PLACE
+    boxes: NDArray[np.float32]  # (Tp, 4), sensor pixels
+
+
+def future(tracks: Tracks, row: int, horizon: int) -> NDArray[np.float32]:
+    """Where object `row` is foreseen: (Tp, 4); past the tracks' own horizon it stays."""
+    path = tracks.predicted[row] if tracks.predicted.shape[1] else tracks.boxes[row, -1:]
+    return path[np.minimum(np.arange(horizon), len(path) - 1)]
+
+
+def follow(tracks: Tracks, row: int, horizon: int) -> Plan:
+    """Look at one object all the time."""
+    choice = np.full(horizon, tracks.ids[row], np.int32)
+    return Plan(choice=choice, boxes=future(tracks, row, horizon))
+
+
+def stay(boxes: NDArray[np.float32], horizon: int) -> Plan:
+    """Look at places: one box (4,) for all frames, or (Tp, 4)."""
+    places = np.broadcast_to(boxes, (horizon, 4)).astype(np.float32)
+    return Plan(choice=np.full(horizon, PLACE, np.int32), boxes=places)
+
+
+def field_centre(geometry: Geometry) -> NDArray[np.float32]:
+    """A box of the ROI's size in the middle of the field: (4,)."""
+    middle = np.array([geometry.width_px, geometry.height_px], np.float32) / 2
+    half = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32) / 2
+    return np.concatenate([middle - half, middle + half])
+
+
+def of_class(tracks: Tracks, name: str) -> NDArray[np.bool_]:
+    """Which tracks are of the class `name`: (n,); the empty name means all, an unknown none."""
+    if not name:
+        return np.ones(len(tracks.ids), np.bool_)
+    return np.isin(tracks.labels, [i for i, own in enumerate(tracks.names) if own == name])
+
+
+def scanpath(tracks: Tracks, plan: Plan) -> Scanpath:
+    """The message: the chosen object has probability 1; a place leaves its row 0."""
+    chosen = plan.choice[:, None] == tracks.ids[None]
+    return Scanpath(
+        header=tracks.header,
+        ids=tracks.ids,
+        probability=chosen.astype(np.float32),
+        choice=plan.choice,
+        boxes=plan.boxes,
+        first_seq=tracks.header.seq + 1,
+    )

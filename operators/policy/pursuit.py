@@ -1,0 +1,185 @@
+"""Pursue one object: find it, stay with it, wait for it where it was lost, search for it.
+
+The rules that keep a small ball (false locks lose it, not prediction):
+
+- A candidate must have been seen in `confirm` frames, and a rival must be better by a margin for
+  `confirm` frames in succession, before the gaze changes. Moving candidates are preferred to still
+  ones, and those outside people to those inside (see candidates.py).
+- A target unseen for a few frames that was last near somebody is held by them: look there.
+- Nobody near: look where it was foreseen last, and doubt more with every frame (the box grows);
+  after `patience` frames visit the field window by window, nearest to the last place first.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.candidates import Sightings, count, nearest, none_seen, sizes, worth
+from operators.policy.plan import PLACE, Plan, follow, future, of_class, stay
+from operators.policy.search import search
+from pipeline import Tracks
+from pipeline.boxes import centres, from_centres, iou
+
+MARGIN = 0.2  # by how much a rival must be better, in score
+COAST = 3  # frames a target may be unseen before somebody is believed to hold it
+HOLD_REACH = 3.0  # box sizes between a target and whoever may hold it
+GROWTH = 0.1  # box sizes by which the doubt grows with every frame
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aim:
+    """Who is to be pursued: an id, or whoever was in a box, or a class (empty: anybody)."""
+
+    object_id: int = -1
+    box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
+    target: str = ""
+    held_by: tuple[str, ...] = ()
+
+    @property
+    def prompted(self) -> bool:
+        """Whether a box was given."""
+        return self.box[2] > self.box[0] and self.box[3] > self.box[1]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pursuit:
+    """What a pursuer remembers."""
+
+    locked: int = -1  # track id
+    target: str = ""  # class of what was locked
+    seen_seq: int = -1  # when the target was last seen; -1: never
+    box: NDArray[np.float32] = field(default_factory=lambda: np.zeros(4, np.float32))  # the last
+    holder: int = -1  # who was nearest when it was last seen
+    rival: int = -1
+    rival_frames: int = 0
+    sightings: Sightings = field(default_factory=none_seen)
+
+
+def pursue(
+    tracks: Tracks, before: Pursuit, aim: Aim, *, confirm: int, patience: int, horizon: int
+) -> tuple[Plan, Pursuit]:
+    """The plan for the frames after these tracks, and what to remember."""
+    now = replace(before, sightings=count(before.sightings, tracks))
+    now = locked_on(tracks, now, aim, confirm)
+    row = row_of(tracks, now.locked)
+    if row < 0:
+        return wait(tracks, now, aim, patience=patience, horizon=horizon), now
+    now = noted(tracks, row, now, aim)
+    held = row_of(tracks, now.holder)
+    if tracks.header.seq - now.seen_seq > COAST and held >= 0:
+        return stay(future(tracks, held, horizon), horizon), now
+    return follow(tracks, row, horizon), now
+
+
+def locked_on(tracks: Tracks, now: Pursuit, aim: Aim, confirm: int) -> Pursuit:
+    """Keep, gain or change the track that is the target."""
+    if row_of(tracks, now.locked) >= 0:
+        by_class = not aim.prompted and aim.object_id < 0
+        return challenged(tracks, now, aim, confirm) if by_class else now
+    row = first_lock(tracks, aim) if now.seen_seq < 0 else -1
+    if row < 0 and (now.seen_seq >= 0 or not (aim.prompted or aim.object_id >= 0)):
+        row = regained(tracks, now, aim, confirm)
+    locked = int(tracks.ids[row]) if row >= 0 else -1
+    return replace(now, locked=locked, rival=-1, rival_frames=0)
+
+
+def first_lock(tracks: Tracks, aim: Aim) -> int:
+    """Row of the object asked for by id or by box, -1 when it is not there."""
+    if aim.object_id >= 0:
+        return row_of(tracks, aim.object_id)
+    if aim.prompted and len(tracks.ids):
+        overlap = iou(tracks.boxes[:, -1], np.array([aim.box], np.float32))[:, 0]
+        return int(overlap.argmax()) if overlap.max() >= 0.1 else -1
+    return -1
+
+
+def regained(tracks: Tracks, now: Pursuit, aim: Aim, confirm: int) -> int:
+    """Row of the best confirmed candidate, -1: none.
+
+    One of many alike (asked for by id or by box) must be near where it was lost; the distance it
+    may have gone grows with time. A class may turn up anywhere.
+    """
+    known = now.target if now.target else aim.target
+    fit = of_class(tracks, known) & (now.sightings.counts >= confirm) & tracks.visible[:, -1]
+    if aim.prompted or aim.object_id >= 0:
+        gone = tracks.header.seq - now.seen_seq
+        away = np.linalg.norm(centres(tracks.boxes[:, -1]) - centres(now.box), axis=1)
+        fit &= away <= (1 + GROWTH * gone) * sizes(now.box[None])
+        value = -away.astype(np.float32)
+    else:
+        value = worth(tracks, holders(tracks, aim, known))
+    return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
+
+
+def challenged(tracks: Tracks, now: Pursuit, aim: Aim, confirm: int) -> Pursuit:
+    """Change to a rival that has been clearly better for `confirm` frames in succession."""
+    fit = of_class(tracks, now.target or aim.target) & tracks.visible[:, -1]
+    fit &= now.sightings.counts >= confirm
+    own = row_of(tracks, now.locked)
+    value = worth(tracks, holders(tracks, aim, now.target))
+    best = int(np.where(fit, value, -np.inf).argmax())
+    if not fit[best] or value[best] <= value[own] + MARGIN:
+        return replace(now, rival=-1, rival_frames=0)
+    rival = int(tracks.ids[best])
+    frames = now.rival_frames + 1 if rival == now.rival else 1
+    if frames < confirm:
+        return replace(now, rival=rival, rival_frames=frames)
+    return replace(now, locked=rival, rival=-1, rival_frames=0)
+
+
+def noted(tracks: Tracks, row: int, now: Pursuit, aim: Aim) -> Pursuit:
+    """Remember where the target is, what it is and who is beside it."""
+    box, target = tracks.boxes[row, -1], name_of(tracks, row)
+    if not tracks.visible[row, -1]:
+        # asked for while unseen: its absence counts from now
+        return replace(
+            now, box=box, seen_seq=now.seen_seq if now.seen_seq >= 0 else tracks.header.seq
+        )
+    able = np.flatnonzero(holders(tracks, aim, target))
+    at, _ = nearest(box, tracks.boxes[able, -1], HOLD_REACH * float(sizes(box[None])[0]))
+    return replace(
+        now,
+        target=target,
+        box=box,
+        seen_seq=tracks.header.seq,
+        holder=int(tracks.ids[able[at]]) if at >= 0 else -1,
+    )
+
+
+def wait(tracks: Tracks, now: Pursuit, aim: Aim, *, patience: int, horizon: int) -> Plan:
+    """Where to look while there is no target: with its holder, at its last place, all over."""
+    held = row_of(tracks, now.holder)
+    if held >= 0:
+        return stay(future(tracks, held, horizon), horizon)
+    header = tracks.header
+    if now.seen_seq < 0 and aim.prompted:
+        return stay(np.array(aim.box, np.float32), horizon)
+    frames = header.seq + 1 + np.arange(horizon) - now.seen_seq
+    if now.seen_seq < 0:
+        return stay(search(header.geometry, None, header.seq + 1 + np.arange(horizon)), horizon)
+    side = (now.box[2:] - now.box[:2]) * (1 + GROWTH * frames[:, None])
+    doubtful = from_centres(np.broadcast_to(centres(now.box), side.shape), side)
+    places = search(header.geometry, centres(now.box), np.maximum(frames - patience - 1, 0))
+    return stay(np.where((frames <= patience)[:, None], doubtful, places), horizon)
+
+
+def holders(tracks: Tracks, aim: Aim, target: str) -> NDArray[np.bool_]:
+    """Which tracks could hold the target: (n,). Nobody is held by one of the same class."""
+    could = np.zeros(len(tracks.ids), np.bool_)
+    if target not in aim.held_by:
+        for name in aim.held_by:
+            could |= of_class(tracks, name)
+    return could
+
+
+def row_of(tracks: Tracks, object_id: int) -> int:
+    """Row of an id, -1 when it is not there (or is no object)."""
+    rows = np.flatnonzero(tracks.ids == object_id)
+    return int(rows[0]) if object_id != PLACE and len(rows) else -1
+
+
+def name_of(tracks: Tracks, row: int) -> str:
+    """Class name of a track, empty when it has none."""
+    label = int(tracks.labels[row])
+    return tracks.names[label] if 0 <= label < len(tracks.names) else ""

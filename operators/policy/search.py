@@ -1,0 +1,37 @@
+"""A search of the whole field, window by window: geometry and frame counts -> places."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import Geometry
+from pipeline.boxes import from_centres
+
+DWELL = 2  # frames per window: enough for a consumer to see it, short enough to be quick
+
+
+def search(
+    geometry: Geometry, start: NDArray[np.float32] | None, frames: NDArray[np.int64]
+) -> NDArray[np.float32]:
+    """Where the search is `frames` (t,) after its beginning: boxes of the ROI's size (t, 4).
+
+    The windows tile the field and are visited in the order of their distance from `start` (x, y),
+    or from the middle; then again from the beginning.
+    """
+    places = tiles(geometry)
+    middle = np.array([geometry.width_px, geometry.height_px], np.float32) / 2
+    away = np.linalg.norm(places - (middle if start is None else start), axis=1)
+    order = np.argsort(away, kind="stable")
+    visited = places[order[frames // DWELL % len(order)]]
+    size = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
+    return from_centres(visited, np.broadcast_to(size, visited.shape))
+
+
+def tiles(geometry: Geometry) -> NDArray[np.float32]:
+    """Centres of the fewest ROI windows that cover the field, evenly spread: (n, 2)."""
+    sides = (
+        (geometry.width_px, geometry.roi_width_px),
+        (geometry.height_px, geometry.roi_height_px),
+    )
+    counts = [max(-(-whole // max(part, 1)), 1) for whole, part in sides]
+    x, y = ((np.arange(n) + 0.5) * whole / n for n, (whole, _) in zip(counts, sides, strict=True))
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2).astype(np.float32)

@@ -1,0 +1,123 @@
+"""Tracks -> Scanpath: the contract of every strategy, and the baselines."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from operators.policy import Policy, PolicySettings
+from pipeline import MessageError, RoiFeatures, Scanpath, SettingsError
+from pipeline.codec import dumps, loads
+from pipeline.testing import drive, header
+from tests.operators.policy.made_up import tracks
+
+
+def test_a_plan_speaks_of_the_frames_after_the_tracks():
+    (path,) = drive(Policy, [tracks(7, (3, 1, 500, 500, 0))], {"target": "player", "confirm": 1})
+
+    assert path.first_seq == 8
+    assert path.choice.tolist() == [3] * 16
+    assert path.probability.tolist() == [[1.0]] * 16
+
+
+def test_centred_looks_at_the_middle_and_at_no_object():
+    (path,) = drive(Policy, [tracks(0, (1, 1, 500, 500, 0))], {"strategy": "centred"})
+
+    assert path.choice.tolist() == [-1] * 16
+    assert path.boxes[0].tolist() == [720, 405, 1200, 675]
+    assert not path.probability.any()
+
+
+def test_round_robin_gives_every_object_its_turn_where_it_will_be():
+    world = tracks(0, (2, 1, 100, 100, 5), (5, 0, 700, 300, -10), (9, 1, 900, 800, 0))
+
+    (path,) = drive(Policy, [world], {"strategy": "round_robin", "dwell": 3, "horizon": 10})
+
+    assert path.choice.tolist() == [2, 2, 2, 5, 5, 5, 9, 9, 9, 2]
+    np.testing.assert_allclose(path.boxes[3], [700 - 40 - 8, 292, 700 - 40 + 8, 308])
+
+
+def test_round_robin_goes_on_while_objects_come_and_go():
+    here = [(k, 1, 100.0 * k, 500, 0) for k in range(1, 6)]
+    frames = [tracks(k, *(here[1:] if k == 3 else here)) for k in range(8)]
+
+    paths = drive(Policy, frames, {"strategy": "round_robin", "dwell": 2})
+
+    assert [int(p.choice[0]) for p in paths] == [1, 1, 2, 2, 3, 3, 4, 4]
+
+
+def test_round_robin_may_be_limited_to_a_class():
+    world = tracks(0, (1, 1, 100, 100, 0), (2, 0, 700, 300, 0))
+
+    (path,) = drive(Policy, [world], {"strategy": "round_robin", "target": "ball"})
+
+    assert set(path.choice.tolist()) == {2}
+
+
+@pytest.mark.parametrize("strategy", ["pursue", "round_robin", "centred"])
+def test_a_frame_without_objects_is_answered_with_places_in_the_field(strategy):
+    (path,) = drive(Policy, [tracks(0)], {"strategy": strategy})
+
+    assert path.choice.tolist() == [-1] * 16
+    assert path.probability.shape == (16, 0)
+    assert (path.boxes >= 0).all()
+    assert (path.boxes <= [1920, 1080, 1920, 1080]).all()
+
+
+def looks(seq: int, *ids: int, value: float = 1.0, width: int = 4) -> dict[str, RoiFeatures]:
+    features = np.full((len(ids), width), value, np.float32)
+    return {
+        "features": RoiFeatures(header=header(seq), ids=np.array(ids, np.int32), features=features)
+    }
+
+
+def test_features_are_kept_for_a_bounded_number_of_objects():
+    subject = Policy(PolicySettings())
+    subject.open()
+
+    for k in range(500):
+        subject.on_features(**looks(k, k, k + 1, value=k))
+
+    memory = subject.state().memory
+    assert len(memory.ids) == 100
+    assert memory.ids[-1] == 500
+    assert memory.features[-1, 0] == memory.seqs[-1] == 499
+
+
+def test_features_that_change_their_width_are_refused():
+    with pytest.raises(MessageError, match="expected 4 channels, got 3"):
+        drive(Policy, [looks(0, 1), looks(1, 1, width=3)])
+
+
+def test_a_prompt_box_that_is_no_box_is_refused():
+    with pytest.raises(SettingsError, match="prompt_box: expected left, top, right, bottom"):
+        PolicySettings(prompt_box=(10.0, 10.0, 5.0, 20.0))
+
+
+object_ = st.tuples(
+    st.integers(0, 1), st.floats(-50, 2000), st.floats(-50, 1100), st.floats(-30, 30)
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from(["pursue", "round_robin", "centred"]),
+    st.sampled_from([{"target": "ball"}, {"target_id": 2}, {"prompt_box": [0, 0, 900, 900]}, {}]),
+    st.lists(st.lists(object_, max_size=5), min_size=2, max_size=12),
+)
+def test_any_tracks_give_a_whole_plan_and_a_successor_goes_on_alike(strategy, aim, frames):
+    values = {"strategy": strategy, "confirm": 2, "patience": 2, **aim}
+    values["prompt_box"] = tuple(values.get("prompt_box", (0, 0, 0, 0)))
+    old, successor = Policy(PolicySettings(**values)), Policy(PolicySettings(**values))
+    old.open()
+    successor.open()
+
+    for k, objects in enumerate(frames):
+        world = tracks(3 * k, *[(i + 1, *o) for i, o in enumerate(objects)])
+        successor.restore(loads(type(old.state()), dumps(old.state())))
+        path = old.on_tracks(world)
+
+        assert dumps(successor.on_tracks(world)) == dumps(path)
+        assert loads(Scanpath, dumps(path)).boxes.shape == (16, 4)
+        assert np.isfinite(path.boxes).all()
+        assert set(path.choice.tolist()) <= {-1, *world.ids.tolist()}

@@ -1,0 +1,130 @@
+"""Pursuit: gaining, keeping, losing and searching for one object."""
+
+import numpy as np
+
+from operators.policy import Policy
+from pipeline import Scanpath, Tracks
+from pipeline.testing import drive
+from tests.operators.policy.made_up import tracks
+
+BALL = {"target": "ball"}
+
+
+def first_choices(paths: list[Scanpath]) -> list[int]:
+    return [int(path.choice[0]) for path in paths]
+
+
+def pursue(*frames: Tracks, **values: object) -> list[Scanpath]:
+    return drive(Policy, frames, values)
+
+
+def test_a_candidate_is_followed_once_it_was_seen_in_three_frames():
+    unseen_at_first = [tracks(k, (4, 0, 300 + 5 * k, 300, 5)) for k in range(3)]
+    for frame in unseen_at_first:
+        frame.visible[:, :-1] = False
+
+    paths = pursue(*unseen_at_first, **BALL)
+
+    assert first_choices(paths) == [-1, -1, 4]
+    np.testing.assert_allclose(paths[2].boxes[4], [327, 292, 343, 308])
+
+
+def test_the_gaze_stays_with_its_object_though_another_is_a_little_better():
+    frames = [tracks(k, (1, 0, 300, 300, 0), (2, 0, 900, 300, 0)) for k in range(8)]
+    for frame in frames[1:]:
+        frame.scores[1] = 0.6
+
+    assert first_choices(pursue(*frames, **BALL)) == [1] * 8
+
+
+def test_a_clearly_better_rival_takes_over_after_three_frames():
+    frames = [tracks(k, (1, 0, 300, 300, 0), (2, 0, 900 + 9 * k, 300, 9)) for k in range(6)]
+    for k, frame in enumerate(frames):
+        frame.scores[:] = (0.5, 0.9 if k > 1 else 0.1)
+
+    assert first_choices(pursue(*frames, **BALL)) == [1, 1, 1, 1, 2, 2]
+
+
+def test_a_ball_in_flight_is_preferred_to_a_mark_that_pans_with_the_picture():
+    people = [(i, 1, 150.0 * i, 900, 6.0) for i in range(3, 9)]
+    world = tracks(0, (1, 0, 300, 300, 6), (2, 0, 900, 300, 0), *people)
+
+    (path,) = pursue(world, confirm=1, **BALL)
+
+    assert path.choice[0] == 2
+
+
+def test_a_ball_on_the_grass_is_preferred_to_a_boot():
+    world = tracks(0, (1, 0, 300, 300, 0), (2, 0, 900, 300, 0), (3, 1, 300, 290, 0))
+
+    (path,) = pursue(world, confirm=1, **BALL)
+
+    assert path.choice[0] == 2
+
+
+def test_a_target_asked_for_by_box_is_the_track_that_overlaps_it_best():
+    world = [tracks(k, (1, 1, 300, 300, 0), (2, 1, 330, 300, 0)) for k in range(2)]
+
+    paths = pursue(*world, prompt_box=(312.0, 282.0, 352.0, 318.0))
+
+    assert first_choices(paths) == [2, 2]
+
+
+def test_until_somebody_is_in_the_prompt_box_the_box_is_looked_at():
+    (path,) = pursue(tracks(0, (1, 1, 900, 900, 0)), prompt_box=(10.0, 20.0, 50.0, 60.0))
+
+    assert path.choice[0] == -1
+    assert path.boxes[0].tolist() == [10, 20, 50, 60]
+
+
+def test_a_person_lost_is_found_again_near_by_not_far_away():
+    start = [tracks(k, (1, 1, 300, 300, 0), (2, 1, 1200, 300, 0)) for k in range(3)]
+    gone = [tracks(3, (2, 1, 1200, 300, 0))]
+    back = [tracks(k, (2, 1, 1200, 300, 0), (7, 1, 330, 300, 0)) for k in range(4, 7)]
+
+    paths = pursue(*start, *gone, *back, target_id=1)
+
+    assert first_choices(paths) == [1, 1, 1, -1, 7, 7, 7]
+
+
+def test_a_ball_lost_beside_somebody_is_looked_for_with_them():
+    seen = [tracks(k, (1, 0, 300, 300, 0), (2, 1, 320, 300, 0)) for k in range(3)]
+    lost = tracks(3, (2, 1, 340, 310, 2))
+
+    path = pursue(*seen, lost, **BALL)[-1]
+
+    assert path.choice[0] == -1
+    np.testing.assert_allclose(path.boxes[0], lost.predicted[0, 0])
+
+
+def test_a_ball_unseen_for_a_few_frames_is_believed_to_be_held():
+    frames = [tracks(k, (1, 0, 300, 300, 9), (2, 1, 320, 300, 0)) for k in range(3)]
+    frames += [
+        tracks(k, (1, 0, 300 + 9 * k, 300, 9), (2, 1, 320, 300, 0), unseen=(1,))
+        for k in range(3, 7)
+    ]
+
+    assert first_choices(pursue(*frames, **BALL)) == [1, 1, 1, 1, 1, 1, -1]
+
+
+def test_a_ball_lost_in_the_open_is_waited_for_with_growing_doubt_then_searched_for():
+    seen = [tracks(k, (1, 0, 300, 300, 0)) for k in range(3)]
+    lost = [tracks(k) for k in range(3, 40)]
+
+    paths = pursue(*seen, *lost, patience=10, **BALL)
+
+    waiting, searching = paths[4].boxes, paths[-1].boxes
+    sides = waiting[:, 2] - waiting[:, 0]
+    assert (np.diff(sides[:8]) > 0).all()
+    assert ((waiting[:8, :2] + waiting[:8, 2:]) / 2 == 300).all()
+    assert (searching[:, 2] - searching[:, 0] == 480).all()
+
+
+def test_the_search_visits_the_whole_field_beginning_near_the_loss():
+    seen = [tracks(k, (1, 0, 300, 300, 0)) for k in range(3)]
+
+    paths = pursue(*seen, *[tracks(k) for k in range(3, 40)], patience=0, **BALL)
+
+    boxes = np.array([path.boxes[0] for path in paths[3:]])
+    assert len(np.unique(boxes, axis=0)) == 16  # 1920x1080 in windows of 480x270
+    assert boxes[0].tolist() == [0, 270, 480, 540]
