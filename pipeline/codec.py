@@ -7,6 +7,7 @@ shape is checked, and any violation is a `MessageError`.
 
 import dataclasses
 import hashlib
+import operator
 import types
 import typing
 from collections.abc import Callable
@@ -174,6 +175,27 @@ class _Nested(_Kind):
         return unpack(self.cls, item, fetch)
 
 
+class _Flat(_Nested):
+    """A dataclass of scalars only: the many small ones in every header, so it is written fast."""
+
+    def __init__(self, cls: type[Any]) -> None:
+        super().__init__(cls)
+        self.names = tuple(f.name for f in _fields(cls))
+        self.values = operator.attrgetter(*self.names)
+        kinds = dict(schema(cls).fields)
+        self.types = [kinds[name].cls for name in self.names]  # type: ignore[attr-defined]
+
+    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
+        return self.values(value)
+
+    def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
+        if not isinstance(item, list) or [type(part) for part in item] != self.types:
+            return super().unpack(item, fetch, known, where)
+        fresh = object.__new__(self.cls)
+        fresh.__dict__.update(zip(self.names, item, strict=True))
+        return fresh
+
+
 class _Array(_Kind):
     """Written as [dtype, sides, bytes or offset]."""
 
@@ -187,7 +209,7 @@ class _Array(_Kind):
             raise MessageError(f"{where}: expected {self.text}, got {got}")
         if self.shape:
             self.shape.check(where, value.shape, known)
-        return [value.dtype.str, list(value.shape), place(value)]
+        return [value.dtype.str, value.shape, place(value)]
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
         named = isinstance(item, list) and len(item) == 3 and isinstance(item[0], str)
@@ -226,7 +248,10 @@ def _kind(hint: Any, where: str) -> _Kind:
     if isinstance(hint, type) and hint in _SCALARS:
         return _Scalar(hint)
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
-        return _Nested(hint)
+        kinds = [kind for _, kind in schema(hint).fields]
+        plain = len(kinds) > 1 and not hasattr(hint, "__post_init__")
+        flat = plain and all(isinstance(kind, _Scalar) for kind in kinds)
+        return _Flat(hint) if flat else _Nested(hint)
     raise MessageError(f"{where}: a field of type {hint} cannot travel")
 
 

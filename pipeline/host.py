@@ -4,10 +4,12 @@ The same for a process of its own and for a group; the transport's threads only 
 own thread calls the operator.
 """
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -37,7 +39,8 @@ class Host:
         self.name, self.operator, self.outs = name, operator, dict(outs)
         self._edges, self.account, self._epoch = dict(edges), account, epoch
         self.lockstep = lockstep
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._wake: SimpleQueue[None] = SimpleQueue()  # cheaper than a condition's locks
         self._inbox = Inbox(inputs, self.settle, lockstep=lockstep)
         self._arrived_wait_ns = 0
         self.corewait = CoreWait()
@@ -51,10 +54,11 @@ class Host:
     def deliver(self, name: str, arrival: Arrival) -> None:
         """Called by the transport's thread."""
         waited = self.corewait.since_last_ns()
-        with self._changed:
+        with self._lock:
             self._arrived_wait_ns += waited
             self._inbox.offer(name, arrival, time.monotonic_ns())
-            self._changed.notify()
+        if self._wake.empty():
+            self._wake.put(None)
 
     def run(self) -> None:
         """Handle what arrives until told to stop; an operator's exception passes through."""
@@ -72,26 +76,30 @@ class Host:
     def stop(self) -> None:
         """Let `run` return after the message in hand."""
         self.stopping.set()
-        with self._changed:
-            self._changed.notify_all()
+        self._wake.put(None)
 
     def greet(self) -> bool:
         """Greet readers that have not heard this instance; True when all have."""
         return all([port.hello() for port in self.outs.values()])
 
+    def next_work(self, patience_s: float) -> Work | None:
+        """What to do next; None when nothing came within the patience."""
+        with self._lock:
+            work = self._inbox.take(time.monotonic_ns())
+            due = self._inbox.due_ns()
+        if work is not None:
+            return work
+        if due is not None:
+            patience_s = min(patience_s, max(0.0, (due - time.monotonic_ns()) / 1e9))
+        with contextlib.suppress(Empty):
+            self._wake.get(timeout=patience_s)
+        with self._lock:
+            return self._inbox.take(time.monotonic_ns())
+
     def _wait(self) -> Work | None:
         greeted = self.greet()
         self.account.put("heartbeat_ns", time.monotonic_ns())
-        with self._changed:
-            work = self._inbox.take(time.monotonic_ns())
-            if work is None:
-                due = self._inbox.due_ns()
-                patience = IDLE_S if greeted else GREET_S
-                if due is not None:
-                    patience = min(patience, max(0.0, (due - time.monotonic_ns()) / 1e9))
-                self._changed.wait(patience)
-                work = self._inbox.take(time.monotonic_ns())
-        return work
+        return self.next_work(IDLE_S if greeted else GREET_S)
 
     def _handle(self, work: Work) -> None:
         begun = time.monotonic_ns()
@@ -198,7 +206,7 @@ class Host:
         return declared.join and not declared.command
 
     def _take_arrived_wait(self) -> int:
-        with self._changed:
+        with self._lock:
             waited, self._arrived_wait_ns = self._arrived_wait_ns, 0
         return waited
 

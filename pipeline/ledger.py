@@ -47,10 +47,20 @@ _EDGE = {
 _NODE = {
     name: index
     for index, name in enumerate(
-        ("epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq", "errors")
+        ("epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq")
     )
 }
 STATES = ("absent", "starting", "waiting", "busy", "credit", "finished", "stopped")
+
+
+def _counter(name: str) -> property:
+    index = _EDGE[name]
+    return property(lambda account: int(account._words[index]))
+
+
+def _progress(name: str) -> property:
+    index = _NODE[name]
+    return property(lambda account: int(account._words[index]))
 
 
 class EdgeAccount:
@@ -60,11 +70,15 @@ class EdgeAccount:
         self._words = memory[:PAGE_BYTES].cast("Q")
         self.age = Histogram(np.frombuffer(memory, np.uint32, BUCKETS, PAGE_BYTES))
 
-    def __getattr__(self, name: str) -> int:
-        try:
-            return self._words[_EDGE[name]]
-        except KeyError:
-            raise AttributeError(name) from None
+    sent, overrun, broken = _counter("sent"), _counter("overrun"), _counter("broken")
+    seen, delivered = _counter("seen"), _counter("delivered")
+    lost_in_crash, strays = _counter("lost_in_crash"), _counter("strays")
+    attached_epoch = _counter("attached_epoch")
+    reader_epoch, writer_epoch = _counter("reader_epoch"), _counter("writer_epoch")
+
+    def dropped(self, reason: str) -> int:
+        """Messages dropped for one of the `DROPS`."""
+        return self._words[_EDGE[reason]]
 
     def add(self, name: str, count: int = 1) -> None:
         """Count: only the counter's single writer may."""
@@ -84,7 +98,8 @@ class EdgeAccount:
     @property
     def in_flight(self) -> int:
         """Sent and not yet accounted for."""
-        return max(0, self.sent - self.accounted)
+        value: int = self._words[_EDGE[reason]]
+        return value
 
     @property
     def live(self) -> bool:
@@ -96,7 +111,7 @@ class EdgeAccount:
 
     def report(self) -> dict[str, Any]:
         """The account as the run's report shows it."""
-        dropped = {name: getattr(self, name) for name in DROPS if getattr(self, name)}
+        dropped = {name: self.dropped(name) for name in DROPS if self.dropped(name)}
         if self.overrun:
             dropped["overrun"] = self.overrun
         return {
@@ -118,11 +133,9 @@ class NodeAccount:
             for i, name in enumerate(HISTOGRAMS)
         }
 
-    def __getattr__(self, name: str) -> int:
-        try:
-            return self._words[_NODE[name]]
-        except KeyError:
-            raise AttributeError(name) from None
+    epoch, handled = _progress("epoch"), _progress("handled")
+    state, last_seq = _progress("state"), _progress("last_seq")
+    heartbeat_ns, busy_since_ns = _progress("heartbeat_ns"), _progress("busy_since_ns")
 
     def add(self, name: str, count: int = 1) -> None:
         """Count: only the node itself may."""

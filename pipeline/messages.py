@@ -28,16 +28,22 @@ class Shape:
     def check(self, where: str, shape: tuple[int, ...], known: dict[str, int]) -> None:
         """Raise `MessageError` unless `shape` fits; named sides are remembered in `known`."""
         for form in self.sides:
-            if len(form) == len(shape) and all(
-                (known.get(want, got) if isinstance(want, str) else want) == got
-                for want, got in zip(form, shape, strict=True)
-            ):
-                known.update({n: s for n, s in zip(form, shape, strict=True) if isinstance(n, str)})
+            if len(form) == len(shape) and _fits(form, shape, known):
                 return
         raise MessageError(f"{where}: expected shape {self}, got {shape}")
 
     def __str__(self) -> str:
         return " or ".join("(" + ", ".join(map(str, form)) + ")" for form in self.sides)
+
+
+def _fits(form: tuple[int | str, ...], shape: tuple[int, ...], known: dict[str, int]) -> bool:
+    for want, got in zip(form, shape, strict=True):
+        if isinstance(want, str):
+            if known.setdefault(want, got) != got:
+                return False
+        elif want != got:
+            return False
+    return True
 
 
 Boxes = Annotated[NDArray[np.float32], Shape.of("n", 4)]  # xyxy, sensor pixels

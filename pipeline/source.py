@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from pipeline.contract import Source, handler_of
 from pipeline.errors import PoolExhausted
-from pipeline.host import Host
+from pipeline.host import IDLE_S, Host
 from pipeline.inbox import Work
 from pipeline.messages import Header, Message, Span, stamped
 from pipeline.ports import OutPort
@@ -118,12 +118,7 @@ class SourceHost(Host):
 
     def _command_loop(self) -> None:
         while not self.stopping.is_set():
-            with self._changed:
-                work = self._inbox.take(time.monotonic_ns())
-                if work is None:
-                    self._changed.wait(0.2)
-                    work = self._inbox.take(time.monotonic_ns())
-            if work is not None:
+            if (work := self.next_work(IDLE_S)) is not None:
                 self._accept(work)
 
     def _accept(self, work: Work) -> None:

@@ -46,9 +46,10 @@ def play(subject: SimulatedSensor) -> list[Exposure]:
     ],
 )
 def test_it_keeps_the_contract_of_a_sensor(settings: dict[str, Any]) -> None:
+    before = MovingSquare.open_sources
     check_sensor(lambda: sensor(**settings))
 
-    assert MovingSquare.open_sources == 0
+    assert MovingSquare.open_sources == before
 
 
 def test_context_is_area_downsampling_and_roi_a_crop_of_the_same_picture() -> None:
@@ -329,11 +330,12 @@ def test_a_wrong_type_from_yaml_is_refused_with_its_place() -> None:
 
 def test_a_recording_of_another_size_is_refused() -> None:
     subject = sensor(scene="", source=f"{HERE}:MovingSquare", size_px=(640, 384))
+    before = MovingSquare.open_sources
 
     with pytest.raises(DriverError, match="expected 640x384 as size_px says, got 320x192"):
         subject.open(realtime=False)
     subject.close()
-    assert MovingSquare.open_sources == 0
+    assert MovingSquare.open_sources == before
 
 
 def test_reading_before_it_is_started_is_refused() -> None:

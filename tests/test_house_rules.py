@@ -1,0 +1,105 @@
+"""The rules of the house that a machine can check."""
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = ("pipeline", "operators", "graphs", "drivers", "tests", "bench")
+FILES = ("pyproject.toml", "README.md", "LICENSE", "Makefile")
+LIVE = ("pipeline", "operators", "drivers")
+LONGEST_FILE, LONGEST_FUNCTION = 400, 60
+
+
+def tracked(*suffixes: str) -> list[Path]:
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    names = listed.stdout.splitlines() if listed.returncode == 0 else []
+    paths = [ROOT / n for n in names] or [p for room in ROOMS for p in (ROOT / room).rglob("*")]
+    return [p for p in paths if p.is_file() and p.suffix in suffixes]
+
+
+SOURCES = tracked(".py")
+
+
+def trees(*rooms: str) -> Iterator[tuple[Path, ast.Module]]:
+    for path in SOURCES:
+        if path.relative_to(ROOT).parts[0] in rooms:
+            yield path, ast.parse(path.read_text())
+
+
+def test_the_top_level_is_fixed() -> None:
+    listed = {p.relative_to(ROOT).parts[0] for p in tracked(".py", ".md", ".toml", ".yaml", "")}
+
+    assert {n for n in listed if not n.startswith(".")} <= {*ROOMS, *FILES}
+
+
+def test_no_file_is_a_drawer_for_everything() -> None:
+    drawers = {"utils", "util", "helpers", "common", "misc"}
+
+    assert [p for p in SOURCES if p.stem in drawers or set(p.parts[:-1]) & drawers] == []
+
+
+def test_no_module_is_named_like_one_of_the_standard_library() -> None:
+    assert [p for p in SOURCES if p.stem in sys.stdlib_module_names] == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_files_and_functions_are_short_enough_to_read(path: Path) -> None:
+    text = path.read_text()
+
+    assert len(text.splitlines()) <= LONGEST_FILE
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            length = (node.end_lineno or node.lineno) - node.lineno + 1
+            assert length <= LONGEST_FUNCTION, f"{path.name}:{node.lineno} {node.name}"
+
+
+def test_every_module_says_what_it_is_for() -> None:
+    mute = [p for p, tree in trees(*ROOMS) if not ast.get_docstring(tree) and p.stat().st_size]
+
+    assert mute == []
+
+
+def test_nothing_is_pickled_or_evaluated() -> None:
+    found = []
+    for path, tree in trees(*LIVE):
+        for node in ast.walk(tree):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                names = [node.func.id]
+            bad = {"pickle", "marshal", "shelve", "dill", "eval", "exec"} & set(names)
+            found += [f"{path.name}:{node.lineno} {name}" for name in bad]  # type: ignore[attr-defined]
+
+    assert found == []
+
+
+def test_environment_variables_configure_nothing() -> None:
+    readers = re.compile(r"os\.getenv|os\.environ(\[|\.get)")
+
+    assert [p for p, _ in trees(*LIVE) if readers.search(p.read_text())] == []
+
+
+def test_no_path_of_one_machine_is_written_down() -> None:
+    places = re.compile(r"(?<![\w.}])/(work|farm|home|root|Users)/")
+
+    texts = tracked(".py", ".yaml", ".toml", ".md", "")
+    named = [p.name for p in texts if places.search(p.read_text(errors="replace"))]
+    assert named in ([], ["test_house_rules.py"])
+
+
+def test_the_readme_leads_into_every_room() -> None:
+    readme = (ROOT / "README.md").read_text()
+
+    assert [room for room in ROOMS if f"`{room}/`" not in readme] == []
