@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,10 +25,7 @@ def read_picture(path: Path, out: NDArray[np.uint8] | None = None) -> NDArray[np
     tail = _tail(path)
     if ending and ending not in tail:
         raise DriverError(f"{path}: expected a whole picture, got a truncated file")
-    if out is None:
-        found = cv2.imread(os.fspath(path), cv2.IMREAD_COLOR_RGB)
-    else:
-        found = cv2.imread(os.fspath(path), out, cv2.IMREAD_COLOR_RGB)
+    found = _decode(path, out)
     if found is None:
         raise DriverError(f"{path}: expected a picture, got something that cannot be decoded")
     if out is not None and found.shape != out.shape:
@@ -44,3 +42,12 @@ def _tail(path: Path) -> bytes:
             return file.read()
     except OSError as error:
         raise DriverError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _decode(path: Path, out: NDArray[np.uint8] | None) -> NDArray[Any] | None:
+    if out is not None:
+        try:
+            return cv2.imread(os.fspath(path), out, cv2.IMREAD_COLOR_RGB)
+        except cv2.error:
+            pass  # it does not fit: decode it elsewhere, to say how
+    return cv2.imread(os.fspath(path), cv2.IMREAD_COLOR_RGB)
