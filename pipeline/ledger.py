@@ -98,8 +98,7 @@ class EdgeAccount:
     @property
     def in_flight(self) -> int:
         """Sent and not yet accounted for."""
-        value: int = self._words[_EDGE[reason]]
-        return value
+        return max(0, int(self.sent) - self.accounted)
 
     @property
     def live(self) -> bool:

@@ -6,44 +6,15 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper, save_model
 
 from operators.saliency import Saliency
 from pipeline import Detections, Frame, MessageError, SettingsError, WeightsError
 from pipeline.testing import drive, header, picture
+from tests.operators.networks import constant_network
 
 SHARED = Path(__file__).parents[4] / "shared"
 YOLOX = SHARED / "models/yolox/yolox_nano_416.onnx"
 CLIP = SHARED / "data/soccernet/SNMOT-116a/img1"
-
-
-def constant_network(
-    path: Path,
-    output: NDArray[np.float32],
-    *,
-    size_px: tuple[int, int] = (480, 288),
-    features: NDArray[np.float32] | None = None,
-    **metadata: str,
-) -> str:
-    """A network that answers every picture with the same arrays."""
-    width_px, height_px = size_px
-    nodes, outputs, weights = [], [], []
-    for name, array in {"output": output, "features": features}.items():
-        if array is None:
-            continue
-        weights.append(numpy_helper.from_array(array, name + "_weights"))
-        # the output must hang on the input, or the run-time takes the input away
-        nodes.append(helper.make_node("ReduceSum", ["images"], [name + "_sum"], keepdims=0))
-        nodes.append(helper.make_node("Mul", [name + "_sum", "zero"], [name + "_none"]))
-        nodes.append(helper.make_node("Add", [name + "_none", name + "_weights"], [name]))
-        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, array.shape))
-    weights.append(numpy_helper.from_array(np.zeros((), np.float32), "zero"))
-    images = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, height_px, width_px))
-    graph = helper.make_graph(nodes, "constant", [images], outputs, weights)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
-    helper.set_model_props(model, metadata)
-    save_model(model, path)
-    return str(path)
 
 
 def yolo_output(*rows: tuple[float, ...], anchors: int = 64) -> NDArray[np.float32]:
