@@ -14,6 +14,7 @@ from pipeline.messages import Geometry, Header, RoiSchedule, Scanpath
 
 Fill = Literal["hold", "centre", "scan"]
 Window = tuple[int, int, int, int]  # xyxy, sensor pixels
+FAR_PX = 2.0**24  # beyond any field, and the sum of two still is a float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +106,7 @@ def plan_windows(
     windows = np.empty((len(boxes), 4), np.int32)
     for row, box in enumerate(boxes):
         if is_box(box):
-            window = roi_window(centres(box), geometry)
+            window = roi_window(centres(np.clip(box, -FAR_PX, FAR_PX)), geometry)
         elif fill == "centre":
             window = _centre(geometry)
         elif fill == "scan":

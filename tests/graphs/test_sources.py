@@ -1,0 +1,108 @@
+"""Every file of graphs/sources lays over a graph and shows what it names."""
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from operators.capture import Capture, CaptureSettings
+from pipeline.errors import SettingsError
+from pipeline.graph import Overlay, load
+from pipeline.settings import build
+from tests.drivers.sequences import write_pictures, write_sequence
+from tests.drivers.test_soccernet import GAME, GT
+from tests.shared_data import shared
+
+SOURCES = Path(__file__).resolve().parents[2] / "graphs" / "sources"
+RECORDINGS = ("soccernet", "mot", "video", "images")
+GRAPH = """
+name: eyes
+nodes:
+  capture:
+    operator: operators.capture:Capture
+    settings: {options: {scene: "tests.drivers.moving_square:MovingSquare"}}
+  small:
+    operator: operators.downsample:Downsample
+    inputs: {frame: capture.context}
+"""
+
+
+def graph(tmp_path: Path) -> Path:
+    path = tmp_path / "eyes.yaml"
+    path.write_text(GRAPH)
+    return path
+
+
+def recording(kind: str, folder: Path) -> Path:
+    """A small recording of that kind; the path to set."""
+    if kind == "images":
+        write_pictures(folder, 3)
+    elif kind == "video":
+        folder /= "film.mp4"
+        writer = cv2.VideoWriter(str(folder), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
+        for _ in range(3):
+            writer.write(np.zeros((48, 64, 3), np.uint8))
+        writer.release()
+    else:
+        gt = GT if kind == "soccernet" else "1,1,10,20,5,6,1,1,0.5\n"
+        write_sequence(folder, gt=gt, gameinfo=GAME)
+    return folder
+
+
+def capture_of(path: Path, source: str, *changes: str) -> dict[str, Any]:
+    overlay = Overlay(source=SOURCES / f"{source}.yaml", changes=changes)
+    return load(path, overlay).node("capture").settings
+
+
+def first_frame(settings: dict[str, Any]) -> tuple[int, ...]:
+    subject = Capture(build(CaptureSettings, settings, "capture"))
+    subject.realtime = False
+    subject.open()
+    try:
+        frames = subject.produce()
+    finally:
+        subject.close()
+    assert frames is not None
+    geometry = frames["context"].header.geometry
+    return geometry.width_px, geometry.height_px, geometry.roi_width_px, geometry.roi_height_px
+
+
+@pytest.mark.parametrize("kind", RECORDINGS)
+def test_a_recording_plays_from_the_path_set_on_the_command_line(kind: str, tmp_path: Path) -> None:
+    place = tmp_path / kind
+    place.mkdir()
+    path = recording(kind, place)
+
+    settings = capture_of(graph(tmp_path), kind, f"capture.path={path}")
+
+    assert first_frame(settings) == (64, 48, 16, 12)
+
+
+@pytest.mark.parametrize("kind", RECORDINGS)
+def test_a_missing_path_is_one_clear_sentence(kind: str, tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"options\.path: required by drivers\.\w+:\w+, got no"):
+        capture_of(graph(tmp_path), kind)
+
+
+def test_the_soccer_scene_lays_over_and_takes_a_seed(tmp_path: Path) -> None:
+    settings = capture_of(graph(tmp_path), "soccer", "capture.seed=3", "capture.frames=1")
+
+    assert settings["options"]["seed"] == 3
+    if importlib.util.find_spec("drivers.soccer") is None:
+        pytest.skip("needs drivers.soccer, which is not there")
+    assert first_frame(settings) == (1920, 1080, 480, 270)
+
+
+def test_the_real_sequence_plays(tmp_path: Path) -> None:
+    folder = shared("soccernet/SNMOT-116a")
+
+    settings = capture_of(graph(tmp_path), "soccernet", f"capture.path={folder}")
+
+    assert first_frame(settings) == (1920, 1080, 480, 270)
+
+
+def test_every_source_file_is_tested() -> None:
+    assert {path.stem for path in SOURCES.glob("*.yaml")} >= {*RECORDINGS, "soccer"}
