@@ -1,0 +1,170 @@
+"""Describe tracked objects at full resolution: ROI Frame and Tracks -> RoiFeatures.
+
+Each track that lies in the ROI is cut out, scaled to the encoder's square and encoded; all of
+them go through the network in one batch where it allows one.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import (
+    Frame,
+    Input,
+    MessageError,
+    Operator,
+    RoiFeatures,
+    SettingsError,
+    Tracks,
+    WeightsError,
+)
+from pipeline.boxes import covered
+from pipeline.inference import Network
+
+SHIPPED = Path(__file__).with_name("roi_encoder.onnx")
+FILL = 114  # grey around what the ROI does not show
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoiEncoderSettings:
+    """What a graph may set."""
+
+    weights: str = ""  # path of an ONNX file (n, 3, s, s) -> (n, d[, h, w]); empty: the shipped one
+    crop_px: int = 96  # side s where the network leaves it open
+    margin: float = 0.15  # added to the box's longer side
+    inside: float = 0.5  # least share of a box that the ROI must show
+    max_objects: int = 25  # best ones, by score
+    batch: int = 0  # crops a call; 0: as the network says, all at once where it leaves it open
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of RGB 0..1, subtracted first
+    std: tuple[float, float, float] = (1.0, 1.0, 1.0)  # then divided by; 1/255 gives 0..255
+    bgr: bool = False  # order of the channels that the network expects
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        counts = {"crop_px": self.crop_px, "max_objects": self.max_objects}
+        for name, value in (counts | {"threads": self.threads}).items():
+            if value < 1:
+                raise SettingsError(f"{name}: must be at least 1, got {value}")
+        if self.batch < 0:
+            raise SettingsError(f"batch: must not be negative, got {self.batch}")
+        if not 0 < self.inside <= 1:
+            raise SettingsError(f"inside: must be above 0 and at most 1, got {self.inside}")
+        if self.margin < 0:
+            raise SettingsError(f"margin: must not be negative, got {self.margin}")
+        if min(self.std) <= 0:
+            raise SettingsError(f"std: must be above 0, got {self.std}")
+
+
+class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
+    """One answer per exposure; no track inside the ROI gives empty arrays (0, d)."""
+
+    roi = Input(Frame, keep="latest")
+    tracks = Input(Tracks, keep="latest")
+
+    def open(self) -> None:
+        self._encoder = Encoder(self.settings)
+
+    def on_roi_tracks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
+        if roi.pixels.size and (roi.pixels.ndim != 3 or roi.pixels.dtype != np.uint8):
+            raise MessageError(
+                f"roi_features.roi: expected rgb8 pixels, got {roi.pixel_format} "
+                f"{roi.pixels.dtype}; put operators.downsample before it"
+            )
+        rows = self._inside(roi, tracks)
+        features = self._encoder(roi, tracks.boxes[rows, -1])
+        return RoiFeatures(header=roi.header, ids=tracks.ids[rows], features=features)
+
+    def _inside(self, roi: Frame, tracks: Tracks) -> NDArray[np.intp]:
+        """Rows of the tracks to encode, in their own order."""
+        if not roi.pixels.size or not len(tracks.ids):
+            return np.zeros(0, np.intp)
+        shares = covered(tracks.boxes[:, -1], np.array(roi.window, np.float32))
+        rows = np.flatnonzero(shares >= self.settings.inside)
+        best = np.argsort(-tracks.scores[rows], kind="stable")[: self.settings.max_objects]
+        return np.sort(rows[best])
+
+
+class Encoder:
+    """A network that describes square crops, and the memory it reads them from."""
+
+    def __init__(self, settings: RoiEncoderSettings) -> None:
+        self._settings = settings
+        path = Path(settings.weights) if settings.weights else SHIPPED
+        self._network = Network(path, threads=settings.threads)
+        if len(self._network.inputs) != 1:
+            raise WeightsError(f"{path}: expected one input, got {', '.join(self._network.inputs)}")
+        self._input, shape = next(iter(self._network.inputs.items()))
+        if len(shape) != 4 or shape[1] != 3:
+            raise WeightsError(f"{path}: expected an input (n, 3, s, s), got {shape}")
+        count, _, height_px, width_px = (s if isinstance(s, int) else 0 for s in shape)
+        size_px = (width_px or settings.crop_px, height_px or settings.crop_px)
+        # an open batch takes all objects at once; a fixed one is filled again and again
+        self._at_once = count or settings.batch or settings.max_objects
+        self._open = not (count or settings.batch)
+        self._batch = np.zeros((self._at_once, 3, size_px[1], size_px[0]), np.float32)
+        self._canvas = np.empty((size_px[1], size_px[0], 3), np.uint8)
+        order = [2, 1, 0] if settings.bgr else [0, 1, 2]
+        self._order = order
+        self._scale = (1 / (255 * np.array(settings.std, np.float32)))[order, None, None]
+        self._shift = (-np.array(settings.mean) / settings.std).astype(np.float32)[
+            order, None, None
+        ]
+        first = self._run(1 if self._open else self._at_once)
+        if first.ndim != 2:
+            raise WeightsError(f"{path}: expected an output (n, d) or (n, d, h, w)")
+        self.channels = first.shape[1]
+
+    def __call__(self, roi: Frame, boxes: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Boxes (n, 4) in sensor pixels -> features (n, d)."""
+        features = np.zeros((len(boxes), self.channels), np.float32)
+        if not len(boxes):
+            return features
+        squares = to_squares(boxes, roi, self._settings.margin)
+        for start in range(0, len(boxes), self._at_once):
+            part = squares[start : start + self._at_once]
+            for row, square in enumerate(part):
+                cut(np.asarray(roi.pixels, np.uint8), square, self._canvas)
+                planes = self._canvas.transpose(2, 0, 1)[self._order]
+                np.multiply(planes, self._scale, out=self._batch[row])
+                self._batch[row] += self._shift
+            answer = self._run(len(part) if self._open else self._at_once)
+            features[start : start + len(part)] = answer[: len(part)]
+        return features
+
+    def _run(self, count: int) -> NDArray[np.float32]:
+        answer = next(iter(self._network({self._input: self._batch[:count]}).values()))
+        return answer.mean((2, 3)) if answer.ndim == 4 else answer
+
+
+def to_squares(boxes: NDArray[np.float32], roi: Frame, margin: float) -> NDArray[np.float32]:
+    """Squares around boxes, with a margin: (n, 4) sensor pixels -> (n, 4) xyxy, ROI pixels."""
+    left, top, right, bottom = roi.window
+    scale = np.array(
+        [roi.pixels.shape[1] / (right - left), roi.pixels.shape[0] / (bottom - top)], np.float32
+    )
+    low = (boxes[:, :2] - np.array([left, top], np.float32)) * scale
+    high = (boxes[:, 2:] - np.array([left, top], np.float32)) * scale
+    half = (high - low).max(1, keepdims=True) * np.float32((1 + margin) / 2)
+    middle = (low + high) / 2
+    return np.concatenate([middle - half, middle + half], 1)
+
+
+def cut(picture: NDArray[np.uint8], square: NDArray[np.float32], canvas: NDArray[np.uint8]) -> None:
+    """Scale one square of a picture (h, w, 3) into `canvas` (s, s, 3); outside it is grey."""
+    side = max(float(square[2] - square[0]), 1.0)
+    limits = np.array(picture.shape[1::-1] * 2)
+    whole = np.clip(np.round(square).astype(int), 0, limits)
+    height_px, width_px = canvas.shape[:2]
+    gain = np.array([width_px, height_px] * 2) / side
+    target = np.round((whole - np.tile(square[:2], 2)) * gain).astype(int)
+    x0, y0, x1, y1 = np.clip(target, 0, [width_px, height_px] * 2)
+    canvas[:] = FILL
+    if x1 <= x0 or y1 <= y0 or whole[2] <= whole[0] or whole[3] <= whole[1]:
+        return
+    part = picture[whole[1] : whole[3], whole[0] : whole[2]]
+    # averaging what is shrunk keeps shirt numbers from breaking up
+    how = cv2.INTER_AREA if gain[0] < 1 else cv2.INTER_LINEAR
+    canvas[y0:y1, x0:x1] = cv2.resize(part, (int(x1 - x0), int(y1 - y0)), interpolation=how)

@@ -1,0 +1,220 @@
+"""Change a training picture so that no two epochs show it alike: Example -> Example.
+
+Pasted balls decide whether a ball is learned at all; pasted look-alikes, what is not one.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.saliency.example import BALL, NAMES, Example
+
+BALL_LABEL = NAMES.index(BALL)
+LEAST_SHARE = 0.3  # of an object that must remain in the picture to count
+BALL_TO_PERSON = (0.085, 0.17)  # diameter over height; a ball measures 0.22 m
+FINE = 8  # sub-pixels a side of a pasted thing
+
+
+def augment(example: Example, rng: np.random.Generator) -> Example:
+    """Zoom, shift and mirror; paste; recolour; soften, roughen and compress."""
+    example = move(example, rng)
+    example = paste(example, rng)
+    picture = recolour(example.picture, rng)
+    return replace(example, picture=degrade(picture, rng))
+
+
+def move(example: Example, rng: np.random.Generator) -> Example:
+    """A random part of the picture at a random scale, mirrored every other time."""
+    height, width = example.picture.shape[:2]
+    zoom = float(np.exp(rng.uniform(np.log(0.7), np.log(1.7)))) if rng.random() < 0.75 else 1.0
+    mirror = -1.0 if rng.random() < 0.5 else 1.0
+    # the part that is left over, or missing, is shared out at random between both sides
+    x = width / 2 * (1 - mirror * zoom) + (rng.random() - 0.5) * abs(zoom - 1) * width
+    y = height / 2 * (1 - zoom) + (rng.random() - 0.5) * abs(zoom - 1) * height
+    if zoom == 1.0 and mirror == 1.0:
+        return example
+    matrix = np.array([[mirror * zoom, 0, x], [0, zoom, y]], np.float64)
+    fill = tuple(int(v) for v in rng.integers(0, 256, 3))
+    picture = cv2.warpAffine(example.picture, matrix, (width, height), borderValue=fill)
+    boxes = example.boxes * np.float32(zoom)
+    if mirror < 0:
+        boxes = boxes[:, [2, 1, 0, 3]] * np.array([-1, 1, -1, 1], np.float32)
+    boxes = boxes + np.array([x, y, x, y], np.float32)
+    moved = replace(example, picture=np.asarray(picture, np.uint8), boxes=boxes)
+    return _cut(moved, width, height)
+
+
+def _cut(example: Example, width: int, height: int) -> Example:
+    limits = np.array([width, height, width, height], np.float32)
+    inside = np.clip(example.boxes, 0, limits)
+    share = _area(inside) / np.maximum(_area(example.boxes), 1e-6)
+    kept = share > 0.02
+    return Example(
+        picture=example.picture,
+        boxes=inside[kept],
+        labels=example.labels[kept],
+        ignored=(example.ignored | (share < LEAST_SHARE))[kept],
+    )
+
+
+def _area(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1]), np.float32)
+
+
+def paste(example: Example, rng: np.random.Generator) -> Example:
+    """Balls over people, lines, grass and stands, and white things that are no balls."""
+    people = example.boxes[example.labels != BALL_LABEL]
+    tall = float(np.median(people[:, 3] - people[:, 1])) if len(people) else 36.0
+    picture = example.picture.copy()
+    for _ in range(rng.poisson(1.5)):
+        _draw_lookalike(picture, _somewhere(example, rng), tall, rng)
+    found = []
+    for _ in range(rng.poisson(0.9)):
+        diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, 14))
+        found.append(_draw_ball(picture, _somewhere(example, rng), diameter, rng))
+    balls = np.array(found, np.float32).reshape(-1, 4)
+    pasted = replace(
+        example,
+        picture=picture,
+        boxes=np.concatenate([example.boxes, balls]),
+        labels=np.concatenate([example.labels, np.full(len(balls), BALL_LABEL)]),
+        ignored=np.concatenate([example.ignored, np.zeros(len(balls), np.bool_)]),
+    )
+    return _cut(pasted, picture.shape[1], picture.shape[0])
+
+
+def _somewhere(example: Example, rng: np.random.Generator) -> tuple[float, float]:
+    """A place: about a person as often as anywhere, now and then on something bright."""
+    height, width = example.picture.shape[:2]
+    draw = rng.random()
+    if draw < 0.4 and len(example.boxes):
+        left, top, right, bottom = example.boxes[rng.integers(len(example.boxes))]
+        x = (left + right) / 2 + rng.normal() * (right - left) * 0.7
+        low = rng.random() < 0.6
+        y = bottom - rng.normal() * 4 if low else rng.uniform(top, bottom)
+        return float(np.clip(x, 3, width - 4)), float(np.clip(y, 3, height - 4))
+    places = rng.random((24, 2)) * (width - 8, height - 8) + 4
+    if draw < 0.55:
+        bright = example.picture[places[:, 1].astype(int), places[:, 0].astype(int)].sum(1)
+        return float(places[bright.argmax(), 0]), float(places[bright.argmax(), 1])
+    return float(places[0, 0]), float(places[0, 1])
+
+
+def _draw_ball(
+    picture: NDArray[np.uint8],
+    place: tuple[float, float],
+    diameter: float,
+    rng: np.random.Generator,
+) -> tuple[float, float, float, float]:
+    """A lit, patterned, possibly smeared disc; returns its box, smear included."""
+    angle = rng.uniform(0, 2 * np.pi)
+    smear = diameter * rng.exponential(0.5) if rng.random() < 0.35 else 0.0
+    dx, dy = smear * np.cos(angle), smear * np.sin(angle)
+    reach = int(np.ceil((diameter + smear) / 2)) + 2
+    left, top = int(place[0]) - reach, int(place[1]) - reach
+    side = 2 * reach + 1
+    y, x = (np.mgrid[: side * FINE, : side * FINE] + 0.5) / FINE
+    x, y = x - (place[0] - left), y - (place[1] - top)
+    shade = np.zeros((side * FINE, side * FINE), np.float32)
+    cover = np.zeros_like(shade)
+    light = rng.normal(size=2) * 0.12 + np.array([0, -0.15])
+    spots = rng.uniform(-0.5, 0.5, (5, 2)) * diameter
+    dark = rng.uniform(0, 0.7) if rng.random() < 0.5 else 0.0
+    steps = 1 if smear == 0 else 5
+    for step in np.linspace(-0.5, 0.5, steps) if steps > 1 else [0.0]:
+        u, v = (x - step * dx) * 2 / diameter, (y - step * dy) * 2 / diameter
+        disc = (u * u + v * v < 1).astype(np.float32)
+        value = 1 + light[0] * u + light[1] * v - 0.25 * (u * u + v * v)
+        for spot in spots if dark else ():
+            near = (u * diameter / 2 - spot[0]) ** 2 + (v * diameter / 2 - spot[1]) ** 2
+            value = value - dark * (near < (diameter * 0.13) ** 2)
+        cover += disc / steps
+        shade += disc * value.astype(np.float32) / steps
+    colour = rng.uniform(170, 255) * (1 + rng.normal(size=3) * 0.04)
+    if rng.random() < 0.1:
+        colour = rng.uniform([180, 150, 20], [255, 240, 160])
+    _blend(picture, left, top, cover, shade, colour)
+    half_w, half_h = (diameter + abs(dx)) / 2, (diameter + abs(dy)) / 2
+    return place[0] - half_w, place[1] - half_h, place[0] + half_w, place[1] + half_h
+
+
+def _draw_lookalike(
+    picture: NDArray[np.uint8], place: tuple[float, float], tall: float, rng: np.random.Generator
+) -> None:
+    """A white bar, flat ellipse or corner: boots, socks, spots, line crossings, letters."""
+    size = tall * rng.uniform(0.05, 0.2)
+    reach = int(np.ceil(size * 1.6)) + 2
+    left, top = int(place[0]) - reach, int(place[1]) - reach
+    canvas = np.zeros(((2 * reach + 1) * FINE,) * 2, np.float32)
+    centre = ((place[0] - left) * FINE, (place[1] - top) * FINE)
+    sides = (size * FINE * rng.uniform(0.9, 1.8), size * FINE * rng.uniform(0.2, 0.45))
+    kind = rng.integers(3)
+    turns = [0.0] if kind == 0 else [rng.uniform(0, 180)]
+    if kind == 2:
+        turns.append(turns[0] + rng.uniform(50, 130))
+    for turn in turns:
+        if kind == 0:
+            cv2.ellipse(canvas, (centre, sides, turn), 1.0, -1)
+        else:
+            corners = cv2.boxPoints((centre, sides, turn))
+            cv2.fillPoly(canvas, [corners.astype(np.int32)], 1.0)
+    colour = rng.uniform(150, 255) * (1 + rng.normal(size=3) * 0.05)
+    _blend(picture, left, top, canvas, canvas, colour)
+
+
+def _blend(
+    picture: NDArray[np.uint8],
+    left: int,
+    top: int,
+    cover: NDArray[np.float32],
+    shade: NDArray[np.float32],
+    colour: NDArray[np.float64],
+) -> None:
+    """Shrink a fine drawing by area and lay it over the picture, cut at its borders."""
+    side = cover.shape[0] // FINE
+    alpha = cv2.resize(cover, (side, side), interpolation=cv2.INTER_AREA)
+    light = cv2.resize(shade, (side, side), interpolation=cv2.INTER_AREA)
+    x0, y0 = max(left, 0), max(top, 0)
+    x1, y1 = min(left + side, picture.shape[1]), min(top + side, picture.shape[0])
+    if x1 <= x0 or y1 <= y0:
+        return
+    part = np.s_[y0 - top : y1 - top, x0 - left : x1 - left]
+    under = picture[y0:y1, x0:x1].astype(np.float32)
+    over = under * (1 - alpha[part])[..., None] + light[part][..., None] * colour
+    picture[y0:y1, x0:x1] = np.clip(over, 0, 255).astype(np.uint8)
+
+
+def recolour(picture: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Gain and offset of each channel and gamma as one table; hue and saturation sometimes."""
+    levels = np.arange(256, dtype=np.float32) / 255
+    gain = rng.uniform(0.75, 1.25) * (1 + rng.normal(size=3) * 0.06)
+    table = levels[:, None] ** rng.uniform(0.75, 1.35) * gain + rng.uniform(-0.08, 0.08)
+    table = np.clip(table * 255, 0, 255).astype(np.uint8)
+    picture = np.asarray(cv2.LUT(picture, table[:, None, :]), np.uint8)
+    if rng.random() < 0.4:
+        hsv = cv2.cvtColor(picture, cv2.COLOR_RGB2HSV)
+        hsv[..., 0] = (hsv[..., 0].astype(np.int16) + rng.integers(-9, 10)) % 180
+        hsv[..., 1] = cv2.convertScaleAbs(hsv[..., 1], alpha=rng.uniform(0.5, 1.4))
+        picture = np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), np.uint8)
+    return picture
+
+
+def degrade(picture: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Blur or sharpen, add noise, compress; each only sometimes."""
+    draw = rng.random()
+    if draw < 0.3:
+        picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.3, 1.0)), np.uint8)
+    elif draw < 0.5:
+        soft, amount = cv2.GaussianBlur(picture, (0, 0), 1.0), rng.uniform(0.2, 1.0)
+        picture = np.asarray(cv2.addWeighted(picture, 1 + amount, soft, -amount, 0), np.uint8)
+    if rng.random() < 0.3:
+        noise = np.empty(picture.shape[:2], np.int16)  # of brightness: colour noise is finer
+        cv2.setRNGSeed(int(rng.integers(2**31 - 1)))
+        cv2.randn(noise, np.zeros(1), np.full(1, rng.uniform(1, 9)))
+        picture = np.asarray(cv2.add(picture, cv2.merge([noise] * 3), dtype=cv2.CV_8U), np.uint8)
+    if rng.random() < 0.35:
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 95))]
+        picture = np.asarray(cv2.imdecode(cv2.imencode(".jpg", picture, quality)[1], 1), np.uint8)
+    return picture

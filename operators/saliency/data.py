@@ -1,0 +1,95 @@
+"""Training batches: rendered scenes, bent, recoloured and littered anew each time."""
+
+# mypy: disallow-subclassing-any=False
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from operators.saliency.augment import augment
+from operators.saliency.example import CONTEXT_PX, INPUT_PX, Example
+
+TOP_PX = (INPUT_PX[1] - CONTEXT_PX[1]) // 2  # where the operator's letterbox puts the picture
+FILL = 114
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """B pictures and what is in them; rows past an item's own objects have label -1."""
+
+    pictures: Tensor  # (B, 3, H, W) uint8 RGB, channels last in memory
+    boxes: Tensor  # (B, M, 4) xyxy, input pixels
+    labels: Tensor  # (B, M) index into NAMES, -1: none
+    ignored: Tensor  # (B, M) bool: too hidden to count
+
+
+class Rendered(Dataset[Example]):
+    """Everything `render` left in some folders, as one endless stream.
+
+    Item n is the same for the same seed and folders, whoever asks and whenever: epochs are
+    shuffled anew, pictures changed anew, and a resumed training goes on where it stood.
+    """
+
+    def __init__(self, folders: Iterable[Path], *, seed: int) -> None:
+        self._seed = seed
+        self._scenes = [
+            (np.load(path.with_suffix(".npy"), mmap_mode="r"), dict(np.load(path)))
+            for folder in folders
+            for path in sorted(folder.glob("[0-9]*[0-9].npz"))
+        ]
+        self._places = [
+            (scene, row)
+            for scene, (pictures, _) in enumerate(self._scenes)
+            for row in range(len(pictures))
+        ]
+        if not self._places:
+            raise ValueError("training data: expected rendered scenes, got none")
+        self._order = np.zeros(0, np.intp)
+        self._epoch = -1
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, number: int) -> Example:
+        epoch, step = divmod(number, len(self))
+        if epoch != self._epoch:
+            self._order = np.random.default_rng([self._seed, epoch]).permutation(len(self))
+            self._epoch = epoch
+        rng = np.random.default_rng([self._seed, epoch, step])
+        return augment(self.plain(int(self._order[step])), rng)
+
+    def plain(self, index: int) -> Example:
+        """The picture as rendered."""
+        scene, row = self._places[index]
+        pictures, truth = self._scenes[scene]
+        rows = slice(truth["first"][row], truth["first"][row + 1])
+        return Example(
+            picture=np.array(pictures[row]),
+            boxes=truth["boxes"][rows],
+            labels=truth["labels"][rows],
+            ignored=truth["ignored"][rows],
+        )
+
+
+def collate(examples: list[Example]) -> Batch:
+    """Place context pictures in the network's input and pad their object lists to equal length."""
+    count, most = len(examples), max(1, *(len(e.labels) for e in examples))
+    pictures = np.full((count, INPUT_PX[1], INPUT_PX[0], 3), FILL, np.uint8)
+    boxes = np.zeros((count, most, 4), np.float32)
+    labels = np.full((count, most), -1, np.int64)
+    ignored = np.zeros((count, most), np.bool_)
+    for row, item in enumerate(examples):
+        n = len(item.labels)
+        pictures[row, TOP_PX : TOP_PX + CONTEXT_PX[1]] = item.picture
+        boxes[row, :n] = item.boxes + np.array([0, TOP_PX, 0, TOP_PX], np.float32)
+        labels[row, :n], ignored[row, :n] = item.labels, item.ignored
+    return Batch(
+        pictures=torch.from_numpy(pictures).permute(0, 3, 1, 2),
+        boxes=torch.from_numpy(boxes),
+        labels=torch.from_numpy(labels),
+        ignored=torch.from_numpy(ignored),
+    )
