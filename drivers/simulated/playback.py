@@ -36,6 +36,7 @@ class Playback:
         self._end = _frames(source, timing)
         self._stopped = threading.Event()
         self._cost_ns = 0.0
+        self._next: int | None = None
         self._last_seq = -1
         self.skipped = self.late = self.elapsed = 0  # base frames
         self._ask(timing.interval - 1 if timing.averaged else 0)
@@ -46,6 +47,9 @@ class Playback:
         The stamp is the later of when it was due and when it was ready. In lockstep an exposure is
         due when it is asked for.
         """
+        if self._next is not None:
+            self._ask(self._next)
+            self._next = None
         for may_skip in (True, False):  # a source that is ever later must not starve the reader
             if self._stopped.is_set() or (self._end is not None and self._asked >= self._end):
                 return None
@@ -64,8 +68,12 @@ class Playback:
         return None
 
     def done(self, ready: Ready) -> None:
-        """The picture may be overwritten by the next."""
-        self._ask(self._following(ready.seq, time.monotonic_ns()))
+        """The picture may be overwritten by the next.
+
+        The next one is begun with the next `take`: until then this exposure is on its way into the
+        graph, and making pictures of the world must not take the core from that.
+        """
+        self._next = self._following(ready.seq, time.monotonic_ns())
 
     def stop(self) -> None:
         """Make `take` return None, also one that is waiting."""

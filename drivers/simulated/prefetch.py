@@ -5,6 +5,7 @@ A source may reuse its buffer, so the reader asks for the next one only when it 
 last: no picture is ever copied. Decoders release the interpreter lock.
 """
 
+import os
 import queue
 import threading
 import time
@@ -16,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.source import FrameSource, Truth
+
+WORLD_NICENESS = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,6 +60,8 @@ class Prefetch:
         self._thread.join()
 
     def _work(self) -> None:
+        # the world costs nothing in reality: where cores are short, the graph goes first
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), WORLD_NICENESS)
         while (task := self._asked.get()) is not None:
             try:
                 self._done.put(self._make(*task))
