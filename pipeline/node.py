@@ -5,6 +5,7 @@ events as JSON lines; everything an operator prints goes to the log.
 """
 
 import faulthandler
+import gc
 import json
 import logging
 import os
@@ -77,6 +78,8 @@ class Process:
             self._hosts = [
                 self._host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
             ]
+            gc.collect()
+            gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
             self.say("ready")
             self._run_hosts()
         except Exception as error:

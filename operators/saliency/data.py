@@ -1,14 +1,14 @@
 """Training batches: rendered scenes, bent, recoloured and littered anew each time."""
 
 # mypy: disallow-subclassing-any=False
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset
+from torch.utils.data import DataLoader, Dataset
 
 from operators.saliency.augment import augment
 from operators.saliency.example import CONTEXT_PX, INPUT_PX, Example
@@ -93,3 +93,17 @@ def collate(examples: list[Example]) -> Batch:
         labels=torch.from_numpy(labels),
         ignored=torch.from_numpy(ignored),
     )
+
+
+def stream(folders: Iterable[Path], size: int, steps: range, *, seed: int) -> Iterator[Batch]:
+    """The batches of some steps of a training, prepared by a process beside it."""
+    loader = DataLoader(
+        Rendered(folders, seed=seed),
+        batch_size=size,
+        sampler=range(steps.start * size, steps.stop * size),
+        num_workers=1,
+        collate_fn=collate,
+        prefetch_factor=6,
+        multiprocessing_context="spawn",
+    )
+    yield from loader

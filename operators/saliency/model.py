@@ -8,17 +8,22 @@ small for a grid of eight. All widths are multiples of 16, the run-time's channe
 """
 
 # mypy: disallow-subclassing-any=False
+from copy import deepcopy
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from operators.saliency.example import PEOPLE
 
 STRIDES = (8, 16, 32)
 BALL_STRIDE = 4
 FEATURES = 64  # channels of the stride-8 map
+
+Net = TypeVar("Net", bound=nn.Module)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,6 +223,19 @@ class Encoder(nn.Module):
 
     def forward(self, crops: Tensor) -> Tensor:
         return self.body(crops).mean((2, 3))
+
+
+def fused(net: Net) -> Net:
+    """A copy whose batch norms are folded into their convolutions, under the same names.
+
+    Exported weights then keep names by which they can be loaded back.
+    """
+    net = deepcopy(net).eval()
+    for block in net.modules():
+        if isinstance(block, nn.Sequential) and isinstance(block[1], nn.BatchNorm2d):
+            block[0] = fuse_conv_bn_eval(block[0], block[1])
+            block[1] = nn.Identity()
+    return net
 
 
 def cell_centres(height: int, width: int, stride: int, device: torch.device) -> Tensor:
