@@ -15,12 +15,13 @@ OFFSETS = 1 << 20  # places in the noise table where a picture's noise may begin
 
 
 class Readout:
-    """Reads regions of pictures out of the sensor, with scratch memory for what needs a detour."""
+    """Reads regions of at most `most_px` pixels, with scratch memory for what needs a detour."""
 
-    def __init__(self, *, mosaic: bool, noise: float, seed: int) -> None:
+    def __init__(self, *, mosaic: bool, noise: float, seed: int, most_px: int) -> None:
         self.mosaic, self._noise, self._seed = mosaic, noise, seed
         self._scratch: dict[int, NDArray[np.uint8]] = {}
-        self._table = np.empty(0, np.int16)
+        if noise:  # now, since the first exposure cannot wait for it
+            self._table = noise_table(noise, most_px * (1 if mosaic else 3) + OFFSETS, seed)
 
     @property
     def pixel_format(self) -> str:
@@ -62,8 +63,6 @@ class Readout:
         return found
 
     def _add_noise(self, out: NDArray[np.uint8], seq: int, port: int) -> None:
-        if self._table.size < out.size + OFFSETS:
-            self._table = noise_table(self._noise, out.size + OFFSETS, self._seed)
         start = int(np.random.default_rng((self._seed, seq, port)).integers(OFFSETS))
         cv2.add(out, self._table[start : start + out.size].reshape(out.shape), out, None, cv2.CV_8U)
 

@@ -184,7 +184,12 @@ class SimulatedSensor:
         self._sampling = settings.sampling(source.size_px)
         self._share = self._sampling.emitted_px() / math.prod(source.size_px)
         self._geometry = geometry = settings.geometry(source.size_px)
-        self._readout = Readout(mosaic=settings.mosaic, noise=settings.noise, seed=settings.seed)
+        self._readout = Readout(
+            mosaic=settings.mosaic,
+            noise=settings.noise,
+            seed=settings.seed,
+            most_px=max(math.prod(self._sampling.context_px), math.prod(self._sampling.roi_px)),
+        )
         self._commands = CommandTable(
             self._stream, geometry, latency_frames=settings.latency_frames
         )
