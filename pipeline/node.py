@@ -31,6 +31,7 @@ from pipeline.pool import PoolReader, PoolWriter
 from pipeline.ports import BYTES_SUFFIX, InPort, OutPort, Reader
 from pipeline.source import SourceHost
 
+ASIDE_NICENESS = 5  # of processes that no sensor command waits for
 FAREWELL_S = 3.0  # after this the process ends whatever an operator does
 log = logging.getLogger(__name__)
 
@@ -229,6 +230,9 @@ def main() -> None:
     faulthandler.register(signal.SIGUSR1)  # the supervisor asks before it kills a stalled node
     sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
     job = TypeAdapter(Assignment).validate_json(sys.stdin.readline())
+    path = job.plan.command_path()
+    if path and not any(n.name in path for n in job.plan.nodes if n.process == job.process):
+        os.nice(ASIDE_NICENESS)
     process = Process(job, events)
     threading.Thread(target=_obey, args=(process,), daemon=True).start()
     process.run()

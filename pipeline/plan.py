@@ -98,6 +98,17 @@ class Plan:
         """The edges out of one output."""
         return tuple(e for e in self.edges if e.source == node and e.output == output)
 
+    def command_path(self) -> frozenset[str]:
+        """The nodes that decide when the sensor's next command comes, sources included."""
+        found = {edge.source for edge in self.edges if edge.command}
+        grown = True
+        while grown:
+            before = len(found)
+            deciding = (e for e in self.edges if e.join and not e.command and e.target in found)
+            found |= {edge.source for edge in deciding}
+            grown = len(found) > before
+        return frozenset(found)
+
     def processes(self) -> dict[str, tuple[Node, ...]]:
         """Nodes by process, in dependency order of each process's first node."""
         found: dict[str, list[Node]] = {}
