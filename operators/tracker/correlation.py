@@ -1,0 +1,107 @@
+"""A search-template tracker without weights: normalised correlation over places and sizes.
+
+Two templates are compared with the search picture, the first one and a slowly renewed one: the
+renewed follows changes of light, pose and resolution, the first keeps it from drifting away. The
+object's last motion says where to search, and a window prefers places near there.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.tracker.look import Picture, Streams
+from pipeline.boxes import centres, from_centres
+
+TEMPLATE_PX = 32  # of a look twice as wide as the object: 16 px for the object itself
+SEARCH_PX = 96  # of a look six times as wide, at the same scale
+FACTOR = 2.0
+SCALES = (0.95, 1.0, 1.05)
+SCALE_COST = 0.02  # by how much another size must be better
+RENEWAL = 0.05  # share of a new sight that enters the renewed template
+TRUSTED = 0.6  # score above which a sight may enter it
+SPEED_GAIN = 0.5
+WINDOW_WEIGHT = 0.25  # of the preference for the foreseen place
+Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
+
+
+class Correlation:
+    """Follows one object with nothing but its own picture."""
+
+    patience_score = 0.35
+
+    def __init__(self) -> None:
+        ramp = np.hanning(SEARCH_PX - TEMPLATE_PX + 3)[1:-1].astype(np.float32)
+        self._window = 1 - WINDOW_WEIGHT * (1 - np.outer(ramp, ramp))
+
+    def start(self, streams: Streams, box: Box) -> Picture:
+        """Take the template; returns the look it was taken from, which `resume` understands."""
+        look = streams.look(centres(box), FACTOR * scale_of(box), TEMPLATE_PX).copy()
+        self.resume(look)
+        return look
+
+    def resume(self, template: Picture) -> None:
+        """Go on with the template of another instance."""
+        self._first = template.astype(np.float32)
+        self._renewed = self._first.copy()
+        self._velocity = np.zeros(2, np.float32)  # px per call
+
+    def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
+        """Where the object is now, given where it was, and how sure that is (0..1)."""
+        scale = scale_of(box)
+        foreseen = centres(box) + self._velocity
+        score, zoom, moved = -1.0, 1.0, np.zeros(2, np.float32)
+        for tried in SCALES:
+            side = FACTOR * scale * tried * SEARCH_PX / TEMPLATE_PX
+            value, shift = self._match(streams.look(foreseen, side, SEARCH_PX))
+            value -= SCALE_COST * (tried != 1)
+            if value > score:
+                score, zoom, moved = value, tried, shift * np.float32(side / SEARCH_PX)
+        centre = foreseen + moved
+        if score > self.patience_score:
+            step = SPEED_GAIN * (centre - centres(box) - self._velocity)
+            self._velocity = self._velocity + step
+        if score > TRUSTED:
+            look = streams.look(centre, FACTOR * scale * zoom, TEMPLATE_PX)
+            self._renewed += RENEWAL * (look - self._renewed)
+        return from_centres(centre, (box[2:] - box[:2]) * zoom), float(np.clip(score, 0, 1))
+
+    def _match(self, look: Picture) -> tuple[float, NDArray[np.float32]]:
+        """Best correlation and its offset (x, y) from the middle, in pixels of the look."""
+        search = look.astype(np.float32)
+        mode = cv2.TM_CCOEFF_NORMED
+        response = np.maximum(
+            cv2.matchTemplate(search, self._first, mode),
+            cv2.matchTemplate(search, self._renewed, mode),
+        )
+        # a look without any structure has no correlation: 0 / 0
+        weighted = np.nan_to_num(response, nan=0.0, posinf=0.0, neginf=0.0) * self._window
+        row, column = np.unravel_index(int(weighted.argmax()), weighted.shape)
+        peak = np.array([column, row], np.float32) + refined(weighted, int(row), int(column))
+        return float(weighted[row, column]), peak - (SEARCH_PX - TEMPLATE_PX) / 2
+
+
+def scale_of(box: Box) -> float:
+    """Root of the area, at least 4 pixels."""
+    width, height = box[2:] - box[:2]
+    return float(max(np.sqrt(max(width * height, 0)), 4))
+
+
+def refined(response: NDArray[np.float32], row: int, column: int) -> NDArray[np.float32]:
+    """How far the true peak lies from its cell, by a parabola each way: (x, y) within ±0.5.
+
+    >>> refined(np.array([[0, 0, 0], [2, 4, 3], [0, 0, 0]], np.float32), 1, 1).round(2).tolist()
+    [0.17, 0.0]
+    """
+    offset = np.zeros(2, np.float32)
+    height, width = response.shape
+    if 0 < column < width - 1:
+        offset[0] = vertex(*(float(v) for v in response[row, column - 1 : column + 2]))
+    if 0 < row < height - 1:
+        offset[1] = vertex(*(float(v) for v in response[row - 1 : row + 2, column]))
+    return offset
+
+
+def vertex(before: float, peak: float, after: float) -> float:
+    """Where the parabola through three equidistant values has its top, from the middle one."""
+    bend = before - 2 * peak + after
+    return 0.5 * (before - after) / bend if bend < 0 else 0.0

@@ -1,0 +1,104 @@
+"""Look at a square of the sensor through both streams: frames and a square -> a small RGB picture.
+
+The two streams are fed separately: a look takes its pixels from the ROI where the ROI has them and
+from the context elsewhere, at the size the tracker wants. No picture of the whole field is made.
+"""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import Frame
+from pipeline.errors import MessageError
+
+Picture = NDArray[np.uint8]
+Rect = tuple[float, float, float, float]  # xyxy, sensor pixels
+MARGIN_PX = 2  # picture pixels around a cut, for the interpolation at its edge
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Streams:
+    """The two pictures of one exposure, and memory for looks."""
+
+    context: Frame
+    roi: Frame
+    scratch: dict[int, Picture] = field(default_factory=dict)
+
+    def look(self, centre: NDArray[np.float32], side_px: float, out_px: int) -> Picture:
+        """A square of `side_px` sensor pixels around `centre` (x, y) as (out_px, out_px, 3) RGB.
+
+        Valid until the next look of that size. Outside the field it is black.
+        """
+        if out_px not in self.scratch:
+            self.scratch[out_px] = np.empty((out_px, out_px, 3), np.uint8)
+        out, half = self.scratch[out_px], side_px / 2
+        x, y = float(centre[0]), float(centre[1])
+        square = (x - half, y - half, x + half, y + half)
+        inside = common(square, self.roi.window)
+        if inside != square:
+            out[:] = 0
+            draw(self.context, square, out)
+        if inside[2] > inside[0] and inside[3] > inside[1]:
+            draw(self.roi, square, out)
+        return out
+
+
+def common(a: Rect, b: tuple[float, float, float, float]) -> Rect:
+    """What two rectangles share; right of left or below top when they share nothing."""
+    return max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
+
+
+def draw(frame: Frame, square: Rect, out: Picture) -> None:
+    """Draw the part of `square` that `frame` shows into its place in `out`, bilinear.
+
+    Nothing is drawn where the frame has no pixels.
+    """
+    height, width = frame.pixels.shape[:2]
+    left, top, right, bottom = frame.window
+    if not (height and width and right > left and bottom > top):
+        return
+    scale_x, scale_y = (right - left) / width, (bottom - top) / height  # sensor px per pixel
+    x0, x1 = cut((square[0] - left) / scale_x, (square[2] - left) / scale_x, width)
+    y0, y1 = cut((square[1] - top) / scale_y, (square[3] - top) / scale_y, height)
+    if x1 - x0 < 3 or y1 - y0 < 3:
+        return
+    piece = rgb(frame.pixels[y0:y1, x0:x1], frame.pixel_format)
+    step = (square[2] - square[0]) / out.shape[0]  # sensor px per pixel of the look
+    zoom_x, zoom_y = step / scale_x, step / scale_y
+    # pixel centres lie at halves: a look's pixel i shows the sensor at square[0] + (i + 0.5) * step
+    shift_x = (square[0] - left + step / 2) / scale_x - 0.5 - x0
+    shift_y = (square[1] - top + step / 2) / scale_y - 0.5 - y0
+    cv2.warpAffine(
+        piece,
+        np.array([[zoom_x, 0, shift_x], [0, zoom_y, shift_y]]),
+        (out.shape[1], out.shape[0]),
+        dst=out,
+        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_TRANSPARENT,
+    )
+
+
+def cut(low: float, high: float, size: int) -> tuple[int, int]:
+    """First and last pixel to take, with a margin, even so that a Bayer mosaic keeps its phase.
+
+    >>> cut(3.2, 9.7, 100), cut(-50.0, 4.0, 5)
+    ((0, 12), (0, 5))
+    """
+    first = max(int(np.floor(low)) - MARGIN_PX, 0)
+    return first - first % 2, min(int(np.ceil(high)) + MARGIN_PX, size)
+
+
+def rgb(pixels: NDArray[np.uint8] | NDArray[np.uint16], pixel_format: str) -> Picture:
+    """A piece of a frame as (h, w, 3) RGB of 8 bit; itself when it is that already."""
+    if pixel_format == "rgb8":
+        return pixels.astype(np.uint8, copy=False)
+    if pixel_format == "grey8":
+        grey = np.ascontiguousarray(pixels.astype(np.uint8, copy=False))
+        return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
+    if pixel_format in ("bayer_rggb8", "bayer_rggb16"):
+        deep = pixel_format == "bayer_rggb16"
+        mosaic = np.ascontiguousarray((pixels >> 8 if deep else pixels).astype(np.uint8))
+        return np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerRGGB2RGB), np.uint8)
+    raise MessageError(f"tracker: expected rgb8, grey8 or bayer_rggb8/16, got {pixel_format}")

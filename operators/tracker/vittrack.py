@@ -1,0 +1,88 @@
+"""A search-template tracker by network (ViTTrack, `vitTracker.onnx`): look -> box and score.
+
+The network compares a 128 px template with a 256 px search picture and answers three 16x16 maps.
+Sizes, factors, mean and deviation, and the meaning of the maps are those of OpenCV's `TrackerVit`
+(Apache-2.0), against which this is tested with the same weights.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.tracker.look import Picture, Streams
+from pipeline.boxes import centres, from_centres
+from pipeline.errors import WeightsError
+from pipeline.inference import Network
+
+TEMPLATE_PX, SEARCH_PX, CELLS = 128, 256, 16
+TEMPLATE_FACTOR, SEARCH_FACTOR = 2, 4  # side of a look in box sizes
+MEAN = np.array([0.485, 0.456, 0.406], np.float32) * 255
+DEVIATION = np.array([0.229, 0.224, 0.225], np.float32) * 255
+Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
+
+
+class VitTrack:
+    """Follows one object; the template stays what it was at the start."""
+
+    patience_score = 0.2  # below this the object is not there (OpenCV: "filters black frames")
+
+    def __init__(self, weights: Path, *, threads: int) -> None:
+        self._network = Network(weights, threads=threads)
+        for name, side in (("template", TEMPLATE_PX), ("search", SEARCH_PX)):
+            if self._network.inputs.get(name) != [1, 3, side, side]:
+                raise WeightsError(
+                    f"{weights}: expected an input {name} of 1x3x{side}x{side}, "
+                    f"got {self._network.inputs}"
+                )
+        # one past each end: the outermost cells keep some weight
+        ramp = np.hanning(CELLS + 2)[1:-1].astype(np.float32)
+        self._window = np.outer(ramp, ramp)
+        self._search = np.empty((1, 3, SEARCH_PX, SEARCH_PX), np.float32)
+        self._template = np.empty((1, 3, TEMPLATE_PX, TEMPLATE_PX), np.float32)
+
+    def start(self, streams: Streams, box: Box) -> Picture:
+        """Take the template; returns the look it was taken from, which `resume` understands."""
+        side = TEMPLATE_FACTOR * size_of(box)
+        look = streams.look(centres(box), side, TEMPLATE_PX).copy()
+        self.resume(look)
+        return look
+
+    def resume(self, template: Picture) -> None:
+        """Go on with the template of another instance."""
+        normalise(template, self._template)
+
+    def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
+        """Where the object is now, given where it was, and how sure that is (0..1)."""
+        side = SEARCH_FACTOR * size_of(box)
+        normalise(streams.look(centres(box), side, SEARCH_PX), self._search)
+        maps = self._network({"template": self._template, "search": self._search})
+        found, score = decode(maps["output1"], maps["output2"], maps["output3"], self._window)
+        corner = centres(box) - side / 2
+        return (found * side + np.tile(corner, 2)).astype(np.float32), score
+
+
+def size_of(box: Box) -> float:
+    """Root of the area, at least 2 pixels."""
+    width, height = box[2:] - box[:2]
+    return float(max(np.sqrt(max(width * height, 0)), 2))
+
+
+def normalise(look: Picture, out: NDArray[np.float32]) -> None:
+    """RGB (h, w, 3) of 8 bit into a network input (1, 3, h, w) in place."""
+    np.subtract(look.transpose(2, 0, 1), MEAN[:, None, None], out=out[0])
+    out[0] /= DEVIATION[:, None, None]
+
+
+def decode(
+    confidence: NDArray[np.float32],  # (1, 1, 16, 16)
+    sides: NDArray[np.float32],  # (1, 2, 16, 16) width, height in looks
+    offsets: NDArray[np.float32],  # (1, 2, 16, 16) x, y in cells
+    window: NDArray[np.float32],  # (16, 16)
+) -> tuple[Box, float]:
+    """The best box, in units of the look's side, and its windowed confidence."""
+    weighted = confidence[0, 0] * window
+    row, column = np.unravel_index(int(weighted.argmax()), weighted.shape)
+    centre = (np.array([column, row]) + offsets[0, :, row, column]) / CELLS
+    box = from_centres(centre.astype(np.float32), sides[0, :, row, column])
+    return box, float(weighted[row, column])

@@ -1,0 +1,45 @@
+"""The tracker without weights: its arithmetic."""
+
+import numpy as np
+import pytest
+
+from operators.tracker.correlation import Correlation, refined, vertex
+from operators.tracker.look import Streams
+from pipeline import Frame
+from pipeline.testing import header
+from tests.operators.tracker.made_up import World
+
+FLAT = Frame(header=header(), pixels=np.full((270, 480, 3), 8, np.uint8), window=(0, 0, 1920, 1080))
+
+
+def test_the_peak_of_a_parabola_is_found_between_the_cells():
+    values = [-((x - 0.3) ** 2) for x in (-1, 0, 1)]
+
+    assert vertex(*values) == pytest.approx(0.3)
+
+
+def test_a_peak_at_the_rim_is_left_where_it_is():
+    assert refined(np.eye(3, dtype=np.float32), 0, 0).tolist() == [0, 0]
+
+
+def test_a_still_object_is_found_where_it_is():
+    world = World(seed=3)
+    streams, box = Streams(**world.frames(0)), world.box(0)
+    subject = Correlation()
+
+    subject.start(streams, box)
+    found, score = subject.follow(streams, box)
+
+    np.testing.assert_allclose(found, box, atol=1.0)
+    assert score > 0.9
+
+
+def test_a_picture_without_structure_is_not_the_object():
+    world = World(seed=3)
+    subject = Correlation()
+    subject.start(Streams(**world.frames(0)), world.box(0))
+
+    found, score = subject.follow(Streams(context=FLAT, roi=FLAT), world.box(0))
+
+    assert score < subject.patience_score
+    assert np.isfinite(found).all()

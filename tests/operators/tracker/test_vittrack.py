@@ -1,0 +1,81 @@
+"""The network tracker against OpenCV's, with the same weights on the same footage."""
+
+import cv2
+import numpy as np
+import pytest
+
+from operators.tracker import Tracker
+from operators.tracker.look import Streams
+from operators.tracker.vittrack import VitTrack, decode
+from pipeline import Frame
+from pipeline.boxes import iou
+from pipeline.testing import drive, header
+from tests.operators.tracker.made_up import World
+from tests.shared_data import shared
+
+NOTHING = Frame(header=header(), pixels=np.zeros((0, 0, 3), np.uint8))
+
+
+def test_the_best_cell_and_its_maps_make_the_box():
+    confidence = np.zeros((1, 1, 16, 16), np.float32)
+    confidence[0, 0, 4, 8] = 0.9
+    sides = np.full((1, 2, 16, 16), 0.25, np.float32)
+    offsets = np.full((1, 2, 16, 16), 0.5, np.float32)
+
+    box, score = decode(confidence, sides, offsets, np.ones((16, 16), np.float32))
+
+    assert score == pytest.approx(0.9)
+    np.testing.assert_allclose(box * 16, [6.5, 2.5, 10.5, 6.5])
+
+
+def opencv(weights: str) -> cv2.TrackerVit:
+    """OpenCV's tracker, given deviations for which its scale comes out as 1 / deviation.
+
+    It computes 1.0 / Scalar, which in OpenCV is the inverse of a quaternion: of the usual values
+    it makes other numbers, two of them negative. The inverse of the inverse is the right one.
+    """
+    scale = 1 / np.array([0.229, 0.224, 0.225])
+    parameters = cv2.TrackerVit_Params()
+    parameters.net = weights
+    parameters.stdvalue = (*(scale * [1, -1, -1] / (scale @ scale)).tolist(), 0.0)
+    return cv2.TrackerVit_create(parameters)
+
+
+def test_boxes_and_scores_agree_with_opencvs():
+    weights = shared("../models/vittrack/vitTracker.onnx")
+    folder = shared("soccernet/SNMOT-116a/img1")
+    left, top, width, height = 136, 520, 51, 135  # a player in the first frame
+    theirs, ours = opencv(str(weights)), VitTrack(weights, threads=1)
+    box = np.array([left, top, left + width, top + height], np.float32)
+    agreement, scores = [], []
+
+    for k in range(1, 16):
+        whole = cv2.cvtColor(cv2.imread(str(folder / f"{k:06d}.jpg")), cv2.COLOR_BGR2RGB)
+        frame = Frame(header=header(k), pixels=whole, window=(0, 0, 1920, 1080))
+        streams = Streams(context=NOTHING, roi=frame)
+        if k == 1:
+            theirs.init(whole, (left, top, width, height))
+            ours.start(streams, box)
+            continue
+        _, (x, y, w, h) = theirs.update(whole)
+        box, score = ours.follow(streams, box)
+        agreement.append(iou(np.array([[x, y, x + w, y + h]], np.float32), box[None])[0, 0])
+        scores.append(abs(score - theirs.getTrackingScore()))
+
+    assert np.mean(agreement) > 0.9  # OpenCV rounds every box down to whole pixels
+    assert min(agreement) > 0.85
+    assert np.mean(scores) < 0.05
+
+
+def test_the_operator_follows_with_the_network():
+    weights = shared("../models/vittrack/vitTracker.onnx")
+    world = World(seed=11)
+    values = {
+        "method": "vittrack",
+        "weights": str(weights),
+        "init_box": tuple(world.box(0).tolist()),
+    }
+
+    percepts = drive(Tracker, [world.frames(k) for k in range(15)], values)
+
+    assert min(float(iou(p.boxes, world.box(k)[None])[0, 0]) for k, p in enumerate(percepts)) > 0.5
