@@ -7,7 +7,7 @@ from typing import Any
 
 from drivers.sensor import DualStreamSensor
 from pipeline.contract import Input, Output, Source
-from pipeline.errors import SettingsError
+from pipeline.errors import DriverError, SettingsError
 from pipeline.messages import Frame, Message, RoiSchedule
 from pipeline.settings import build
 
@@ -36,32 +36,39 @@ class Capture(Source[CaptureSettings, Frame]):
     context = Output(Frame)
     roi = Output(Frame)
 
+    _sensor: DualStreamSensor | None = None
+
     def open(self) -> None:
         """Open the device and let it run."""
-        self._sensor = self.settings.build()
-        self._sensor.open(realtime=self.realtime)
-        self._sensor.start()
+        self._sensor = sensor = self.settings.build()
+        sensor.open(realtime=self.realtime)
+        sensor.start()
 
     def on_schedule(self, schedule: RoiSchedule) -> None:
         """Pass a command to the sensor."""
-        self._sensor.set_rois(schedule)
+        self._opened().set_rois(schedule)
 
     def produce(self) -> Mapping[str, Message] | None:
         """The next exposure, one message per stream."""
-        exposure = self._sensor.read(self._loan)
+        exposure = self._opened().read(self._loan)
         if exposure is None:
             return None
         return {"context": exposure.context, "roi": exposure.roi}
 
     def summary(self) -> Mapping[str, Any]:
         """The sensor's figures."""
-        return self._sensor.summary()
+        return self._sensor.summary() if self._sensor else {}
 
     def close(self) -> None:
         """Stop and release the device."""
-        if hasattr(self, "_sensor"):
+        if self._sensor is not None:
             self._sensor.stop()
             self._sensor.close()
+
+    def _opened(self) -> DualStreamSensor:
+        if self._sensor is None:
+            raise DriverError(f"capture: {self.settings.sensor} is not open")
+        return self._sensor
 
 
 def _load(path: str) -> Any:

@@ -162,7 +162,7 @@ class SimulatedSensor:
             },
             "pixels": {
                 "budget": self._settings.share,
-                "used": self._exposed * self._share / elapsed if elapsed else 0.0,
+                "used": round(self._exposed * self._share / elapsed, 6) if elapsed else 0.0,
             },
             "commands": {
                 "accepted": commands.accepted if commands else 0,

@@ -8,7 +8,7 @@ import pytest
 
 from operators.capture import Capture, CaptureSettings
 from pipeline.contract import inputs_of, outputs_of
-from pipeline.errors import PoolExhausted, SettingsError
+from pipeline.errors import DriverError, PoolExhausted, SettingsError
 from pipeline.messages import Frame
 from pipeline.settings import build
 from tests.drivers.contract import command, refuse
@@ -96,11 +96,15 @@ def test_it_keeps_the_sensors_rate_in_realtime() -> None:
     assert stamps[-1] - stamps[0] >= 79_000_000
 
 
-def test_closing_is_safe_when_it_never_opened() -> None:
+def test_closing_and_asking_for_figures_is_safe_when_it_never_opened() -> None:
     before = MovingSquare.open_sources
-    capture().close()
+    subject = capture()
+    subject.close()
 
     assert MovingSquare.open_sources == before
+    assert subject.summary() == {}
+    with pytest.raises(DriverError, match="is not open"):
+        subject.produce()
 
 
 @pytest.mark.parametrize(
