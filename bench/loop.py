@@ -1,6 +1,6 @@
 """How fast the loop closes: `python -m bench.loop [GRAPH] [--source …] [--json FILE]`.
 
-Runs a graph of processes in real time, several rounds, and prints picture ready -> command accepted,
+Runs a graph of processes in real time, several rounds; prints picture ready -> command accepted,
 each stage's share, what remains beyond the handlers' own time, drops, memory and processor time.
 """
 

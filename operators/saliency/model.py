@@ -203,13 +203,15 @@ class Exported(nn.Module):
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         raw = self.net(images)
         low, high = raw.boxes[..., :2], raw.boxes[..., 2:]
-        scores = F.pad(raw.scores.sigmoid(), (0, 1))
-        people = torch.cat([(low + high) / 2, high - low, scores], 2)
+        scores = raw.scores.sigmoid()
+        no_ball = torch.zeros_like(scores[..., :1])
+        people = torch.cat([(low + high) / 2, high - low, scores, no_ball], 2)
         heat = raw.heat.sigmoid()
         peak = heat * (heat >= F.max_pool2d(heat, 3, 1, 1)).float()
         centres, sizes = ball_boxes(raw.ball)
-        place = torch.cat([centres, sizes], 1).flatten(2).transpose(1, 2)
-        ball = torch.cat([place, F.pad(peak.flatten(2).transpose(1, 2), (len(PEOPLE), 0))], 2)
+        place = torch.cat([centres, sizes], 1).flatten(2)
+        nobody = torch.zeros_like(place[:, : len(PEOPLE)])
+        ball = torch.cat([place, nobody, peak.flatten(2)], 1).transpose(1, 2)
         return torch.cat([people, ball], 1).transpose(1, 2), raw.features
 
 

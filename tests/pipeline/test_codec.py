@@ -143,8 +143,8 @@ def test_an_array_cannot_claim_more_bytes_than_it_brings() -> None:
     body = pack(Frame(header=header(), pixels=picture(2, 2, seed=1)))
     body[1] = ["|u1", [1 << 40, 1 << 40, 3], b"abc"]
 
-    with pytest.raises(MessageError, match="expected"):
-        unpack(Frame, body)
+    with pytest.raises(MessageError, match=r"Frame\.pixels: expected \d+ bytes"):
+        unpack(Frame, from_bytes(to_bytes(body)))
 
 
 def test_objects_never_travel() -> None:
@@ -152,4 +152,4 @@ def test_objects_never_travel() -> None:
     body[1] = ["|O", [1], b"\0" * 8]
 
     with pytest.raises(MessageError, match="expected array"):
-        unpack(Frame, body)
+        unpack(Frame, from_bytes(to_bytes(body)))
