@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from drivers.source import Truth
 
 SIDE_PX = 8
+SPEED_PX = 5  # per frame
 
 
 class MovingSquare:
-    """Frame k shows the square k * 5 pixels further right; `slow_s` makes pictures take time."""
+    """Frame k shows the square k * SPEED_PX pixels further right; `slow_s` makes pictures take time."""
 
     open_sources = 0
 
@@ -51,7 +52,7 @@ class MovingSquare:
         )
 
     def box(self, index: int) -> NDArray[np.float32]:
-        left = index * 5 % (self.size_px[0] - SIDE_PX)
+        left = index * SPEED_PX % (self.size_px[0] - SIDE_PX)
         top = self.size_px[1] // 2
         return np.array([left, top, left + SIDE_PX, top + SIDE_PX], np.float32)
 
