@@ -18,9 +18,8 @@ HERE = "tests.drivers.moving_square"
 
 
 def sensor(**settings: Any) -> SimulatedSensor:
-    return SimulatedSensor(
-        SimulatedSensorSettings(**{"scene": f"{HERE}:MovingSquare", "frames": 40} | settings)
-    )
+    values: dict[str, Any] = {"scene": f"{HERE}:MovingSquare", "frames": 40} | settings
+    return SimulatedSensor(SimulatedSensorSettings(**values))
 
 
 def play(subject: SimulatedSensor) -> list[Exposure]:

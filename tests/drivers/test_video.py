@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from drivers.video import VideoFile
 from pipeline.errors import DriverError
@@ -26,7 +27,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def number_of(picture: np.ndarray) -> int:  # type: ignore[type-arg]
+def number_of(picture: NDArray[np.uint8]) -> int:
     bar = (picture[..., :2].mean(axis=(0, 2)) > 128).sum()
     return round((float(bar) - 1) / 2)
 

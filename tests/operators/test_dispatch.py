@@ -1,5 +1,6 @@
 """Dispatch: predicted boxes become windows, and what no box covers is filled by a stated rule."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,10 @@ from tests.drivers.contract import assert_addressable
 
 GRID = Geometry(width_px=320, height_px=192, roi_width_px=80, roi_height_px=48, step_px=4)
 CENTRE = [120, 72, 200, 120]
-NONE = [0, 0, 0, 0]
+NONE = [0.0, 0.0, 0.0, 0.0]
 
 
-def scanpath(seq: int, boxes: list[list[float]], *, stream: str = "test") -> Scanpath:
+def scanpath(seq: int, boxes: Sequence[Sequence[float]], *, stream: str = "test") -> Scanpath:
     return Scanpath(
         header=header(seq, stream=stream, geometry=GRID),
         ids=np.array([7], np.int32),
