@@ -1,100 +1,94 @@
-"""Third-party networks by name: manifest -> verified files in the weights folder.
+"""Third-party weights: a name -> the path of a file whose contents are the ones named.
 
-A file counts only with the sha256 its manifest entry states; it is fetched when asked for, from a
-mirror folder or from its address, and appears in the weights folder complete or not at all.
+The manifest `operators/weights.toml` says what each file is and where it comes from. Nothing is
+fetched unless `fovea weights pull` is asked to, and nothing is used unless its sha256 is right.
 """
 
+import difflib
 import hashlib
 import http.client
 import os
+import re
 import tempfile
 import tomllib
 import urllib.request
-from collections.abc import Callable, Iterable
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, Any
 
 import click
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.table import Table
 
-from pipeline.errors import SettingsError, WeightsError
-from pipeline.settings import build, suggest
+from pipeline.errors import WeightsError
 
-MANIFEST = Path(__file__).resolve().parent.parent / "operators" / "weights.toml"  # data, no import
+MANIFEST = Path(__file__).resolve().parents[1] / "operators" / "weights.toml"
 CHUNK_BYTES = 1 << 16
-TIMEOUT_S = 30.0
 
-Report = Callable[[int], None]  # called with the number of bytes that came
+Advance = Callable[[int], None]  # so many bytes more
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """What the manifest says of one file."""
+    """One file of the manifest. An empty `url`: no address, only a mirror has it."""
 
+    name: str
     file: str
-    url: str  # empty: only to be had from a mirror
-    sha256: str
+    url: str
     size_bytes: int
+    sha256: str
     licence: str
-    note: str = ""
+    note: str
 
     def __post_init__(self) -> None:
-        if not self.file or Path(self.file).name != self.file:
-            raise SettingsError(f"file: must be a plain file name, got {self.file!r}")
+        if Path(self.file).name != self.file:
+            raise WeightsError(f"{self.name}.file: expected a bare file name, got {self.file!r}")
         if self.url and not self.url.startswith(("https://", "http://")):
-            raise SettingsError(f"url: must be http(s) or empty, got {self.url!r}")
-        if len(self.sha256) != 64 or set(self.sha256) - set("0123456789abcdef"):
-            raise SettingsError(f"sha256: must be 64 lower-case hex digits, got {self.sha256!r}")
+            raise WeightsError(f"{self.name}.url: expected https://… or nothing, got {self.url!r}")
         if self.size_bytes < 1:
-            raise SettingsError(f"size_bytes: must be at least 1, got {self.size_bytes}")
+            raise WeightsError(f"{self.name}.size_bytes: must be at least 1, got {self.size_bytes}")
+        if not re.fullmatch("[0-9a-f]{64}", self.sha256):
+            raise WeightsError(f"{self.name}.sha256: expected 64 hex digits, got {self.sha256!r}")
+
+
+def entries(manifest: Path = MANIFEST) -> dict[str, Entry]:
+    """Everything a manifest names. Raises `WeightsError` when it is not a manifest."""
+    try:
+        tables = tomllib.loads(manifest.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise WeightsError(f"{manifest}: not a manifest of weights: {error}") from error
+    try:
+        return {name: _entry(name, table) for name, table in tables.items()}
+    except WeightsError as error:
+        raise WeightsError(f"{manifest}: {error}") from error
 
 
 def default_folder() -> Path:
-    """Where weights lie unless a folder is given."""
+    """Where pulled weights lie unless a folder is given."""
     return Path.home() / ".cache" / "fovea" / "weights"
 
 
-def read_manifest(path: Path = MANIFEST) -> dict[str, Entry]:
-    """Name -> entry; raises `WeightsError` for a file that is absent or not a manifest."""
-    try:
-        tables = tomllib.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise WeightsError(f"{path}: no manifest of weights: {error}") from error
-    entries = {}
-    for name, table in tables.items():
-        if not isinstance(table, dict):
-            raise WeightsError(f"{path}: {name}: expected a table, got {table!r}")
-        try:
-            entries[name] = build(Entry, table, name)
-        except SettingsError as error:
-            raise WeightsError(f"{path}: {error}") from error
-    return entries
-
-
 def find(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST) -> Path | None:
-    """The verified file, or None when it was never pulled.
+    """The pulled copy of `name`, or None when it was not pulled or is not what was named.
 
-    Raises `WeightsError` for an unknown name and for a file that is not the one named.
+    Raises `WeightsError` for a name that the manifest does not know.
     """
-    entry = _entry(name, read_manifest(manifest))
+    entry = _named(name, manifest)
     path = (folder or default_folder()) / entry.file
-    if not path.is_file():
-        return None
-    if (got := _sha256(path)) != entry.sha256:
-        raise WeightsError(f"{path}: {_differs(entry, got)}; try `fovea weights pull {name}`")
-    return path
+    return path if path.is_file() and matches(path, entry) else None
 
 
 def require(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST) -> Path:
-    """The verified file; raises `WeightsError` when it was never pulled or is not the one named."""
+    """As `find`, but raises `WeightsError` when there is no good copy, saying how to get one."""
     path = find(name, folder, manifest=manifest)
     if path is None:
-        where = folder or default_folder()
-        raise WeightsError(f"{where}: no weights {name!r}; try `fovea weights pull {name}`")
+        raise WeightsError(
+            f"{name}: expected {_named(name, manifest).file} in {folder or default_folder()}, "
+            f"got none that is intact; run `fovea weights pull {name}`"
+        )
     return path
 
 
@@ -104,150 +98,157 @@ def pull(
     folder: Path | None = None,
     *,
     manifest: Path = MANIFEST,
-    timeout_s: float = TIMEOUT_S,
+    timeout_s: float = 30.0,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Fetch what is not there yet, from `mirror` (any sub-folder) or else from the address.
+    """Bring weights into the folder, from a mirror folder or else from their address.
 
-    Raises `WeightsError` for the first that cannot be had; the folder then holds what it held.
-    `timeout_s` is how long a server may be silent.
+    Intact copies stay as they are. Raises `WeightsError` when one cannot be had or is not what
+    the manifest says; then nothing of it is left behind, and earlier ones stay.
     """
-    entries = read_manifest(manifest)
-    into = folder or default_folder()
-    return [
-        _pull_one(name, _entry(name, entries), mirror, into, timeout_s, progress) for name in names
-    ]
+    wanted = [_named(name, manifest) for name in names]
+    folder = folder or default_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WeightsError(f"{folder}: cannot keep weights there: {error}") from error
+    return [_pull_one(entry, mirror, folder, timeout_s, progress) for entry in wanted]
+
+
+def matches(path: Path, entry: Entry) -> bool:
+    """Whether a file's size and sha256 are the ones named."""
+    if path.stat().st_size != entry.size_bytes:
+        return False
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest() == entry.sha256
+
+
+def _entry(name: str, table: Any) -> Entry:
+    kinds = {f.name: f.type for f in fields(Entry) if f.name != "name"}
+    if not isinstance(table, dict) or set(table) != set(kinds):
+        got = sorted(table) if isinstance(table, dict) else table
+        raise WeightsError(f"{name}: expected the fields {', '.join(kinds)}, got {got}")
+    for field, kind in kinds.items():
+        if type(table[field]) is not kind:
+            word = "a whole number" if kind is int else "a text"
+            raise WeightsError(f"{name}.{field}: expected {word}, got {table[field]!r}")
+    return Entry(name=name, **table)
+
+
+def _named(name: str, manifest: Path) -> Entry:
+    known = entries(manifest)
+    if name not in known:
+        close = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
+        raise WeightsError(f"{name}: no such weights in {manifest.name}; {hint}")
+    return known[name]
 
 
 def _pull_one(
-    name: str, entry: Entry, mirror: Path | None, folder: Path, timeout_s: float,
-    progress: Progress | None,
-) -> Path:  # fmt: skip
+    entry: Entry, mirror: Path | None, folder: Path, timeout_s: float, progress: Progress | None
+) -> Path:
     target = folder / entry.file
-    if target.is_file() and _sha256(target) == entry.sha256:
+    if target.is_file() and matches(target, entry):
         return target
-    if mirror is None and not entry.url:
-        raise WeightsError(f"{name}: has no address, needs `--mirror` with a {entry.file}")
-    task = progress.add_task(name, total=entry.size_bytes) if progress else None
-
-    def report(nbytes: int) -> None:
-        if progress and task is not None:
-            progress.advance(task, nbytes)
-
-    if mirror is not None:
-        source = _in_mirror(entry, mirror)
-        with source.open("rb") as stream:
-            return _receive(stream, entry, str(source), target, report)
+    advance = _advance(entry, progress)
+    opened = _mirrored(entry, mirror) if mirror else _addressed(entry, timeout_s)
     try:
-        with urllib.request.urlopen(entry.url, timeout=timeout_s) as stream:
-            return _receive(stream, entry, entry.url, target, report)
-    except (OSError, http.client.HTTPException) as error:
-        raise WeightsError(f"{entry.url}: not to be had: {error}") from error
-
-
-def _in_mirror(entry: Entry, mirror: Path) -> Path:
-    """The file of that name and sum; of several of the name, the right one."""
-    named = sorted(p for p in mirror.rglob(entry.file) if p.is_file())
-    for path in named:
-        if _sha256(path) == entry.sha256:
-            return path
-    if named:
-        raise WeightsError(f"{named[0]}: {_differs(entry, _sha256(named[0]))}")
-    raise WeightsError(f"{mirror}: expected a file {entry.file} there or below, got none")
-
-
-def _receive(stream: BinaryIO, entry: Entry, source: str, target: Path, report: Report) -> Path:
-    """Stream into a file beside `target`, check it, move it there; leave nothing else behind."""
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f"{target.name}.", suffix=".part", dir=target.parent)
-    except OSError as error:
-        raise WeightsError(f"{target.parent}: cannot be written: {error.strerror}") from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            _copy_checked(stream, file, entry, source, report)
-        Path(name).replace(target)
-    finally:
-        with suppress(FileNotFoundError):
-            Path(name).unlink()
+        with opened as (source, origin):
+            _take(source, origin, target, entry, advance)
+    except (OSError, http.client.HTTPException) as error:  # a refusing server, a full disk
+        raise WeightsError(f"{entry.name}: {mirror or entry.url}: {error}") from error
     return target
 
 
-def _copy_checked(
-    stream: BinaryIO, file: BinaryIO, entry: Entry, source: str, report: Report
-) -> None:
-    digest, count = hashlib.sha256(), 0
-    while chunk := stream.read(CHUNK_BYTES):
-        count += len(chunk)
-        if count > entry.size_bytes:
-            raise WeightsError(f"{source}: expected {entry.size_bytes} bytes, got more")
-        digest.update(chunk)
-        file.write(chunk)
-        report(len(chunk))
-    if count < entry.size_bytes:
-        raise WeightsError(f"{source}: expected {entry.size_bytes} bytes, got {count}")
-    if digest.hexdigest() != entry.sha256:
-        raise WeightsError(f"{source}: {_differs(entry, digest.hexdigest())}")
+@contextmanager
+def _mirrored(entry: Entry, mirror: Path) -> Iterator[tuple[IO[bytes], str]]:
+    found = sorted(path for path in mirror.rglob(entry.file) if path.is_file())
+    if not found:
+        raise WeightsError(f"{entry.name}: expected {entry.file} somewhere in {mirror}, got none")
+    # a mirror may hold several files of that name: prefer the one that is right
+    path = next((path for path in found if matches(path, entry)), found[0])
+    with path.open("rb") as file:
+        yield file, str(path)
 
 
-def _entry(name: str, entries: dict[str, Entry]) -> Entry:
-    if name not in entries:
-        raise WeightsError(f"{name}: no such weights{suggest(name, entries)}")
-    return entries[name]
+@contextmanager
+def _addressed(entry: Entry, timeout_s: float) -> Iterator[tuple[IO[bytes], str]]:
+    if not entry.url:
+        raise WeightsError(f"{entry.name}: has no address; give a folder that has {entry.file}")
+    with urllib.request.urlopen(entry.url, timeout=timeout_s) as response:
+        yield response, entry.url
 
 
-def _sha256(path: Path) -> str:
+def _take(source: IO[bytes], origin: str, target: Path, entry: Entry, advance: Advance) -> None:
+    """Copy, check, then rename: the target is whole and right or is not there."""
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".pull-")
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise WeightsError(f"{path}: cannot be read: {error.strerror}") from error
+        with os.fdopen(descriptor, "wb") as file:
+            size_bytes, sha256 = _copy(source, file, entry.size_bytes, advance)
+        if size_bytes != entry.size_bytes:
+            got = f"more than {entry.size_bytes}" if size_bytes > entry.size_bytes else size_bytes
+            raise WeightsError(
+                f"{entry.name}: {origin}: expected {entry.size_bytes} bytes, got {got}"
+            )
+        if sha256 != entry.sha256:
+            raise WeightsError(
+                f"{entry.name}: {origin}: expected sha256 {entry.sha256}, got {sha256}"
+            )
+        os.replace(name, target)
+    finally:
+        with suppress(FileNotFoundError):
+            os.unlink(name)
 
 
-def _differs(entry: Entry, got: str) -> str:
-    return f"expected sha256 {entry.sha256[:12]}…, got {got[:12]}…"
+def _copy(
+    source: IO[bytes], file: IO[bytes], limit_bytes: int, advance: Advance
+) -> tuple[int, str]:
+    """Bytes and sha256 of what was copied; stops soon after the limit is passed."""
+    digest, size_bytes = hashlib.sha256(), 0
+    while size_bytes <= limit_bytes and (chunk := source.read(CHUNK_BYTES)):
+        file.write(chunk)
+        digest.update(chunk)
+        size_bytes += len(chunk)
+        advance(len(chunk))
+    return size_bytes, digest.hexdigest()
 
 
-FOLDER = click.option(
-    "--folder", type=click.Path(path_type=Path, file_okay=False), help="Where weights lie."
-)
+def _advance(entry: Entry, progress: Progress | None) -> Advance:
+    if progress is None:
+        return lambda _bytes: None
+    task = progress.add_task(entry.name, total=entry.size_bytes)
+    return lambda more_bytes: progress.advance(task, more_bytes)
 
 
 @click.group("weights")
 def weights_commands() -> None:
-    """Networks made by others: list them, pull them."""
+    """Third-party networks: list them, pull them."""
 
 
 @weights_commands.command("pull")
 @click.argument("names", nargs=-1)
 @click.option(
     "--mirror",
-    type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Copy from this folder (searched by file name) instead of downloading.",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Copy from this folder instead of downloading.",
 )
-@FOLDER
+@click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Keep them here.")
 def pull_command(names: tuple[str, ...], mirror: Path | None, folder: Path | None) -> None:
-    """Fetch weights by name; without a name, all that can be had."""
-    entries = read_manifest()
-    if not names:
-        names = tuple(n for n, entry in entries.items() if mirror or entry.url)
-    with Progress(transient=True) as progress:
-        paths = pull(names, mirror, folder, progress=progress)
-    for name, path in zip(names, paths, strict=True):
-        click.echo(f"{name}: {path} ({entries[name].licence})")
-    if not mirror and (rest := [n for n in entries if n not in names and not entries[n].url]):
-        click.echo(f"without an address, only from a mirror: {', '.join(rest)}")
+    """Fetch NAMES, or all that can be had, and check each."""
+    wanted = names or tuple(n for n, entry in entries().items() if mirror or entry.url)
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
+    with Progress(*columns, TransferSpeedColumn(), console=Console(stderr=True)) as progress:
+        paths = pull(wanted, mirror, folder, progress=progress)
+    for path in paths:
+        click.echo(path)
 
 
 @weights_commands.command("list")
-@FOLDER
+@click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Look here.")
 def list_command(folder: Path | None) -> None:
-    """Show what there is, its licence, and what has been pulled."""
-    table = Table("name", "MB", "licence", "here", "what", title=str(folder or default_folder()))
-    for name, entry in read_manifest().items():
-        path = (folder or default_folder()) / entry.file
-        state = (
-            "no" if not path.is_file() else "yes" if _sha256(path) == entry.sha256 else "damaged"
-        )
-        table.add_row(name, f"{entry.size_bytes / 1e6:.1f}", entry.licence, state, entry.note)
+    """Show what the manifest names and which of it is here."""
+    table = Table("name", "here", "kB", "licence", "note", box=None)
+    for name, entry in entries().items():
+        here = "yes" if find(name, folder) else "no"
+        table.add_row(name, here, f"{entry.size_bytes / 1e3:.0f}", entry.licence, entry.note)
     Console().print(table)
