@@ -1,0 +1,68 @@
+"""Where a figure was measured: processor, system, library versions and the commit of the code."""
+
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+ROOT = Path(__file__).resolve().parent.parent
+LIBRARIES = ("eclipse-zenoh", "numpy", "onnxruntime", "opencv-python-headless", "filterpy")
+
+
+def facts(libraries: tuple[str, ...] = LIBRARIES) -> dict[str, Any]:
+    """What a result file says of its origin; JSON-ready. Absent libraries are left out."""
+    return {
+        "machine": {
+            "cpu": cpu_name(),
+            "cores": psutil.cpu_count() or 0,
+            "memory_gib": round(psutil.virtual_memory().total / 2**30, 1),
+            "kernel": platform.release(),
+            "load_1min": round(psutil.getloadavg()[0], 2),
+        },
+        "python": platform.python_version(),
+        "libraries": versions(libraries),
+        **revision(),
+    }
+
+
+def cpu_name(listing: Path = Path("/proc/cpuinfo")) -> str:
+    """The processor's name as Linux tells it, else its architecture."""
+    if listing.is_file():
+        for line in listing.read_text(errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.machine()
+
+
+def versions(libraries: tuple[str, ...]) -> dict[str, str]:
+    """Installed versions by distribution name."""
+    found = {}
+    for name in libraries:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def revision(folder: Path = ROOT) -> dict[str, Any]:
+    """Commit of the code in `folder` and whether it was changed since; empty where git knows none.
+
+    Only tracked files count as changes.
+    """
+    commit = _git(folder, "rev-parse", "HEAD").strip()
+    changed = _git(folder, "status", "--porcelain", "--untracked-files=no").strip()
+    return {"commit": commit, "dirty": bool(changed)}
+
+
+def _git(folder: Path, *words: str) -> str:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *words], capture_output=True, text=True, check=False
+        )
+    except FileNotFoundError:
+        return ""
+    return done.stdout if done.returncode == 0 else ""
