@@ -24,7 +24,7 @@ class FrameSource(Protocol):
     """A full-resolution video. Construction opens it and raises `DriverError` when it cannot."""
 
     size_px: tuple[int, int]  # width, height
-    rate_hz: float
+    rate_hz: float  # 0: it has none of its own, as a folder of pictures
     length: int | None  # frames; None: endless
 
     def picture(self, index: int) -> NDArray[np.uint8]:
