@@ -1,0 +1,44 @@
+"""Lay small pictures over a large one in place: premultiplied RGBA -> RGB."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+
+def over(picture: Image, patch: Image, left: int, top: int) -> None:
+    """Draw a premultiplied RGBA patch onto an RGB picture, clipped at its edges."""
+    h, w = picture.shape[:2]
+    x0, y0 = max(left, 0), max(top, 0)
+    x1, y1 = min(left + patch.shape[1], w), min(top + patch.shape[0], h)
+    if x0 >= x1 or y0 >= y1:
+        return
+    part = patch[y0 - top : y1 - top, x0 - left : x1 - left]
+    place = picture[y0:y1, x0:x1]
+    colour = cv2.cvtColor(part, cv2.COLOR_RGBA2RGB)
+    rest = cv2.cvtColor(cv2.bitwise_not(part[..., 3]), cv2.COLOR_GRAY2RGB)
+    cv2.multiply(place, rest, dst=place, scale=1 / 255)
+    cv2.add(place, colour, dst=place)
+
+
+def placed(
+    sprite: Image, scale: float, anchor: tuple[float, float], at: tuple[float, float]
+) -> tuple[Image, int, int]:
+    """The sprite scaled, with its `anchor` (sprite pixels) on `at`: patch, left, top.
+
+    Sub-pixel exact, so that slow things do not jump from pixel to pixel.
+    """
+    left, top = at[0] - anchor[0] * scale, at[1] - anchor[1] * scale
+    x0, y0 = int(np.floor(left)), int(np.floor(top))
+    w = int(np.ceil(left + sprite.shape[1] * scale)) - x0 + 1
+    h = int(np.ceil(top + sprite.shape[0] * scale)) - y0 + 1
+    shift = (scale - 1) / 2  # pixel centres, not corners, are what is mapped
+    m = np.array([[scale, 0, left - x0 + shift], [0, scale, top - y0 + shift]], np.float32)
+    return cv2.warpAffine(sprite, m, (w, h), flags=cv2.INTER_LINEAR), x0, y0  # type: ignore[return-value]
+
+
+def extent(alpha: Image, least: int = 100) -> tuple[int, int, int, int]:
+    """The box xyxy around what is at least that opaque; all 0 where nothing is."""
+    x, y, w, h = cv2.boundingRect((alpha >= least).view(np.uint8))
+    return x, y, x + w, y + h

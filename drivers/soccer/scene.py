@@ -1,0 +1,192 @@
+"""A procedural soccer broadcast: seed and frame number -> picture and truth."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.soccer import ball, figures
+from drivers.soccer.blend import extent, over
+from drivers.soccer.camera import View, draw_station, draw_style, view_at
+from drivers.soccer.figures import Pose
+from drivers.soccer.looks import everybody
+from drivers.soccer.pitch import draw_canvas, draw_turf
+from drivers.soccer.play import Moment, moment
+from drivers.soccer.stage import BALL_ID, Actor, Cache, actors_at, truth_of
+from drivers.source import Truth
+from pipeline.errors import SettingsError
+
+Image = NDArray[np.uint8]
+
+LEAST_PX, MOST_PX = (160, 90), (16384, 16384)
+MOST_CANVAS_RADIUS_PX = 6000.0
+BALL_M = 0.222
+GRAIN_PX = 256
+
+
+class SoccerScene:
+    """An endless match, the same for the same seed whatever the order of access.
+
+    `difficulty` 0..1 widens what varies: noise, blur of motion, dull light. With `ball` False
+    the ball is not there, neither in the picture nor in the truth.
+    """
+
+    def __init__(
+        self,
+        *,
+        size_px: tuple[int, int] = (1920, 1080),
+        rate_hz: float = 30.0,
+        seed: int = 0,
+        length: int | None = None,
+        difficulty: float = 0.5,
+        ball: bool = True,
+    ) -> None:
+        _check(size_px, rate_hz, seed, length, difficulty)
+        self.size_px = (int(size_px[0]), int(size_px[1]))
+        self.rate_hz, self.length = rate_hz, length
+        self._seed, self._ball = seed, ball
+        self._draw_world(difficulty)
+        self._buffer = np.empty((self.size_px[1], self.size_px[0], 3), np.uint8)
+        self._placed: tuple[int, View, list[Actor]] | None = None
+
+    def _draw_world(self, difficulty: float) -> None:
+        """Everything that holds for the whole match."""
+        rng = np.random.default_rng([self._seed, 20])
+        self._station, self._style = draw_station(rng), draw_style(rng)
+        tint = np.clip(1 + rng.normal(0, 0.03 + 0.05 * difficulty, 3), 0.8, 1.2)
+        light = float(rng.uniform(0.95 - 0.35 * difficulty, 1.08))
+        self._tint = tint * light
+        self._shutter = float(rng.uniform(0.15, 0.35 + 0.5 * difficulty))  # of a frame's time
+        zoom = self.size_px[0] / 1920
+        self._soft_px = float(rng.uniform(0.3, 0.5 + 0.9 * difficulty)) * zoom
+        self._sun = bool(rng.random() < 0.4)
+        self._shade = float(rng.uniform(0.25, 0.55) if self._sun else rng.uniform(0.08, 0.25))
+        self._sun_way = float(rng.uniform(-1.6, 1.6))
+        usual = self._style.px_per_m * (self._station.y_m - 34) * zoom
+        radius = min(usual * 0.9, MOST_CANVAS_RADIUS_PX)
+        turf = draw_turf(rng, self._tint)
+        self._canvas = draw_canvas(rng, self._station, turf, radius, light)
+        looks = everybody(self._seed)
+
+        def make(who: int, pose: Pose, height_px: int) -> Image:
+            soft = self._soft_px * height_px / (figures.TALL_M * self._style.px_per_m * zoom)
+            return figures.draw(looks[who], pose, height_px, self._tint, soft)
+
+        self._sprites = Cache(make)
+        self._discs = ball.discs(rng, light)
+        noise = rng.normal(0, rng.uniform(0.8, 1.5 + 4 * difficulty), (GRAIN_PX, GRAIN_PX, 3))
+        noise = cv2.GaussianBlur(noise, (0, 0), 0.5 + 0.3 * zoom) * 1.6
+        self._grain = np.clip(np.round(noise), -40, 40).astype(np.int8)
+
+    def picture(self, index: int) -> Image:
+        """Frame `index` as (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        view, actors = self._stage(index)
+        self._paint_ground(view)
+        for actor in actors:
+            self._paint_shadow(actor)
+        for actor in actors:
+            over(self._buffer, actor.patch, actor.left, actor.top)
+        return self._buffer
+
+    def truth(self, index: int) -> Truth:
+        """What is in frame `index`, exactly."""
+        return truth_of(self._stage(index)[1], self.size_px)
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def _stage(self, index: int) -> tuple[View, list[Actor]]:
+        if not 0 <= index < (index + 1 if self.length is None else self.length):
+            raise IndexError(f"frame {index}: expected 0..{self.length}, the length of the scene")
+        if self._placed is None or self._placed[0] != index:
+            now, view = self._look(index / self.rate_hz)
+            actors = actors_at(now, view, self._sprites, figures.TALL_M)
+            if self._ball:
+                actors.append(self._ball_actor(index, now, view))
+                actors.sort(key=lambda actor: actor.nearer)
+            self._placed = (index, view, actors)
+        return self._placed[1], self._placed[2]
+
+    def _look(self, time_s: float) -> tuple[Moment, View]:
+        now = moment(self._seed, max(time_s, 0.0), self._style.lag_s)
+        return now, view_at(self._station, self._style, self.size_px, now.focus, time_s)
+
+    def _ball_actor(self, index: int, now: Moment, view: View) -> Actor:
+        """The ball on its way while the shutter is open, which ends at the frame's time."""
+        open_s = max(index - self._shutter, 0) / self.rate_hz
+        before, view_before = self._look(open_s)
+        start, end = (_ball_point(m) for m in (before, now))
+        a, b = view_before.pixels(start), view.pixels(end)
+        scale = float(view.px_per_m(end))
+        rolled = int(float(now.ball[0]) / 0.35 * ball.ROLLS / 2 + self._seed) % ball.ROLLS
+        patch, left, top = ball.streak(
+            self._discs[rolled],
+            BALL_M * scale,
+            (float(a[0]), float(a[1])),
+            (float(b[0]), float(b[1])),
+        )
+        x0, y0, x1, y1 = extent(patch[..., 3])
+        on_ground = view.pixels(end * np.array([1, 1, 0]))
+        return Actor(
+            id=BALL_ID,
+            label="ball",
+            patch=patch,
+            left=left,
+            top=top,
+            box=(left + x0, top + y0, left + x1, top + y1),
+            nearer=-float(view.station.distance_m(end)),
+            ground=(float(on_ground[0]), float(on_ground[1])),
+            scale=scale,
+        )
+
+    def _paint_ground(self, view: View) -> None:
+        """The canvas, turned and scaled into the buffer."""
+        m = view.matrix()
+        canvas = self._canvas
+        to_picture = np.column_stack(
+            [m[:, :2] / canvas.radius_px, m[:, :2] @ np.array(canvas.origin) + m[:, 2]]
+        )
+        cv2.warpAffine(
+            canvas.image,
+            to_picture,
+            self.size_px,
+            dst=self._buffer,
+            flags=cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+
+    def _paint_shadow(self, actor: Actor) -> None:
+        """A darker patch of ground under an actor."""
+        small = actor.label == "ball"
+        wide, high = (0.16, 0.06) if small else (0.42, 0.12)
+        w, h = max(2, round(wide * actor.scale)), max(1, round(high * actor.scale))
+        patch = np.zeros((4 * h + 1, 4 * w + 1, 4), np.uint8)
+        dark = 255 * min(0.6, self._shade * 1.4)
+        cv2.ellipse(patch, (2 * w, 2 * h), (w, h), 0, 0, 360, (0, 0, 0, dark), -1)
+        patch = np.asarray(cv2.blur(patch, (w | 1, h | 1)))
+        over(self._buffer, patch, round(actor.ground[0]) - 2 * w, round(actor.ground[1]) - 2 * h)
+
+
+def _ball_point(now: Moment) -> NDArray[np.float64]:
+    """Where the ball is; a held one is before its holder's chest."""
+    if now.holder < 0:
+        return now.ball
+    turn = now.heading[now.holder]
+    reach = 0.3 * np.array([np.cos(turn), np.sin(turn)])
+    return np.array([*(now.people[now.holder] + reach), now.ball[2]])
+
+
+def _check(
+    size_px: tuple[int, int], rate_hz: float, seed: int, length: int | None, difficulty: float
+) -> None:
+    if len(size_px) != 2 or not all(
+        low <= side <= high for side, low, high in zip(size_px, LEAST_PX, MOST_PX, strict=True)
+    ):
+        raise SettingsError(f"size_px: expected {LEAST_PX} to {MOST_PX}, got {size_px}")
+    if not 1 <= rate_hz <= 1000:
+        raise SettingsError(f"rate_hz: expected 1 to 1000, got {rate_hz}")
+    if seed < 0:
+        raise SettingsError(f"seed: must be at least 0, got {seed}")
+    if length is not None and length < 0:
+        raise SettingsError(f"length: must be at least 0, got {length}")
+    if not 0 <= difficulty <= 1:
+        raise SettingsError(f"difficulty: expected 0 to 1, got {difficulty}")
