@@ -1,0 +1,364 @@
+"""Show a running graph in Rerun: every message of it -> pictures, boxes, paths and latencies.
+
+The only file that knows Rerun. It answers nothing and is connected by taps: what it is too slow for
+is missing in the picture, never in the graph. Everything is drawn in sensor pixels under `sensor`.
+"""
+
+import socket
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from subprocess import DEVNULL, Popen
+from typing import Any
+from urllib.parse import urlsplit
+
+import cv2
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from pipeline.boxes import centres
+from pipeline.contract import Input, Operator
+from pipeline.errors import MessageError, RunError, SettingsError
+from pipeline.messages import (
+    Detections,
+    Frame,
+    Header,
+    Message,
+    Percept,
+    RoiSchedule,
+    Scanpath,
+    Tracks,
+)
+
+# an operator killed outright cannot end its server: the kernel does (1: PR_SET_PDEATHSIG)
+DIE_WITH_PARENT = (
+    "import ctypes, os, signal, sys; ctypes.CDLL(None).prctl(1, signal.SIGTERM);"
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+START_S = 10.0  # to wait for a viewer or a server to listen
+TRAIL_FRAMES = 30
+SERVER_MEMORY = "256MB"  # what a late viewer can look back on
+WHITE, YELLOW, GREY, RED = (255, 255, 255), (255, 210, 0), (150, 150, 150), (255, 60, 60)
+COLOURS = {  # OpenCV's conversion to BGR, which its JPEG encoder wants
+    "rgb8": cv2.COLOR_RGB2BGR,
+    "bayer_rggb8": cv2.COLOR_BayerRGGB2BGR,
+    "bayer_rggb16": cv2.COLOR_BayerRGGB2BGR,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisualiseSettings:
+    """What a graph may set; at least one of save, connect and serve."""
+
+    save: str = ""  # path of an .rrd file
+    connect: str = ""  # of a viewer, e.g. rerun+http://127.0.0.1:9876/proxy
+    serve: bool = False  # a viewer in the browser of this machine: loopback only
+    port: int = 9876  # serve: where viewers fetch the data
+    web_port: int = 9090  # serve: where the browser looks
+    every: int = 1  # frames: show each n-th
+    jpeg_quality: int = 80
+
+    def __post_init__(self) -> None:
+        if not (self.save or self.connect or self.serve):
+            raise SettingsError("save: expected save, connect or serve, got none of them")
+        if self.connect and self.serve:
+            raise SettingsError("connect: expected one of connect and serve, got both")
+        if self.every < 1:
+            raise SettingsError(f"every: must be at least 1, got {self.every}")
+        if not 1 <= self.jpeg_quality <= 100:
+            raise SettingsError(f"jpeg_quality: must be within 1..100, got {self.jpeg_quality}")
+        for name in ("port", "web_port"):
+            if not 1 <= getattr(self, name) <= 65535:
+                raise SettingsError(f"{name}: must be within 1..65535, got {getattr(self, name)}")
+
+
+class Visualise(Operator[VisualiseSettings, None]):
+    """Connect what is there: every input is optional. Memory is bounded, by Rerun and by us."""
+
+    context = Input(Frame, join=False, optional=True, tap=True)
+    roi = Input(Frame, join=False, optional=True, tap=True)
+    detections = Input(Detections, join=False, optional=True, tap=True)
+    tracks = Input(Tracks, join=False, optional=True, tap=True)
+    scanpath = Input(Scanpath, join=False, optional=True, tap=True)
+    schedule = Input(RoiSchedule, join=False, optional=True, tap=True)
+    percept = Input(Percept, join=False, optional=True, tap=True)
+
+    _recording: rr.RecordingStream | None = None
+    _server: Popen[bytes] | None = None
+
+    def open(self) -> None:
+        """Open the file, the connection or the server; raises `RunError` when that fails."""
+        s = self.settings
+        self._trails: dict[int, deque[NDArray[np.float32]]] = {}
+        url = s.connect
+        if s.serve:
+            url = f"rerun+http://127.0.0.1:{s.port}/proxy"
+            self._server = serve(s.port, s.web_port)
+        if url:
+            await_listener(url)
+        self._recording = record(s.save, url)
+
+    def close(self) -> None:
+        """Write out what is left and end the server."""
+        if self._recording is not None:
+            self._recording.disconnect()
+            self._recording = None
+        if self._server is not None:
+            self._server.terminate()
+            self._server.wait()
+            self._server = None
+
+    def on_stream(self, header: Header) -> None:
+        """Tell that a sensor was opened; old trails belong to other objects."""
+        self._trails.clear()
+        self._at(header)
+        self._log("events", rr.TextLog(f"stream {header.stream} opened"))
+
+    def on_context(self, context: Frame) -> None:
+        """The whole field, enlarged to sensor pixels."""
+        if self._wanted(context):
+            self._picture("sensor/context", context)
+
+    def on_roi(self, roi: Frame) -> None:
+        """The ROI where it lies, with its rim."""
+        if self._wanted(roi):
+            self._picture("sensor/roi", roi)
+            rim = np.array([roi.window] if roi.pixels.size else [], np.float32)
+            self._boxes("sensor/roi_window", rim, YELLOW, [roi.status])
+
+    def on_detections(self, detections: Detections) -> None:
+        """Boxes with class and score."""
+        if self._wanted(detections):
+            labels = named(detections.names, detections.labels, detections.scores)
+            self._boxes("sensor/detections", detections.boxes, GREY, labels)
+
+    def on_tracks(self, tracks: Tracks) -> None:
+        """Boxes with class and id, where they came from, where they are foreseen."""
+        at = centres(tracks.boxes[:, -1])
+        self._trails = {
+            int(i): self._trails.get(int(i), deque(maxlen=TRAIL_FRAMES)) for i in tracks.ids
+        }
+        for i, centre in zip(tracks.ids, at, strict=True):
+            self._trails[int(i)].append(centre)
+        if not self._wanted(tracks):
+            return
+        labels = [
+            f"{name} #{i}"
+            for name, i in zip(named(tracks.names, tracks.labels), tracks.ids, strict=True)
+        ]
+        ids = tracks.ids.astype(np.uint16)  # Rerun gives each id a colour of its own
+        self._boxes("sensor/tracks", tracks.boxes[:, -1], None, labels, ids)
+        trails = [np.array(trail) for trail in self._trails.values()]
+        self._lines("sensor/tracks/trails", trails, None, ids)
+        self._lines("sensor/tracks/foreseen", list(centres(tracks.predicted)), GREY)
+
+    def on_scanpath(self, scanpath: Scanpath) -> None:
+        """Where the policy looks next, and its way from there."""
+        if self._wanted(scanpath):
+            labels = [f"look at #{i}" if i >= 0 else "look here" for i in scanpath.choice[:1]]
+            self._boxes("sensor/scanpath", scanpath.boxes[:1], WHITE, labels)
+            self._lines("sensor/scanpath/way", [centres(scanpath.boxes)], WHITE)
+
+    def on_schedule(self, schedule: RoiSchedule) -> None:
+        """The windows the sensor was told."""
+        if self._wanted(schedule) and len(schedule.windows):
+            labels = [str(schedule.first_seq + k) for k in range(len(schedule.windows))]
+            self._boxes("sensor/schedule", schedule.windows.astype(np.float32), YELLOW, labels)
+
+    def on_percept(self, percept: Percept) -> None:
+        """What the consumer saw, read or did."""
+        if not self._wanted(percept):
+            return
+        labels = [f"{score:.2f}" for score in percept.scores]
+        if len(percept.texts) == len(labels):
+            labels = list(percept.texts)
+        self._boxes("sensor/percept", percept.boxes, RED, labels)
+        if percept.texts:
+            self._log("texts", rr.TextLog(" | ".join(percept.texts)))
+        if len(percept.action):
+            self._log("action", rr.Scalars(percept.action))
+
+    @property
+    def _out(self) -> rr.RecordingStream:
+        if self._recording is None:
+            raise RunError("visualise: expected to be open, got a message before that")
+        return self._recording
+
+    def _at(self, header: Header) -> None:
+        self._out.set_time("frame", sequence=header.seq)
+        self._out.set_time("stamp", duration=np.timedelta64(header.stamp_ns, "ns"))
+
+    def _wanted(self, message: Message) -> bool:
+        """Whether this frame is shown; if so, sets the time and tells how its stage did."""
+        if message.header.seq % self.settings.every:
+            return False
+        self._at(message.header)
+        for name, value in latencies(message.header).items():
+            self._log(f"latency/{name}", rr.Scalars(value))
+        return True
+
+    def _log(self, path: str, what: Any) -> None:
+        self._out.log(path, what)
+
+    def _picture(self, path: str, frame: Frame) -> None:
+        if not frame.pixels.size:
+            self._log(path, rr.Clear(recursive=False))
+            return
+        left, top, right, bottom = frame.window
+        height, width = frame.pixels.shape[:2]
+        scale = ((right - left) / width, (bottom - top) / height, 1.0)
+        self._log(path, rr.Transform3D(translation=(left, top, 0), scale=scale))
+        contents = jpeg(frame, self.settings.jpeg_quality)
+        self._log(path, rr.EncodedImage(contents=contents, media_type="image/jpeg"))
+
+    def _boxes(
+        self,
+        path: str,
+        boxes: NDArray[np.float32],
+        colour: tuple[int, int, int] | None,
+        labels: list[str],
+        ids: NDArray[np.uint16] | None = None,
+    ) -> None:
+        shown = rr.Boxes2D(
+            array=boxes.reshape(-1, 4),
+            array_format=rr.Box2DFormat.XYXY,
+            colors=colour,
+            labels=labels[: len(boxes)],
+            class_ids=ids,
+        )
+        self._log(path, shown)
+
+    def _lines(
+        self,
+        path: str,
+        lines: list[NDArray[np.float32]],
+        colour: tuple[int, int, int] | None,
+        ids: NDArray[np.uint16] | None = None,
+    ) -> None:
+        self._log(path, rr.LineStrips2D(lines, colors=colour, class_ids=ids))
+
+
+def latencies(header: Header) -> dict[str, float]:
+    """What the last stage did with this exposure, in ms: name -> value; empty without a trace.
+
+    `age` is the time since the picture was ready, told only where both are one clock.
+    """
+    if not header.trace:
+        return {}
+    span = header.trace[-1]
+    told = {"handler_ms": span.handler_ns / 1e6, "wait_ms": span.wait_ns / 1e6}
+    if header.clock == "monotonic":
+        told["age_ms"] = (span.done_ns - header.stamp_ns) / 1e6
+    if len(header.trace) > 1:
+        told["hop_ms"] = (span.received_ns - header.trace[-2].done_ns) / 1e6
+    return {f"{span.stage}/{name}": value for name, value in told.items()}
+
+
+def named(
+    names: tuple[str, ...], labels: NDArray[np.int32], scores: NDArray[np.float32] | None = None
+) -> list[str]:
+    """A text per object: its class and, if given, its score.
+
+    >>> named(("ball",), np.array([0, 7], np.int32), np.array([0.5, 0.25], np.float32))
+    ['ball 0.50', 'class 7 0.25']
+    """
+    texts = [names[i] if 0 <= i < len(names) else f"class {i}" for i in labels]
+    if scores is None:
+        return texts
+    return [f"{text} {score:.2f}" for text, score in zip(texts, scores, strict=True)]
+
+
+def jpeg(frame: Frame, quality: int) -> bytes:
+    """A frame as JPEG; raises `MessageError` for a pixel format that has no colours here."""
+    pixels = frame.pixels
+    if pixels.dtype == np.uint16:
+        pixels = (pixels >> 8).astype(np.uint8)
+    if frame.pixel_format in COLOURS:
+        pixels = np.asarray(cv2.cvtColor(pixels, COLOURS[frame.pixel_format]), np.uint8)
+    elif frame.pixel_format != "grey8":
+        raise MessageError(
+            f"visualise: expected pixels as grey8, {', '.join(COLOURS)}, got {frame.pixel_format}"
+        )
+    _, contents = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return contents.tobytes()
+
+
+def record(path: str, url: str) -> rr.RecordingStream:
+    """A recording that goes to a file, to a viewer or to both, with its panels."""
+    recording = rr.RecordingStream("fovea")
+    recording.set_log_tick_enabled(False)
+    recording.set_log_time_enabled(False)  # the frame's own times are told instead
+    sinks: list[Any] = [rr.GrpcSink(url)] if url else []
+    if path:
+        folder = Path(path).absolute().parent
+        if not folder.is_dir():
+            raise RunError(f"visualise.save: expected a folder {folder}, got none")
+        sinks.append(rr.FileSink(path))
+    recording.set_sinks(*sinks, default_blueprint=panels())
+    return recording
+
+
+def panels() -> rrb.Blueprint:
+    """The field with everything on it, the ROI by itself, latencies, and what was read."""
+    field = rrb.Spatial2DView(origin="sensor", name="field")
+    roi = rrb.Spatial2DView(origin="sensor/roi", name="ROI")
+    figures = rrb.TimeSeriesView(origin="latency", name="latency, ms")
+    words = rrb.TextLogView(origin="/", contents=["texts", "events"], name="texts")
+    side = rrb.Vertical(roi, figures, words, row_shares=[3, 3, 1])
+    return rrb.Blueprint(rrb.Horizontal(field, side, column_shares=[3, 2]))
+
+
+def serve(port: int, web_port: int) -> Popen[bytes]:
+    """Start Rerun's server for browsers on this machine only; it ends when this process does.
+
+    The SDK's own `serve_grpc` listens on every interface of the machine; its command does not.
+    """
+    found = find_spec("rerun_cli")
+    binary = Path(found.origin).with_name("rerun") if found and found.origin else Path("rerun")
+    if not binary.is_file():
+        raise RunError(f"visualise.serve: expected Rerun's program at {binary}, got none")
+    for wanted in (port, web_port):
+        check_free(wanted)
+    ports = ["--port", str(port), "--web-viewer-port", str(web_port)]
+    options = ["--serve-web", "--bind", "127.0.0.1", "--server-memory-limit", SERVER_MEMORY]
+    return Popen(
+        [sys.executable, "-c", DIE_WITH_PARENT, str(binary), *ports, *options],
+        stdin=DEVNULL,
+        stdout=DEVNULL,
+        stderr=DEVNULL,
+    )
+
+
+def check_free(port: int) -> None:
+    """Raise `RunError` when somebody has this port of the loopback already."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise RunError(f"visualise.serve: expected port {port} to be free: {error}") from error
+
+
+def await_listener(url: str) -> None:
+    """Wait until somebody listens at `url`; raises `RunError` after `START_S`.
+
+    Rerun itself would take messages for a viewer that never comes, until its queue is full.
+    """
+    address = urlsplit(url.removeprefix("rerun+"))
+    if not (address.hostname and address.port):
+        raise RunError(f"visualise.connect: expected rerun+http://HOST:PORT/proxy, got {url}")
+    deadline = time.monotonic() + START_S
+    while True:
+        try:
+            socket.create_connection((address.hostname, address.port), timeout=1).close()
+        except OSError as error:
+            if time.monotonic() > deadline:
+                raise RunError(f"visualise: expected a viewer at {url}, got {error}") from error
+            time.sleep(0.05)
+        else:
+            return
