@@ -64,8 +64,6 @@ class VisualiseSettings:
     jpeg_quality: int = 80
 
     def __post_init__(self) -> None:
-        if not (self.save or self.connect or self.serve):
-            raise SettingsError("save: expected save, connect or serve, got none of them")
         if self.connect and self.serve:
             raise SettingsError("connect: expected one of connect and serve, got both")
         if self.every < 1:
@@ -94,6 +92,9 @@ class Visualise(Operator[VisualiseSettings, None]):
     def open(self) -> None:
         """Open the file, the connection or the server; raises `RunError` when that fails."""
         s = self.settings
+        if not (s.save or s.connect or s.serve):
+            # not in the settings themselves: a graph may hold a viewer that is not started
+            raise SettingsError("visualise.save: expected save, connect or serve, got none")
         self._trails: dict[int, deque[NDArray[np.float32]]] = {}
         url = s.connect
         if s.serve:

@@ -201,7 +201,7 @@ def test_without_a_trace_no_latency_is_told_and_ages_only_on_one_clock():
 
 def test_where_to_is_required():
     with pytest.raises(SettingsError, match="expected save, connect or serve, got none"):
-        VisualiseSettings()
+        drive(Visualise, [])
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
