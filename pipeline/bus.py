@@ -8,7 +8,7 @@ multicast is sent, and Zenoh's own shared memory is off: frames travel through `
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import zenoh
 
@@ -73,13 +73,18 @@ class Session:
 
 class _Sender:
     def __init__(self, publisher: zenoh.Publisher) -> None:
-        self._publisher = publisher
+        self._publisher, self._matching = publisher, False
+        note = zenoh.handlers.Callback(self._note, indirect=False)
+        self._listener = publisher.declare_matching_listener(note)
 
     def send(self, payload: bytes) -> None:
         self._publisher.put(payload)
 
     def matching(self) -> bool:
-        return bool(self._publisher.matching_status)
+        return self._matching
+
+    def _note(self, status: Any) -> None:
+        self._matching = bool(status.matching)
 
 
 _COMMON: dict[str, object] = {
