@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.plan import future
 from pipeline import Tracks
-from pipeline.boxes import areas, centres, covered
+from pipeline.boxes import areas, centres, intersections
 
 WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
 BRISK = 0.25  # box sizes per frame: from here on something counts as moving
@@ -50,10 +49,9 @@ def mobility(tracks: Tracks) -> NDArray[np.float32]:
     The median motion of all stands for the camera's, so that what lies still in a panned picture
     (a corner flag, the penalty spot, their false balls) counts as still.
     """
-    if not len(tracks.ids):
-        return np.zeros(0, np.float32)
-    path = np.stack([centres(future(tracks, row, 2)) for row in range(len(tracks.ids))])
-    motion = path[:, 1] - path[:, 0]
+    if not len(tracks.ids) or tracks.predicted.shape[1] < 2:
+        return np.zeros(len(tracks.ids), np.float32)
+    motion = centres(tracks.predicted[:, 1]) - centres(tracks.predicted[:, 0])
     camera = np.median(motion, axis=0) if len(motion) >= WITNESSES else np.zeros(2)
     away = np.linalg.norm(motion - camera, axis=1)
     brisk = away / (BRISK * sizes(tracks.boxes[:, -1]))
@@ -67,9 +65,8 @@ def worth(tracks: Tracks, holders: NDArray[np.bool_]) -> NDArray[np.float32]:
     `INSIDE_MALUS` and `MOVING_BONUS`.
     """
     boxes = tracks.boxes[:, -1]
-    inside = np.zeros(len(boxes), np.bool_)
-    for row in np.flatnonzero(holders):
-        inside |= covered(boxes, boxes[row]) > 0.8
+    shared = intersections(boxes, boxes[holders])
+    inside = (shared > 0.8 * areas(boxes)[:, None]).any(axis=1)
     malus = np.where(inside & ~holders, INSIDE_MALUS, 0)
     return (tracks.scores + MOVING_BONUS * mobility(tracks) - malus).astype(np.float32)
 
