@@ -50,7 +50,7 @@ class Playback:
         if self._next is not None:
             self._ask(self._next)
             self._next = None
-        for may_skip in (True, False):  # a source that is ever later must not starve the reader
+        while True:
             if self._stopped.is_set() or (self._end is not None and self._asked >= self._end):
                 return None
             try:
@@ -62,10 +62,9 @@ class Playback:
             now_ns = time.monotonic_ns()
             if not self._pace.begun:
                 self._pace.begin(ready.seq, now_ns)
-            if not (self._timing.realtime and may_skip and self._pace.passed(ready.seq, now_ns)):
+            if not (self._timing.realtime and self._missed(ready, now_ns)):
                 return self._at_its_time(ready, now_ns)
             self._ask(self._following(ready.seq, now_ns))
-        return None
 
     def done(self, ready: Ready) -> None:
         """The picture may be overwritten by the next.
@@ -83,6 +82,14 @@ class Playback:
         """End the thread."""
         self._stopped.set()
         self._ahead.close()
+
+    def _missed(self, ready: Ready, now_ns: int) -> bool:
+        """Whether the reader came after the next exposure for a picture that was in time.
+
+        One the source was late with is the newest there is: leaving it out would gain nothing.
+        """
+        passed = self._pace.passed
+        return passed(ready.seq, now_ns) and not passed(ready.seq, ready.ready_ns)
 
     def _at_its_time(self, ready: Ready, now_ns: int) -> tuple[Ready, int] | None:
         stamp_ns = now_ns
@@ -104,9 +111,12 @@ class Playback:
         self._last_seq = seq
 
     def _following(self, seq: int, now_ns: int) -> int:
+        """The exposure to make next: the first whose picture comes less than a period late."""
+        interval = self._timing.interval
         if not self._timing.realtime:
-            return seq + self._timing.interval
-        return self._pace.following(seq, now_ns + round(self._cost_ns))
+            return seq + interval
+        behind_ns = max(0.0, self._cost_ns - interval * 1e9 / self._timing.rate_hz)
+        return self._pace.following(seq, now_ns + round(behind_ns))
 
     def _ask(self, seq: int) -> None:
         self._asked = seq

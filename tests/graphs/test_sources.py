@@ -1,6 +1,5 @@
 """Every file of graphs/sources lays over a graph and shows what it names."""
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +90,6 @@ def test_the_soccer_scene_lays_over_and_takes_a_seed(tmp_path: Path) -> None:
     settings = capture_of(graph(tmp_path), "soccer", "capture.seed=3", "capture.frames=1")
 
     assert settings["options"]["seed"] == 3
-    if importlib.util.find_spec("drivers.soccer") is None:
-        pytest.skip("needs drivers.soccer, which is not there")
     assert first_frame(settings) == (1920, 1080, 480, 270)
 
 
