@@ -23,6 +23,7 @@ from pipeline import (
 )
 from pipeline.boxes import covered
 from pipeline.inference import Network
+from pipeline.weights import require
 
 SHIPPED = Path(__file__).with_name("roi_encoder.onnx")
 FILL = 114  # grey around what the ROI does not show
@@ -32,7 +33,9 @@ FILL = 114  # grey around what the ROI does not show
 class RoiEncoderSettings:
     """What a graph may set."""
 
-    weights: str = ""  # path of an ONNX file (n, 3, s, s) -> (n, d[, h, w]); empty: the shipped one
+    # an ONNX file (n, 3, s, s) -> (n, d[, h, w]), or a name that `fovea weights` knows; empty: the
+    # shipped one
+    weights: str = ""
     crop_px: int = 96  # side s where the network leaves it open
     margin: float = 0.15  # added to the box's longer side
     inside: float = 0.5  # least share of a box that the ROI must show
@@ -92,7 +95,7 @@ class Encoder:
 
     def __init__(self, settings: RoiEncoderSettings) -> None:
         self._settings = settings
-        path = Path(settings.weights) if settings.weights else SHIPPED
+        path = weights_file(settings.weights)
         self._network = Network(path, threads=settings.threads)
         if len(self._network.inputs) != 1:
             raise WeightsError(f"{path}: expected one input, got {', '.join(self._network.inputs)}")
@@ -137,6 +140,13 @@ class Encoder:
     def _run(self, count: int) -> NDArray[np.float32]:
         answer = next(iter(self._network({self._input: self._batch[:count]}).values()))
         return answer.mean((2, 3)) if answer.ndim == 4 else answer
+
+
+def weights_file(weights: str) -> Path:
+    """Where the weights lie: a path ends in .onnx, anything else is a name in weights.toml."""
+    if not weights:
+        return SHIPPED
+    return Path(weights) if weights.endswith(".onnx") else require(weights)
 
 
 def to_squares(boxes: NDArray[np.float32], roi: Frame, margin: float) -> NDArray[np.float32]:

@@ -28,7 +28,7 @@ def augment(example: Example, rng: np.random.Generator) -> Example:
 def move(example: Example, rng: np.random.Generator) -> Example:
     """A random part of the picture at a random scale, mirrored every other time."""
     height, width = example.picture.shape[:2]
-    zoom = float(np.exp(rng.uniform(np.log(0.7), np.log(1.7)))) if rng.random() < 0.75 else 1.0
+    zoom = float(np.exp(rng.uniform(np.log(0.75), np.log(1.8)))) if rng.random() < 0.75 else 1.0
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     # the part that is left over, or missing, is shared out at random between both sides
     x = width / 2 * (1 - mirror * zoom) + (rng.random() - 0.5) * abs(zoom - 1) * width

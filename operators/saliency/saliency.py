@@ -27,6 +27,7 @@ from operators.saliency.letterbox import Letterbox, Placement
 from operators.saliency.roi_align import roi_align
 from pipeline import Detections, Frame, Input, MessageError, Operator, SettingsError, WeightsError
 from pipeline.inference import Network
+from pipeline.weights import require
 
 SHIPPED = Path(__file__).with_name("detector.onnx")
 FEATURE_STRIDE_PX = 8
@@ -36,7 +37,7 @@ FEATURE_STRIDE_PX = 8
 class SaliencySettings:
     """What a graph may set."""
 
-    weights: str = ""  # path of an ONNX file; empty: the shipped detector
+    weights: str = ""  # an ONNX file, or a name that `fovea weights` knows; empty: the shipped one
     format: Literal["auto", "yolo", "obb", "yolox"] = "auto"  # of the network's output
     input_px: tuple[int, int] = (0, 0)  # width, height where the network leaves them open
     names: Mapping[str, str] = field(default_factory=dict)  # network's class or its number -> name
@@ -84,7 +85,7 @@ class Detector:
 
     def __init__(self, settings: SaliencySettings) -> None:
         self.settings = settings
-        self.path = Path(settings.weights) if settings.weights else SHIPPED
+        self.path = weights_file(settings.weights)
         self.network = Network(self.path, threads=settings.threads)
         self.input, size_px = _input_of(self.network, self.path, settings)
         self.metadata = self.network.metadata
@@ -128,6 +129,13 @@ class Detector:
             classes=self._reported[found.classes],
         )
         return named, placement, outputs[self.features][0] if self.features else None
+
+
+def weights_file(weights: str) -> Path:
+    """Where the weights lie: a path ends in .onnx, anything else is a name in weights.toml."""
+    if not weights:
+        return SHIPPED
+    return Path(weights) if weights.endswith(".onnx") else require(weights)
 
 
 def to_sensor(found: Candidates, placement: Placement, frame: Frame) -> Candidates:

@@ -1,0 +1,230 @@
+"""Score a detector on scenes it never saw: `python -m operators.saliency.evaluate --help`.
+
+Runs the operator as a graph does, so that what is scored is what runs. Thresholds are chosen on
+validation scenes (`--choose`, which writes them into the network's metadata); the figures that
+count come from test scenes, or from a SoccerNet sequence (`--data`).
+"""
+
+import argparse
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from drivers.soccer import SoccerScene
+from drivers.soccernet import SoccerNetSequence
+from operators.saliency.example import BALL, NAMES, Example
+from operators.saliency.metadata import describe
+from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
+from operators.saliency.saliency import SHIPPED, Saliency, SaliencySettings
+from pipeline import Detections, Frame
+from pipeline.boxes import centres, iou
+from pipeline.testing import header
+
+LEAST_IOU = 0.5
+BALL_REACH_PX = 6.0  # of the context, between centres
+FLOOR = 0.02  # confidence at which curves begin
+SEEDS = {"validation": range(50_000, 50_030), "test": range(60_000, 60_040)}
+SPAN = 900  # frames of each scene
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tally:
+    """Detections of one class over many pictures, and how many there were to find."""
+
+    scores: NDArray[np.float32]  # (n,)
+    hits: NDArray[np.bool_]  # (n,)
+    present: int
+
+
+def judge(
+    boxes: NDArray[np.float32],
+    truth: NDArray[np.float32],
+    ignored: NDArray[np.bool_],
+    *,
+    by_centre: bool = False,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which detections of one class, best first, are hits, and which count at all.
+
+    Each true box is hit once, by the best detection that fits; what fits only an ignored box does
+    not count. Fitting is IoU >= 0.5, or a centre within `BALL_REACH_PX` (pixels of the boxes).
+    """
+    hits, counts = np.zeros(len(boxes), np.bool_), np.ones(len(boxes), np.bool_)
+    if not len(boxes) or not len(truth):
+        return hits, counts
+    if by_centre:
+        away = np.linalg.norm(centres(boxes)[:, None] - centres(truth)[None], axis=2)
+        fit = np.where(away <= BALL_REACH_PX, 1 + BALL_REACH_PX - away, 0)
+    else:
+        overlap = iou(boxes, truth)
+        fit = np.where(overlap >= LEAST_IOU, overlap, 0)
+    free = ~ignored
+    for row, chances in enumerate(fit):
+        open_ones = chances * free
+        if open_ones.max() > 0:
+            hits[row] = True
+            free[open_ones.argmax()] = False
+        elif (chances * ignored).max() > 0:
+            counts[row] = False
+    return hits, counts
+
+
+def collect(examples: Iterable[Example], settings: SaliencySettings) -> dict[str, Tally]:
+    """Run the operator over examples; a tally for each class, and `ball centre`."""
+    operator = Saliency(settings)
+    operator.open()
+    marks: dict[str, list[tuple[NDArray[np.float32], NDArray[np.bool_]]]] = {}
+    present = dict.fromkeys((*NAMES, f"{BALL} centre"), 0)
+    for seq, item in enumerate(examples):
+        height_px, width_px = item.picture.shape[:2]
+        found = operator.on_frame(
+            Frame(header=header(seq), pixels=item.picture, window=(0, 0, width_px, height_px))
+        )
+        for key in present:
+            scores, hits = _mark(found, item, key)
+            marks.setdefault(key, []).append((scores, hits))
+            of_class = item.labels == NAMES.index(key.split()[0])
+            present[key] += int((of_class & ~item.ignored).sum())
+    operator.close()
+    return {
+        key: Tally(
+            scores=np.concatenate([scores for scores, _ in rows]),
+            hits=np.concatenate([hits for _, hits in rows]),
+            present=present[key],
+        )
+        for key, rows in marks.items()
+    }
+
+
+def _mark(
+    found: Detections, item: Example, key: str
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    name = key.split()[0]
+    mine = np.array([found.names[label] == name for label in found.labels], np.bool_)
+    theirs = item.labels == NAMES.index(name)
+    hits, counts = judge(
+        found.boxes[mine],
+        item.boxes[theirs],
+        item.ignored[theirs],
+        by_centre=key.endswith("centre"),
+    )
+    return found.scores[mine][counts], hits[counts]
+
+
+def at_threshold(tally: Tally, threshold: float) -> dict[str, float]:
+    """Precision and recall of what reaches a confidence; 0 where nothing does."""
+    taken = tally.scores >= threshold
+    hits = int(tally.hits[taken].sum())
+    return {
+        "precision": hits / max(1, int(taken.sum())),
+        "recall": hits / max(1, tally.present),
+        "present": tally.present,
+    }
+
+
+def curve(tally: Tally) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Falling thresholds, and precision and recall at each."""
+    order = np.argsort(-tally.scores, kind="stable")
+    hits = np.cumsum(tally.hits[order])
+    precision = hits / np.arange(1, len(order) + 1)
+    recall = hits / max(1, tally.present)
+    return tally.scores[order], precision.astype(np.float32), recall.astype(np.float32)
+
+
+def average_precision(tally: Tally) -> float:
+    """Area under the precision-recall curve, precision made monotonous first."""
+    _, precision, recall = curve(tally)
+    if not len(precision):
+        return 0.0
+    best = np.maximum.accumulate(precision[::-1])[::-1]
+    return float((best * np.diff(recall, prepend=0)).sum())
+
+
+def best_threshold(tally: Tally) -> float:
+    """The confidence of the greatest F1, rounded down to a hundredth."""
+    thresholds, precision, recall = curve(tally)
+    if not len(thresholds):
+        return 0.5
+    f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-9)
+    return max(FLOOR, float(np.floor(thresholds[f1.argmax()] * 100) / 100))
+
+
+def scenes(seeds: Iterable[int], count: int) -> Iterator[Example]:
+    """Well-spaced pictures of procedural scenes."""
+    for seed in seeds:
+        scene = SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=seed)
+        yield from (example(scene, index) for index in moments(seed, count, SPAN))
+        scene.close()
+
+
+def sequence(folder: Path, stride: int) -> Iterator[Example]:
+    """Every `stride`-th picture of a SoccerNet sequence."""
+    source = SoccerNetSequence(path=str(folder))
+    yield from (example(source, index) for index in range(0, source.length or 0, stride))
+    source.close()
+
+
+def report(examples: Iterable[Example], settings: SaliencySettings) -> dict[str, dict[str, float]]:
+    """Figures at the operating point of `settings`, and average precision over all confidences."""
+    kept = list(examples)
+    working = collect(kept, settings)
+    low = SaliencySettings(
+        weights=settings.weights, names=settings.names, confidence=FLOOR, threads=settings.threads
+    )
+    whole = collect(kept, low)
+    table = {
+        key: at_threshold(tally, 0.0) | {"average_precision": average_precision(whole[key])}
+        for key, tally in working.items()
+    }
+    there = [table[name] for name in NAMES if table[name]["present"]]
+    table["macro"] = {
+        figure: float(np.mean([row[figure] for row in there]))
+        for figure in ("precision", "recall", "average_precision")
+    }
+    return table
+
+
+def choose(weights: Path, examples: Iterable[Example], threads: int) -> dict[str, float]:
+    """Find each class's best confidence and write it into the network's metadata."""
+    low = SaliencySettings(weights=str(weights), confidence=FLOOR, threads=threads)
+    tallies = collect(examples, low)
+    limits = {name: best_threshold(tallies[name]) for name in NAMES}
+    describe(weights, {"confidence": str(limits)})
+    return limits
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--weights", type=Path, default=SHIPPED)
+    parser.add_argument("--names", type=json.loads, default={}, help='{"0": "player", ...}')
+    parser.add_argument("--data", type=Path, help="a SoccerNet sequence instead of scenes")
+    parser.add_argument("--stride", type=int, default=5, help="with --data: every n-th frame")
+    parser.add_argument("--moments", type=int, default=12, help="pictures of each scene")
+    parser.add_argument("--choose", action="store_true", help="choose thresholds, then score")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--json", type=Path, help="write the figures here")
+    given = parser.parse_args()
+    result: dict[str, object] = {"weights": given.weights.name}
+    if given.choose:
+        validation = tqdm(scenes(SEEDS["validation"], given.moments), desc="choose")
+        result["thresholds"] = choose(given.weights, validation, given.threads)
+    settings = SaliencySettings(
+        weights=str(given.weights), names=given.names, threads=given.threads
+    )
+    test = scenes(SEEDS["test"], given.moments)
+    source = sequence(given.data, given.stride) if given.data else test
+    table = report(tqdm(source, desc="score"), settings)
+    result |= {"on": given.data.name if given.data else "test scenes", "figures": table}
+    for name, row in table.items():
+        print(f"{name:12}", *(f"{figure} {value:.3f}" for figure, value in row.items()))
+    if given.json:
+        given.json.write_text(json.dumps(result, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

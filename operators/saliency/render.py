@@ -1,0 +1,84 @@
+"""Render procedural scenes once, as examples on disk: seeds -> one pair of files a scene.
+
+A picture is rendered at full size and shrunk by area, as the sensor shrinks its context. Real
+footage is never read here.
+"""
+
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import cv2
+import numpy as np
+from drivers.soccer import SoccerScene
+from tqdm import tqdm
+
+from drivers.source import FrameSource
+from operators.saliency.example import CONTEXT_PX, NAMES, Example
+
+FULL_PX = (1920, 1080)
+RATE_HZ = 25.0
+LEAST_VISIBLE = 0.25  # below: neither found nor missed
+ROLES = {
+    "player": "player",
+    "goalkeeper": "player",
+    "main referee": "referee",
+    "assistant referee": "referee",
+    "ball": "ball",
+}
+
+
+def example(source: FrameSource, index: int) -> Example:
+    """One picture of a source at context size with its objects; raises `ValueError` untold."""
+    truth = source.truth(index)
+    if truth is None:
+        raise ValueError(f"frame {index}: expected a source that knows the truth, got none")
+    picture = cv2.resize(source.picture(index), CONTEXT_PX, interpolation=cv2.INTER_AREA)
+    scale = np.array([CONTEXT_PX[i % 2] / source.size_px[i % 2] for i in range(4)], np.float32)
+    known = np.array([label in ROLES for label in truth.labels], np.bool_)
+    labels = [NAMES.index(ROLES[label]) for label in truth.labels if label in ROLES]
+    return Example(
+        picture=np.asarray(picture, np.uint8),
+        boxes=truth.boxes[known] * scale,
+        labels=np.array(labels, np.int64),
+        ignored=truth.visible[known] < LEAST_VISIBLE,
+    )
+
+
+def moments(seed: int, count: int, span: int) -> list[int]:
+    """`count` frame numbers of a scene, ascending, one in each equal part of `span` frames.
+
+    >>> moments(3, 4, 40) == sorted(moments(3, 4, 40))
+    True
+    """
+    parts = np.random.default_rng(seed).random(count) + np.arange(count)
+    return [int(part * span / count) for part in parts]
+
+
+def render(seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2) -> None:
+    """Render `count` moments of each seed's scene into `folder`; seeds already there are kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    missing = [seed for seed in seeds if not (folder / f"{seed}.npz").exists()]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(_render_scene, seed, count, span, folder) for seed in missing]
+        for job in tqdm(jobs, desc="render", unit="scene"):
+            job.result()
+
+
+def _render_scene(seed: int, count: int, span: int, folder: Path) -> None:
+    cv2.setNumThreads(1)
+    scene = SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=seed)
+    examples = [example(scene, index) for index in moments(seed, count, span)]
+    scene.close()
+    np.save(folder / f"{seed}.npy", np.stack([e.picture for e in examples]))
+    # the truth is written last: its presence says that the pictures are complete
+    unfinished = folder / f"{seed}.part.npz"
+    np.savez(
+        unfinished,
+        first=np.cumsum([0, *(len(e.labels) for e in examples)]),
+        boxes=np.concatenate([e.boxes for e in examples]),
+        labels=np.concatenate([e.labels for e in examples]),
+        ignored=np.concatenate([e.ignored for e in examples]),
+    )
+    unfinished.rename(folder / f"{seed}.npz")

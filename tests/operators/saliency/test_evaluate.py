@@ -1,0 +1,97 @@
+"""How detections are judged."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("onnx", reason="needs the train extra")
+pytest.importorskip("tqdm", reason="needs the train extra")
+
+from operators.saliency.evaluate import (
+    Tally,
+    at_threshold,
+    average_precision,
+    best_threshold,
+    judge,
+)
+
+PERSON = [10.0, 10.0, 20.0, 40.0]
+
+
+def boxes(*rows: list[float]) -> np.ndarray:
+    """Boxes (n, 4)."""
+    return np.array(rows, np.float32).reshape(-1, 4)
+
+
+def flags(*values: bool) -> np.ndarray:
+    """Booleans (n,)."""
+    return np.array(values, np.bool_)
+
+
+def tally(*rows: tuple[float, bool], present: int) -> Tally:
+    """Detections with their confidence and whether they hit."""
+    scores, hits = zip(*rows, strict=True)
+    return Tally(scores=np.array(scores, np.float32), hits=flags(*hits), present=present)
+
+
+def test_a_second_detection_of_one_object_is_no_hit() -> None:
+    hits, counts = judge(boxes(PERSON, PERSON), boxes(PERSON), flags(False))
+
+    assert hits.tolist() == [True, False]
+    assert counts.tolist() == [True, True]
+
+
+def test_a_box_that_overlaps_too_little_is_no_hit() -> None:
+    hits, _ = judge(boxes([10, 10, 20, 24]), boxes(PERSON), flags(False))
+
+    assert hits.tolist() == [False]
+
+
+def test_what_only_fits_a_hidden_object_does_not_count() -> None:
+    hits, counts = judge(boxes(PERSON), boxes(PERSON), flags(True))
+
+    assert hits.tolist() == [False]
+    assert counts.tolist() == [False]
+
+
+def test_each_detection_takes_the_object_it_fits_best() -> None:
+    truth = boxes(PERSON, [12, 10, 22, 40])
+
+    hits, _ = judge(boxes([12, 10, 22, 40], PERSON), truth, flags(False, False))
+
+    assert hits.all()
+
+
+def test_a_ball_may_be_judged_by_its_centre() -> None:
+    near, far = [4.0, 0.0, 8.0, 4.0], [8.0, 0.0, 12.0, 4.0]
+    ball = boxes([0, 0, 4, 4])
+
+    assert judge(boxes(near), ball, flags(False), by_centre=True)[0].tolist() == [True]
+    assert judge(boxes(far), ball, flags(False), by_centre=True)[0].tolist() == [False]
+
+
+def test_nothing_to_find_and_nothing_found_are_judged() -> None:
+    assert judge(boxes(), boxes(PERSON), flags(False))[0].shape == (0,)
+    assert judge(boxes(PERSON), boxes(), flags())[0].tolist() == [False]
+
+
+def test_precision_and_recall_count_hits_above_the_threshold() -> None:
+    found = tally((0.9, True), (0.8, False), (0.7, True), (0.1, False), present=4)
+
+    figures = at_threshold(found, 0.5)
+
+    assert figures["precision"] == pytest.approx(2 / 3)
+    assert figures["recall"] == pytest.approx(2 / 4)
+
+
+def test_average_precision_is_one_only_when_all_hits_come_first() -> None:
+    perfect = tally((0.9, True), (0.8, True), (0.1, False), present=2)
+    late = tally((0.9, False), (0.8, True), (0.7, True), present=2)
+
+    assert average_precision(perfect) == pytest.approx(1)
+    assert average_precision(late) == pytest.approx(2 / 3)
+
+
+def test_the_chosen_threshold_keeps_the_hits_and_drops_the_rest() -> None:
+    found = tally((0.912, True), (0.805, True), (0.5, False), (0.4, False), present=2)
+
+    assert best_threshold(found) == pytest.approx(0.8)
