@@ -47,7 +47,8 @@ def of_class(tracks: Tracks, name: str) -> NDArray[np.bool_]:
     """Which tracks are of the class `name`: (n,); the empty name means all, an unknown none."""
     if not name:
         return np.ones(len(tracks.ids), np.bool_)
-    return np.isin(tracks.labels, [i for i, own in enumerate(tracks.names) if own == name])
+    label = tracks.names.index(name) if name in tracks.names else -1
+    return (tracks.labels == label) & (label >= 0)
 
 
 def scanpath(tracks: Tracks, plan: Plan) -> Scanpath:
