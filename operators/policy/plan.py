@@ -48,7 +48,7 @@ def of_class(tracks: Tracks, name: str) -> NDArray[np.bool_]:
     if not name:
         return np.ones(len(tracks.ids), np.bool_)
     label = tracks.names.index(name) if name in tracks.names else -1
-    return (tracks.labels == label) & (label >= 0)
+    return np.asarray((tracks.labels == label) & (label >= 0), np.bool_)
 
 
 def scanpath(tracks: Tracks, plan: Plan) -> Scanpath:
