@@ -13,7 +13,7 @@ SPEED_PX = 5  # per frame
 
 
 class MovingSquare:
-    """Frame k shows the square k * SPEED_PX pixels further right; `slow_s` makes pictures take time."""
+    """Frame k shows the square k * SPEED_PX further right; `slow_s` makes pictures take time."""
 
     open_sources = 0
 
