@@ -1,4 +1,4 @@
-"""Lay small pictures over a large one in place: premultiplied RGBA -> RGB."""
+"""Lay small pictures over a large one in place: premultiplied RGBA on RGBA."""
 
 import cv2
 import numpy as np
@@ -8,7 +8,7 @@ Image = NDArray[np.uint8]
 
 
 def over(picture: Image, patch: Image, left: int, top: int) -> None:
-    """Draw a premultiplied RGBA patch onto an RGB picture, clipped at its edges."""
+    """Draw a premultiplied RGBA patch onto an RGBA picture, clipped at its edges."""
     h, w = picture.shape[:2]
     x0, y0 = max(left, 0), max(top, 0)
     x1, y1 = min(left + patch.shape[1], w), min(top + patch.shape[0], h)
@@ -16,10 +16,9 @@ def over(picture: Image, patch: Image, left: int, top: int) -> None:
         return
     part = patch[y0 - top : y1 - top, x0 - left : x1 - left]
     place = picture[y0:y1, x0:x1]
-    colour = cv2.cvtColor(part, cv2.COLOR_RGBA2RGB)
-    rest = cv2.cvtColor(cv2.bitwise_not(part[..., 3]), cv2.COLOR_GRAY2RGB)
-    cv2.multiply(place, rest, dst=place, scale=1 / 255)
-    cv2.add(place, colour, dst=place)
+    rest = cv2.bitwise_not(part[..., 3])
+    cv2.multiply(place, cv2.merge([rest] * 4), dst=place, scale=1 / 255)
+    cv2.add(place, part, dst=place)
 
 
 def placed(

@@ -3,7 +3,8 @@
 The canvas is a piece of the camera's cylinder; row and column are linear in its angles.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -26,14 +27,14 @@ SHIFT = 4  # binary digits of sub-pixel positions in OpenCV's drawing
 class Canvas:
     """The still world: pixel (0, 0) is at `origin`, one pixel is 1 / radius_px radians."""
 
-    image: Image  # (h, w, 3)
+    image: Image  # (h, w, 3), or 4 with an unused fourth: twice as fast to warp
     origin: tuple[float, float]  # bearing, drop
     radius_px: float
     grass: Colour
 
     def pixels(self, angles: Points) -> Points:
         """Angles (..., 2) -> canvas pixels (..., 2)."""
-        return (angles - np.array(self.origin)) * self.radius_px
+        return np.asarray((angles - np.array(self.origin)) * self.radius_px)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +83,7 @@ def draw_canvas(
         _ribbon(canvas, station, path, LINE_M, white)
     _paint_goals(canvas, station)
     _paint_litter(canvas, rng, station)
-    return canvas
+    return replace(canvas, image=np.asarray(cv2.cvtColor(canvas.image, cv2.COLOR_RGB2RGBA)))
 
 
 def _angles(canvas: Canvas, step: int) -> tuple[Points, Points]:
@@ -90,7 +91,7 @@ def _angles(canvas: Canvas, step: int) -> tuple[Points, Points]:
     h, w = canvas.image.shape[:2]
     xs = canvas.origin[0] + (np.arange(0, w, step) + step / 2) / canvas.radius_px
     ys = canvas.origin[1] + (np.arange(0, h, step) + step / 2) / canvas.radius_px
-    return xs, ys
+    return np.asarray(xs, np.float64), np.asarray(ys, np.float64)
 
 
 def _paint_grass(canvas: Canvas, rng: np.random.Generator, station: Station, turf: Turf) -> None:
@@ -170,7 +171,7 @@ def _path(corners: list[tuple[float, float]]) -> Points:
     points = np.array(corners, float)
     pieces = [
         np.linspace(a, b, max(2, int(np.hypot(*(b - a)))), endpoint=False)
-        for a, b in zip(points[:-1], points[1:], strict=True)
+        for a, b in pairwise(points)
     ]
     flat = np.concatenate([*pieces, points[-1:]])
     return np.column_stack([flat, np.zeros(len(flat))])
@@ -209,7 +210,9 @@ def _rods(
 def _paint_goals(canvas: Canvas, station: Station) -> None:
     wide, high = GOAL_M
     a, b = (PITCH_M[1] - wide) / 2, (PITCH_M[1] + wide) / 2
-    post = max(1, round(0.12 * canvas.radius_px / station.distance_m(np.array([52.5, 34.0]))))
+    post = max(
+        1, round(0.12 * canvas.radius_px / float(station.distance_m(np.array([52.5, 34.0]))))
+    )
     for end, sign in ((0.0, -1), (PITCH_M[0], 1)):
         back = end + sign * 2.0
         threads = [

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.soccer.ball_path import CHUNK_S, FIRST, Leg, Metres, ball_points, knot, legs
+from drivers.soccer.ball_path import CHUNK_S, FIRST, Leg, Metres, ball_points, legs
 from drivers.soccer.camera import PITCH_M
 
 GRID_HZ = 30.0
@@ -22,9 +22,11 @@ REFEREE = 22
 ASSISTANTS = (23, 24)
 # 4-4-2 as shares of the block's length and width, rearmost first
 SLOTS = np.array(
-    [(0, 0.12), (0, 0.37), (0, 0.63), (0, 0.88)]
-    + [(0.45, 0.08), (0.4, 0.38), (0.5, 0.62), (0.5, 0.92)]
-    + [(0.9, 0.35), (1, 0.62)]
+    [
+        *((0, 0.12), (0, 0.37), (0, 0.63), (0, 0.88)),
+        *((0.45, 0.08), (0.4, 0.38), (0.5, 0.62), (0.5, 0.92)),
+        *((0.9, 0.35), (1, 0.62)),
+    ]
 )
 
 
@@ -221,6 +223,11 @@ def _phases(seed: int, chunk: int, speed: Metres) -> Metres:
     return np.asarray(first + done + ramp * (wanted - done[-1]))
 
 
+def _between(values: Metres, row: int, share: float) -> Metres:
+    """A share of the way from one row to the next."""
+    return np.asarray(values[row] * (1 - share) + values[row + 1] * share)
+
+
 def moment(seed: int, time_s: float, lag_s: float) -> Moment:
     """The play at one instant from 0 on."""
     chunk = int(time_s // CHUNK_S)
@@ -228,19 +235,15 @@ def moment(seed: int, time_s: float, lag_s: float) -> Moment:
     at = (time_s - paths.start_s) * GRID_HZ
     i = min(int(at), len(paths.ball) - 2)
     f = at - i
-    mix = lambda a: a[i] * (1 - f) + a[i + 1] * f  # noqa: E731
     leg = next((g for g in legs(seed, chunk) if time_s < g.end_s), legs(seed, chunk)[-1])
     holder = KEEPERS[0 if leg.start_m[0] < PITCH_M[0] / 2 else 1] if leg.kind == "held" else -1
     return Moment(
         ball=ball_points(seed, np.array([time_s]))[0],
         ball_kind=leg.kind,
-        people=mix(paths.people),
+        people=_between(paths.people, i, f),
         heading=paths.heading[i if f < 0.5 else i + 1],
-        speed=mix(paths.speed),
-        phase=mix(paths.phase) % 1.0,
+        speed=_between(paths.speed, i, f),
+        phase=_between(paths.phase, i, f) % 1.0,
         holder=holder,
-        focus=mix(paths.focus),
+        focus=_between(paths.focus, i, f),
     )
-
-
-__all__ = ["LABELS", "Chunk", "Moment", "knot", "make_chunk", "moment"]

@@ -3,14 +3,16 @@
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import ceil, log
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.soccer.blend import extent, placed
 from drivers.soccer.camera import View
-from drivers.soccer.figures import DIRECTIONS, PHASES, Pose, feet, gait
+from drivers.soccer.figures import feet
 from drivers.soccer.play import LABELS, Moment
+from drivers.soccer.skeleton import Pose, pose_at
 from drivers.source import Truth
 
 Image = NDArray[np.uint8]
@@ -35,6 +37,7 @@ class Actor:
     nearer: float  # order of drawing: larger is in front
     ground: tuple[float, float]  # where its shadow lies, picture pixels
     scale: float  # pixels per metre there
+    solid: int = 100  # opacity from which on it counts as being there
 
 
 class Cache:
@@ -60,7 +63,7 @@ class Cache:
 
 def sprite_height(wanted_px: float) -> int:
     """The kept height at or above the one wanted, so that sprites are shrunk, never enlarged."""
-    step = np.ceil(np.log(max(wanted_px, 8.0) / 8) / np.log(STEP))
+    step = ceil(log(max(wanted_px, 8.0) / 8) / log(STEP))
     return min(round(8 * STEP**step), MOST_PX)
 
 
@@ -76,13 +79,9 @@ def actors_at(moment: Moment, view: View, sprites: Sprites, frame_m: float) -> l
         x, y = pixels[who]
         if not (-tall < x < view.size_px[0] + tall and -tall < y < view.size_px[1] + tall):
             continue
-        # 0 to the right of the picture, a quarter turn to the camera, as seen from there
-        turn = (moment.heading[who] - bearings[who]) / (2 * np.pi) * DIRECTIONS
-        pose = Pose(
-            gait=gait(float(moment.speed[who]), who == moment.holder),
-            phase=int(moment.phase[who] * PHASES) % PHASES,
-            direction=round(turn) % DIRECTIONS,
-        )
+        turn = float(moment.heading[who] - bearings[who])
+        speed, holds = float(moment.speed[who]), bool(who == moment.holder)
+        pose = pose_at(speed, holds, float(moment.phase[who]), turn)
         height = sprite_height(tall)
         shrink = tall / height
         patch, left, top = placed(
@@ -114,7 +113,7 @@ def truth_of(actors: list[Actor], size_px: tuple[int, int]) -> Truth:
         clipped = [float(np.clip(v, 0, s)) for v, s in zip(actor.box, (w, h, w, h), strict=True)]
         if min(clipped[2] - clipped[0], clipped[3] - clipped[1]) < LEAST_INSIDE_PX:
             continue
-        mask = actor.patch[..., 3] >= 100
+        mask = actor.patch[..., 3] >= actor.solid
         whole = max(1, int(mask.sum()))
         left, top = actor.left, actor.top
         mask = mask.copy()
@@ -129,7 +128,7 @@ def truth_of(actors: list[Actor], size_px: tuple[int, int]) -> Truth:
                 hides = other.patch[
                     iy0 - other.top : iy1 - other.top, ix0 - other.left : ix1 - other.left, 3
                 ]
-                mask[iy0 - top : iy1 - top, ix0 - left : ix1 - left] &= hides < 100
+                mask[iy0 - top : iy1 - top, ix0 - left : ix1 - left] &= hides < other.solid
         rows.append((clipped, actor.id, actor.label, float(mask.sum()) / whole))
     rows.sort(key=lambda row: row[1])
     return Truth(
