@@ -39,15 +39,18 @@ class Session:
             links["connect"] = {"endpoints": [f"unixsock-stream/{folder / hub}.sock"]}
         self._session = _open({**links, **_COMMON}, f"{folder}: no bus there")
 
-    def sender(self, key: str, *, urgent: bool = False) -> Sender:
-        """A publisher; `urgent` ones (sensor commands) overtake everything else."""
-        priority = zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA
+    def sender(self, key: str, *, urgent: bool = False, patient: bool = False) -> Sender:
+        """A publisher; `urgent` ones (sensor commands) overtake everything else.
+
+        Descriptors are small and the runtime's own credit bounds them: a queue can only fill behind
+        a reader that stopped, and waiting for it would stop the others too. Whole pictures need a
+        `patient` sender, which waits for the link.
+        """
+        control = zenoh.CongestionControl
         publisher = self._session.declare_publisher(
             key,
-            # the runtime's own credit is the back-pressure: a queue can only fill behind a reader
-            # that stopped, and then waiting for it would stop the others too
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=priority,
+            congestion_control=control.BLOCK if patient else control.DROP,
+            priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
             express=True,
         )
         return _Sender(publisher)
@@ -73,7 +76,8 @@ class Session:
 
 class _Sender:
     def __init__(self, publisher: zenoh.Publisher) -> None:
-        self._publisher, self._matching = publisher, False
+        self._publisher = publisher
+        self._matching = bool(publisher.matching_status.matching)  # type: ignore[attr-defined]
         note = zenoh.handlers.Callback(self._note, indirect=False)
         self._listener = publisher.declare_matching_listener(note)
 
@@ -93,7 +97,12 @@ _COMMON: dict[str, object] = {
         "multicast": {"enabled": False},
         "gossip": {"enabled": True, "autoconnect": {"peer": ["router", "peer"]}},
     },
-    "transport": {"shared_memory": {"enabled": False}},
+    "transport": {
+        "shared_memory": {"enabled": False},
+        # an express message takes a batch of its own; two, the default, overflow while the
+        # transport's thread waits a few milliseconds for a core
+        "link": {"tx": {"queue": {"size": {"data": 16, "real_time": 16}}}},
+    },
 }
 
 

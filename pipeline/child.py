@@ -36,7 +36,8 @@ class Child:
     def __init__(self, job: Assignment, events: Events, *, threads: int) -> None:
         self.name = job.process
         self.ready = self.going = False
-        self._log = (Path(job.run_folder) / f"{job.process}.log").open("ab")
+        mode = "wb" if max(job.epochs.values()) == 1 else "ab"
+        self._log = (Path(job.run_folder) / f"{job.process}.log").open(mode)
         self._popen = subprocess.Popen(
             [sys.executable, "-m", "pipeline.node", job.prefix],
             stdin=subprocess.PIPE,

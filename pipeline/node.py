@@ -147,11 +147,12 @@ class Process:
         assert self._session is not None
         key = key_of(job.plan.name, node.name, output)
         urgent = any(e.command for e in edges)
+        patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
         stem = f"{job.prefix}{node.name}.{output}"
         return OutPort(
             message,
             self._session.sender(key, urgent=urgent),
-            self._session.sender(key + BYTES_SUFFIX, urgent=urgent),
+            self._session.sender(key + BYTES_SUFFIX, urgent=urgent, patient=patient),
             readers,
             lambda free: PoolWriter(self._memory, stem, slots(edges), free),
             job.epochs[node.name],
