@@ -1,7 +1,6 @@
-"""The floor: shared memory and one byte string through a fifo, nothing guarded.
+"""The floor: a shared mapping and a few bytes through a fifo; nothing is guarded or named.
 
-What it takes to write, be woken and read is what no bus can go below; its writing and reading
-times are what the others' totals are compared with.
+What it takes to be woken and to read memory that another core wrote; no bus can go below.
 """
 
 import mmap
@@ -12,41 +11,54 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.peers.ruler import IDLE_S, PAGE_BYTES, RING, Bytes, Job, Reader, Writer, contest, duet
+from bench.peers.ruler import Bytes, Meter, Task, Writer, contestant, two_processes
+
+SLOTS = 8
+POLL_S = 0.1
+PAGE_BYTES = 4096
 
 
-def produce(job: Job) -> None:
-    """Fill the slots in turn; say which number is there."""
-    slots, writer = _slots(job), Writer(job)
-    bell = os.open(Path(job.folder, "bell"), os.O_WRONLY)
-    for seq in writer.turns():
-        writer.write(slots[seq % RING], seq)
-        os.write(bell, struct.pack("q", seq))
+def receive(task: Task) -> None:
+    """The receiving side."""
+    meter = Meter(task)
+    path = task.folder / "bell"
+    os.mkfifo(path)
+    slots = mapped(task)
+    bell = os.open(path, os.O_RDWR)  # also for writing: no end of file before the sender comes
+    meter.ready()
+    while not meter.finished:
+        if select.select([bell], [], [], POLL_S)[0]:
+            (number,) = struct.unpack("q", os.read(bell, 8))
+            meter.take(slots[number % SLOTS])
+    meter.save()
+
+
+def send(task: Task) -> None:
+    """The sending side."""
+    writer = Writer(task)
+    slots = mapped(task)
+    memory_file(task).unlink()  # the receiver has it by now
+    bell = os.open(task.folder / "bell", os.O_WRONLY)
+    for number in writer.paced():
+        writer.write(slots[number % SLOTS], number)
+        os.write(bell, struct.pack("q", number))
     writer.save()
 
 
-def consume(job: Job) -> None:
-    """Read each as it is told."""
-    path = Path(job.folder, "bell")
-    os.mkfifo(path)
-    slots, reader = _slots(job), Reader(job)
-    bell = os.open(path, os.O_RDWR)  # also for writing: no end of file before the producer comes
-    reader.ready()
-    while not reader.over():
-        if select.select([bell], [], [], IDLE_S)[0]:
-            (seq,) = struct.unpack("q", os.read(bell, 8))
-            reader.read(slots[seq % RING], seq)
-    reader.save()
-
-
-def _slots(job: Job) -> list[Bytes]:
-    stride = -(-job.size_bytes // PAGE_BYTES) * PAGE_BYTES
-    handle = os.open(Path(job.folder, "slots"), os.O_RDWR | os.O_CREAT, 0o600)
-    os.ftruncate(handle, stride * RING)
-    memory = np.frombuffer(mmap.mmap(handle, stride * RING), np.uint8)
+def mapped(task: Task) -> list[Bytes]:
+    """The slots, the same memory in both processes."""
+    stride = -(-task.nbytes // PAGE_BYTES) * PAGE_BYTES
+    handle = os.open(memory_file(task), os.O_RDWR | os.O_CREAT, 0o600)
+    os.ftruncate(handle, stride * SLOTS)
+    memory = np.frombuffer(mmap.mmap(handle, stride * SLOTS), np.uint8)
     os.close(handle)
-    return [memory[k * stride :][: job.size_bytes] for k in range(RING)]
+    return [memory[k * stride :][: task.nbytes] for k in range(SLOTS)]
+
+
+def memory_file(task: Task) -> Path:
+    """In memory: a disk's pages would be written back, and made read-only, meanwhile."""
+    return Path("/dev/shm", task.folder.name)
 
 
 if __name__ == "__main__":
-    contest("bare", ("numpy",), duet(__spec__.name), produce=produce, consume=consume)
+    contestant("bare", "numpy", two_processes("bare"), {"receive": receive, "send": send})

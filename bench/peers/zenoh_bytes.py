@@ -1,64 +1,63 @@
-"""Zenoh as it comes: the payload inside the message, over a unix socket, no shared memory."""
+"""Plain Zenoh: the picture inside the message, over a unix socket, no shared memory."""
 
 import json
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zenoh
 
-from bench.peers.ruler import IDLE_S, Job, Reader, Writer, contest, duet
+from bench.peers.ruler import Meter, Task, Writer, contestant, two_processes
 
 KEY = "bench/picture"
+POLL_S = 0.01
 
 
-def produce(job: Job) -> None:
-    """Fill own memory, put it, the number as the attachment."""
-    payload, writer = bytearray(job.size_bytes), Writer(job)
+def receive(task: Task) -> None:
+    """The receiving side: in the transport's own thread, which saves a hop."""
+    meter = Meter(task)
+
+    def on_sample(sample: zenoh.Sample) -> None:
+        meter.take(np.frombuffer(sample.payload.to_bytes(), np.uint8))
+
+    with _session(task, "listen") as session:
+        session.declare_subscriber(KEY, zenoh.handlers.Callback(on_sample, indirect=False))
+        meter.ready()
+        while not meter.finished:
+            time.sleep(POLL_S)
+    meter.save()
+
+
+def send(task: Task) -> None:
+    """The sending side."""
+    writer = Writer(task)
+    payload = bytearray(task.nbytes)
     view = np.frombuffer(payload, np.uint8)
-    with _session(job, connect=True) as session:
+    with _session(task, "connect") as session:
         publisher = session.declare_publisher(
             KEY, congestion_control=zenoh.CongestionControl.BLOCK, express=True
         )
         while not publisher.matching_status:
-            time.sleep(0.01)
-        for seq in writer.turns():
-            writer.write(view, seq)
-            publisher.put(payload, attachment=seq.to_bytes(8, "little"))
+            time.sleep(POLL_S)
+        for number in writer.paced():
+            writer.write(view, number)
+            publisher.put(payload)
         writer.save()
 
 
-def consume(job: Job) -> None:
-    """Read each in the transport's own thread, which saves a hop."""
-    reader = Reader(job)
-
-    def receive(sample: zenoh.Sample) -> None:
-        payload = np.frombuffer(sample.payload.to_bytes(), np.uint8)
-        assert sample.attachment is not None
-        reader.read(payload, int.from_bytes(sample.attachment.to_bytes(), "little"))
-
-    with _session(job, connect=False) as session:
-        session.declare_subscriber(KEY, zenoh.handlers.Callback(receive, indirect=False))
-        reader.ready()
-        while not reader.over():
-            time.sleep(IDLE_S)
-    reader.save()
-
-
-def _session(job: Job, *, connect: bool) -> Any:
-    link = [f"unixsock-stream/{Path(job.folder, 'link.sock')}"]
-    ends = {"connect": {"endpoints": link}} if connect else {"listen": {"endpoints": link}}
+def _session(task: Task, end: str) -> Any:
     config = {
         "mode": "peer",
         "scouting": {"multicast": {"enabled": False}},
         "transport": {"shared_memory": {"enabled": False}},
         "listen": {"endpoints": []},
-        **ends,
     }
+    config[end] = {"endpoints": [f"unixsock-stream/{task.folder / 'link.sock'}"]}
     return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
 
 
 if __name__ == "__main__":
-    duo = duet(__spec__.name)
-    contest("zenoh bytes", ("eclipse-zenoh", "numpy"), duo, produce=produce, consume=consume)
+    contestant(
+        "zenoh_bytes", "eclipse-zenoh", two_processes("zenoh_bytes"),
+        {"receive": receive, "send": send},
+    )  # fmt: skip
