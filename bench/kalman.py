@@ -7,7 +7,6 @@ pixels between the foreseen and the true centre at 1, 4, 8 and 13 frames, and th
 
 import argparse
 import json
-import platform
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from filterpy.common import Q_discrete_white_noise
 from numpy.typing import NDArray
 
+from bench.machine import facts
 from operators.association import Association, AssociationSettings
 from pipeline import Detections
 from pipeline.testing import header
@@ -144,7 +144,7 @@ def main() -> None:
         for noise in (0.0, 0.1)
     }
     result = {
-        "machine": platform.processor() or platform.machine(),
+        **facts(),
         "seed": options.seed,
         "ahead_frames": AHEAD,
         "error_px": table,
