@@ -89,8 +89,8 @@ def scale_of(box: Box) -> float:
 def refined(response: NDArray[np.float32], row: int, column: int) -> NDArray[np.float32]:
     """How far the true peak lies from its cell, by a parabola each way: (x, y) within ±0.5.
 
-    >>> refined(np.array([[0, 0, 0], [2, 4, 3], [0, 0, 0]], np.float32), 1, 1).round(2).tolist()
-    [0.17, 0.0]
+    >>> refined(np.array([[0, 0, 0], [2, 4, 4], [0, 0, 0]], np.float32), 1, 1).tolist()
+    [0.5, 0.0]
     """
     offset = np.zeros(2, np.float32)
     height, width = response.shape
