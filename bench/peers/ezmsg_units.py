@@ -1,96 +1,101 @@
-"""ezmsg: two units in two processes, the picture inside the message, read without a copy."""
+"""ezmsg: two units in two processes, its shared memory, zero-copy on the receiving side."""
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
-from typing import Any
 
-import ezmsg.core as ez
+import ezmsg.core as ez  # type: ignore[import-not-found, unused-ignore]
 import numpy as np
 
-from bench.peers.ruler import RING, Bytes, Job, Reader, Writer, contest
+from bench.peers.ruler import Bytes, Meter, Task, Writer, contestant
 
 
 @dataclass
 class Picture:
-    """What travels."""
+    """The message."""
 
-    seq: int
-    payload: Bytes
-
-
-class JobSettings(ez.Settings):  # type: ignore[misc]
-    """What each unit must know."""
-
-    job: Job
+    pixels: Bytes
 
 
-class Produce(ez.Unit):  # type: ignore[misc]
-    """Fills own memory; the framework moves it into shared memory."""
+class SideSettings(ez.Settings):  # type: ignore[misc, unused-ignore]
+    """Both sides have the same."""
 
-    SETTINGS = JobSettings
-    OUT = ez.OutputStream(Picture, num_buffers=RING)
+    task: Task
 
-    @ez.publisher(OUT)  # type: ignore[untyped-decorator]
-    async def run(self) -> AsyncGenerator[Any, None]:
-        """All messages, then the end of both units."""
-        job = self.SETTINGS.job
-        writer, payload = Writer(job), np.zeros(job.size_bytes, np.uint8)
-        await asyncio.sleep(0.5)
-        for seq in range(job.total):
-            await asyncio.sleep(writer.rest_s(seq))
-            writer.write(payload, seq)
-            yield self.OUT, Picture(seq, payload)
-        await asyncio.sleep(0.5)
+
+class Sender(ez.Unit):  # type: ignore[misc, unused-ignore]
+    """The sending side."""
+
+    SETTINGS = SideSettings
+    OUT = ez.OutputStream(Picture, num_buffers=32)
+
+    @ez.publisher(OUT)  # type: ignore[untyped-decorator, unused-ignore]
+    async def send(self) -> AsyncIterator[tuple[object, Picture]]:
+        """Keep the rate without blocking the loop that carries acknowledgements."""
+        task = self.SETTINGS.task
+        writer = Writer(task)
+        pixels = np.zeros(task.nbytes, np.uint8)
+        for number in range(task.total):
+            await asyncio.sleep(writer.due_in_s(number))
+            writer.begin(number)
+            writer.write(pixels, number)
+            yield self.OUT, Picture(pixels)
         writer.save()
+        while not (task.folder / "receiver.json").exists():
+            await asyncio.sleep(0.02)
         raise ez.NormalTermination
 
 
-class Consume(ez.Unit):  # type: ignore[misc]
-    """Reads in place."""
+class Receiver(ez.Unit):  # type: ignore[misc, unused-ignore]
+    """The receiving side."""
 
-    SETTINGS = JobSettings
+    SETTINGS = SideSettings
     IN = ez.InputStream(Picture)
 
     async def initialize(self) -> None:
-        """In the process that reads."""
-        self.reader = Reader(self.SETTINGS.job)
+        """Called in the receiver's own process."""
+        self.meter = Meter(self.SETTINGS.task)
 
-    @ez.subscriber(IN, zero_copy=True)  # type: ignore[untyped-decorator]
+    @ez.subscriber(IN, zero_copy=True)  # type: ignore[untyped-decorator, unused-ignore]
     async def on_picture(self, picture: Picture) -> None:
-        """One message."""
-        self.reader.read(picture.payload, picture.seq)
+        """Read one."""
+        self.meter.take(picture.pixels)
 
-    async def shutdown(self) -> None:
-        """Leave the figures."""
-        self.reader.save()
+    @ez.task  # type: ignore[untyped-decorator, unused-ignore]
+    async def watch(self) -> None:
+        """Begin once units are connected, report when all is in."""
+        await asyncio.sleep(0.5)
+        self.meter.ready()
+        while not self.meter.finished:
+            await asyncio.sleep(0.02)
+        self.meter.save()
 
 
-class Pair(ez.Collection):  # type: ignore[misc]
-    """The graph."""
+class Pair(ez.Collection):  # type: ignore[misc, unused-ignore]
+    """One of each, connected, in two processes."""
 
-    SETTINGS = JobSettings
-    PRODUCE = Produce()
-    CONSUME = Consume()
+    SETTINGS = SideSettings
+    SENDER = Sender()
+    RECEIVER = Receiver()
 
     def configure(self) -> None:
-        """Hand the job on."""
-        self.PRODUCE.apply_settings(self.SETTINGS)
-        self.CONSUME.apply_settings(self.SETTINGS)
+        """Hand the task on."""
+        self.SENDER.apply_settings(self.SETTINGS)
+        self.RECEIVER.apply_settings(self.SETTINGS)
 
-    def network(self) -> tuple[tuple[Any, Any], ...]:
-        """One edge."""
-        return ((self.PRODUCE.OUT, self.CONSUME.IN),)
+    def network(self) -> tuple[tuple[object, object], ...]:
+        """The one edge."""
+        return ((self.SENDER.OUT, self.RECEIVER.IN),)
 
-    def process_components(self) -> tuple[Any, ...]:
-        """A process each."""
-        return (self.PRODUCE, self.CONSUME)
+    def process_components(self) -> tuple[object, ...]:
+        """Each in a process of its own."""
+        return (self.SENDER, self.RECEIVER)
 
 
-def launch(job: Job) -> None:
-    """ezmsg starts its processes itself."""
-    ez.run(PAIR=Pair(JobSettings(job=job)))
+def launch(task: Task) -> None:
+    """Both sides."""
+    ez.run(PAIR=Pair(SideSettings(task)))
 
 
 if __name__ == "__main__":
-    contest("ezmsg", ("ezmsg", "numpy"), launch)
+    contestant("ezmsg_units", "ezmsg", launch)
