@@ -1,6 +1,6 @@
 # Two commands do everything on a machine with Python 3.11: `make demo` and `make test`.
 
-PYTHON ?= python3.11
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
@@ -30,14 +30,17 @@ clean:
 	rm -rf $(VENV) build *.egg-info demo.rrd
 
 $(VENV)/bin/python:
-	@command -v $(PYTHON) >/dev/null || { echo "needs Python 3.11: make PYTHON=/path/to/python3.11"; exit 1; }
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "needs Python 3.11 or newer, got " + sys.version)'
-	$(PYTHON) -m venv $(VENV)
+	@test -n "$(PYTHON)" || { echo "needs Python 3.11: make PYTHON=/path/to/python3.11"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "needs Python 3.11 or newer, got " + sys.version)'
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo "needs Python's venv: apt-get install python3-venv"; exit 1; }
+	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); exit 1; }
 
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
-	$(PIP) --editable .
+	@echo "installing into $(VENV): about a minute and 1.3 GB, once"
+	@$(PIP) --editable .
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.installed
-	$(PIP) --editable '.[dev]'
+	@echo "installing what the tests need"
+	@$(PIP) --editable '.[dev]'
 	@touch $@
