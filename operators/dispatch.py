@@ -1,5 +1,6 @@
 """Say where the sensor looks next: Scanpath -> RoiSchedule (Eq. 6 made into windows)."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -14,6 +15,7 @@ from pipeline.messages import Geometry, Header, RoiSchedule, Scanpath
 
 Fill = Literal["hold", "centre", "scan"]
 Window = tuple[int, int, int, int]  # xyxy, sensor pixels
+DELAYS = (0, 2, 13, 60)  # frames from picture to command that the paper and this project meet
 FAR_PX = 2.0**24  # beyond any field, and the sum of two still is a float32
 
 
@@ -44,6 +46,26 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
     """One window of the sensor's ROI size per frame, around the box predicted for that frame."""
 
     scanpath = Input(Scanpath, keep="every")
+
+    @classmethod
+    def advise(cls, settings: DispatchSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """How late a plan may come before frames are left without one."""
+        horizon = getattr(upstream.get("scanpath"), "horizon", 0)
+        if not horizon:
+            return
+        every = settings.replan_every
+        if every > horizon:
+            share = coverage(0, every, horizon)
+            yield (
+                f"warning: plans reach {horizon} frames and are made every {every}: at best "
+                f"{share:.0%} of the frames have one, the others are filled by {settings.fill}"
+            )
+            return
+        shares = ", ".join(f"{d}: {coverage(d, every, horizon):.0%}" for d in DELAYS)
+        yield (
+            f"plans reach {horizon} frames, a new one every {every}: every frame has one up to "
+            f"{horizon - every} frames of delay; share of frames with a plan by delay {shares}"
+        )
 
     def open(self) -> None:
         """Begin without a plan."""

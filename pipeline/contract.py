@@ -81,8 +81,11 @@ class Operator(Generic[S, Out]):
         return {}
 
     @classmethod
-    def advise(cls, settings: Mapping[str, Any]) -> Iterable[str]:
-        """Sentences for `fovea check`: what these settings mean, warnings; nothing is opened."""
+    def advise(cls, settings: S, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Sentences for `fovea check`: what these settings mean, warnings; nothing is opened.
+
+        `upstream` holds the settings of the node behind each connected input, by input name.
+        """
         return ()
 
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike, output: str = "out") -> NDArray[Any]:

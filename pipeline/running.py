@@ -5,15 +5,18 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.live import Live
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from pipeline.contract import settings_of
 from pipeline.inline import InlineRunner
-from pipeline.plan import Plan, load_operator, sources
+from pipeline.plan import Node, Plan, load_operator, sources
 from pipeline.report import Report, compose
+from pipeline.settings import build
 from pipeline.supervisor import Supervisor
 
 REFRESH_S = 0.25
@@ -80,8 +83,14 @@ def status_line(plan: Plan, supervisor: Supervisor, elapsed_s: float) -> str:
 def advice(plan: Plan) -> Iterator[str]:
     """What a graph's operators have to say about it before it runs (`Operator.advise`)."""
     for node in plan.nodes:
-        for line in load_operator(node.operator).advise(node.settings):
+        edges = plan.inputs(node.name).values()
+        upstream = {e.input: _settings(plan.node(e.source)) for e in edges}
+        for line in load_operator(node.operator).advise(_settings(node), upstream):
             yield f"{node.name}: {line}"
+
+
+def _settings(node: Node) -> Any:
+    return build(settings_of(load_operator(node.operator)), node.settings, node.name)
 
 
 @contextmanager
