@@ -41,7 +41,7 @@ class Sender(Source[TaskSettings, Frame]):
         self._numbers = self._writer.paced()
         self._stream = uuid4().hex
 
-    def produce(self) -> dict[str, Frame] | None:  # type: ignore[override]
+    def produce(self) -> dict[str, Frame] | None:
         """Write the next picture into memory of the output."""
         number = next(self._numbers, None)
         if number is None:
