@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,10 @@ from pydantic import TypeAdapter
 
 from pipeline.node import Assignment
 
+# numeric libraries would start a thread per core in every process
+_THREAD_LIMITS = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM",
+)  # fmt: skip
 Events = queue.SimpleQueue[tuple[str, int, dict[str, Any]]]  # process, pid, event
 
 
@@ -30,24 +35,27 @@ class Sample:
     rss_mb: float
 
 
-class Child:
-    """A started process. Its standard error goes to `<folder>/<process>.log`."""
-
-    def __init__(self, job: Assignment, events: Events, *, threads: int) -> None:
-        self.name = job.process
-        self.ready = self.going = False
-        mode = "wb" if max(job.epochs.values()) == 1 else "ab"
-        self._log = (Path(job.run_folder) / f"{job.process}.log").open(mode)
-        self._popen = subprocess.Popen(
-            [sys.executable, "-m", "pipeline.node", job.prefix],
+def spawn(prefix: str, folder: Path, modules: Collection[str]) -> "subprocess.Popen[bytes]":
+    """A process that imports what it may need and waits for its assignment."""
+    with (folder / "spare.log").open("ab") as log:
+        return subprocess.Popen(
+            [sys.executable, "-m", "pipeline.node", prefix, *modules],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._log,
-            env={**os.environ, **_thread_limits(threads)},
+            stderr=log,
+            env={**os.environ, **dict.fromkeys(_THREAD_LIMITS, "1")},
             start_new_session=True,  # Ctrl-C is the supervisor's affair
         )
-        self.started_s = time.monotonic()
-        self._process = psutil.Process(self._popen.pid)
+
+
+class Child:
+    """A process with an assignment. It logs to `<folder>/<process>.log`."""
+
+    def __init__(self, popen: "subprocess.Popen[bytes]", job: Assignment, events: Events) -> None:
+        self.name, self._popen = job.process, popen
+        self.ready = self.going = False
+        self.load_s = 0.0  # time it took to open its operators, models included
+        self._process = psutil.Process(popen.pid)
         self._reader = threading.Thread(target=self._listen, args=(events,), daemon=True)
         self._reader.start()
         self._write(TypeAdapter(Assignment).dump_json(job).decode())
@@ -81,10 +89,7 @@ class Child:
             self._popen.kill()
             self._popen.wait()
         self._reader.join(1.0)
-        for pipe in (self._popen.stdin, self._popen.stdout, self._log):
-            with contextlib.suppress(OSError):
-                if pipe is not None:
-                    pipe.close()
+        close_pipes(self._popen)
 
     def sample(self) -> Sample | None:
         """Processor time and memory now; None when it is gone."""
@@ -111,8 +116,9 @@ class Child:
                     events.put((self.name, self.pid, event))
 
 
-def _thread_limits(threads: int) -> dict[str, str]:
-    """Keep numeric libraries from starting a thread per core in every process."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
-             "OPENCV_FOR_THREADS_NUM")  # fmt: skip
-    return dict.fromkeys(names, str(threads))
+def close_pipes(popen: "subprocess.Popen[bytes]") -> None:
+    """Give back the supervisor's ends."""
+    for pipe in (popen.stdin, popen.stdout):
+        with contextlib.suppress(OSError):
+            if pipe is not None:
+                pipe.close()

@@ -4,16 +4,19 @@ The supervisor speaks over standard input (`go`, `finish`, `stop`, end of file: 
 events as JSON lines; everything an operator prints goes to the log.
 """
 
+import contextlib
 import faulthandler
 import gc
+import importlib
 import json
 import logging
 import os
 import signal
 import sys
 import threading
+import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -68,6 +71,7 @@ class Process:
 
     def run(self) -> None:
         """Open everything, run until stopped, close everything."""
+        began_s = time.monotonic()
         try:
             for node in self._nodes:
                 account = self._ledger.nodes[node.index]
@@ -75,13 +79,14 @@ class Process:
                 account.enter("starting")
                 self._operators.append(self._make(node))
                 self._operators[-1].open()
+            loaded_s = time.monotonic()
             self._session = Session(Path(self._job.run_folder), self._job.process)
             self._hosts = [
                 self._host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
             ]
             gc.collect()
             gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
-            self.say("ready")
+            self.say("ready", load_s=loaded_s - began_s)
             self._run_hosts()
         except Exception as error:
             self._report(error)
@@ -227,10 +232,15 @@ def main() -> None:
     """Read an assignment, do it, leave with 0 or 1."""
     events = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever an operator prints belongs into the log
+    _import_ahead(sys.argv[2:])
+    line = sys.stdin.readline()
+    if not line:
+        os._exit(0)  # a spare that was not needed
+    job = TypeAdapter(Assignment).validate_json(line)
+    _log_to(Path(job.run_folder) / f"{job.process}.log", fresh=max(job.epochs.values()) == 1)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     faulthandler.register(signal.SIGUSR1)  # the supervisor asks before it kills a stalled node
     sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
-    job = TypeAdapter(Assignment).validate_json(sys.stdin.readline())
     path = job.plan.command_path()
     if path and not any(n.name in path for n in job.plan.nodes if n.process == job.process):
         os.nice(ASIDE_NICENESS)
@@ -239,6 +249,21 @@ def main() -> None:
     process.run()
     events.close()
     os._exit(1 if process.failed else 0)  # Zenoh's threads would keep the interpreter waiting
+
+
+def _import_ahead(modules: Iterable[str]) -> None:
+    """Load what a restarted operator will need; who fails here will say so when it is used."""
+    for module in modules:
+        with contextlib.suppress(Exception):
+            importlib.import_module(module)
+
+
+def _log_to(path: Path, *, fresh: bool) -> None:
+    flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | (os.O_TRUNC if fresh else 0)
+    handle = os.open(path, flags, 0o600)
+    for stream in (1, 2):
+        os.dup2(handle, stream)
+    os.close(handle)
 
 
 def _obey(process: Process) -> None:

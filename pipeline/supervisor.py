@@ -6,13 +6,15 @@ Only this process writes who reads and who speaks for a node now (`reader_epoch`
 import logging
 import queue
 import signal
+import subprocess
 import time
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
 from pipeline.bus import Session
-from pipeline.child import Child, Events, Sample
+from pipeline.child import Child, Events, Sample, close_pipes, spawn
 from pipeline.errors import RunError
 from pipeline.ledger import Ledger
 from pipeline.node import Assignment
@@ -23,6 +25,7 @@ TICK_S = 0.02
 SAMPLE_S = 1.0
 FROZEN_S = 3.0  # no heartbeat for this long: the process does not run at all
 START_S = 60.0
+MOST_SAMPLES = 7200
 DRAIN_S = 5.0
 STOP_S = 4.0
 log = logging.getLogger(__name__)
@@ -38,7 +41,7 @@ class _Slot:
     epoch: int = 0
     next_start_s: float = 0.0
     deaths: deque[float] = field(default_factory=lambda: deque(maxlen=64))
-    samples: list[Sample] = field(default_factory=list)
+    samples: deque[Sample] = field(default_factory=lambda: deque(maxlen=MOST_SAMPLES))
     sources: frozenset[str] = frozenset()
 
 
@@ -53,6 +56,7 @@ class Supervisor:
         )
         self._hub = Session(self._run.folder, "hub")
         self._events: Events = queue.SimpleQueue()
+        self._spare: subprocess.Popen[bytes] | None = None
         self._slots = {
             name: _Slot(name, nodes, sources=frozenset(n.name for n in nodes if is_source(n)))
             for name, nodes in plan.processes().items()
@@ -94,6 +98,7 @@ class Supervisor:
         if now_s - self._sampled_s >= SAMPLE_S:
             self._sampled_s = now_s
             self._sample()
+            self._keep_a_spare()
         time.sleep(TICK_S)
 
     @property
@@ -114,6 +119,7 @@ class Supervisor:
     def stop(self) -> None:
         """Stop every process, collect what they have to say."""
         self._sample()
+        self._dismiss_spare()
         children = [slot.child for slot in self._slots.values() if slot.child]
         for child in children:
             child.tell("stop")
@@ -126,14 +132,18 @@ class Supervisor:
 
     def close(self) -> None:
         """Nothing is left behind: no process, no socket, no memory."""
-        if any(slot.child for slot in self._slots.values()):
-            self.stop()
+        self.stop()
         self._hub.close()
         self._run.release()
 
     def samples(self, process: str) -> list[Sample]:
-        """What a process used, about once a second."""
-        return self._slots[process].samples
+        """What a process used, about once a second, the last two hours."""
+        return list(self._slots[process].samples)
+
+    def load_s(self, process: str) -> float:
+        """How long the present process took to open its operators, 0 until it is ready."""
+        child = self._slots[process].child
+        return child.load_s if child else 0.0
 
     def pid(self, process: str) -> int:
         """Its present process id, 0 while there is none."""
@@ -162,7 +172,30 @@ class Supervisor:
             epochs={node.name: slot.epoch for node in slot.nodes},
             frames=self._frames,
         )
-        slot.child = Child(job, self._events, threads=max(n.threads for n in slot.nodes))
+        spare, self._spare = self._spare, None
+        slot.child = Child(spare or self._spawn(()), job, self._events)
+
+    def _spawn(self, modules: Collection[str]) -> "subprocess.Popen[bytes]":
+        return spawn(self._run.prefix, self._run.folder, modules)
+
+    def _keep_a_spare(self) -> None:
+        """Have a process ready that has imported every operator: a restart is then a load."""
+        if self._spare is not None and self._spare.poll() is not None:
+            close_pipes(self._spare)
+            self._spare = None
+        if self._spare is None and self.plan.clock == "realtime" and self._all_going():
+            modules = {node.operator.partition(":")[0] for node in self.plan.nodes}
+            self._spare = self._spawn(sorted(modules))
+
+    def _dismiss_spare(self) -> None:
+        if self._spare is not None:
+            close_pipes(self._spare)
+            try:
+                self._spare.wait(STOP_S)
+            except subprocess.TimeoutExpired:
+                self._spare.kill()
+                self._spare.wait()
+            self._spare = None
 
     def _hear(self) -> None:
         while True:
@@ -173,7 +206,7 @@ class Supervisor:
             slot = self._slots[process]
             kind = event.get("event")
             if kind == "ready" and slot.child and slot.child.pid == pid:
-                slot.child.ready = True
+                slot.child.ready, slot.child.load_s = True, float(event.get("load_s", 0))
             elif kind == "finished":
                 self._finished.add(str(event["node"]))
             elif kind == "summary":
