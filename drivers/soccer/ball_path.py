@@ -47,10 +47,10 @@ class Knot:
 def knot(seed: int, chunk: int) -> Knot:
     """The start of a chunk: (seed, chunk) -> place and kind."""
     rng = np.random.default_rng([seed, 1, chunk + FIRST])
-    kind = str(rng.choice(["open", "corner", "keeper", "free"], p=[0.6, 0.14, 0.12, 0.14]))
-    swing = 30 * np.sin(2 * np.pi * (chunk / 7.3 + seed % 97 / 97))
-    x = float(np.clip(52.5 + swing + rng.normal(0, 14), 4, 101))
-    y = float(rng.uniform(5, 63))
+    kind = str(rng.choice(["open", "corner", "keeper", "free"], p=[0.55, 0.15, 0.14, 0.16]))
+    swing = 32 * np.sin(2 * np.pi * (chunk / 9.3 + seed % 97 / 97))
+    x = float(np.clip(52.5 + swing + rng.normal(0, 7), 4, 101))
+    y = float(rng.uniform(12, 56))
     end = 0.0 if x < PITCH_M[0] / 2 else PITCH_M[0]
     team = int(rng.integers(2))
     if kind == "corner":
@@ -123,7 +123,7 @@ def _places(
     ways = pace * durations
     share = np.concatenate([[0.0], np.cumsum(ways) / ways.sum()])
     a, b = np.array(start), np.array(end.place_m)
-    stray = np.cumsum(rng.normal(0, 1, (len(kinds), 2)) * ways[:, None] * 0.55, 0)
+    stray = np.cumsum(rng.normal(0, 1, (len(kinds), 2)) * ways[:, None] * 0.38, 0)
     stray = np.concatenate([np.zeros((1, 2)), stray])
     stray -= share[:, None] * stray[-1]
     places = a + share[:, None] * (b - a) + stray

@@ -1,12 +1,14 @@
 """Draw people: look and pose -> a premultiplied RGBA sprite, limb by limb, the farthest first."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import hypot, sin
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.soccer.blend import extent
 from drivers.soccer.looks import Colour, Look
 from drivers.soccer.skeleton import DIRECTIONS, Pose, joints, turned
 
@@ -21,10 +23,21 @@ FOLDS = np.random.default_rng(7).normal(0, 0.09, (24, 24)).astype(np.float32)  #
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sprite:
+    """A person cut out."""
+
+    image: Image  # premultiplied RGBA
+    feet: tuple[float, float]  # where the ground point is, its pixels
+
+
 def draw(
     look: Look, pose: Pose, height_px: int, tint: NDArray[np.float64], soft_px: float
-) -> Image:
-    """A sprite `height_px` tall; `feet` says where its ground point is; `tint` per channel."""
+) -> Sprite:
+    """A person in a frame TALL_M by WIDE_M that is `height_px` tall, cut to what is seen.
+
+    `tint` is the light, per channel.
+    """
     drawing = Drawing(height_px, tint)
     body = joints(pose, look.height_m, look.width)
     points = dict(zip(body, drawing.seen(turned(body, pose.direction)), strict=True))
@@ -35,12 +48,13 @@ def draw(
         parts.append((points["elbow" + x][2] + points["hand" + x][2], _arm, x))
     for _, paint, which in sorted(parts, key=lambda part: part[0]):
         paint(drawing, points, look, which)
-    return _finish(drawing.image, height_px, soft_px)
-
-
-def feet(height_px: int) -> tuple[float, float]:
-    """The ground point within a sprite: x, y in its pixels."""
-    return WIDE_M / 2 * height_px / TALL_M, (TALL_M - FEET_M) * height_px / TALL_M
+    whole = _finish(drawing.image, height_px, soft_px)
+    x0, y0, x1, y1 = extent(whole[..., 3], 1)
+    px_per_m = height_px / TALL_M
+    return Sprite(
+        image=np.ascontiguousarray(whole[y0:y1, x0:x1]),
+        feet=(WIDE_M / 2 * px_per_m - x0, (TALL_M - FEET_M) * px_per_m - y0),
+    )
 
 
 class Drawing:

@@ -51,8 +51,8 @@ class Turf:
 
 def draw_turf(rng: np.random.Generator, tint: Points) -> Turf:
     """A usual pitch: artificial and bright, or worn and dull."""
-    green = rng.uniform(95, 165)
-    base = np.array([green * rng.uniform(0.45, 0.85), green, green * rng.uniform(0.18, 0.6)]) * tint
+    green = rng.uniform(95, 160)
+    base = np.array([green * rng.uniform(0.55, 0.9), green, green * rng.uniform(0.25, 0.65)]) * tint
     return Turf(
         colour=(int(base[0]), int(base[1]), int(base[2])),
         stripe_m=float(rng.choice([3.0, 5.25, 5.5, 7.0, 11.0])),
@@ -96,7 +96,8 @@ def _angles(canvas: Canvas, step: int) -> tuple[Points, Points]:
 
 def _paint_grass(canvas: Canvas, rng: np.random.Generator, station: Station, turf: Turf) -> None:
     step = 2
-    xs, ys = (a.astype(np.float32) for a in _angles(canvas, step))
+    columns, rows = _angles(canvas, step)
+    xs, ys = np.asarray(columns, np.float32), np.asarray(rows, np.float32)
     reach = np.float32(station.height_m) / np.maximum(ys, np.float32(0.02))[:, None]
     x = np.float32(station.x_m) + reach * np.sin(xs)[None]
     y = np.float32(station.y_m) - reach * np.cos(xs)[None]
@@ -105,7 +106,7 @@ def _paint_grass(canvas: Canvas, rng: np.random.Generator, station: Station, tur
         bands += np.sign(np.sin(np.float32(np.pi / turf.stripe_m) * x))
     if turf.pattern in ("along", "checks"):
         bands += np.sign(np.sin(np.float32(np.pi / turf.stripe_m) * y))
-    worn = cv2.resize(rng.normal(0, 0.03, (40, 60)).astype(np.float32), x.shape[::-1])
+    worn = cv2.resize(np.asarray(rng.normal(0, 0.03, (40, 60)), np.float32), x.shape[::-1])
     light = 1 + np.float32(turf.stripe) * bands + worn
     inside = (x > -2) & (x < PITCH_M[0] + 2) & (y > -2) & (y < PITCH_M[1] + 2)
     light *= np.where(inside, 1, np.float32(rng.uniform(0.72, 1.05)))
@@ -114,7 +115,11 @@ def _paint_grass(canvas: Canvas, rng: np.random.Generator, station: Station, tur
     small = np.clip(light[..., None] * colour, 0, 255).astype(np.uint8)
     cv2.resize(small, (w, h), dst=canvas.image, interpolation=cv2.INTER_LINEAR)
     tile = rng.normal(0, 1, (512, 512)).astype(np.float32)
-    tile = cv2.GaussianBlur(tile, (0, 0), 0.9) * 2.2 + cv2.GaussianBlur(tile, (0, 0), 4) * 4
+    tile = (
+        tile * 0.6
+        + cv2.GaussianBlur(tile, (0, 0), 0.9) * 2.2
+        + cv2.GaussianBlur(tile, (0, 0), 4) * 3
+    )
     tile = np.clip(tile * turf.noise, -60, 60).astype(np.int8)
     for top in range(0, h, 512):
         for left in range(0, w, 512):

@@ -83,8 +83,8 @@ def base_paths(seed: int, chunk: int) -> Metres:
     for team in range(2):
         sign = 1 if team == 0 else -1
         stray = rng.normal(0, [2.5, 3.0], (10, 2))
-        along = (SLOTS[:, 0] - 0.5) * 31 * (1 - 0.5 * near_end)
-        across = (SLOTS[:, 1] - 0.5) * 38 * (1 - 0.45 * near_end)
+        along = (SLOTS[:, 0] - 0.5) * 28 * (1 - 0.5 * near_end)
+        across = (SLOTS[:, 1] - 0.5) * 35 * (1 - 0.45 * near_end)
         middle_x = 52.5 + 0.82 * (slow[:, :1] - 52.5) - sign * 5
         middle_y = 34 + 0.55 * (1 - 0.7 * near_end) * (slow[:, 1:] - 34)
         out[:, team * 10 : team * 10 + 10, 0] = middle_x + sign * along + stray[:, 0]
@@ -136,34 +136,34 @@ def owners(seed: int, chunk: int) -> tuple[tuple[Leg, int, int], ...]:
 
 
 def _pulled(seed: int, chunk: int, base: Metres) -> Metres:
-    """The base paths, bent so that those who have the ball are where it is."""
+    """The base paths, bent so that those who have the ball are where it is.
+
+    Where two pulls meet, the stronger counts by its square: nobody jumps.
+    """
     times = grid(chunk)
-    bent = base.copy()
-    weight = np.zeros(base.shape[:2])
+    bend, total = np.zeros_like(base), np.full(base.shape[:2], 1e-9)
+    strongest = np.zeros(base.shape[:2])
     for near in (chunk - 1, chunk, chunk + 1):
         for leg, owner, rival in owners(seed, near):
-            if leg.start_s - 3 > times[-1] or leg.end_s + 3 < times[0]:
+            late = np.maximum(leg.start_s - times, times - leg.end_s)
+            if late.min() > MARGIN_S:
                 continue
-            inside = np.clip(times, leg.start_s, leg.end_s - 1e-6)
-            ball = np.array(leg.start_m) + ((inside - leg.start_s) / (leg.end_s - leg.start_s))[
-                :, None
-            ] * (np.array(leg.end_m) - np.array(leg.start_m))
-            for who, gap, pull in ((owner, 0.45, 1.0), (rival, 1.3, 0.9)):
+            share = np.clip(-(leg.start_s - times) / (leg.end_s - leg.start_s), 0, 1)
+            ball = np.array(leg.start_m) + share[:, None] * np.subtract(leg.end_m, leg.start_m)
+            held = leg.kind == "held"
+            for who, gap, pull in ((owner, 0.1 if held else 0.45, 1.0), (rival, 1.3, 0.9)):
                 if who < 0:
                     continue
                 way = base[:, who] - ball
                 reach = np.linalg.norm(way, axis=1, keepdims=True) + 1e-6
-                side = 0.1 if leg.kind == "held" else gap
-                target = ball + way / reach * np.minimum(side, reach)
-                ramp_s = float(np.clip(reach.min() / 5.0, 0.7, 2.6))
-                late = np.maximum(leg.start_s - times, times - leg.end_s)
+                to_target = way / reach * np.minimum(gap, reach) - way
+                ramp_s = float(np.clip(reach.min() / 3.5, 0.8, MARGIN_S))
                 w = np.clip(1 - late / ramp_s, 0, 1)
                 w = pull * w * w * (3 - 2 * w)
-                more = w > weight[:, who]
-                blend = base[:, who] + w[:, None] * (target - base[:, who])
-                bent[more, who] = blend[more]
-                weight[more, who] = w[more]
-    return bent
+                bend[:, who] += w[:, None] ** 2 * to_target
+                total[:, who] += w**2
+                strongest[:, who] = np.maximum(strongest[:, who], w)
+    return np.asarray(base + bend / total[..., None] * strongest[..., None])
 
 
 @lru_cache(maxsize=12)

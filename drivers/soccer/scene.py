@@ -64,18 +64,18 @@ class SoccerScene:
         self._shade = float(rng.uniform(0.25, 0.55) if self._sun else rng.uniform(0.08, 0.25))
         self._sun_way = float(rng.uniform(-1.6, 1.6))
         usual = self._style.px_per_m * (self._station.y_m - 34) * zoom
-        radius = min(usual * 0.9, MOST_CANVAS_RADIUS_PX)
+        radius = min(usual, MOST_CANVAS_RADIUS_PX)
         turf = draw_turf(rng, self._tint)
         self._canvas = draw_canvas(rng, self._station, turf, radius, light)
         looks = everybody(self._seed)
 
-        def make(who: int, pose: Pose, height_px: int) -> Image:
+        def make(who: int, pose: Pose, height_px: int) -> figures.Sprite:
             soft = self._soft_px * height_px / (figures.TALL_M * self._style.px_per_m * zoom)
             return figures.draw(looks[who], pose, height_px, self._tint, soft)
 
         self._sprites = Cache(make)
         self._discs = ball.discs(rng, light)
-        self._grain = _grain(rng, float(rng.uniform(0.5, 1 + 3 * difficulty)), 0.4 + 0.3 * zoom)
+        self._grain = _grain(rng, float(rng.uniform(0.7, 2 + 6 * difficulty)), 0.3 + 0.3 * zoom)
 
     def picture(self, index: int) -> Image:
         """Frame `index` as (h, w, 3) RGB, valid until the next call; IndexError past the end."""

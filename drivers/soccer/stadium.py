@@ -20,7 +20,8 @@ def wall(rng: np.random.Generator, light: float) -> Image:
     width, height = (round(side * WALL_PX_PER_M) for side in WALL_M)
     image = np.empty((height, width, 3), np.uint8)
     boards = round(BOARD_M * WALL_PX_PER_M)
-    image[:-boards] = crowd(rng, width, height - boards)
+    block = crowd(rng, width // 3 + 1, height - boards)
+    image[:-boards] = np.concatenate([block, block[:, ::-1], block], 1)[:, :width]
     image[-boards:] = billboards(rng, width, boards)
     gain = light * rng.uniform(0.75, 1.0)
     return np.asarray(cv2.convertScaleAbs(image, alpha=gain))
@@ -68,5 +69,8 @@ def billboards(rng: np.random.Generator, width: int, height: int) -> Image:
         for start in range(x + 8, x + wide - 60, max(120, wide // 2)):
             cv2.putText(image, word, (start, round(height * 0.78)), 0, scale, ink, 2, cv2.LINE_AA)
         x += wide
+    for _ in range(40):  # emblems: round and white, and no ball
+        place = int(rng.integers(width)), int(rng.integers(4, height - 4))
+        cv2.circle(image, place, int(rng.integers(2, 6)), (245, 245, 245), -1, cv2.LINE_AA)
     cv2.line(image, (0, 0), (width, 0), (210, 210, 210), 2)
     return image

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from drivers.soccer.blend import extent, placed
 from drivers.soccer.camera import View
-from drivers.soccer.figures import feet
+from drivers.soccer.figures import Sprite
 from drivers.soccer.play import LABELS, Moment
 from drivers.soccer.skeleton import Pose, pose_at
 from drivers.source import Truth
 
 Image = NDArray[np.uint8]
-Sprites = Callable[[int, Pose, int], Image]
+Sprites = Callable[[int, Pose, int], Sprite]
 
 BALL_ID = len(LABELS) + 1
 STEP = 1.3  # between the heights in which sprites are kept
@@ -45,19 +45,19 @@ class Cache:
 
     def __init__(self, make: Sprites, most_bytes: int = 192 << 20) -> None:
         self._make = make
-        self._kept: OrderedDict[tuple[int, Pose, int], Image] = OrderedDict()
+        self._kept: OrderedDict[tuple[int, Pose, int], Sprite] = OrderedDict()
         self._left = most_bytes
 
-    def __call__(self, who: int, pose: Pose, height_px: int) -> Image:
+    def __call__(self, who: int, pose: Pose, height_px: int) -> Sprite:
         key = (who, pose, height_px)
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key]
         made = self._make(who, pose, height_px)
         self._kept[key] = made
-        self._left -= made.nbytes
+        self._left -= made.image.nbytes
         while self._left < 0 and len(self._kept) > 1:
-            self._left += self._kept.popitem(last=False)[1].nbytes
+            self._left += self._kept.popitem(last=False)[1].image.nbytes
         return made
 
 
@@ -84,9 +84,8 @@ def actors_at(moment: Moment, view: View, sprites: Sprites, frame_m: float) -> l
         pose = pose_at(speed, holds, float(moment.phase[who]), turn)
         height = sprite_height(tall)
         shrink = tall / height
-        patch, left, top = placed(
-            sprites(int(who), pose, height), shrink, feet(height), (float(x), float(y))
-        )
+        sprite = sprites(int(who), pose, height)
+        patch, left, top = placed(sprite.image, shrink, sprite.feet, (float(x), float(y)))
         x0, y0, x1, y1 = extent(patch[..., 3])
         made.append(
             Actor(
