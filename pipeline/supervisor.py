@@ -26,6 +26,7 @@ SAMPLE_S = 1.0
 FROZEN_S = 3.0  # no heartbeat for this long: the process does not run at all
 START_S = 60.0
 MOST_SAMPLES = 7200
+HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
 DRAIN_S = 5.0
 STOP_S = 4.0
 log = logging.getLogger(__name__)
@@ -40,6 +41,8 @@ class _Slot:
     child: Child | None = None
     epoch: int = 0
     next_start_s: float = 0.0
+    going_since_s: float = 0.0
+    quick_deaths: int = 0  # in a row, each before it had run for a while
     deaths: deque[float] = field(default_factory=lambda: deque(maxlen=64))
     samples: deque[Sample] = field(default_factory=lambda: deque(maxlen=MOST_SAMPLES))
     sources: frozenset[str] = frozenset()
@@ -67,6 +70,7 @@ class Supervisor:
         self._sampled_s = 0.0
         self.started_s = time.monotonic()
         self.failure = ""
+        self.patience = 0  # deaths allowed whatever the graph says; for those who kill on purpose
 
     def __enter__(self) -> "Supervisor":
         return self
@@ -233,7 +237,7 @@ class Supervisor:
         if status is not None:
             self._bury(slot, status, now_s)
         elif slot.child.ready and not slot.child.going and self._may_go(slot):
-            slot.child.going = True
+            slot.child.going, slot.going_since_s = True, now_s
             slot.child.tell("go")
         elif slot.child.ready and (complaint := self._stalled(slot)):
             log.error("%s: %s; killed", slot.name, complaint)
@@ -262,15 +266,18 @@ class Supervisor:
         log.warning("%s ended by %s, see `fovea logs %s`", slot.name, how, slot.name)
         rule = slot.nodes[0].restart
         slot.deaths.append(now_s)
+        lived = slot.going_since_s and now_s - slot.going_since_s > HEALTHY_S
+        slot.quick_deaths = 0 if lived else slot.quick_deaths + 1
+        slot.going_since_s = 0.0
         recent = sum(1 for death in slot.deaths if now_s - death < rule.window_s)
         if self.plan.clock == "lockstep":
             self.failure = f"{slot.name} ended by {how}: a lockstep run cannot go on"
         elif rule.policy == "never" or (rule.policy == "on-failure" and status == 0):
             self._finished |= slot.sources
-        elif recent > rule.most:
+        elif recent > max(rule.most, self.patience):
             self.failure = f"{slot.name} died {recent} times within {rule.window_s:.0f} s"
         else:
-            slot.next_start_s = now_s + min(5.0, rule.backoff_s * 2 ** (recent - 1))
+            slot.next_start_s = now_s + min(5.0, rule.backoff_s * 2 ** min(slot.quick_deaths, 8))
             self.restarts[slot.name] = self.restarts.get(slot.name, 0) + 1
 
     def _stalled(self, slot: _Slot) -> str:

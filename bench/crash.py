@@ -1,0 +1,137 @@
+"""What a SIGKILL costs: `python -m bench.crash [GRAPH] --count 20 [--json FILE]`.
+
+Runs a graph of processes in real time and kills each operator in turn, again and again. For every
+kill: the time until the operator has handled a frame again, and how much of it was loading its
+model. At the end: the edges' accounts, what is left in shared memory, the others' memory.
+"""
+
+import json
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import psutil
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from bench.machine import facts
+from pipeline.graph import Overlay, load
+from pipeline.plan import Node
+from pipeline.report import compose
+from pipeline.rundir import MEMORY
+from pipeline.supervisor import Supervisor
+
+ASKED_S = 1.0  # plus the time to load the model
+SETTLE_S = 0.5
+PATIENCE_S = 30.0
+
+
+@click.command()
+@click.argument("graph", default="graphs/tracking.yaml", type=click.Path(path_type=Path))
+@click.option("--source", type=click.Path(path_type=Path))
+@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
+@click.option("--count", default=20, show_default=True, type=click.IntRange(1))
+@click.option("--json", "path", type=click.Path(path_type=Path))
+def main(
+    graph: Path, source: Path | None, changes: tuple[str, ...], count: int, path: Path | None
+) -> None:
+    """Kill every operator of a graph so many times."""
+    plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
+    before = set(os.listdir(MEMORY))
+    kills: list[dict[str, Any]] = []
+    with Supervisor(plan) as supervisor:
+        supervisor.patience = count * len(plan.nodes) + 10
+        supervisor.start()
+        _rest(supervisor, 2.0)
+        memory = _memory(supervisor)
+        order = [node for _ in range(count) for node in plan.nodes]
+        for node in track(order, "killing"):
+            kills.append({"node": node.name, **_kill(supervisor, node)})
+            _rest(supervisor, SETTLE_S)
+        grown = {n: round(m - memory[n], 1) for n, m in _memory(supervisor).items()}
+        supervisor.finish()
+        supervisor.stop()
+        report = compose(plan, supervisor.ledger, {}, {}, duration_s=1.0)
+    left = [n for n in set(os.listdir(MEMORY)) - before if n.startswith("fovea-")]
+    result = {
+        "bench": "crash", **facts(), "graph": str(graph), "count": count,
+        "edges": report["edges"], "unbalanced": _unbalanced(report["edges"]),
+        "left_in_memory": left, "grown_mb": grown, "kills": kills,
+        "recovery": {node.name: _summary(kills, node.name) for node in plan.nodes},
+    }  # fmt: skip
+    console = Console()
+    console.print(_table(result))
+    if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(result, indent=1))
+
+
+def _kill(supervisor: Supervisor, node: Node) -> dict[str, float]:
+    account = supervisor.ledger.nodes[node.index]
+    handled, epoch = account.handled, account.epoch
+    began = time.monotonic()
+    os.kill(supervisor.pid(node.process), signal.SIGKILL)
+    while not (account.epoch > epoch and account.handled > handled + 1):
+        if time.monotonic() - began > PATIENCE_S or supervisor.failure:
+            raise click.ClickException(f"{node.name} did not come back: {supervisor.failure}")
+        supervisor.tick()
+    recovered_s = time.monotonic() - began
+    return {"recovered_s": recovered_s, "load_s": supervisor.load_s(node.process)}
+
+
+def _rest(supervisor: Supervisor, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        supervisor.tick()
+
+
+def _memory(supervisor: Supervisor) -> dict[str, float]:
+    """Resident megabytes by process."""
+    return {
+        process: psutil.Process(supervisor.pid(process)).memory_info().rss / 1e6
+        for process in supervisor.plan.processes()
+    }
+
+
+def _unbalanced(edges: list[dict[str, Any]]) -> list[str]:
+    """Edges whose account does not add up to what was offered."""
+    return [
+        f"{e['from']} -> {e['to']}"
+        for e in edges
+        if e["offered"]
+        != e["delivered"] + sum(e["dropped"].values()) + e["in_flight"] + e["lost_in_crash"]
+        or e["in_flight"]
+    ]
+
+
+def _summary(kills: list[dict[str, Any]], node: str) -> dict[str, float]:
+    mine = [k for k in kills if k["node"] == node]
+    beyond = np.array([k["recovered_s"] - k["load_s"] for k in mine])
+    return {
+        "recovered_p50_s": float(np.median([k["recovered_s"] for k in mine])),
+        "load_p50_s": float(np.median([k["load_s"] for k in mine])),
+        "beyond_load_p50_s": float(np.median(beyond)),
+        "beyond_load_max_s": float(beyond.max()),
+    }
+
+
+def _table(result: dict[str, Any]) -> Table:
+    table = Table(title=f"SIGKILL, {result['count']} times each; asked: {ASKED_S} s beyond loading")
+    for column in ("node", "recovered p50 s", "load p50 s", "beyond p50 s", "max s", "grown MB"):
+        table.add_column(column, justify="right")
+    for node, figures in result["recovery"].items():
+        grown = result["grown_mb"].get(node, 0.0)
+        table.add_row(node, *(f"{v:.2f}" for v in figures.values()), f"{grown:+.1f}")
+    unbalanced = ", ".join(result["unbalanced"]) or "none"
+    left = ", ".join(result["left_in_memory"]) or "nothing"
+    table.caption = f"accounts that do not add up: {unbalanced}; left in memory: {left}"
+    return table
+
+
+if __name__ == "__main__":
+    main()
