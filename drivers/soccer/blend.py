@@ -41,3 +41,22 @@ def extent(alpha: Image, least: int = 100) -> tuple[int, int, int, int]:
     """The box xyxy around what is at least that opaque; all 0 where nothing is."""
     x, y, w, h = cv2.boundingRect((alpha >= least).view(np.uint8))
     return x, y, x + w, y + h
+
+
+def smeared(patch: Image, left: int, top: int, way: tuple[float, float]) -> tuple[Image, int, int]:
+    """A patch blurred along a movement of `way` pixels, with room for it: patch, left, top."""
+    kx, ky = odd(way[0]), odd(way[1])
+    if kx == ky == 1:
+        return patch, left, top
+    px, py = kx // 2, ky // 2
+    roomy = cv2.copyMakeBorder(patch, py, py, px, px, cv2.BORDER_CONSTANT, value=(0, 0, 0, 0))
+    return np.asarray(cv2.blur(roomy, (kx, ky)), np.uint8), left - px, top - py
+
+
+def odd(way_px: float) -> int:
+    """The side of the blur's kernel for a movement; 1: none.
+
+    >>> [odd(way) for way in (0.4, 1.9, -3.2, 500)]
+    [1, 1, 3, 31]
+    """
+    return min(2 * int((abs(way_px) + 0.5) / 2) + 1, 31) if abs(way_px) >= 2 else 1

@@ -106,26 +106,28 @@ def _paint_grass(canvas: Canvas, rng: np.random.Generator, station: Station, tur
         bands += np.sign(np.sin(np.float32(np.pi / turf.stripe_m) * x))
     if turf.pattern in ("along", "checks"):
         bands += np.sign(np.sin(np.float32(np.pi / turf.stripe_m) * y))
-    worn = cv2.resize(np.asarray(rng.normal(0, 0.03, (40, 60)), np.float32), x.shape[::-1])
-    light = 1 + np.float32(turf.stripe) * bands + worn
+    worn = cv2.resize(rng.normal(0, 0.03, (40, 60)), x.shape[::-1])
+    light = np.asarray(1 + turf.stripe * bands + worn, np.float32)
     inside = (x > -2) & (x < PITCH_M[0] + 2) & (y > -2) & (y < PITCH_M[1] + 2)
     light *= np.where(inside, 1, np.float32(rng.uniform(0.72, 1.05)))
     colour = np.array(turf.colour, np.float32)
     h, w = canvas.image.shape[:2]
     small = np.clip(light[..., None] * colour, 0, 255).astype(np.uint8)
     cv2.resize(small, (w, h), dst=canvas.image, interpolation=cv2.INTER_LINEAR)
-    tile = rng.normal(0, 1, (512, 512)).astype(np.float32)
-    tile = (
-        tile * 0.6
-        + cv2.GaussianBlur(tile, (0, 0), 0.9) * 2.2
-        + cv2.GaussianBlur(tile, (0, 0), 4) * 3
-    )
-    tile = np.clip(tile * turf.noise, -60, 60).astype(np.int8)
+    tile = _blades(rng, turf.noise)
     for top in range(0, h, 512):
         for left in range(0, w, 512):
             part = canvas.image[top : top + 512, left : left + 512]
             grain = cv2.merge([tile[: part.shape[0], : part.shape[1]]] * 3)
             cv2.add(part, grain, dst=part, dtype=cv2.CV_8U)
+
+
+def _blades(rng: np.random.Generator, noise: float) -> NDArray[np.int8]:
+    """Fine and coarse unevenness of grass: (512, 512), to be added."""
+    fine = rng.normal(0, 1, (512, 512))
+    mixed = fine * 0.6 + cv2.GaussianBlur(fine, (0, 0), 0.9) * 2.2
+    mixed = mixed + cv2.GaussianBlur(fine, (0, 0), 4) * 3
+    return np.clip(mixed * noise, -60, 60).astype(np.int8)
 
 
 def _paint_wall(canvas: Canvas, station: Station, picture: Image) -> None:

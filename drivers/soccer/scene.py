@@ -5,11 +5,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.soccer import ball, figures
-from drivers.soccer.blend import extent, over
+from drivers.soccer.blend import extent, odd, over
 from drivers.soccer.camera import View, draw_station, draw_style, view_at
 from drivers.soccer.looks import everybody
 from drivers.soccer.pitch import draw_canvas, draw_turf
 from drivers.soccer.play import Moment, moment
+from drivers.soccer.shadows import cast, contact, draw_light
 from drivers.soccer.skeleton import Pose
 from drivers.soccer.stage import BALL_ID, Actor, Cache, actors_at, truth_of
 from drivers.source import Truth
@@ -48,7 +49,7 @@ class SoccerScene:
         w, h = self.size_px
         self._layers = np.empty((h, w, 4), np.uint8)  # four channels: twice as fast to warp
         self._buffer = np.empty((h, w, 3), np.uint8)
-        self._placed: tuple[int, View, list[Actor]] | None = None
+        self._placed: tuple[int, View, View, list[Actor]] | None = None
 
     def _draw_world(self, difficulty: float) -> None:
         """Everything that holds for the whole match."""
@@ -60,9 +61,7 @@ class SoccerScene:
         self._shutter = float(rng.uniform(0.15, 0.35 + 0.5 * difficulty))  # of a frame's time
         zoom = self.size_px[0] / 1920
         self._soft_px = float(rng.uniform(0.3, 0.5 + 0.9 * difficulty)) * zoom
-        self._sun = bool(rng.random() < 0.4)
-        self._shade = float(rng.uniform(0.25, 0.55) if self._sun else rng.uniform(0.08, 0.25))
-        self._sun_way = float(rng.uniform(-1.6, 1.6))
+        self._light = draw_light(rng)
         usual = self._style.px_per_m * (self._station.y_m - 34) * zoom
         radius = min(usual, MOST_CANVAS_RADIUS_PX)
         turf = draw_turf(rng, self._tint)
@@ -79,8 +78,8 @@ class SoccerScene:
 
     def picture(self, index: int) -> Image:
         """Frame `index` as (h, w, 3) RGB, valid until the next call; IndexError past the end."""
-        view, actors = self._stage(index)
-        self._paint_ground(view)
+        view, opened, actors = self._stage(index)
+        self._paint_ground(view, opened)
         for actor in actors:
             self._paint_shadow(actor)
         for actor in actors:
@@ -91,33 +90,34 @@ class SoccerScene:
 
     def truth(self, index: int) -> Truth:
         """What is in frame `index`, exactly."""
-        return truth_of(self._stage(index)[1], self.size_px)
+        return truth_of(self._stage(index)[2], self.size_px)
 
     def close(self) -> None:
         """Nothing is held open."""
 
-    def _stage(self, index: int) -> tuple[View, list[Actor]]:
+    def _stage(self, index: int) -> tuple[View, View, list[Actor]]:
+        """The view, the one when the shutter opened, and who is to be drawn in which order."""
         if not 0 <= index < (index + 1 if self.length is None else self.length):
             raise IndexError(f"frame {index}: expected 0..{self.length}, the length of the scene")
         if self._placed is None or self._placed[0] != index:
             now, view = self._look(index / self.rate_hz)
-            actors = actors_at(now, view, self._sprites, figures.TALL_M)
+            opened = self._look((index - self._shutter) / self.rate_hz)
+            actors = actors_at(now, view, opened, self._sprites, figures.TALL_M)
             if self._ball:
-                actors.append(self._ball_actor(index, now, view))
+                actors.append(self._ball_actor((now, view), opened))
                 actors.sort(key=lambda actor: actor.nearer)
-            self._placed = (index, view, actors)
-        return self._placed[1], self._placed[2]
+            self._placed = (index, view, opened[1], actors)
+        return self._placed[1:]
 
     def _look(self, time_s: float) -> tuple[Moment, View]:
         now = moment(self._seed, max(time_s, 0.0), self._style.lag_s)
         return now, view_at(self._station, self._style, self.size_px, now.focus, time_s)
 
-    def _ball_actor(self, index: int, now: Moment, view: View) -> Actor:
+    def _ball_actor(self, at_end: tuple[Moment, View], opened: tuple[Moment, View]) -> Actor:
         """The ball on its way while the shutter is open, which ends at the frame's time."""
-        open_s = max(index - self._shutter, 0) / self.rate_hz
-        before, view_before = self._look(open_s)
-        start, end = (_ball_point(m) for m in (before, now))
-        a, b = view_before.pixels(start), view.pixels(end)
+        now, view = at_end
+        start, end = _ball_point(opened[0]), _ball_point(now)
+        a, b = opened[1].pixels(start), view.pixels(end)
         scale = float(view.px_per_m(end))
         rolled = int(float(now.ball[0]) / 0.35 * ball.ROLLS / 2 + self._seed) % ball.ROLLS
         patch, left, top = ball.streak(
@@ -142,8 +142,8 @@ class SoccerScene:
             solid=solid,
         )
 
-    def _paint_ground(self, view: View) -> None:
-        """The canvas, turned and scaled into the buffer."""
+    def _paint_ground(self, view: View, opened: View) -> None:
+        """The canvas, turned and scaled, blurred as far as the camera turned."""
         m = view.matrix()
         canvas = self._canvas
         to_picture = np.column_stack(
@@ -157,6 +157,10 @@ class SoccerScene:
             flags=cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
         )
+        way = opened.matrix() @ np.array([*view.aim, 1]) - np.array(self.size_px) / 2
+        kernel = odd(float(way[0])), odd(float(way[1]))
+        if kernel != (1, 1):
+            cv2.blur(self._layers, kernel, dst=self._layers)
 
     def _add_grain(self, index: int) -> None:
         """Noise that is new in every frame: tiles of one picture of noise, from a new place."""
@@ -168,15 +172,18 @@ class SoccerScene:
                 cv2.add(part, tile[: part.shape[0], : part.shape[1]], dst=part)
 
     def _paint_shadow(self, actor: Actor) -> None:
-        """A darker patch of ground under an actor."""
+        """Darker ground under an actor, and where the sun throws its shadow."""
         small = actor.label == "ball"
-        wide, high = (0.16, 0.06) if small else (0.42, 0.12)
+        wide, high = (0.13, 0.05) if small else (0.42, 0.12)
         w, h = max(2, round(wide * actor.scale)), max(1, round(high * actor.scale))
-        patch = np.zeros((4 * h + 1, 4 * w + 1, 4), np.uint8)
-        dark = 255 * min(0.6, self._shade * 1.4)
-        cv2.ellipse(patch, (2 * w, 2 * h), (w, h), 0, 0, 360, (0, 0, 0, dark), -1)
-        patch = np.asarray(cv2.blur(patch, (w | 1, h | 1)))
-        over(self._layers, patch, round(actor.ground[0]) - 2 * w, round(actor.ground[1]) - 2 * h)
+        x, y = actor.ground
+        depth = min(0.6, self._light.depth * 1.2)
+        over(self._layers, contact(w, h, depth), round(x) - 2 * w, round(y) - 2 * h)
+        if self._light.sun:
+            lift = max(0.0, y - actor.box[3]) if small else 0.0
+            feet = (x - actor.left, y - actor.top - lift)
+            patch, left, top = cast(actor.patch, feet, self._light, lift)
+            over(self._layers, patch, actor.left + left, actor.top + top + round(lift))
 
 
 def _ball_point(now: Moment) -> NDArray[np.float64]:

@@ -8,7 +8,7 @@ from math import ceil, log
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer.blend import extent, placed
+from drivers.soccer.blend import extent, placed, smeared
 from drivers.soccer.camera import View
 from drivers.soccer.figures import Sprite
 from drivers.soccer.play import LABELS, Moment
@@ -35,7 +35,7 @@ class Actor:
     top: int
     box: tuple[int, int, int, int]  # xyxy in the picture, not clipped
     nearer: float  # order of drawing: larger is in front
-    ground: tuple[float, float]  # where its shadow lies, picture pixels
+    ground: tuple[float, float]  # the point of the ground it is above, picture pixels
     scale: float  # pixels per metre there
     solid: int = 100  # opacity from which on it counts as being there
 
@@ -67,10 +67,21 @@ def sprite_height(wanted_px: float) -> int:
     return min(round(8 * STEP**step), MOST_PX)
 
 
-def actors_at(moment: Moment, view: View, sprites: Sprites, frame_m: float) -> list[Actor]:
-    """The people in the picture, the farthest first; `frame_m` is a sprite's height in metres."""
+def actors_at(
+    moment: Moment,
+    view: View,
+    opened: tuple[Moment, View],
+    sprites: Sprites,
+    frame_m: float,
+) -> list[Actor]:
+    """The people in the picture, the farthest first; `frame_m` is a sprite's height in metres.
+
+    `opened` is how it was when the shutter opened: who moved since is blurred.
+    """
     spots = np.column_stack([moment.people, np.zeros(len(moment.people))])
     pixels, scales = view.pixels(spots), view.px_per_m(spots)
+    before = np.column_stack([opened[0].people, np.zeros(len(moment.people))])
+    ways = pixels - opened[1].pixels(before)
     bearings = view.station.angles(spots)[:, 0]
     reach = view.station.distance_m(spots)
     made = []
@@ -86,6 +97,7 @@ def actors_at(moment: Moment, view: View, sprites: Sprites, frame_m: float) -> l
         shrink = tall / height
         sprite = sprites(int(who), pose, height)
         patch, left, top = placed(sprite.image, shrink, sprite.feet, (float(x), float(y)))
+        patch, left, top = smeared(patch, left, top, (float(ways[who, 0]), float(ways[who, 1])))
         x0, y0, x1, y1 = extent(patch[..., 3])
         made.append(
             Actor(

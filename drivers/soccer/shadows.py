@@ -1,0 +1,75 @@
+"""Darken the ground under and beside people and ball: actor -> premultiplied black patch."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+FALL = 0.16  # how far down the picture a shadow reaches, of what casts it
+COARSE = 2  # pixels of the picture in one of the cast shadow's, as it is soft anyway
+
+
+@dataclass(frozen=True, kw_only=True)
+class Light:
+    """Where the light comes from."""
+
+    depth: float  # darkness of a shadow, 0..1
+    sun: bool
+    slant: float  # a shadow's reach to the right, of what casts it; negative: to the left
+    toward: float  # -1 it falls away from the camera, 1 towards it
+
+
+def draw_light(rng: np.random.Generator) -> Light:
+    """An overcast sky or flood light more often than sun."""
+    sun = bool(rng.random() < 0.4)
+    return Light(
+        depth=float(rng.uniform(0.3, 0.6) if sun else rng.uniform(0.1, 0.35)),
+        sun=sun,
+        slant=float(rng.uniform(-1.3, 1.3)),
+        toward=float(rng.choice([-1.0, 1.0])),
+    )
+
+
+@lru_cache(maxsize=256)
+def contact(wide_px: int, high_px: int, depth: float) -> Image:
+    """A soft dark ellipse of these half axes; its middle is the patch's."""
+    patch = np.zeros((4 * high_px + 1, 4 * wide_px + 1, 4), np.uint8)
+    axes = wide_px, high_px
+    cv2.ellipse(patch, (2 * wide_px, 2 * high_px), axes, 0, 0, 360, (0, 0, 0, 255 * depth), -1)
+    return np.asarray(cv2.blur(patch, (wide_px | 1, high_px | 1)), np.uint8)
+
+
+def cast(
+    patch: Image, feet: tuple[float, float], light: Light, lift_px: float
+) -> tuple[Image, int, int]:
+    """The shadow a figure throws: patch, left, top relative to the figure's own patch.
+
+    `feet` is the ground point in the figure's patch; it hangs `lift_px` above the ground.
+    """
+    h, w = patch.shape[:2]
+    slant, fall = light.slant, FALL * light.toward
+    # a pixel that is n above the feet falls slant * n aside and fall * n down the picture
+    corners = np.array([(x, feet[1] - y + lift_px) for x in (0, w) for y in (0, h)])
+    xs = corners[:, 0] + slant * corners[:, 1]
+    ys = feet[1] + fall * corners[:, 1]
+    left, top = int(np.floor(xs.min())), int(np.floor(ys.min()))
+    size = int(np.ceil(xs.max())) - left + 1, int(np.ceil(ys.max())) - top + 1
+    m = np.array(
+        [
+            [1, -slant, slant * (feet[1] + lift_px) - left],
+            [0, -fall, feet[1] + fall * (feet[1] + lift_px) - top],
+        ]
+    )
+    small = size[0] // COARSE + 1, size[1] // COARSE + 1
+    alpha = cv2.warpAffine(
+        np.ascontiguousarray(patch[..., 3]), m / COARSE, small, flags=cv2.INTER_LINEAR
+    )
+    alpha = cv2.resize(alpha, size, interpolation=cv2.INTER_LINEAR)
+    shadow = np.zeros((size[1], size[0], 4), np.uint8)
+    cv2.convertScaleAbs(alpha, dst=alpha, alpha=light.depth)
+    cv2.mixChannels([alpha], [shadow], [0, 3])
+    return shadow, left, top
