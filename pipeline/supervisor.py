@@ -26,6 +26,7 @@ SAMPLE_S = 1.0
 FROZEN_S = 3.0  # no heartbeat for this long: the process does not run at all
 START_S = 60.0
 MOST_SAMPLES = 7200
+SPARE_S = 2.0  # a younger spare is still importing
 HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
 DRAIN_S = 5.0
 STOP_S = 4.0
@@ -60,6 +61,7 @@ class Supervisor:
         self._hub = Session(self._run.folder, "hub")
         self._events: Events = queue.SimpleQueue()
         self._spare: subprocess.Popen[bytes] | None = None
+        self._spare_since_s = 0.0
         self._slots = {
             name: _Slot(name, nodes, sources=frozenset(n.name for n in nodes if is_source(n)))
             for name, nodes in plan.processes().items()
@@ -102,7 +104,7 @@ class Supervisor:
         if now_s - self._sampled_s >= SAMPLE_S:
             self._sampled_s = now_s
             self._sample()
-            self._keep_a_spare()
+        self._keep_a_spare()
         time.sleep(TICK_S)
 
     @property
@@ -176,8 +178,7 @@ class Supervisor:
             epochs={node.name: slot.epoch for node in slot.nodes},
             frames=self._frames,
         )
-        spare, self._spare = self._spare, None
-        slot.child = Child(spare or self._spawn(()), job, self._events)
+        slot.child = Child(self._take_spare() or self._spawn(()), job, self._events)
 
     def _spawn(self, modules: Collection[str]) -> "subprocess.Popen[bytes]":
         return spawn(self._run.prefix, self._run.folder, modules)
@@ -190,6 +191,14 @@ class Supervisor:
         if self._spare is None and self.plan.clock == "realtime" and self._all_going():
             modules = {node.operator.partition(":")[0] for node in self.plan.nodes}
             self._spare = self._spawn(sorted(modules))
+            self._spare_since_s = time.monotonic()
+
+    def _take_spare(self) -> "subprocess.Popen[bytes] | None":
+        """The spare, if it is through with its imports by all likelihood."""
+        if self._spare is None or time.monotonic() - self._spare_since_s < SPARE_S:
+            return None
+        spare, self._spare = self._spare, None
+        return spare
 
     def _dismiss_spare(self) -> None:
         if self._spare is not None:
