@@ -92,8 +92,8 @@ def main(
 def read_sizes(words: str) -> list[int]:
     """Bytes of each size; raises `click.BadParameter` for what is none.
 
-    >>> read_sizes("64, 128")
-    [64, 128]
+    >>> read_sizes("128, 4096")
+    [128, 4096]
     """
     try:
         sizes = [int(word) for word in words.split(",")]
