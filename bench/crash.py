@@ -21,7 +21,8 @@ from rich.progress import track
 from rich.table import Table
 
 from bench.machine import facts
-from pipeline.graph import Overlay, load
+from pipeline.graph import load
+from pipeline.overlay import Overlay
 from pipeline.plan import Node
 from pipeline.report import compose
 from pipeline.rundir import MEMORY

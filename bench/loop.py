@@ -15,7 +15,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import facts
-from pipeline.graph import Overlay, load
+from pipeline.graph import load
+from pipeline.overlay import Overlay
 from pipeline.report import Report
 from pipeline.running import processes
 

@@ -17,7 +17,8 @@ from rich.table import Table
 
 from bench.machine import facts
 from pipeline.child import Sample
-from pipeline.graph import Overlay, load
+from pipeline.graph import load
+from pipeline.overlay import Overlay
 from pipeline.report import compose, tables
 from pipeline.supervisor import Supervisor
 

@@ -14,8 +14,9 @@ from rich.logging import RichHandler
 from pipeline import running, watching
 from pipeline.drawing import mermaid
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
-from pipeline.graph import Overlay, load, manual_nodes
+from pipeline.graph import load
 from pipeline.graph_schema import graph_schema
+from pipeline.overlay import Overlay, manual_nodes
 from pipeline.plan import Plan
 from pipeline.report import tables
 from pipeline.weights import weights_commands

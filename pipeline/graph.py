@@ -7,18 +7,16 @@ the node that makes frames, `node.setting=value` changes one value.
 
 import difflib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, NoReturn
-
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from typing import Any
 
 from pipeline import settings as checked
-from pipeline.contract import Input, Operator, Source, inputs_of, joined, outputs_of, settings_of
+from pipeline.contract import Input, Operator, inputs_of, joined, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
+from pipeline.overlay import Overlay
 from pipeline.plan import Edge, Node, Plan, Restart, load_operator
+from pipeline.yaml_lines import YamlFile, plain
 
 GRAPH_KEYS = ("name", "clock", "nodes")
 NODE_KEYS = ("operator", "inputs", "settings", "group", "host", "threads", "stall_s", "restart",
@@ -26,33 +24,17 @@ NODE_KEYS = ("operator", "inputs", "settings", "group", "host", "threads", "stal
 EDGE_KEYS = ("from", "keep", "depth", "wait_ms", "max_age_ms", "stale", "transport")
 
 
-@dataclass(frozen=True)
-class Overlay:
-    """What a command line lays over a graph file."""
-
-    source: Path | None = None
-    changes: tuple[str, ...] = ()  # node.setting=value
-    clock: str = ""
-    wanted: tuple[str, ...] = ()  # manual nodes to start
-
-
 def load(path: Path, overlay: Overlay | None = None) -> Plan:
     """Read, lay over, check; raises `GraphError` or `SettingsError` with file and line."""
     overlay = overlay or Overlay()
-    file = _File(path)
+    file = YamlFile(path)
     document = file.document
     file.only(document, GRAPH_KEYS, "graph")
     nodes = file.mapping(document, "nodes", "graph")
-    if overlay.source:
-        _lay_source(file, nodes, overlay.source)
-    for change in overlay.changes:
-        _lay_change(nodes, change, path)
+    overlay.lay(file, nodes)
     clock = overlay.clock or document.get("clock", "realtime")
     if clock not in ("realtime", "lockstep"):
         file.fail(document, "clock", f"clock: expected realtime or lockstep, got {clock!r}")
-    for name in overlay.wanted:
-        if name not in nodes:
-            raise GraphError(f"{path}: no node {name}{checked.suggest(name, nodes)}")
     started = {
         name: _Part(file, nodes, name)
         for name in nodes
@@ -69,69 +51,10 @@ def load(path: Path, overlay: Overlay | None = None) -> Plan:
     return plan
 
 
-def manual_nodes(path: Path, setting: str) -> list[str]:
-    """Nodes that start only on request and have that setting."""
-    nodes = _File(path).document.get("nodes") or {}
-    found = []
-    for name, entry in nodes.items():
-        if isinstance(entry, Mapping) and entry.get("manual"):
-            cls = settings_of(load_operator(str(entry.get("operator"))))
-            if setting in {f.name for f in fields(cls)}:
-                found.append(str(name))
-    return found
-
-
-class _File:
-    """A YAML mapping that knows the line of every key."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            document = YAML(typ="rt").load(path.read_text("utf-8"))
-        except OSError as error:
-            raise GraphError(f"{path}: cannot be read: {error.strerror}") from error
-        except MarkedYAMLError as error:
-            line = (error.problem_mark.line + 1) if error.problem_mark else 1
-            raise GraphError(f"{path}:{line}: not YAML: {error.problem}") from error
-        except (YAMLError, UnicodeDecodeError) as error:
-            raise GraphError(f"{path}:1: not YAML: {error}") from error
-        if not isinstance(document, CommentedMap):
-            raise GraphError(f"{path}:1: expected a mapping, got {type(document).__name__}")
-        self.document = document
-
-    def at(self, parent: Any, key: str) -> str:
-        """`file:line` of a key, or of its parent when it is not there."""
-        try:
-            line = parent.lc.key(key)[0] if key in parent else parent.lc.line
-        except (AttributeError, KeyError, TypeError):
-            return str(self.path)  # laid over from the command line
-        return f"{self.path}:{line + 1}"
-
-    def fail(self, parent: Any, key: str, what: str) -> NoReturn:
-        """Raise with the place in front."""
-        raise GraphError(f"{self.at(parent, key)}: {what}")
-
-    def mapping(self, parent: Any, key: str, where: str) -> Any:
-        """A nested mapping."""
-        value = parent.get(key)
-        if not isinstance(value, Mapping):
-            got = "nothing" if value is None else type(value).__name__
-            self.fail(parent, key, f"{where}.{key}: expected a mapping, got {got}")
-        return value
-
-    def only(self, mapping: Any, known: Iterable[str], where: str) -> None:
-        """Refuse keys that mean nothing."""
-        known = tuple(known)
-        for key in mapping:
-            if key not in known:
-                hint = checked.suggest(str(key), known)
-                self.fail(mapping, key, f"{where}.{key}: no such key{hint}")
-
-
 class _Part:
     """One node of the file, its operator imported and its settings checked."""
 
-    def __init__(self, file: _File, nodes: Any, name: str) -> None:
+    def __init__(self, file: YamlFile, nodes: Any, name: str) -> None:
         self.file, self.name = file, name
         self.entry = file.mapping(nodes, name, "nodes")
         file.only(self.entry, NODE_KEYS, name)
@@ -215,62 +138,7 @@ class _Part:
                 )
 
 
-def plain(value: Any) -> Any:
-    """Without the parser's own types."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [plain(v) for v in value]
-    for kind in (bool, int, float, str):
-        if isinstance(value, kind):
-            return kind(value)
-    return value
-
-
-def _lay_source(file: _File, nodes: Any, path: Path) -> None:
-    over = _File(path)
-    over.only(over.document, ("operator", "settings"), "source")
-    found = [n for n in nodes if _makes_frames(nodes[n])]
-    if len(found) != 1:
-        raise GraphError(
-            f"{file.path}: --source needs one node that makes frames, got {len(found)}"
-        )
-    entry = nodes[found[0]]
-    for key in over.document:
-        entry[key] = over.document[key]
-
-
-def _makes_frames(entry: Any) -> bool:
-    try:
-        return issubclass(load_operator(str(entry.get("operator"))), Source)
-    except (GraphError, AttributeError):
-        return False
-
-
-def _lay_change(nodes: Any, change: str, path: Path) -> None:
-    target, equals, text = change.partition("=")
-    name, dot, setting = target.partition(".")
-    if not (equals and dot and setting):
-        raise GraphError(f"--set {change}: expected node.setting=value")
-    if name not in nodes:
-        raise GraphError(f"--set {change}: {path} has no node {name}{checked.suggest(name, nodes)}")
-    try:
-        value = YAML(typ="safe").load(text) if text else ""
-    except YAMLError as error:
-        raise GraphError(f"--set {change}: not a value: {error}") from error
-    entry = nodes[name]
-    settings = entry.setdefault("settings", CommentedMap())
-    cls = settings_of(load_operator(str(entry.get("operator"))))
-    names = {f.name for f in fields(cls)}
-    first, *rest = setting.split(".")
-    if first not in names and "options" in names:
-        first, rest = "options", [first, *rest]
-    for key in (first, *rest)[:-1]:
-        settings = settings.setdefault(key, CommentedMap())
-    settings[(first, *rest)[-1]] = value
-
-
-def _edges(file: _File, parts: Mapping[str, _Part], clock: str) -> Iterable[Edge]:
+def _edges(file: YamlFile, parts: Mapping[str, _Part], clock: str) -> Iterable[Edge]:
     index = 0
     for part in parts.values():
         given = part.entry.get("inputs") or {}
@@ -295,7 +163,7 @@ def _edges(file: _File, parts: Mapping[str, _Part], clock: str) -> Iterable[Edge
 
 
 def _edge(
-    file: _File, parts: Mapping[str, _Part], part: _Part, name: str, port: Input, given: Any
+    file: YamlFile, parts: Mapping[str, _Part], part: _Part, name: str, port: Input, given: Any
 ) -> Edge | None:
     where = f"{part.name}.inputs.{name}"
     long = given[name] if isinstance(given[name], Mapping) else {"from": given[name]}
@@ -327,7 +195,7 @@ def _edge(
 
 
 def _edge_values(
-    file: _File, given: Any, name: str, where: str, long: Mapping[str, Any], port: Input
+    file: YamlFile, given: Any, name: str, where: str, long: Mapping[str, Any], port: Input
 ) -> dict[str, Any]:
     values: dict[str, Any] = {
         "keep": long.get("keep", port.keep),

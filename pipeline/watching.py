@@ -54,17 +54,15 @@ def top(graph: str, every_s: float, *, once: bool, console: Console) -> None:
     """A table per edge and per node, refreshed until Ctrl-C or the end of the graph."""
     name, facts = _find(graph)
     ledger = _ledger(facts)
-    before = [edge.sent for edge in ledger.edges], time.monotonic()
+    tables = _refreshed(facts, ledger, every_s)
+    next(tables)
     time.sleep(min(every_s, 1.0))
-    with Live(console=console, auto_refresh=False, screen=not once) as live:
-        while True:
-            now = [edge.sent for edge in ledger.edges], time.monotonic()
-            elapsed_s = now[1] - before[1]
-            rates = [(b - a) / elapsed_s for a, b in zip(before[0], now[0], strict=True)]
-            live.update(_top_tables(facts, ledger, rates), refresh=True)
-            if once or name not in running():
-                return
-            before = now
+    if once:
+        console.print(next(tables))
+        return
+    with Live(console=console, auto_refresh=False, screen=True) as live:
+        while name in running():
+            live.update(next(tables), refresh=True)
             time.sleep(every_s)
 
 
@@ -155,6 +153,16 @@ def _tap(graph: str, output: str) -> Iterator[Message]:
         stop()
         session.close()
         (base() / name / f"tap-{os.getpid()}.sock").unlink(missing_ok=True)
+
+
+def _refreshed(facts: dict[str, Any], ledger: Ledger, every_s: float) -> Iterator[Group]:
+    """The tables again and again, with rates since the time before."""
+    sent, at_s = [0] * len(ledger.edges), time.monotonic() - every_s
+    while True:
+        now, now_s = [edge.sent for edge in ledger.edges], time.monotonic()
+        rates = [(b - a) / (now_s - at_s) for a, b in zip(sent, now, strict=True)]
+        sent, at_s = now, now_s
+        yield _top_tables(facts, ledger, rates)
 
 
 def _top_tables(facts: dict[str, Any], ledger: Ledger, rates: list[float]) -> Group:

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.graph import Overlay, load
+from pipeline.graph import load
+from pipeline.overlay import Overlay
 from pipeline.inline import InlineRunner
 
 GRAPH = """

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from pipeline import FoveaError, GraphError
 from pipeline.drawing import mermaid
-from pipeline.graph import Overlay, load, manual_nodes
+from pipeline.graph import load
 from pipeline.graph_schema import graph_schema
+from pipeline.overlay import Overlay, manual_nodes
 from pipeline.plan import slots
 
 GOOD = """\

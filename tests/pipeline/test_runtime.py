@@ -14,8 +14,9 @@ import psutil
 import pytest
 
 from pipeline import RunError
-from pipeline.graph import Overlay, load
+from pipeline.graph import load
 from pipeline.inline import InlineRunner
+from pipeline.overlay import Overlay
 from pipeline.plan import Plan
 from pipeline.report import Report, compose
 from pipeline.rundir import MEMORY, base, running

@@ -1,0 +1,153 @@
+"""The commands as a user types them."""
+
+import json
+import secrets
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline.test_runtime import LOOP
+
+FOVEA = (sys.executable, "-m", "pipeline.cli")
+
+
+def fovea(*words: str, timeout_s: float = 60) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*FOVEA, *words], capture_output=True, text=True, timeout=timeout_s, check=False
+    )
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Path:
+    path = tmp_path / "graph.yaml"
+    path.write_text(f"name: cli-{secrets.token_hex(3)}\n{LOOP}")
+    return path
+
+
+@pytest.fixture
+def name(graph: Path) -> str:
+    return graph.read_text().splitlines()[0].split()[1]
+
+
+@pytest.fixture
+def running(graph: Path, name: str) -> Iterator["subprocess.Popen[str]"]:
+    process = subprocess.Popen(
+        [*FOVEA, "run", str(graph)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    deadline = time.monotonic() + 30
+    while name not in fovea("ps").stdout:
+        assert time.monotonic() < deadline
+    yield process
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
+
+
+def test_a_run_prints_its_accounts_and_writes_its_report(graph: Path, tmp_path: Path) -> None:
+    report = tmp_path / "deep" / "report.json"
+
+    done = fovea("run", str(graph), "--frames", "30", "--report", str(report))
+
+    assert done.returncode == 0, done.stderr
+    assert "edges: offered = delivered" in done.stdout
+    assert "loop, picture ready" in done.stdout
+    found = json.loads(report.read_text())
+    assert {"edges", "stages", "loop", "frames", "schedule_sha256"} <= set(found)
+    assert {"from", "to", "offered", "delivered", "dropped", "in_flight", "lost_in_crash"} <= set(
+        found["edges"][0]
+    )
+    assert {"node", "latency_ms", "rate_hz", "cpu_percent", "rss_mb"} <= set(found["stages"][0])
+    assert set(found["loop"]["latency_ms"]) == {"p50", "p99"}
+
+
+def test_an_inline_run_gives_the_same_commands_as_a_lockstep_one(
+    graph: Path, tmp_path: Path
+) -> None:
+    shas = []
+    for words in (["--inline"], ["--clock", "lockstep"]):
+        report = tmp_path / "report.json"
+        done = fovea("run", str(graph), *words, "--frames", "20", "--report", str(report))
+        assert done.returncode == 0, done.stderr
+        shas.append(json.loads(report.read_text())["schedule_sha256"])
+
+    assert shas[0] == shas[1]
+
+
+def test_a_wrong_graph_exits_with_2_and_one_sentence(graph: Path) -> None:
+    graph.write_text(graph.read_text().replace("frame: ticker.context", "frame: tiker.context"))
+
+    done = fovea("run", str(graph))
+
+    assert done.returncode == 2
+    assert done.stderr.strip() == (
+        f"fovea: {graph}:9: work.inputs.frame: no node tiker, did you mean 'ticker.context'?"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--frames", "5", "--duration-s", "5"], "give one of them"),
+        (["--inline", "--clock", "realtime"], "runs in lockstep"),
+        (["--set", "work.evry=2"], "did you mean 'every'"),
+        (["--source", "nowhere.yaml"], "cannot be read"),
+        (["--save", "x.rrd"], "needs a node with a setting `save`"),
+        (["--with", "viewer"], "no node viewer"),
+    ],
+)
+def test_wrong_options_exit_with_2_and_say_why(graph: Path, words: list[str], said: str) -> None:
+    done = fovea("run", str(graph), *words)
+
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
+def test_a_source_that_breaks_is_one_sentence(graph: Path) -> None:
+    done = fovea("run", str(graph), "--set", "ticker.fail_at=3")
+
+    assert done.returncode != 0
+    assert "picture 3: torn" in done.stderr
+
+
+def test_check_draw_and_schema_start_nothing(graph: Path) -> None:
+    assert "4 nodes in 4 processes" in fovea("check", str(graph)).stdout
+    assert fovea("draw", str(graph)).stdout.startswith("flowchart LR")
+    assert json.loads(fovea("check", "--schema").stdout)["title"] == "fovea graph"
+
+
+def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
+    running: "subprocess.Popen[str]", name: str
+) -> None:
+    words = ("--graph", name)
+
+    echoed = fovea("echo", "steer", "--count", "2", *words)
+    rate = fovea("hz", "ticker.roi", "--duration-s", "1", *words)
+    table = fovea("top", name, "--once")
+    logs = fovea("logs", "work", *words)
+    unknown = fovea("echo", "stear", *words)
+
+    assert len(echoed.stdout.splitlines()) == 2, echoed.stderr
+    assert "windows int32[4, 4]" in echoed.stdout
+    assert 40 < float(rate.stdout.split(" Hz")[0].split()[-1]) < 80, rate.stdout
+    assert "edges" in table.stdout
+    assert logs.returncode == 0
+    assert unknown.returncode == 1
+    assert "did you mean 'steer'" in unknown.stderr
+    running.send_signal(signal.SIGINT)
+    out, _ = running.communicate(timeout=20)
+    assert running.returncode == 0
+    assert "edges: offered = delivered" in out
+    assert name not in fovea("ps").stdout
+
+
+def test_sigterm_ends_a_run_like_ctrl_c(running: "subprocess.Popen[str]") -> None:
+    running.send_signal(signal.SIGTERM)
+    out, _ = running.communicate(timeout=20)
+
+    assert running.returncode == 0
+    assert "stages" in out
