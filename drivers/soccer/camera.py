@@ -83,8 +83,8 @@ def draw_station(rng: np.random.Generator) -> Station:
     """A usual place for a main camera: beside the halfway line, on the stand."""
     return Station(
         x_m=PITCH_M[0] / 2 + rng.uniform(-6, 6),
-        y_m=PITCH_M[1] + rng.uniform(20, 38),
-        height_m=rng.uniform(9.5, 17),
+        y_m=PITCH_M[1] + rng.uniform(23, 38),
+        height_m=rng.uniform(9.5, 16),
     )
 
 
@@ -112,12 +112,15 @@ def view_at(
     bearing, drop = station.angles(np.array([focus[0], focus[1], 0.0]))
     shake = np.sin(time_s * np.array([7.3, 9.1]) + np.sin(time_s * np.array([2.9, 3.7])) * 2)
     half_w, half_h = size_px[0] / 2 / radius, size_px[1] / 2 / radius
+    lowest = station.height_m / (station.y_m - PITCH_M[1]) - 0.5 * half_h
     widest = np.arctan2(PITCH_M[0] / 2 + 8, usual) - half_w * 0.6
     return View(
         station=station,
         aim=(
             float(np.clip(bearing, -widest, widest) + style.jitter_rad * shake[0]),
-            float(max(drop - 0.08 * half_h, half_h * 0.55) + style.jitter_rad * shake[1]),
+            float(
+                np.clip(drop - 0.08 * half_h, half_h * 0.55, lowest) + style.jitter_rad * shake[1]
+            ),
         ),
         radius_px=float(radius),
         roll_rad=style.roll_rad,

@@ -68,7 +68,7 @@ def draw_canvas(
 ) -> Canvas:
     """The still world as this camera sees it, `radius_px` pixels a radian."""
     sky = -0.14
-    ground = station.height_m / max(station.y_m - PITCH_M[1] - 6, 6)
+    ground = station.height_m / (station.y_m - PITCH_M[1] - 4)
     size = round((BEARINGS[1] - BEARINGS[0]) * radius_px), round((ground - sky) * radius_px)
     canvas = Canvas(
         image=np.empty((size[1], size[0], 3), np.uint8),

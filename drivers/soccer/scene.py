@@ -19,7 +19,7 @@ from pipeline.errors import SettingsError
 Image = NDArray[np.uint8]
 
 LEAST_PX, MOST_PX = (160, 90), (16384, 16384)
-MOST_CANVAS_RADIUS_PX = 6000.0
+CANVAS_RADIUS_PX = 3200.0, 6000.0  # most at full HD, and at any size: memory, time to open
 BALL_M = 0.222
 GRAIN_PX = 960
 
@@ -63,7 +63,7 @@ class SoccerScene:
         self._soft_px = float(rng.uniform(0.3, 0.5 + 0.9 * difficulty)) * zoom
         self._light = draw_light(rng)
         usual = self._style.px_per_m * (self._station.y_m - 34) * zoom
-        radius = min(usual, MOST_CANVAS_RADIUS_PX)
+        radius = min(usual, CANVAS_RADIUS_PX[0] * max(1.0, zoom), CANVAS_RADIUS_PX[1])
         turf = draw_turf(rng, self._tint)
         self._canvas = draw_canvas(rng, self._station, turf, radius, light)
         looks = everybody(self._seed)
@@ -97,8 +97,9 @@ class SoccerScene:
 
     def _stage(self, index: int) -> tuple[View, View, list[Actor]]:
         """The view, the one when the shutter opened, and who is to be drawn in which order."""
-        if not 0 <= index < (index + 1 if self.length is None else self.length):
-            raise IndexError(f"frame {index}: expected 0..{self.length}, the length of the scene")
+        if index < 0 or (self.length is not None and index >= self.length):
+            frames = "endless" if self.length is None else f"{self.length} frames long"
+            raise IndexError(f"frame {index}: the scene is {frames}, counted from 0")
         if self._placed is None or self._placed[0] != index:
             now, view = self._look(index / self.rate_hz)
             opened = self._look((index - self._shutter) / self.rate_hz)
