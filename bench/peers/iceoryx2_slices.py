@@ -1,7 +1,6 @@
 """iceoryx2: loaned slices in shared memory, an event to wake the receiver."""
 
 import ctypes
-import time
 from typing import Any
 
 import iceoryx2 as iox  # type: ignore[import-not-found, unused-ignore]
@@ -57,7 +56,7 @@ def send(task: Task) -> None:
         sample.assume_init().send()
         notifier.notify()
     writer.save()
-    time.sleep(0.5)  # the memory goes with the sender
+    writer.wait_read()
 
 
 if __name__ == "__main__":

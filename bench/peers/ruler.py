@@ -26,6 +26,7 @@ HEAD_BYTES = 64
 WARM_UP = 10  # messages sent first and not counted
 BARE_ROUNDS = 20
 START_S = 20.0  # for a receiver to get ready
+FAREWELL_S = 5.0  # a sender stays that long for a receiver that reports nothing
 IDLE_S = 1.0  # after the sender's end: what has not come by then is lost
 COLUMNS = ("number", "asked", "writing", "written", "received", "read")
 
@@ -117,6 +118,12 @@ class Writer:
         cpu_ns = time.process_time_ns() - self._cpu_ns
         report = {"sender_cpu_ns": cpu_ns, "bare_write_ns": self._bare_ns}
         _put(self.task.folder / "sender.json", report)
+
+    def wait_read(self) -> None:
+        """Stay until the receiver has reported: some transports take their memory with them."""
+        deadline = time.monotonic() + FAREWELL_S
+        while not (self.task.folder / "receiver.json").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
 
     def _wait_ready(self) -> None:
         deadline = time.monotonic() + START_S

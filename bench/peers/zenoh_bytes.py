@@ -43,6 +43,7 @@ def send(task: Task) -> None:
             writer.write(view, number)
             publisher.put(payload)
         writer.save()
+        writer.wait_read()  # a session that closes drops what is still queued
 
 
 def _session(task: Task, end: str) -> Any:
