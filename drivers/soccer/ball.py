@@ -23,7 +23,7 @@ def discs(rng: np.random.Generator, light: float) -> list[Image]:
     inks: tuple[Colour, ...] = ((30, 30, 35), (60, 90, 170), (220, 60, 50), (150, 150, 155))
     ground = np.array(grounds[int(rng.choice(4, p=[0.45, 0.35, 0.15, 0.05]))], float)
     ink = np.array(inks[int(rng.integers(len(inks)))], float)
-    bold = float(rng.uniform(0.2, 0.5))
+    bold = float(rng.uniform(0.06, 0.36))
     grid = (np.arange(DISC_PX) + 0.5) / DISC_PX * 2 - 1
     x, y = np.meshgrid(grid, grid)
     z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))

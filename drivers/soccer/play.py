@@ -10,6 +10,8 @@ from drivers.soccer.camera import PITCH_M
 
 GRID_HZ = 30.0
 MARGIN_S = 4.0
+RAMP_S = 7.0  # nobody sets off earlier; less than a chunk
+PACE_M_S = 4.0
 STRIDE_M = 2.3  # ground covered by one full cycle of the legs when running
 LABELS = (
     *("player",) * 20,
@@ -28,6 +30,18 @@ SLOTS = np.array(
         *((0.9, 0.35), (1, 0.62)),
     ]
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Duty:
+    """One person who is at the ball during a leg, or after it."""
+
+    leg: Leg
+    who: int
+    gap_m: float  # how near he comes
+    pull: float  # how firmly, 0..1
+    come_s: float  # how long before the leg he sets off
+    leave_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,24 +128,34 @@ def _wander(rng: np.random.Generator, times: Metres) -> Metres:
 
 
 @lru_cache(maxsize=24)
-def owners(seed: int, chunk: int) -> tuple[tuple[Leg, int, int], ...]:
-    """Who has the ball, and who goes for it, in the legs where somebody has it."""
+def duties(seed: int, chunk: int) -> tuple[Duty, ...]:
+    """Who has the ball and who goes for it, in those legs of a chunk where somebody has it."""
     base = base_paths(seed, chunk)
-    found: list[tuple[Leg, int, int]] = []
+    found: list[Duty] = []
     last = -1
     for leg in legs(seed, chunk):
         if leg.kind not in ("carry", "held", "still"):
             continue
-        at = base[min(round((leg.start_s - chunk * CHUNK_S) * GRID_HZ), len(base) - 1)]
-        way = np.hypot(*(at[:20] - np.array(leg.start_m)).T)
-        way[last if 0 <= last < 20 else 0] += 6
-        own = slice(leg.team * 10, leg.team * 10 + 10)
-        other = slice(10 - leg.team * 10, 20 - leg.team * 10)
-        last = own.start + int(way[own].argmin())
+        first, final = (
+            base[round((t - chunk * CHUNK_S) * GRID_HZ)] for t in (leg.start_s, leg.end_s)
+        )
+        come = np.hypot(*(first - np.array(leg.start_m)).T)
+        leave = np.hypot(*(final - np.array(leg.end_m)).T)
+        near = come[:20] + 6 * (np.arange(20) == last)  # who just passed the ball leaves it
+        own = np.arange(10) + leg.team * 10
+        other = np.arange(10) + 10 - leg.team * 10
+        last = int(own[near[own].argmin()])
         if leg.kind == "held":
             last = KEEPERS[0 if leg.start_m[0] < PITCH_M[0] / 2 else 1]
-        rival = other.start + int(way[other].argmin()) if leg.kind == "carry" else -1
-        found.append((leg, last, rival))
+        crew = [(last, 0.1 if leg.kind == "held" else 0.45, 1.0)]
+        if leg.kind == "carry":
+            crew.append((int(other[near[other].argmin()]), 1.3, 0.9))
+        for who, gap_m, pull in crew:
+            ramps = (float(np.clip(way[who] / PACE_M_S, 0.8, RAMP_S)) for way in (come, leave))
+            come_s, leave_s = ramps
+            found.append(
+                Duty(leg=leg, who=who, gap_m=gap_m, pull=pull, come_s=come_s, leave_s=leave_s)
+            )
     return tuple(found)
 
 
@@ -144,25 +168,21 @@ def _pulled(seed: int, chunk: int, base: Metres) -> Metres:
     bend, total = np.zeros_like(base), np.full(base.shape[:2], 1e-9)
     strongest = np.zeros(base.shape[:2])
     for near in (chunk - 1, chunk, chunk + 1):
-        for leg, owner, rival in owners(seed, near):
-            late = np.maximum(leg.start_s - times, times - leg.end_s)
-            if late.min() > MARGIN_S:
+        for duty in duties(seed, near):
+            leg, who = duty.leg, duty.who
+            early, late = (leg.start_s - times) / duty.come_s, (times - leg.end_s) / duty.leave_s
+            w = np.clip(1 - np.maximum(early, late), 0, 1)
+            if not w.any():
                 continue
-            share = np.clip(-(leg.start_s - times) / (leg.end_s - leg.start_s), 0, 1)
+            w = duty.pull * w * w * (3 - 2 * w)
+            share = np.clip((times - leg.start_s) / (leg.end_s - leg.start_s), 0, 1)
             ball = np.array(leg.start_m) + share[:, None] * np.subtract(leg.end_m, leg.start_m)
-            held = leg.kind == "held"
-            for who, gap, pull in ((owner, 0.1 if held else 0.45, 1.0), (rival, 1.3, 0.9)):
-                if who < 0:
-                    continue
-                way = base[:, who] - ball
-                reach = np.linalg.norm(way, axis=1, keepdims=True) + 1e-6
-                to_target = way / reach * np.minimum(gap, reach) - way
-                ramp_s = float(np.clip(reach.min() / 3.5, 0.8, MARGIN_S))
-                w = np.clip(1 - late / ramp_s, 0, 1)
-                w = pull * w * w * (3 - 2 * w)
-                bend[:, who] += w[:, None] ** 2 * to_target
-                total[:, who] += w**2
-                strongest[:, who] = np.maximum(strongest[:, who], w)
+            way = base[:, who] - ball
+            reach = np.linalg.norm(way, axis=1, keepdims=True) + 1e-6
+            to_target = way / reach * np.minimum(duty.gap_m, reach) - way
+            bend[:, who] += w[:, None] ** 2 * to_target
+            total[:, who] += w**2
+            strongest[:, who] = np.maximum(strongest[:, who], w)
     return np.asarray(base + bend / total[..., None] * strongest[..., None])
 
 

@@ -19,7 +19,7 @@ from pipeline.errors import SettingsError
 Image = NDArray[np.uint8]
 
 LEAST_PX, MOST_PX = (160, 90), (16384, 16384)
-CANVAS_RADIUS_PX = 3200.0, 6000.0  # most at full HD, and at any size: memory, time to open
+CANVAS_RADIUS_PX = 3500.0, 6000.0  # most at full HD, and at any size: memory, time to open
 BALL_M = 0.222
 GRAIN_PX = 960
 
@@ -60,7 +60,7 @@ class SoccerScene:
         self._tint = tint * light
         self._shutter = float(rng.uniform(0.15, 0.35 + 0.5 * difficulty))  # of a frame's time
         zoom = self.size_px[0] / 1920
-        self._soft_px = float(rng.uniform(0.3, 0.5 + 0.9 * difficulty)) * zoom
+        self._soft_px = float(rng.uniform(0.2, 0.4 + 0.8 * difficulty)) * zoom
         self._light = draw_light(rng)
         usual = self._style.px_per_m * (self._station.y_m - 34) * zoom
         radius = min(usual, CANVAS_RADIUS_PX[0] * max(1.0, zoom), CANVAS_RADIUS_PX[1])

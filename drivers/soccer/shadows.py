@@ -51,25 +51,24 @@ def cast(
     `feet` is the ground point in the figure's patch; it hangs `lift_px` above the ground.
     """
     h, w = patch.shape[:2]
-    slant, fall = light.slant, FALL * light.toward
-    # a pixel that is n above the feet falls slant * n aside and fall * n down the picture
-    corners = np.array([(x, feet[1] - y + lift_px) for x in (0, w) for y in (0, h)])
-    xs = corners[:, 0] + slant * corners[:, 1]
-    ys = feet[1] + fall * corners[:, 1]
-    left, top = int(np.floor(xs.min())), int(np.floor(ys.min()))
-    size = int(np.ceil(xs.max())) - left + 1, int(np.ceil(ys.max())) - top + 1
+    # shrunk first: the shadow is so flat that a warp alone would skip most rows of the figure
+    flat = max(2, round(h * FALL)), max(2, w // COARSE)
+    alpha = cv2.resize(patch[..., 3], flat[::-1], interpolation=cv2.INTER_AREA)
+    row, column = h / flat[0], w / flat[1]  # picture pixels in one of its rows and columns
+    fall, base = FALL * light.toward, feet[1] + lift_px
+    # a pixel that is n above the ground falls slant * n aside and fall * n down the picture
+    ends = [light.slant * (base - y) for y in (0, h)]
+    left, right = min(ends), w + max(ends)
+    drops = [fall * (base - y) for y in (0, h)]
+    size = int(right - left) // COARSE + 2, int(max(drops) - min(drops)) + 2
     m = np.array(
         [
-            [1, -slant, slant * (feet[1] + lift_px) - left],
-            [0, -fall, feet[1] + fall * (feet[1] + lift_px) - top],
+            [column / COARSE, -light.slant * row / COARSE, (light.slant * base - left) / COARSE],
+            [0, -fall * row, fall * base - min(drops)],
         ]
     )
-    small = size[0] // COARSE + 1, size[1] // COARSE + 1
-    alpha = cv2.warpAffine(
-        np.ascontiguousarray(patch[..., 3]), m / COARSE, small, flags=cv2.INTER_LINEAR
-    )
-    alpha = cv2.resize(alpha, size, interpolation=cv2.INTER_LINEAR)
-    shadow = np.zeros((size[1], size[0], 4), np.uint8)
-    cv2.convertScaleAbs(alpha, dst=alpha, alpha=light.depth)
-    cv2.mixChannels([alpha], [shadow], [0, 3])
-    return shadow, left, top
+    dark = cv2.warpAffine(alpha, m, size, flags=cv2.INTER_LINEAR)
+    dark = cv2.resize(dark, (size[0] * COARSE, size[1]), interpolation=cv2.INTER_LINEAR)
+    shadow = np.zeros((*dark.shape, 4), np.uint8)
+    cv2.mixChannels([cv2.convertScaleAbs(dark, alpha=light.depth)], [shadow], [0, 3])
+    return shadow, int(np.floor(left)), int(np.floor(feet[1] + min(drops)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Joints = dict[str, tuple[float, float, float]]
 
 DIRECTIONS = 12
-PHASES = 10
+PHASES = 8
 GAITS = ("stand", "walk", "jog", "run", "hold")
 _STILL = ("stand", "hold")
 
@@ -53,7 +53,7 @@ def pose_at(speed_m_s: float, holds: bool, phase: float, turn_rad: float) -> Pos
     step = int(phase * PHASES) % PHASES
     return Pose(
         gait=gait,
-        phase=step - step % 5 if gait in _STILL else step,
+        phase=step - step % 4 if gait in _STILL else step,
         direction=round(turn_rad / (2 * np.pi) * DIRECTIONS) % DIRECTIONS,
     )
 

@@ -121,7 +121,7 @@ def truth_of(actors: list[Actor], size_px: tuple[int, int]) -> Truth:
     rows: list[tuple[list[float], int, str, float]] = []
     for i, actor in enumerate(actors):
         x0, y0, x1, y1 = actor.box
-        clipped = [float(np.clip(v, 0, s)) for v, s in zip(actor.box, (w, h, w, h), strict=True)]
+        clipped = [float(min(max(v, 0), s)) for v, s in zip(actor.box, (w, h, w, h), strict=True)]
         if min(clipped[2] - clipped[0], clipped[3] - clipped[1]) < LEAST_INSIDE_PX:
             continue
         mask = actor.patch[..., 3] >= actor.solid
