@@ -8,6 +8,7 @@ its members are counted as unmatched. No thread and no clock of its own: the cal
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from pipeline.contract import Input
 from pipeline.messages import Header, Message
@@ -16,8 +17,7 @@ from pipeline.ports import Arrival
 Settle = Callable[[str, str], None]  # input name, fate: "delivered" or the name of a drop
 
 
-@dataclass(frozen=True)
-class Work:
+class Work(NamedTuple):
     """One call of a handler; `answer` is False when there is nothing to answer: hand that on."""
 
     header: Header
@@ -68,7 +68,8 @@ class Inbox:
             waiting.arrivals[name] = arrival
             if all(n in waiting.arrivals for n in self._required):
                 waiting.complete_ns = now_ns if waiting.complete_ns is None else waiting.complete_ns
-        self._give_up(lambda s: any(self._never(n, s) for n in self._required))
+        if len(self._joined) > 1:
+            self._give_up(lambda s: any(self._never(n, s) for n in self._required))
         while len(self._sets) > self._depth:
             self._drop(min(self._sets), "unmatched")
 
@@ -77,6 +78,8 @@ class Inbox:
         if self._side and self._side_may_go():
             name, arrival = self._side.popleft()
             return self._work(arrival.header, {name: arrival})
+        if not self._sets:
+            return None
         ready = [s for s in sorted(self._sets) if self._complete(s, now_ns)]
         if not ready:
             return None
@@ -148,6 +151,8 @@ class Inbox:
         waiting = self._sets[seq]
         if waiting.complete_ns is None:
             return False
+        if len(waiting.arrivals) == len(self._joined):
+            return True
         absent = [n for n in self._joined if n not in waiting.arrivals and not self._never(n, seq)]
         late = not self._lockstep and now_ns - waiting.complete_ns >= self._wait_ns
         return not absent or late

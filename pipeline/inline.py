@@ -12,10 +12,9 @@ from typing import Any
 from pipeline import settings as checked
 from pipeline.contract import Operator, Source, handler_of, joined, outputs_of, settings_of
 from pipeline.errors import GraphError, RunError
-from pipeline.host import with_header
 from pipeline.inbox import Inbox, Work
 from pipeline.ledger import Ledger, private_ledger
-from pipeline.messages import Header, Message, Span, stamped
+from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.plan import Edge, Node, Plan, inputs_for, load_operator
 from pipeline.ports import Arrival
 from pipeline.report import Report, compose
@@ -153,7 +152,7 @@ class InlineRunner:
         for output in self._parts[node].outputs:
             message = answers.get(output)
             if message is not None:
-                message = with_header(message, leaving)
+                message = altered(message, header=leaving)
                 if self._watch:
                     self._watch(f"{node}.{output}", message)
             for edge in self.plan.readers(node, output):

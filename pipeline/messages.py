@@ -5,13 +5,15 @@ Messages are immutable; absent arrays are empty, never `None`. `Shape` states wh
 checks: a number is a fixed side, a name is a side that every array of one message agrees on.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Annotated
+from dataclasses import dataclass, field
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MessageError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -28,22 +30,20 @@ class Shape:
     def check(self, where: str, shape: tuple[int, ...], known: dict[str, int]) -> None:
         """Raise `MessageError` unless `shape` fits; named sides are remembered in `known`."""
         for form in self.sides:
-            if len(form) == len(shape) and _fits(form, shape, known):
+            if len(form) != len(shape):
+                continue
+            for want, got in zip(form, shape):  # noqa: B905 - equal by the line above
+                if want.__class__ is str:
+                    if known.setdefault(want, got) != got:
+                        break
+                elif want != got:
+                    break
+            else:
                 return
         raise MessageError(f"{where}: expected shape {self}, got {shape}")
 
     def __str__(self) -> str:
         return " or ".join("(" + ", ".join(map(str, form)) + ")" for form in self.sides)
-
-
-def _fits(form: tuple[int | str, ...], shape: tuple[int, ...], known: dict[str, int]) -> bool:
-    for want, got in zip(form, shape, strict=True):
-        if isinstance(want, str):
-            if known.setdefault(want, got) != got:
-                return False
-        elif want != got:
-            return False
-    return True
 
 
 Boxes = Annotated[NDArray[np.float32], Shape.of("n", 4)]  # xyxy, sensor pixels
@@ -186,4 +186,12 @@ class Percept(Message):
 
 def stamped(header: Header, *, epoch: int, span: Span) -> Header:
     """The header that leaves a stage: the same exposure, one more span."""
-    return replace(header, epoch=epoch, trace=(*header.trace, span))
+    return altered(header, epoch=epoch, trace=(*header.trace, span))
+
+
+def altered(value: T, **changes: Any) -> T:
+    """A frozen dataclass with other values, as `replace` makes it, without its checks: for every
+    message of every stage."""
+    fresh = object.__new__(type(value))
+    fresh.__dict__.update(value.__dict__, **changes)
+    return fresh

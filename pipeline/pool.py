@@ -10,6 +10,7 @@ outlives its writer; whoever started the graph removes it.
 """
 
 import fcntl
+import math
 import mmap
 import os
 import re
@@ -17,9 +18,8 @@ import secrets
 import struct
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -32,8 +32,7 @@ MAX_SLOTS = 480  # generation counters fit into the header page
 _HEADER_WORDS = 4  # magic, pool id, slots, slot bytes
 
 
-@dataclass(frozen=True)
-class SlotRef:
+class SlotRef(NamedTuple):
     """Where a message's arrays lie; travels in its descriptor."""
 
     file: str
@@ -53,7 +52,7 @@ class Lease:
     def array(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any] | None:
         """The next piece of the slot as an array, or None when it does not fit."""
         kind = np.dtype(dtype)
-        nbytes = int(np.prod(shape, dtype=np.int64)) * kind.itemsize
+        nbytes = math.prod(shape) * kind.itemsize
         first = -(-self.used_bytes // 64) * 64
         if first + nbytes > self.pool.slot_bytes:
             return None

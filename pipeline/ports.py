@@ -4,9 +4,10 @@ Big arrays go through the frame pool, small ones inside the descriptor; a subscr
 share this host's memory gets all of it on a second key, rendered only while somebody listens.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -20,13 +21,12 @@ from pipeline.pool import Lease, PoolReader, PoolWriter, SlotRef
 
 VERSION = 1
 HELLO, MESSAGE, NOTHING = 0, 1, 2
-INLINE_BYTES = 4096  # arrays up to this size travel inside the descriptor
+INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
 TAP_SLOTS = 2  # what a viewer may pin before it copies
 BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
 
 
-@dataclass(frozen=True)
-class Arrival:
+class Arrival(NamedTuple):
     """What came through an input: a message, or word that there is none for this exposure."""
 
     header: Header
@@ -67,12 +67,13 @@ class OutPort:
         self.readers = tuple(readers)
         self._epoch = epoch
         self._ordinal = max((r.account.sent for r in readers), default=0)
+        self._mark, self._write = codec.fingerprint(message), codec.writer()
         self._pool = pool(self._free)
         self._leases: list[Lease] = []
 
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         """Memory in the pool for an array of the next message; raises `PoolExhausted`."""
-        nbytes = int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize
+        nbytes = math.prod(shape) * np.dtype(dtype).itemsize
         if nbytes <= INLINE_BYTES:
             return np.empty(shape, dtype)
         for lease in self._leases:
@@ -153,9 +154,7 @@ class OutPort:
             self._remote.send(payload)
 
     def _wrap(self, kind: int, ref: SlotRef | None, body: list[Any]) -> bytes:
-        slot = [ref.file, ref.pool_id, ref.slot, ref.generation, ref.nbytes] if ref else None
-        mark = codec.fingerprint(self._message)
-        return codec.to_bytes([VERSION, kind, self._ordinal, self._epoch, mark, slot, body])
+        return self._write([VERSION, kind, self._ordinal, self._epoch, self._mark, ref, body])
 
     def _room_for(self, message: Message) -> Lease | None:
         """The slot the message was written into, or one for arrays that are elsewhere."""
@@ -185,7 +184,7 @@ class InPort:
     ) -> None:  # fmt: skip
         self._message, self._account, self._pool = message, account, pool
         self._epoch, self._deliver, self._tap = epoch, deliver, tap
-        self._sender_epoch = -1
+        self._sender_epoch, self._mark = -1, codec.fingerprint(message)
         # what the predecessor had taken and not finished died with it
         account.add("lost_in_crash", max(0, account.seen - account.accounted))
 
@@ -225,7 +224,7 @@ class InPort:
             return None, "refused"
 
     def _decode(self, envelope: "Envelope") -> Arrival | None:
-        if envelope.mark != codec.fingerprint(self._message):
+        if envelope.mark != self._mark:
             raise MessageError(f"expected {self._message.__name__}, got another schema")
         if envelope.kind == NOTHING:
             return Arrival(codec.unpack(Header, envelope.body), None, envelope.ordinal)
@@ -242,8 +241,7 @@ class InPort:
         return Arrival(message.header, message, envelope.ordinal)
 
 
-@dataclass(frozen=True)
-class Envelope:
+class Envelope(NamedTuple):
     """What surrounds a message on the bus."""
 
     kind: int

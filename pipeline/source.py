@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from pipeline.contract import Source, handler_of
 from pipeline.errors import PoolExhausted
-from pipeline.host import IDLE_S, Host
+from pipeline.host import IDLE_S, WAIT_EVERY, Host
 from pipeline.inbox import Work
 from pipeline.messages import Header, Message, Span, stamped
 from pipeline.ports import OutPort
@@ -123,7 +123,7 @@ class SourceHost(Host):
 
     def _accept(self, work: Work) -> None:
         begun = time.monotonic_ns()
-        waited = self.corewait.since_last_ns() + self._take_arrived_wait()
+        waited = self._take_arrived_wait()
         ((name, message),) = work.messages.items()
         if message is not None:
             handler_of(self.operator, (name,))(message)
@@ -135,10 +135,12 @@ class SourceHost(Host):
 
     def _count_loop(self, header: Header, now_ns: int, handler_ns: int, waited_ns: int) -> None:
         latency = now_ns - header.stamp_ns
+        self.account.histograms["loop"].add(latency)
+        if header.seq % WAIT_EVERY:
+            return
         handlers = handler_ns + sum(span.handler_ns for span in header.trace)
         waited = waited_ns + sum(span.wait_ns for span in header.trace)
         histograms = self.account.histograms
-        histograms["loop"].add(latency)
         histograms["cpu_wait"].add(waited)
         histograms["overhead"].add(max(0, latency - handlers - waited))
 

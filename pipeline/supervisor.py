@@ -232,7 +232,7 @@ class Supervisor:
         unborn = slot.epoch == 1 and not (slot.child and slot.child.ready)
         if event.get("expected") and (unborn or slot.sources) and not self.failure:
             self.failure = str(event["error"])
-        else:
+        elif not self.failure:
             log.error("%s: %s", slot.name, event.get("error"))
 
     def _look_after(self, slot: _Slot, now_s: float) -> None:
@@ -272,7 +272,8 @@ class Supervisor:
         for node in slot.nodes:
             self.ledger.nodes[node.index].enter("absent")
         how = f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
-        log.warning("%s ended by %s, see `fovea logs %s`", slot.name, how, slot.name)
+        if not self.failure:
+            log.warning("%s ended by %s, see `fovea logs %s`", slot.name, how, slot.name)
         rule = slot.nodes[0].restart
         slot.deaths.append(now_s)
         lived = slot.going_since_s and now_s - slot.going_since_s > HEALTHY_S
