@@ -5,12 +5,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
+from rich.box import SIMPLE_HEAD
+from rich.table import Column, Table
 
 from bench.peers.ruler import COLUMNS
 
 Result = dict[str, Any]  # what a contestant prints: see bench.peers.ruler.collect
 NAN = float("nan")
+COLUMNS_SHOWN = (
+    "p50", "p99", "min", "x fovea", "write", "read", "cpu out", "cpu in", "lost",
+)  # fmt: skip
 
 
 def summarise(results: Iterable[Result]) -> list[dict[str, Any]]:
@@ -79,11 +83,13 @@ def quantiles(values_ms: NDArray[np.float64]) -> dict[str, float]:
 def table(figures: list[dict[str, Any]], nbytes: int, labels: Mapping[str, str]) -> Table:
     """One size: milliseconds beyond writing and reading, with the ratio of medians to fovea's."""
     shown = Table(
-        "contestant", "p50", "p99", "min", "p50 by round", "x fovea", "write", "read", "cpu out",
-        "cpu in", "lost",
-        title=f"{nbytes} bytes: ms beyond writing and reading, then medians of both and CPU time",
+        Column("contestant", no_wrap=True),
+        *(Column(name, justify="right", min_width=5) for name in COLUMNS_SHOWN),
+        title=f"{nbytes} bytes: ms beyond writing and reading; medians of both; processor time",
         title_justify="left",
-    )  # fmt: skip
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
     here = [row for row in figures if row["nbytes"] == nbytes]
     ours_ms = median_of_ours(here)
     for row in sorted(here, key=lambda r: float(r["beyond_ms"].get("p50", np.inf))):
@@ -100,12 +106,10 @@ def median_of_ours(here: list[dict[str, Any]]) -> float:
 def cells(row: Mapping[str, Any], labels: Mapping[str, str], ours_ms: float) -> list[str]:
     """One line of the table."""
     beyond = row["beyond_ms"] or dict.fromkeys(("min", "p50", "p99"), NAN)
-    least, most = row["p50_rounds"]
     spans = [row[name].get("p50", NAN) for name in ("write_ms", "read_ms")]
     return [
         labels.get(row["contestant"], row["contestant"]),
         *(f"{beyond[name]:.2f}" for name in ("p50", "p99", "min")),
-        f"{least:.2f} to {most:.2f}",
         f"{beyond['p50'] / ours_ms:.2f}",
         *(f"{span:.2f}" for span in spans),
         f"{row['sender_cpu_ms']:.2f}",

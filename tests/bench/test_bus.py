@@ -68,7 +68,7 @@ def test_the_table_puts_the_quickest_first_and_names_the_ratio() -> None:
 
     columns = [list(column.cells) for column in shown.columns]
     assert columns[0] == ["the other", "fovea_bus", "mute"]
-    assert columns[5] == ["0.50", "1.00", "nan"]
+    assert columns[4] == ["0.50", "1.00", "nan"]
 
 
 def test_a_turn_that_does_not_end_is_ended_with_all_it_started(tmp_path: Path) -> None:
