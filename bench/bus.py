@@ -13,6 +13,7 @@ import random
 import signal
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ from bench.machine import facts
 ROOT = Path(__file__).resolve().parent.parent
 SIZES = (65_536, 2_341_920, 9_367_680, 18_735_360)  # 2040x1148, 4080x2296, the same in 16 bit
 REQUIREMENTS = ("iceoryx2==0.10.*", "ezmsg==3.9.*", "dora-rs==1.1.*", "dora-rs-cli==1.1.*", "numpy")
+FAREWELL_S = 2.0  # what a contestant started has that long to end after it
 LIMIT_S = 120.0  # of one turn, beyond what its messages take
 
 
@@ -152,15 +154,29 @@ def run_to_end(words: list[str], limit_s: float) -> str:
         words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
     ) as child:  # fmt: skip
+        patience_s = 0.0
         try:
             output, errors = child.communicate(timeout=limit_s)
+            patience_s = FAREWELL_S
         finally:
-            with suppress(ProcessLookupError):
-                os.killpg(child.pid, signal.SIGKILL)
+            end_group(child.pid, patience_s)
     if child.returncode or not output.strip():
         last = (errors.strip().splitlines() or ["it said nothing"])[-1]
         raise subprocess.SubprocessError(f"ended with {child.returncode}: {last}")
     return output
+
+
+def end_group(group: int, patience_s: float) -> None:
+    """Wait for the processes of a group to be gone, then kill those that are not.
+
+    Python's own resource tracker outlives its master for a moment, to remove semaphores.
+    """
+    deadline = time.monotonic() + patience_s
+    with suppress(ProcessLookupError):
+        while time.monotonic() < deadline:
+            os.killpg(group, 0)
+            time.sleep(0.02)
+        os.killpg(group, signal.SIGKILL)
 
 
 def interpreter(module: str, side: Path) -> Path:
