@@ -69,11 +69,12 @@ def _measure_pixels(
     found: Samples, picture: NDArray[np.uint8], ball: NDArray[np.float32] | None
 ) -> None:
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    hsv = cv2.cvtColor(picture[400:], cv2.COLOR_RGB2HSV)
+    lower = picture[len(picture) * 2 // 5 :]
+    hsv = cv2.cvtColor(lower, cv2.COLOR_RGB2HSV)
     grass = (hsv[..., 0] > 25) & (hsv[..., 0] < 80) & (hsv[..., 1] > 60)
     if grass.any():
         for name, channel in zip(("red", "green", "blue"), range(3), strict=True):
-            found[f"grass {name}"].append(float(picture[400:][grass][:, channel].mean()))
+            found[f"grass {name}"].append(float(lower[grass][:, channel].mean()))
     found["sharpness (mean |Laplacian|)"].append(float(np.abs(cv2.Laplacian(grey, -1)).mean()))
     if ball is None:
         return

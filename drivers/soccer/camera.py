@@ -91,7 +91,7 @@ def draw_station(rng: np.random.Generator) -> Station:
 def draw_style(rng: np.random.Generator) -> CameraStyle:
     """A usual way to film."""
     return CameraStyle(
-        px_per_m=rng.uniform(46, 78),
+        px_per_m=rng.uniform(43, 74),
         zoom_swing=rng.uniform(0.05, 0.25),
         zoom_period_s=rng.uniform(15, 45),
         lag_s=rng.uniform(0.4, 1.2),

@@ -66,6 +66,7 @@ class SoccerScene:
         radius = min(usual, CANVAS_RADIUS_PX[0] * max(1.0, zoom), CANVAS_RADIUS_PX[1])
         turf = draw_turf(rng, self._tint)
         self._canvas = draw_canvas(rng, self._station, turf, radius, light)
+        _sharpen(self._canvas.image, float(rng.uniform(0, 0.5 + difficulty)))
         looks = everybody(self._seed)
 
         def make(who: int, pose: Pose, height_px: int) -> figures.Sprite:
@@ -73,7 +74,7 @@ class SoccerScene:
             return figures.draw(looks[who], pose, height_px, self._tint, soft)
 
         self._sprites = Cache(make)
-        self._discs = ball.discs(rng, light)
+        self._discs = ball.discs(rng, light * float(rng.uniform(0.72, 1.0)))
         self._grain = _grain(rng, float(rng.uniform(0.7, 2 + 6 * difficulty)), 0.3 + 0.3 * zoom)
 
     def picture(self, index: int) -> Image:
@@ -194,6 +195,11 @@ def _ball_point(now: Moment) -> NDArray[np.float64]:
     turn = now.heading[now.holder]
     reach = 0.3 * np.array([np.cos(turn), np.sin(turn)])
     return np.array([*(now.people[now.holder] + reach), now.ball[2]])
+
+
+def _sharpen(image: Image, amount: float) -> None:
+    """Edges with halos, as broadcast cameras make them; in place."""
+    cv2.addWeighted(image, 1 + amount, cv2.GaussianBlur(image, (5, 5), 1.2), -amount, 0, dst=image)
 
 
 def _grain(rng: np.random.Generator, sigma: float, soft_px: float) -> Image:
