@@ -78,7 +78,7 @@ def launch(task: Task) -> None:
     settings = {**asdict(task), "folder": str(task.folder)}
     here = "bench.peers.fovea_bus"
     graph = {
-        "name": "ruler",
+        "name": f"ruler-{uuid4().hex[:8]}",  # several may be measured at a time
         "nodes": {
             "sender": {"operator": f"{here}:Sender", "settings": settings},
             "receiver": {
