@@ -100,6 +100,16 @@ def draw_style(rng: np.random.Generator) -> CameraStyle:
     )
 
 
+def zoom(size_px: tuple[int, int]) -> float:
+    """How much larger than full HD everything is drawn, so that no shape shows more height."""
+    return max(size_px[0] / 1920, size_px[1] / 1080)
+
+
+def lowest_drop(station: Station) -> float:
+    """The lower end of what the camera ever shows, straight ahead, as a drop."""
+    return station.height_m / (station.y_m - PITCH_M[1] - 4)
+
+
 def view_at(
     station: Station, style: CameraStyle, size_px: tuple[int, int], focus: Points, time_s: float
 ) -> View:
@@ -108,11 +118,11 @@ def view_at(
     usual = station.y_m - PITCH_M[1] / 2
     swing = 1 + style.zoom_swing * np.sin(2 * np.pi * time_s / style.zoom_period_s)
     # an operator zooms out on what is near, but not by as much as it comes nearer
-    radius = style.px_per_m * usual**0.35 * reach**0.65 * swing * size_px[0] / 1920
+    radius = style.px_per_m * usual**0.35 * reach**0.65 * swing * zoom(size_px)
     bearing, drop = station.angles(np.array([focus[0], focus[1], 0.0]))
     shake = np.sin(time_s * np.array([7.3, 9.1]) + np.sin(time_s * np.array([2.9, 3.7])) * 2)
     half_w, half_h = size_px[0] / 2 / radius, size_px[1] / 2 / radius
-    lowest = station.height_m / (station.y_m - PITCH_M[1]) - 0.5 * half_h
+    lowest = lowest_drop(station) - half_h - abs(style.roll_rad) * half_w
     widest = np.arctan2(PITCH_M[0] / 2 + 8, usual) - half_w * 0.6
     return View(
         station=station,

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer.camera import PITCH_M, Points, Station
+from drivers.soccer.camera import PITCH_M, Points, Station, lowest_drop
 from drivers.soccer.looks import Colour
 from drivers.soccer.stadium import WALL_M, WALL_PX_PER_M, wall
 
@@ -67,9 +67,9 @@ def draw_canvas(
     rng: np.random.Generator, station: Station, turf: Turf, radius_px: float, light: float
 ) -> Canvas:
     """The still world as this camera sees it, `radius_px` pixels a radian."""
-    sky = -0.14
-    ground = station.height_m / (station.y_m - PITCH_M[1] - 4)
-    size = round((BEARINGS[1] - BEARINGS[0]) * radius_px), round((ground - sky) * radius_px)
+    sky = -0.2
+    span = BEARINGS[1] - BEARINGS[0], lowest_drop(station) - sky
+    size = round(span[0] * radius_px), round(span[1] * radius_px)
     canvas = Canvas(
         image=np.empty((size[1], size[0], 3), np.uint8),
         origin=(BEARINGS[0], sky),

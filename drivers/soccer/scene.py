@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from drivers.soccer import ball, figures
 from drivers.soccer.blend import extent, odd, over
-from drivers.soccer.camera import View, draw_station, draw_style, view_at
+from drivers.soccer.camera import View, draw_station, draw_style, view_at, zoom
 from drivers.soccer.looks import everybody
 from drivers.soccer.pitch import draw_canvas, draw_turf
 from drivers.soccer.play import Moment, moment
@@ -59,23 +59,23 @@ class SoccerScene:
         light = float(rng.uniform(0.95 - 0.35 * difficulty, 1.08))
         self._tint = tint * light
         self._shutter = float(rng.uniform(0.15, 0.35 + 0.5 * difficulty))  # of a frame's time
-        zoom = self.size_px[0] / 1920
-        self._soft_px = float(rng.uniform(0.2, 0.4 + 0.8 * difficulty)) * zoom
+        larger = zoom(self.size_px)
+        self._soft_px = float(rng.uniform(0.2, 0.4 + 0.8 * difficulty)) * larger
         self._light = draw_light(rng)
-        usual = self._style.px_per_m * (self._station.y_m - 34) * zoom
-        radius = min(usual, CANVAS_RADIUS_PX[0] * max(1.0, zoom), CANVAS_RADIUS_PX[1])
+        usual = self._style.px_per_m * (self._station.y_m - 34) * larger
+        radius = min(usual, CANVAS_RADIUS_PX[0] * max(1.0, larger), CANVAS_RADIUS_PX[1])
         turf = draw_turf(rng, self._tint)
         self._canvas = draw_canvas(rng, self._station, turf, radius, light)
         _sharpen(self._canvas.image, float(rng.uniform(0, 0.5 + difficulty)))
         looks = everybody(self._seed)
 
         def make(who: int, pose: Pose, height_px: int) -> figures.Sprite:
-            soft = self._soft_px * height_px / (figures.TALL_M * self._style.px_per_m * zoom)
+            soft = self._soft_px * height_px / (figures.TALL_M * self._style.px_per_m * larger)
             return figures.draw(looks[who], pose, height_px, self._tint, soft)
 
         self._sprites = Cache(make)
         self._discs = ball.discs(rng, light * float(rng.uniform(0.72, 1.0)))
-        self._grain = _grain(rng, float(rng.uniform(0.7, 2 + 6 * difficulty)), 0.3 + 0.3 * zoom)
+        self._grain = _grain(rng, float(rng.uniform(0.7, 2 + 6 * difficulty)), 0.3 + 0.3 * larger)
 
     def picture(self, index: int) -> Image:
         """Frame `index` as (h, w, 3) RGB, valid until the next call; IndexError past the end."""

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 from drivers.soccer import SoccerScene
 from drivers.soccer.ball_path import CHUNK_S, RADIUS_M, ball_points, knot, legs
-from drivers.soccer.camera import PITCH_M, Station, View
+from drivers.soccer.camera import (
+    PITCH_M,
+    Station,
+    View,
+    draw_station,
+    draw_style,
+    lowest_drop,
+    view_at,
+)
 from drivers.soccer.play import make_chunk, moment
 
 SEEDS = st.integers(0, 2**31)
@@ -127,3 +135,21 @@ def test_a_point_of_the_ground_is_found_again_from_its_angles(
     np.testing.assert_allclose(station.ground(angles), point[:2], atol=1e-6)
     up = view.pixels(point + np.array([0, 0, 1.0])) - view.pixels(point)
     assert np.hypot(*up) == pytest.approx(float(view.px_per_m(point)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=SEEDS, x=st.floats(0, 105), y=st.floats(0, 68), tall=st.booleans())
+def test_the_camera_never_looks_past_the_world(seed: int, x: float, y: float, tall: bool) -> None:
+    rng = np.random.default_rng(seed)
+    station, style = draw_station(rng), draw_style(rng)
+    size_px = (900, 1600) if tall else (1920, 1080)
+    view = view_at(station, style, size_px, np.array([x, y]), 3.0)
+    m = view.matrix()
+    corners = np.array([(0, 0), (size_px[0], 0), (0, size_px[1]), size_px])
+
+    angles = (corners - m[:, 2]) @ np.linalg.inv(m[:, :2]).T
+
+    slack = 2 * style.jitter_rad
+    assert (np.abs(angles[:, 0]) < 1.12 + slack).all()
+    assert (angles[:, 1] > -0.2 - slack).all()
+    assert (angles[:, 1] < lowest_drop(station) + slack).all()
