@@ -4,12 +4,10 @@ The same for a process of its own and for a group; the transport's threads only 
 own thread calls the operator.
 """
 
-import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -17,6 +15,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from pipeline.contract import Input, Operator, handler_of
 from pipeline.corewait import CoreWait
+from pipeline.doors import Doors
 from pipeline.errors import PoolExhausted, RunError
 from pipeline.inbox import Inbox, Work
 from pipeline.ledger import EdgeAccount, NodeAccount
@@ -35,15 +34,15 @@ class Host:
     def __init__(
         self, name: str, operator: Operator[Any, Any], inputs: Mapping[str, Input],
         edges: Mapping[str, EdgeAccount], outs: Mapping[str, OutPort], account: NodeAccount,
-        *, lockstep: bool, epoch: int,
+        doors: Doors, *, lockstep: bool, epoch: int,
     ) -> None:  # fmt: skip
         self.name, self.operator, self.outs = name, operator, dict(outs)
         self._edges, self.account, self._epoch = dict(edges), account, epoch
         self.lockstep = lockstep
         self._lock = threading.Lock()
-        self._wake: SimpleQueue[None] = SimpleQueue()  # cheaper than a condition's locks
+        self._doors = doors
         self._inbox = Inbox(inputs, self.settle, lockstep=lockstep)
-        self._arrived_wait_ns = 0
+        self._arrived_wait_ns = self._waiter = 0
         self.corewait = CoreWait()
         self.stopping = threading.Event()
         operator._loan = self._loan
@@ -53,15 +52,15 @@ class Host:
         self._edges[name].add(fate)
 
     def deliver(self, name: str, arrival: Arrival) -> None:
-        """Called by the transport's thread."""
+        """Called while this host waits at its doors, or by a transport's thread."""
         phase, waited = arrival.header.seq % WAIT_EVERY, 0
         if phase in (0, WAIT_EVERY - 1):  # the one before only sets the mark
             waited = self.corewait.since_last_ns()
         with self._lock:
             self._arrived_wait_ns += 0 if phase else waited
             self._inbox.offer(name, arrival, time.monotonic_ns())
-        if self._wake.empty():
-            self._wake.put(None)
+        if threading.get_ident() != self._waiter:
+            self._doors.wake()
 
     def run(self) -> None:
         """Handle what arrives until told to stop; an operator's exception passes through."""
@@ -79,11 +78,17 @@ class Host:
     def stop(self) -> None:
         """Let `run` return after the message in hand."""
         self.stopping.set()
-        self._wake.put(None)
+        self._doors.wake()
 
     def greet(self) -> bool:
         """Greet readers that have not heard this instance; True when all have."""
         return all([port.hello() for port in self.outs.values()])
+
+    def attend(self) -> None:
+        """Before the first frame: hear greetings and greet, for a moment."""
+        self.greet()
+        self._waiter = threading.get_ident()
+        self._doors.wait(GREET_S)
 
     def next_work(self, patience_s: float) -> Work | None:
         """What to do next; None when nothing came within the patience."""
@@ -94,8 +99,8 @@ class Host:
             return work
         if due is not None:
             patience_s = min(patience_s, max(0.0, (due - time.monotonic_ns()) / 1e9))
-        with contextlib.suppress(Empty):
-            self._wake.get(timeout=patience_s)
+        self._waiter = threading.get_ident()
+        self._doors.wait(patience_s)
         with self._lock:
             return self._inbox.take(time.monotonic_ns())
 

@@ -26,8 +26,9 @@ from pydantic import TypeAdapter
 from pipeline import settings as checked
 from pipeline.bus import Session
 from pipeline.contract import Input, Operator, Source, outputs_of, settings_of
+from pipeline.doors import Doors, Links
 from pipeline.errors import FoveaError
-from pipeline.host import GREET_S, Host
+from pipeline.host import Host
 from pipeline.ledger import Ledger
 from pipeline.plan import Edge, Node, Plan, inputs_for, load_operator, slots
 from pipeline.pool import PoolReader, PoolWriter
@@ -65,6 +66,8 @@ class Process:
         self._hosts: list[Host] = []
         self._operators: list[Operator[Any, Any]] = []
         self._session: Session | None = None
+        self._doors: list[Doors] = []
+        self._links: list[Links] = []
         self._stops: list[Any] = []
         self.go = threading.Event()
         self.failed = False
@@ -120,6 +123,8 @@ class Process:
     def _host(self, node: Node, operator: Operator[Any, Any]) -> Host:
         job, plan = self._job, self._job.plan
         edges = plan.inputs(node.name)
+        doors = Doors(self._address(node.name))
+        self._doors.append(doors)
         outs = {
             name: self._out_port(node, name, message)
             for name, message in outputs_of(type(operator)).items()
@@ -128,6 +133,7 @@ class Process:
             "inputs": inputs_for(plan, node),
             "edges": {name: self._ledger.edges[e.index] for name, e in edges.items()},
             "outs": outs,
+            "doors": doors,
             "account": self._ledger.nodes[node.index],
             "lockstep": plan.clock == "lockstep",
             "epoch": job.epochs[node.name],
@@ -140,7 +146,7 @@ class Process:
             else Host(node.name, operator, **common)
         )
         for edge in edges.values():
-            self._listen(host, edge, common["inputs"][edge.input])
+            self._listen(host, edge, common["inputs"][edge.input], doors)
         return host
 
     def _out_port(self, node: Node, output: str, message: type[Any]) -> OutPort:
@@ -154,8 +160,12 @@ class Process:
         urgent = any(e.command for e in edges)
         patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
         stem = f"{job.prefix}{node.name}.{output}"
+        near = [(e.index, self._address(e.target)) for e in edges if e.transport == "pool"]
+        links = Links(near)
+        self._links.append(links)
         return OutPort(
             message,
+            links,
             self._session.sender(key, urgent=urgent),
             self._session.sender(key + BYTES_SUFFIX, urgent=urgent, patient=patient),
             readers,
@@ -163,7 +173,7 @@ class Process:
             job.epochs[node.name],
         )
 
-    def _listen(self, host: Host, edge: Edge, declared: Input) -> None:
+    def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
         job = self._job
         port = InPort(
             declared.message,
@@ -173,10 +183,15 @@ class Process:
             lambda arrival: host.deliver(edge.input, arrival),
             tap=edge.tap,
         )
-        key = key_of(job.plan.name, edge.source, edge.output)
+        if edge.transport == "pool":
+            doors.expect(edge.index, port.receive)
+            return
+        key = key_of(job.plan.name, edge.source, edge.output) + BYTES_SUFFIX
         assert self._session is not None
-        suffix = BYTES_SUFFIX if edge.transport == "bytes" else ""
-        self._stops.append(self._session.listen(key + suffix, port.receive))
+        self._stops.append(self._session.listen(key, port.receive))
+
+    def _address(self, node: str) -> Path:
+        return Path(self._job.run_folder) / f"{node}.door"
 
     def _run_hosts(self) -> None:
         threads = [
@@ -192,8 +207,8 @@ class Process:
         try:
             if isinstance(host, SourceHost):
                 host.on_finished = lambda: self.say("finished", node=host.name)
-                while not self.go.wait(GREET_S):
-                    host.greet()
+                while not self.go.is_set():
+                    host.attend()
             host.run()
         except Exception as error:
             self._report(error)
@@ -219,6 +234,10 @@ class Process:
                 self.say("summary", node=host.name, figures=host.figures())
         for stop in self._stops:
             stop()
+        for links in self._links:
+            links.close()
+        for doors in self._doors:
+            doors.close()
         if self._session is not None:
             self._session.close()
 

@@ -1,7 +1,8 @@
-"""The ends of an edge: messages out to descriptors on the bus, descriptors in to messages.
+"""The ends of an edge: messages out to descriptors, descriptors in to messages.
 
-Big arrays go through the frame pool, small ones inside the descriptor; a subscriber that does not
-share this host's memory gets all of it on a second key, rendered only while somebody listens.
+Big arrays go through the frame pool, small ones inside the descriptor. Readers of the graph on this
+host get it by the short way (`pipeline.doors`), taps on the output's Zenoh key; subscribers that do
+not share this host's memory get everything on a second key; both only while somebody listens.
 """
 
 import math
@@ -14,6 +15,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from pipeline import codec
 from pipeline.bus import Sender
+from pipeline.doors import Links
 from pipeline.errors import MessageError, PoolExhausted
 from pipeline.ledger import EdgeAccount
 from pipeline.messages import Header, Message
@@ -60,10 +62,11 @@ class OutPort:
     """One output of a node."""
 
     def __init__(
-        self, message: type[Message], sender: Sender, remote: Sender, readers: Sequence[Reader],
-        pool: Callable[[Callable[[int], bool]], PoolWriter], epoch: int,
+        self, message: type[Message], links: Links, taps: Sender, remote: Sender,
+        readers: Sequence[Reader], pool: Callable[[Callable[[int], bool]], PoolWriter], epoch: int,
     ) -> None:  # fmt: skip
-        self._message, self._sender, self._remote = message, sender, remote
+        self._message, self._links = message, links
+        self._taps, self._remote = taps, remote
         self.readers = tuple(readers)
         self._epoch = epoch
         self._ordinal = max((r.account.sent for r in readers), default=0)
@@ -94,8 +97,8 @@ class OutPort:
     def hello(self) -> bool:
         """Greet readers that have not heard this instance; True when all that live have."""
         waiting = [r for r in self.readers if r.account.reader_epoch and not r.account.live]
-        if waiting:
-            self._broadcast(self._wrap(HELLO, None, []))
+        if self._links.connect() or waiting:
+            self._send(self._wrap(HELLO, None, []), ())
         return not waiting
 
     def send(self, message: Message | None, header: Header) -> None:
@@ -108,7 +111,7 @@ class OutPort:
         if message is None:
             self.discard()
             self._count()
-            self._broadcast(self._wrap(NOTHING, None, codec.pack(header)))
+            self._send(self._wrap(NOTHING, None, codec.pack(header)), ())
             return
         if type(message) is not self._message:
             raise MessageError(
@@ -125,9 +128,7 @@ class OutPort:
             self._pool.publish(lease, self._ordinal + 1)
         self.discard()  # loans of this handler call that went into no message
         self._count()
-        self._sender.send(self._wrap(MESSAGE, lease.ref() if lease else None, body))
-        if self._remote.matching():
-            self._remote.send(self._wrap(MESSAGE, None, codec.pack(message)))
+        self._send(self._wrap(MESSAGE, lease.ref() if lease else None, body), (message,))
 
     def discard(self) -> None:
         """Give back loans that were not sent."""
@@ -148,10 +149,14 @@ class OutPort:
         for reader in self.readers:
             reader.account.add("sent")
 
-    def _broadcast(self, payload: bytes) -> None:
-        self._sender.send(payload)
+    def _send(self, payload: bytes, inline: tuple[Message, ...]) -> None:
+        """To the readers; to whoever taps the key; and whole, to whoever shares no memory."""
+        self._links.send(payload)
+        if self._taps.matching():
+            self._taps.send(payload)
         if self._remote.matching():
-            self._remote.send(payload)
+            whole = [self._wrap(MESSAGE, None, codec.pack(message)) for message in inline]
+            self._remote.send(whole[0] if whole else payload)
 
     def _wrap(self, kind: int, ref: SlotRef | None, body: list[Any]) -> bytes:
         return self._write([VERSION, kind, self._ordinal, self._epoch, self._mark, ref, body])
@@ -175,7 +180,7 @@ class OutPort:
 class InPort:
     """One input of a node: accounts for everything that arrives, hands on what is good.
 
-    `receive` is called by the transport's thread only.
+    `receive` is called by one thread at a time.
     """
 
     def __init__(

@@ -65,7 +65,7 @@ class RunFolder:
     def release(self) -> None:
         """Remove sockets and memory; the logs stay for reading."""
         remove_pools(MEMORY, self.prefix)
-        for path in (*self.folder.glob("*.sock"), self.folder / "run.json"):
+        for path in (*_sockets(self.folder), self.folder / "run.json"):
             path.unlink(missing_ok=True)
         os.close(self._lock)
 
@@ -115,8 +115,12 @@ def _remove_remains(folder: Path) -> None:
     if prefix.startswith("fovea-"):
         _end_orphans(prefix)
         remove_pools(MEMORY, prefix)
-    for path in (*folder.glob("*.sock"), folder / "run.json"):
+    for path in (*_sockets(folder), folder / "run.json"):
         path.unlink(missing_ok=True)
+
+
+def _sockets(folder: Path) -> list[Path]:
+    return [*folder.glob("*.sock"), *folder.glob("*.door")]
 
 
 def _end_orphans(prefix: str) -> None:

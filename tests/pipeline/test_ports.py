@@ -27,6 +27,10 @@ class Wire:
         self.sent: list[bytes] = []
         self.matched = matched
 
+    def connect(self) -> bool:
+        """Always there."""
+        return False
+
     def send(self, payload: bytes) -> None:
         self.sent.append(payload)
 
@@ -50,7 +54,7 @@ class Edge:
     def writer(self, epoch: int) -> OutPort:
         readers = [Reader(self.account, self.lossless, self.depth)]
         return OutPort(
-            Frame, self.wire, self.remote, readers,
+            Frame, self.wire, Wire(), self.remote, readers,  # type: ignore[arg-type]
             lambda free: PoolWriter(MEMORY, self.stem, 3, free), epoch,
         )  # fmt: skip
 
@@ -175,7 +179,7 @@ def test_a_message_of_another_schema_is_refused_and_counted(edge: Edge) -> None:
         header=header(0), boxes=np.zeros((0, 4), np.float32), ids=np.zeros(0, np.int32),
         scores=np.zeros(0, np.float32),
     )  # fmt: skip
-    other = OutPort(Percept, edge.wire, Wire(), edge.out.readers, lambda _free: None, 1)  # type: ignore[arg-type,return-value]
+    other = OutPort(Percept, edge.wire, Wire(), Wire(), edge.out.readers, lambda _free: None, 1)  # type: ignore[arg-type,return-value]
     other.send(percept, percept.header)
 
     edge.carry()
