@@ -42,6 +42,7 @@ class Schema:
 
     cls: type[Any]
     fields: tuple[tuple[str, "_Kind"], ...]
+    readers: tuple[tuple[str, "_Kind", str], ...]  # with the field's full name for complaints
     text: str
 
     @property
@@ -55,7 +56,10 @@ def schema(cls: type[Any]) -> Schema:
     """The schema of a dataclass; raises `MessageError` for a field that cannot travel."""
     hints = typing.get_type_hints(cls, include_extras=True)
     fields = tuple((f.name, _kind(hints[f.name], f"{cls.__name__}.{f.name}")) for f in _fields(cls))
-    return Schema(cls, fields, f"{cls.__name__}({','.join(f'{n}:{k.text}' for n, k in fields)})")
+    readers = tuple((name, kind, f"{cls.__name__}.{name}") for name, kind in fields)
+    return Schema(
+        cls, fields, readers, f"{cls.__name__}({','.join(f'{n}:{k.text}' for n, k in fields)})"
+    )
 
 
 @once
@@ -79,9 +83,10 @@ def unpack(cls: type[T], body: Any, fetch: Fetch | None = None) -> T:
     if not isinstance(body, list) or len(body) != len(plan.fields):
         raise MessageError(f"{cls.__name__}: expected {len(plan.fields)} fields, got {_say(body)}")
     known: dict[str, int] = {}
+    fetch = fetch or _nowhere
     values = {
-        name: kind.unpack(item, fetch or _nowhere, known, f"{cls.__name__}.{name}")
-        for (name, kind), item in zip(plan.fields, body, strict=True)
+        name: kind.unpack(item, fetch, known, where)
+        for (name, kind, where), item in zip(plan.readers, body)  # noqa: B905 - checked above
     }
     try:
         return cls(**values)

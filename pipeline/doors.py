@@ -47,14 +47,17 @@ class Doors:
 
     def wait(self, timeout_s: float) -> None:
         """Receive what has come; sleeps up to `timeout_s` while there is nothing."""
-        for handle, _event in self._poll.poll(timeout_s):
-            if handle == self._bell:
-                with contextlib.suppress(BlockingIOError):
-                    os.eventfd_read(self._bell)
-            elif handle == self._listener.fileno():
-                self._accept()
-            else:
-                self._drain(handle)
+        ready = self._poll.poll(timeout_s)
+        while ready:
+            for handle, _event in ready:
+                if handle in self._links:
+                    self._read(handle)
+                elif handle == self._bell:
+                    with contextlib.suppress(BlockingIOError):
+                        os.eventfd_read(self._bell)
+                else:
+                    self._accept()
+            ready = self._poll.poll(0)
 
     def close(self) -> None:
         """Give back every socket."""
@@ -72,21 +75,21 @@ class Doors:
             self._links[link.fileno()] = (link, None)
             self._poll.register(link, select.EPOLLIN)
 
-    def _drain(self, handle: int) -> None:
-        while handle in self._links:
-            link, receive = self._links[handle]
-            try:
-                size = link.recv_into(self._buffer)
-            except BlockingIOError:
-                return
-            except OSError:
-                size = 0
-            if not size:
-                self._drop(handle)
-            elif receive is not None:
-                receive(bytes(self._buffer[:size]))
-            else:
-                self._introduce(handle, link, bytes(self._buffer[:size]))
+    def _read(self, handle: int) -> None:
+        """One packet; what is left makes the socket ready again."""
+        link, receive = self._links[handle]
+        try:
+            size = link.recv_into(self._buffer)
+        except BlockingIOError:
+            return
+        except OSError:
+            size = 0
+        if not size:
+            self._drop(handle)
+        elif receive is not None:
+            receive(bytes(self._buffer[:size]))
+        else:
+            self._introduce(handle, link, bytes(self._buffer[:size]))
 
     def _introduce(self, handle: int, link: socket.socket, packet: bytes) -> None:
         known = len(packet) == _EDGE.size and self._receivers.get(_EDGE.unpack(packet)[0])

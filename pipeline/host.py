@@ -154,11 +154,18 @@ class Host:
     def publish(self, answers: Mapping[str, Message | None], header: Header) -> None:
         """Send every output's answer, waiting for the credit of lossless readers."""
         self.await_credit()
+        self.send_all(answers, header)
+
+    def send_all(self, answers: Mapping[str, Message | None], header: Header) -> None:
+        """Send every output's answer under the header that leaves."""
         for name, port in self.outs.items():
             message = answers.get(name)
             if message is not None:
                 message = altered(message, header=header)
-            self.patiently(partial(port.send, message, header))
+            try:
+                port.send(message, header)
+            except PoolExhausted:
+                self.patiently(partial(port.send, message, header))
 
     def await_credit(self) -> None:
         """Back-pressure: stand still while a lossless reader has no room."""
@@ -208,8 +215,11 @@ class Host:
 
     def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         """Memory for an output; waits until there is some."""
-        memory: NDArray[Any] = self.patiently(lambda: port.loan(shape, dtype))
-        return memory
+        try:
+            return port.loan(shape, dtype)
+        except PoolExhausted:
+            memory: NDArray[Any] = self.patiently(lambda: port.loan(shape, dtype))
+            return memory
 
     def _is_joined(self, name: str) -> bool:
         declared: Input = getattr(type(self.operator), name)

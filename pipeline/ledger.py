@@ -50,17 +50,20 @@ _NODE = {
         ("epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq")
     )
 }
+_STATE_WORD = _NODE["state"]
 STATES = ("absent", "starting", "waiting", "busy", "credit", "finished", "stopped")
+
+_STATE_NUMBERS = {name: number for number, name in enumerate(STATES)}
 
 
 def _counter(name: str) -> property:
     index = _EDGE[name]
-    return property(lambda account: int(account._words[index]))
+    return property(lambda account: account._words[index])
 
 
 def _progress(name: str) -> property:
     index = _NODE[name]
-    return property(lambda account: int(account._words[index]))
+    return property(lambda account: account._words[index])
 
 
 class EdgeAccount:
@@ -151,7 +154,7 @@ class NodeAccount:
 
     def enter(self, state: str) -> None:
         """Note a change of state."""
-        self._words[_NODE["state"]] = STATES.index(state)
+        self._words[_STATE_WORD] = _STATE_NUMBERS[state]
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,7 @@ class Lease:
     def __init__(self, pool: "_File", slot: int, generation: int) -> None:
         self.pool, self.slot, self.generation = pool, slot, generation
         self.used_bytes = 0
+        self._given: list[tuple[NDArray[Any], int]] = []
 
     def array(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any] | None:
         """The next piece of the slot as an array, or None when it does not fit."""
@@ -58,10 +59,16 @@ class Lease:
             return None
         self.used_bytes = first + nbytes
         start = self.pool.start(self.slot) + first
-        return np.frombuffer(self.pool.memory, kind, nbytes // kind.itemsize, start).reshape(shape)
+        memory = self.pool.memory
+        array = np.frombuffer(memory, kind, nbytes // kind.itemsize, start).reshape(shape)
+        self._given.append((array, first))
+        return array
 
     def offset_of(self, array: NDArray[Any]) -> int | None:
         """Offset of a contiguous array within this slot; None when it lies elsewhere."""
+        for given, first in self._given:
+            if given is array:
+                return first
         if not array.flags.c_contiguous:
             return None
         address = array.__array_interface__["data"][0]
@@ -106,8 +113,9 @@ class PoolWriter:
                 self._next = slot + 1
                 self._held.pop(slot, None)
                 self._lent.add(slot)
-                file.generations[slot] += 1
-                return Lease(file, slot, int(file.generations[slot]))
+                generation = file.generations[slot] + 1
+                file.generations[slot] = generation
+                return Lease(file, slot, generation)
             if slot in self._held:  # a reader is in it: our own shared lock is no longer needed
                 del self._held[slot]
                 file.lock(fcntl.F_UNLCK, slot)
@@ -145,13 +153,12 @@ class PoolReader:
             raise MessageError(f"{ref.file}: no slot {ref.slot} of {ref.nbytes} bytes")
         if not file.lock(fcntl.F_RDLCK, ref.slot):
             return None
-        if int(file.generations[ref.slot]) != ref.generation:
+        if file.generations[ref.slot] != ref.generation:
             if not file.views.get(ref.slot):
                 file.lock(fcntl.F_UNLCK, ref.slot)
             return None
-        file.views[ref.slot] = file.views.get(ref.slot, 0) + 1
         bytes_ = np.frombuffer(file.memory, np.uint8, ref.nbytes, file.start(ref.slot))
-        weakref.finalize(bytes_, _release, file, ref.slot).atexit = False
+        file.hold(ref.slot, bytes_)
         return bytes_
 
     @property
@@ -189,9 +196,13 @@ class _File:
         magic, self.pool_id, self.slots, self.slot_bytes = (int(w) for w in words[:_HEADER_WORDS])
         if magic != MAGIC or size < PAGE_BYTES + self.slots * self.slot_bytes:
             raise MessageError(f"{path.name}: not a frame pool")
-        self.generations = words[_HEADER_WORDS:]
+        self.generations = memoryview(self.memory).cast("Q")[
+            _HEADER_WORDS : _HEADER_WORDS + MAX_SLOTS
+        ]
         self.address = words.__array_interface__["data"][0]
         self.views: dict[int, int] = {}  # open-file-description locks do not nest: count views
+        self._watched: dict[int, tuple[weakref.ref[Any], int]] = {}
+        self._requests: dict[tuple[int, int], bytes] = {}
 
     def start(self, slot: int) -> int:
         """Offset of a slot in the file."""
@@ -199,12 +210,28 @@ class _File:
 
     def lock(self, kind: int, slot: int) -> bool:
         """Set or drop this handle's lock on a slot; False when somebody else's is in the way."""
-        try:
+        request = self._requests.get((kind, slot))
+        if request is None:
             request = struct.pack("hhqqi", kind, os.SEEK_SET, slot, 1, 0)
+            self._requests[kind, slot] = request
+        try:
             fcntl.fcntl(self.handle, fcntl.F_OFD_SETLK, request)
         except (BlockingIOError, PermissionError):
             return False
         return True
+
+    def hold(self, slot: int, view: NDArray[np.uint8]) -> None:
+        """Keep the shared lock until the view, and every view of it, is gone."""
+        self.views[slot] = self.views.get(slot, 0) + 1
+        watch = weakref.ref(view, self._let_go)
+        self._watched[id(watch)] = (watch, slot)
+
+    def _let_go(self, watch: "weakref.ref[Any]") -> None:
+        _, slot = self._watched.pop(id(watch))
+        left = self.views[slot] - 1
+        self.views[slot] = left
+        if not left:
+            self.lock(fcntl.F_UNLCK, slot)
 
 
 def remove_pools(folder: Path, prefix: str) -> int:
@@ -213,13 +240,6 @@ def remove_pools(folder: Path, prefix: str) -> int:
     for path in found:
         path.unlink(missing_ok=True)
     return len(found)
-
-
-def _release(file: _File, slot: int) -> None:
-    left = file.views.get(slot, 1) - 1
-    file.views[slot] = left
-    if not left:
-        file.lock(fcntl.F_UNLCK, slot)
 
 
 def _reuse_or_create(folder: Path, stem: str, slots: int, nbytes: int) -> _File:

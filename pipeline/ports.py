@@ -25,6 +25,7 @@ VERSION = 1
 HELLO, MESSAGE, NOTHING = 0, 1, 2
 INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
 TAP_SLOTS = 2  # what a viewer may pin before it copies
+_SLOT_TYPES = [str, int, int, int, int]
 BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
 
 
@@ -263,19 +264,19 @@ class Envelope(NamedTuple):
         if not isinstance(parts, list) or len(parts) != 7 or parts[0] != VERSION:
             raise MessageError("not an envelope of this version")
         _, kind, ordinal, epoch, mark, slot, body = parts
-        numbers = (kind, ordinal, epoch)
-        if not all(type(n) is int and 0 <= n < 1 << 62 for n in numbers) or kind > NOTHING:
+        if not (_is_count(kind) and _is_count(ordinal) and _is_count(epoch) and kind <= NOTHING):
             raise MessageError("not an envelope: numbers out of range")
-        if not isinstance(mark, bytes):
+        if type(mark) is not bytes:
             raise MessageError("not an envelope: no fingerprint")
-        return Envelope(kind, ordinal, epoch, mark, _slot(slot), body)
+        return Envelope(kind, ordinal, epoch, mark, None if slot is None else _slot(slot), body)
 
 
-def _slot(parts: Any) -> SlotRef | None:
-    if parts is None:
-        return None
-    fits = isinstance(parts, list) and len(parts) == 5 and isinstance(parts[0], str)
-    if not fits or not all(type(n) is int for n in parts[1:]):
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 <= value < 1 << 62
+
+
+def _slot(parts: Any) -> SlotRef:
+    if type(parts) is not list or [type(part) for part in parts] != _SLOT_TYPES:
         raise MessageError("not an envelope: no slot")
     return SlotRef(*parts)
 

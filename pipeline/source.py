@@ -95,8 +95,11 @@ class SourceHost(Host):
             stage=self.name, received_ns=header.stamp_ns, done_ns=ended, handler_ns=ended - ready,
             wait_ns=0,
         )  # fmt: skip
-        self.busy(ended, header.seq)
-        self.publish(frames, stamped(header, epoch=self._epoch, span=span))
+        leaving = stamped(header, epoch=self._epoch, span=span)
+        if self.lockstep:
+            self.await_credit()
+        self.send_all(frames, leaving)
+        self.account.put("last_seq", header.seq)
         self.account.histograms["handler"].add(ended - ready)
 
     def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
