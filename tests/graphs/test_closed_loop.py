@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from pipeline.graph import load
-from pipeline.overlay import Overlay
 from pipeline.inline import InlineRunner
+from pipeline.overlay import Overlay
 
 GRAPH = """
 name: loop
