@@ -2,8 +2,9 @@
 
 A reader has one unix socket in the graph's private folder and reads it on the thread that runs its
 operator; a writer sends its descriptor straight into it. The kernel keeps packets whole and in
-order. A packet for a reader that does not drain its socket is lost, never waited for: the runtime's
-credit keeps lossless readers far from that, and the reader notices the gap in the numbers.
+order. Where a reader does not drain its socket the writer hears that there is no room: a reader of
+the latest then loses the packet and notices the gap in the numbers; credit keeps lossless ones far
+from that, and a writer tries again for them.
 """
 
 import contextlib
@@ -11,10 +12,11 @@ import os
 import select
 import socket
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 LARGEST_BYTES = 1 << 18  # above what a socket's buffer admits as one packet
+MOST_ROUNDS = 256
 _EDGE = struct.Struct("<I")  # a link's first packet says which edge it is
 
 
@@ -48,7 +50,9 @@ class Doors:
     def wait(self, timeout_s: float) -> None:
         """Receive what has come; sleeps up to `timeout_s` while there is nothing."""
         ready = self._poll.poll(timeout_s)
-        while ready:
+        for _ in range(MOST_ROUNDS):  # a flood must not keep the operator from its work
+            if not ready:
+                return
             for handle, _event in ready:
                 if handle in self._links:
                     self._read(handle)
@@ -129,15 +133,19 @@ class Links:
                 link.close()
         return len(self._links) > before
 
-    def send(self, payload: bytes) -> None:
-        """Hand a packet to every reader that is there; never waits."""
+    def send(self, payload: bytes, only: Collection[int] | None = None) -> list[int]:
+        """Hand a packet to the readers that are there; never waits. The edges without room."""
+        full = []
         for edge, link in list(self._links.items()):
+            if only is not None and edge not in only:
+                continue
             try:
                 link.send(payload, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
             except BlockingIOError:
-                continue  # a reader that stands still: it will see the gap
+                full.append(edge)
             except OSError:
                 self._links.pop(edge).close()
+        return full
 
     def close(self) -> None:
         """Give back every socket."""

@@ -153,7 +153,8 @@ class Process:
         job = self._job
         edges = job.plan.readers(node.name, output)
         readers = [
-            Reader(self._ledger.edges[e.index], e.keep == "every", e.depth + 1) for e in edges
+            Reader(self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index)
+            for e in edges
         ]
         assert self._session is not None
         key = key_of(job.plan.name, node.name, output)

@@ -6,6 +6,7 @@ not share this host's memory get everything on a second key; both only while som
 """
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -24,6 +25,7 @@ from pipeline.pool import Lease, PoolReader, PoolWriter, SlotRef
 VERSION = 1
 HELLO, MESSAGE, NOTHING = 0, 1, 2
 INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
+INSIST_S = 5.0  # longer than a frozen reader lives
 TAP_SLOTS = 2  # what a viewer may pin before it copies
 _SLOT_TYPES = [str, int, int, int, int]
 BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
@@ -44,6 +46,7 @@ class Reader:
     account: EdgeAccount
     lossless: bool
     depth: int
+    edge: int = 0
 
     def has_credit(self) -> bool:
         """Whether one more message finds room; readers that are gone do not count."""
@@ -152,12 +155,21 @@ class OutPort:
 
     def _send(self, payload: bytes, inline: tuple[Message, ...]) -> None:
         """To the readers; to whoever taps the key; and whole, to whoever shares no memory."""
-        self._links.send(payload)
+        if full := self._links.send(payload):
+            self._insist(payload, full)
         if self._taps.matching():
             self._taps.send(payload)
         if self._remote.matching():
             whole = [self._wrap(MESSAGE, None, codec.pack(message)) for message in inline]
             self._remote.send(whole[0] if whole else payload)
+
+    def _insist(self, payload: bytes, full: list[int]) -> None:
+        """Lossless readers get it even when their socket is full of big small messages."""
+        deadline = time.monotonic() + INSIST_S
+        lossless = {r.edge for r in self.readers if r.lossless}
+        while (full := [e for e in full if e in lossless]) and time.monotonic() < deadline:
+            time.sleep(0.0005)
+            full = self._links.send(payload, full)
 
     def _wrap(self, kind: int, ref: SlotRef | None, body: list[Any]) -> bytes:
         return self._write([VERSION, kind, self._ordinal, self._epoch, self._mark, ref, body])

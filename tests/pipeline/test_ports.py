@@ -31,8 +31,9 @@ class Wire:
         """Always there."""
         return False
 
-    def send(self, payload: bytes) -> None:
+    def send(self, payload: bytes) -> list[int]:
         self.sent.append(payload)
+        return []
 
     def matching(self) -> bool:
         return self.matched
