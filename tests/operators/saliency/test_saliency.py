@@ -191,3 +191,8 @@ def test_yolox_nano_finds_players_in_real_footage() -> None:
     assert len(found.scores) >= 8
     assert set(found.labels.tolist()) == {0}
     assert np.all(np.diff(found.boxes[:, [1, 3]]) > 40)
+
+
+def test_a_name_that_no_manifest_knows_is_refused() -> None:
+    with pytest.raises(WeightsError, match="nonsense"):
+        seen("nonsense")

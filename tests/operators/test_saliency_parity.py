@@ -1,0 +1,99 @@
+"""ONNX Runtime computes what torch computes: a fresh network, and the shipped ones."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+pytest.importorskip("onnx", reason="needs the train extra")
+import onnx
+import torch
+
+from operators.roi_features import SHIPPED as SHIPPED_ENCODER
+from operators.saliency.example import BALL, NAMES
+from operators.saliency.model import DetectorNet, Encoder, Exported, fused
+from operators.saliency.saliency import SHIPPED as SHIPPED_DETECTOR
+from operators.saliency.train import export
+from pipeline.inference import Network
+
+TOLERANCE = {"rtol": 1e-3, "atol": 1e-3}
+
+
+def fresh(seed: int) -> DetectorNet:
+    """A network as it is before training, with batch norms that are not the identity."""
+    torch.manual_seed(seed)
+    net = DetectorNet()
+    for module in net.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            torch.nn.init.uniform_(module.running_mean, -0.2, 0.2)
+            torch.nn.init.uniform_(module.running_var, 0.5, 2.0)
+    return net.eval()
+
+
+def loaded(path: Path, module: torch.nn.Module) -> torch.nn.Module:
+    """The torch module with the weights of an ONNX file, every one of them, by name."""
+    stored = {
+        i.name: torch.from_numpy(onnx.numpy_helper.to_array(i).copy())
+        for i in onnx.load(path).graph.initializer
+    }
+    module = fused(module)
+    module.load_state_dict({name: stored[name] for name in module.state_dict()})
+    return module
+
+
+def picture(seed: int, count: int, height_px: int, width_px: int) -> np.ndarray:
+    """Random pictures in 0..1."""
+    return np.random.default_rng(seed).random((count, 3, height_px, width_px), np.float32)
+
+
+def assert_same_output(got: np.ndarray, wanted: np.ndarray) -> None:
+    """All rows agree; of two neighbours of equal heat either may be the peak."""
+    ball = 4 + NAMES.index(BALL)
+    np.testing.assert_allclose(got[:, :ball], wanted[:, :ball], **TOLERANCE)
+    peaks = (got[:, ball] > 0) & (wanted[:, ball] > 0)
+    np.testing.assert_allclose(got[:, ball][peaks], wanted[:, ball][peaks], **TOLERANCE)
+    undecided = (got[:, ball] > 0) != (wanted[:, ball] > 0)
+    assert undecided.sum() < 0.01 * peaks.sum()
+
+
+def test_a_fresh_network_survives_its_export(tmp_path: Path) -> None:
+    net = fresh(seed=3)
+    export(net, tmp_path / "detector.onnx", tmp_path / "encoder.onnx")
+    images, crops = picture(5, 1, 288, 480), picture(6, 3, 96, 96)
+
+    got = Network(tmp_path / "detector.onnx")({"images": images})
+    encoded = Network(tmp_path / "encoder.onnx")({"crops": crops})
+
+    with torch.no_grad():
+        output, features = Exported(net)(torch.from_numpy(images))
+        vectors = Encoder(net).eval()(torch.from_numpy(crops))
+    assert_same_output(got["output"], output.numpy())
+    np.testing.assert_allclose(got["features"], features, **TOLERANCE)
+    np.testing.assert_allclose(encoded["features"], vectors, **TOLERANCE)
+
+
+def test_the_shipped_detector_is_the_network_of_model_py() -> None:
+    images = picture(5, 1, 288, 480)
+    network = Network(SHIPPED_DETECTOR)
+
+    got = network({"images": images})
+
+    with torch.no_grad():
+        output, features = loaded(SHIPPED_DETECTOR, Exported(DetectorNet()))(
+            torch.from_numpy(images)
+        )
+    assert_same_output(got["output"], output.numpy())
+    np.testing.assert_allclose(got["features"], features, **TOLERANCE)
+    assert network.metadata["names"] == str(dict(enumerate(NAMES)))
+
+
+def test_the_shipped_encoder_is_the_detectors_backbone() -> None:
+    crops = picture(6, 3, 96, 96)
+    backbone = loaded(SHIPPED_DETECTOR, Exported(DetectorNet()))
+
+    got = Network(SHIPPED_ENCODER)({"crops": crops})
+
+    with torch.no_grad():
+        vectors = Encoder(backbone.net)(torch.from_numpy(crops))
+    np.testing.assert_allclose(got["features"], vectors, **TOLERANCE)
