@@ -91,6 +91,7 @@ class WorkSettings:
 
     sleep_s: float = 0.0
     crash_at: int = -1
+    crash_after: int = 0  # pictures that an instance lives for
     hang_at: int = -1
     every: int = 1  # answers nothing for the others
     hold: int = 0  # keeps that many pictures
@@ -103,6 +104,7 @@ class Pass(Operator[WorkSettings, Frame]):
 
     def open(self) -> None:
         self.held: list[Frame] = []
+        self.handled = 0
 
     def on_frame(self, frame: Frame) -> Frame | None:
         settings = self.settings
@@ -110,6 +112,9 @@ class Pass(Operator[WorkSettings, Frame]):
             time.sleep(settings.sleep_s)
         if frame.header.seq == settings.crash_at:
             raise ValueError("told to crash")
+        self.handled += 1
+        if settings.crash_after and self.handled > settings.crash_after:
+            raise ValueError("told not to live for long")
         if frame.header.seq == settings.hang_at:
             time.sleep(1000)
         self.held = [*self.held, frame][-settings.hold :] if settings.hold else []

@@ -209,6 +209,30 @@ def test_a_killed_operator_comes_back_and_the_accounts_still_add_up(
     assert report["failure"] == ""
 
 
+def test_a_node_that_shall_never_restart_stays_away_and_the_graph_goes_on(tmp_path: Path) -> None:
+    text = CHAIN.replace("  count:\n", "  count:\n    restart: never\n")
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
+        os.kill(supervisor.pid("count"), signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.pid("count") == 0)
+
+    report = go(plan_of(tmp_path, text), 100, kill)
+
+    assert report["restarts"] == {}
+    assert edge(report, "glance.frame")["offered"] == 100
+    assert "overrun" not in edge(report, "glance.frame")["dropped"]
+
+
+def test_a_node_that_dies_too_often_ends_the_run(tmp_path: Path) -> None:
+    text = LOOP.replace("  work:\n", "  work:\n    restart: {most: 2, backoff_s: 0.01}\n")
+    plan = plan_of(tmp_path, text, changes=("work.every=1", "work.crash_after=3"))
+
+    report = go(plan, 1000)
+
+    assert "work died 3 times" in report["failure"]
+
+
 def test_an_exception_is_in_the_log_and_the_graph_goes_on(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOOP, changes=("work.crash_at=20",))
 
