@@ -28,6 +28,9 @@ def fresh(seed: int) -> DetectorNet:
         if isinstance(module, torch.nn.BatchNorm2d):
             torch.nn.init.uniform_(module.running_mean, -0.2, 0.2)
             torch.nn.init.uniform_(module.running_var, 0.5, 2.0)
+        elif isinstance(module, torch.nn.Conv2d):
+            # by default activations fade with depth, and peaks of a flat map are mere rounding
+            torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
     return net.eval()
 
 
