@@ -20,10 +20,10 @@ def areas(boxes: Array) -> Array:
 
 def intersections(a: Array, b: Array) -> Array:
     """Common area of every pair: (n, 4), (m, 4) -> (n, m), square pixels."""
-    low = np.maximum(a[:, None, :2], b[None, :, :2])
-    high = np.minimum(a[:, None, 2:], b[None, :, 2:])
-    sides = np.maximum(high - low, 0)
-    return np.asarray(sides[..., 0] * sides[..., 1], np.float32)
+    # one axis at a time: pairs of two as the innermost axis take four times as long
+    wide = np.minimum(a[:, None, 2], b[:, 2]) - np.maximum(a[:, None, 0], b[:, 0])
+    high = np.minimum(a[:, None, 3], b[:, 3]) - np.maximum(a[:, None, 1], b[:, 1])
+    return np.asarray(np.maximum(wide, 0) * np.maximum(high, 0), np.float32)
 
 
 def iou(a: Array, b: Array) -> Array:

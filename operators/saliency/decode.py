@@ -160,11 +160,11 @@ def suppress(candidates: Candidates, limit_iou: float, *, agnostic: bool) -> NDA
     turned = bool(candidates.angles.any())
     overlap = _turned_iou(candidates) if turned else iou(candidates.boxes, candidates.boxes)
     rival = (overlap > limit_iou) & same
-    alive = np.ones(len(rival), np.bool_)
-    for row in range(len(rival)):
-        if alive[row]:
-            alive[row + 1 :] &= ~rival[row, row + 1 :]
-    return np.flatnonzero(alive)
+    rest, kept = np.arange(len(rival)), []
+    while len(rest):
+        kept.append(rest[0])
+        rest = rest[1:][~rival[rest[0], rest[1:]]]
+    return np.array(kept, np.intp)
 
 
 def _turned_iou(candidates: Candidates) -> Array:
