@@ -150,7 +150,7 @@ def best_threshold(tally: Tally) -> float:
     if not len(thresholds):
         return 0.5
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-9)
-    return max(FLOOR, float(np.floor(thresholds[f1.argmax()] * 100) / 100))
+    return max(FLOOR, round(float(np.floor(thresholds[f1.argmax()] * 100)) / 100, 2))
 
 
 def scenes(seeds: Iterable[int], count: int) -> Iterator[Example]:
