@@ -22,6 +22,7 @@ LEAST_PX, MOST_PX = (160, 90), (16384, 16384)
 CANVAS_RADIUS_PX = 3500.0, 6000.0  # most at full HD, and at any size: memory, time to open
 BALL_M = 0.222
 GRAIN_PX = 960
+SPRITE_BYTES = 48 << 20  # kept at 1920x1080; four times as many made no picture faster
 
 
 class SoccerScene:
@@ -73,7 +74,7 @@ class SoccerScene:
             soft = self._soft_px * height_px / (figures.TALL_M * self._style.px_per_m * larger)
             return figures.draw(looks[who], pose, height_px, self._tint, soft)
 
-        self._sprites = Cache(make)
+        self._sprites = Cache(make, round(SPRITE_BYTES * max(1.0, larger) ** 2))
         self._discs = ball.discs(rng, light * float(rng.uniform(0.72, 1.0)))
         self._grain = _grain(rng, float(rng.uniform(0.7, 2 + 6 * difficulty)), 0.3 + 0.3 * larger)
 

@@ -43,7 +43,7 @@ class Actor:
 class Cache:
     """The sprites drawn last, at most `most_bytes` of them."""
 
-    def __init__(self, make: Sprites, most_bytes: int = 192 << 20) -> None:
+    def __init__(self, make: Sprites, most_bytes: int) -> None:
         self._make = make
         self._kept: OrderedDict[tuple[int, Pose, int], Sprite] = OrderedDict()
         self._left = most_bytes
