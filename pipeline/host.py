@@ -43,6 +43,7 @@ class Host:
         self._doors = doors
         self._inbox = Inbox(inputs, self.settle, lockstep=lockstep)
         self._arrived_wait_ns = self._waiter = 0
+        self._handlers: dict[tuple[str, ...], Callable[..., Any]] = {}
         self.corewait = CoreWait()
         self.stopping = threading.Event()
         operator._loan = self._loan
@@ -119,7 +120,7 @@ class Host:
         answers: Mapping[str, Message | None] = dict.fromkeys(self.outs)
         side = len(work.messages) == 1 and not self._is_joined(next(iter(work.messages)))
         if work.answer:
-            given = handler_of(self.operator, tuple(work.messages))(**work.messages)
+            given = self._handler(tuple(work.messages))(**work.messages)
             if not side:
                 answers = self.answers(given)
         ended = time.monotonic_ns()
@@ -220,6 +221,11 @@ class Host:
         except PoolExhausted:
             memory: NDArray[Any] = self.patiently(lambda: port.loan(shape, dtype))
             return memory
+
+    def _handler(self, names: tuple[str, ...]) -> Callable[..., Any]:
+        if names not in self._handlers:
+            self._handlers[names] = handler_of(self.operator, names)
+        return self._handlers[names]
 
     def _is_joined(self, name: str) -> bool:
         declared: Input = getattr(type(self.operator), name)

@@ -223,8 +223,9 @@ class InPort:
         account.put("seen", envelope.ordinal)
         if missing:
             account.add("lost_in_crash" if fresh else "gap", missing)
-        self._sender_epoch = envelope.epoch
-        account.put("attached_epoch", self._epoch)
+        if fresh:
+            self._sender_epoch = envelope.epoch
+            account.put("attached_epoch", self._epoch)
         if arrival is not None:
             self._deliver(arrival)
         elif fate:
