@@ -45,7 +45,7 @@ nodes:
     settings: {rate_hz: 60, side_px: 120}
   count:
     operator: tests.toys:Count
-    inputs: {frame: {from: ticker.roi, depth: 40}}
+    inputs: {frame: {from: ticker.roi, depth: 60}}
   glance:
     operator: tests.toys:Pass
     inputs: {frame: ticker.roi}
@@ -280,7 +280,7 @@ def test_a_graph_runs_once_at_a_time(tmp_path: Path) -> None:
 
 
 def test_a_reader_without_shared_memory_gets_the_bytes(tmp_path: Path) -> None:
-    text = CHAIN.replace("depth: 40", "depth: 40, transport: bytes")
+    text = CHAIN.replace("depth: 60", "depth: 60, transport: bytes")
 
     report = go(plan_of(tmp_path, text), 60)
 
