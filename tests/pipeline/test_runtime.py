@@ -169,7 +169,7 @@ def test_a_writer_waits_for_a_stopped_lossless_reader(tmp_path: Path) -> None:
 
 
 def test_a_source_that_cannot_wait_counts_an_overrun_on_every_edge(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, CHAIN, changes=("count.sleep_s=0.1",))
+    plan = plan_of(tmp_path, CHAIN, changes=("count.sleep_s=0.05",))
 
     report = go(plan, 150)
 
