@@ -11,9 +11,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from drivers.soccer import SoccerScene
 from tqdm import tqdm
 
+from drivers.soccer import SoccerScene
 from drivers.source import FrameSource
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
 
