@@ -22,9 +22,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest --doctest-modules pipeline drivers operators bench/*.py bench/peers/ruler.py \
-		--ignore-glob='*/model.py' --ignore-glob='*/data.py' \
-		--ignore-glob='*/train.py' --ignore-glob='*/evaluate.py'
+	$(BIN)/python -m pytest --doctest-modules --doctest-ignore-import-errors pipeline drivers operators bench
 
 clean:
 	rm -rf $(VENV) build *.egg-info demo.rrd
