@@ -206,11 +206,14 @@ def _ledger(facts: dict[str, Any]) -> Ledger:
 
 
 def _log_path(graph: str, node: str) -> Path:
-    names = [graph] if graph else [folder.name for folder in base().iterdir()]
-    for name in names:
-        facts = running().get(name, {"nodes": []})
-        process = next((n["process"] for n in facts["nodes"] if n["name"] == node), node)
+    """The newest log of that node, of the graph named or of any."""
+    alive, found = running(), []
+    for name in [graph] if graph else [folder.name for folder in base().iterdir()]:
+        nodes = alive.get(name, {"nodes": []})["nodes"]
+        process = next((n["process"] for n in nodes if n["name"] == node), node)
         path = base() / name / f"{process}.log"
         if path.is_file():
-            return path
-    raise RunError(f"no log of a node {node}" + (f" in graph {graph}" if graph else ""))
+            found.append(path)
+    if not found:
+        raise RunError(f"no log of a node {node}" + (f" in graph {graph}" if graph else ""))
+    return max(found, key=lambda path: path.stat().st_mtime)
