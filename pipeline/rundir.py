@@ -11,8 +11,10 @@ import fcntl
 import json
 import os
 import secrets
+import shutil
 import signal
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from pipeline.errors import RunError
 from pipeline.pool import remove_pools
 
 MEMORY = Path("/dev/shm")
+KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
 
 
 def base() -> Path:
@@ -53,6 +56,7 @@ class RunFolder:
             raise RunError(f"{graph}: already running, see `fovea ps`")
         sweep()
         _remove_remains(folder)
+        os.utime(folder / "lock")
         prefix = f"fovea-{secrets.token_hex(4)}-"
         return RunFolder(folder, prefix, lock)
 
@@ -91,6 +95,8 @@ def sweep() -> None:
         lock = _locked(folder)
         if lock is not None:
             _remove_remains(folder)
+            if time.time() - (folder / "lock").stat().st_mtime > KEEP_LOGS_S:
+                shutil.rmtree(folder, ignore_errors=True)
             os.close(lock)
 
 

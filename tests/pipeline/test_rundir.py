@@ -1,0 +1,38 @@
+"""The folders of running graphs: one owner, and old logs do not pile up."""
+
+import os
+import secrets
+import time
+
+import pytest
+
+from pipeline import RunError
+from pipeline.rundir import KEEP_LOGS_S, RunFolder, base, sweep
+
+
+def test_a_name_has_one_owner_at_a_time() -> None:
+    name = f"test-{secrets.token_hex(3)}"
+    owned = RunFolder.claim(name)
+
+    with pytest.raises(RunError, match="already running"):
+        RunFolder.claim(name)
+    owned.release()
+
+    RunFolder.claim(name).release()
+
+
+def test_logs_of_last_week_stay_and_older_ones_go() -> None:
+    fresh, stale = (base() / f"test-{secrets.token_hex(3)}" for _ in range(2))
+    for folder, age_s in ((fresh, 0.0), (stale, KEEP_LOGS_S + 60)):
+        RunFolder.claim(folder.name).release()
+        (folder / "work.log").write_text("so it was")
+        os.utime(folder / "lock", (time.time() - age_s,) * 2)
+
+    sweep()
+
+    assert (fresh / "work.log").exists()
+    assert not stale.exists()
+
+
+def test_the_folder_is_private() -> None:
+    assert base().stat().st_mode & 0o077 == 0
