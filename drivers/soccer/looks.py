@@ -23,6 +23,9 @@ KITS: tuple[Colour, ...] = (
     *((25, 25, 28), (20, 120, 60), (120, 180, 230), (240, 110, 30), (110, 20, 45)),
     *((100, 40, 130), (60, 170, 160), (190, 190, 195)),
 )
+BRIGHT: tuple[Colour, ...] = (  # what officials like to wear, so that nobody passes to them
+    *((225, 245, 40), (250, 90, 160), (90, 235, 120), (60, 210, 240), (255, 130, 60)),
+)
 PATTERNS = ("plain", "plain", "plain", "stripes", "hoops", "sash", "halves", "sleeves")
 
 
@@ -116,9 +119,12 @@ def everybody(seed: int) -> tuple[Look, ...]:
         keeper = kit(rng, taken)
         taken.append(keeper.shirt)
         keepers.append(replace(keeper, long_sleeves=True, gloves=True, pattern="plain"))
-    official = kit(rng, taken)
     dark: Colour = (25, 25, 28)
-    official = replace(official, pattern="plain", shorts=dark, socks=dark, number="")
+    official = replace(kit(rng, taken), pattern="plain", shorts=dark, socks=dark, number="")
+    if rng.random() < 0.45:
+        official = replace(official, shirt=distant(rng, taken, BRIGHT))
+    if rng.random() < 0.35:
+        official = replace(official, socks=official.shirt)
     looks = []
     for team in (home, away):
         numbers = rng.permutation(np.arange(2, 40))[:10]

@@ -22,6 +22,7 @@ def wall(rng: np.random.Generator, light: float) -> Image:
     boards = round(BOARD_M * WALL_PX_PER_M)
     block = crowd(rng, width // 3 + 1, height - boards)
     image[:-boards] = np.concatenate([block, block[:, ::-1], block], 1)[:, :width]
+    hang_banners(image[:-boards], rng)
     image[-boards:] = billboards(rng, width, boards)
     gain = light * rng.uniform(0.75, 1.0)
     return np.asarray(cv2.convertScaleAbs(image, alpha=gain))
@@ -32,8 +33,9 @@ def crowd(rng: np.random.Generator, width: int, height: int) -> Image:
     seat = rng.integers(30, 200, 3)
     image = np.empty((height, width, 3), np.uint8)
     image[:] = seat * 0.55
-    row, place = round(0.8 * WALL_PX_PER_M), round(0.5 * WALL_PX_PER_M)
-    full = rng.uniform(0.25, 0.98)
+    close = rng.uniform(0.65, 1.0)  # rows seen from low down stand close together
+    row, place = round(0.8 * close * WALL_PX_PER_M), round(0.5 * WALL_PX_PER_M)
+    full, dark = rng.uniform(0.1, 0.98), rng.uniform(0.25, 0.8)
     for y in range(row, height + row, row):
         cv2.rectangle(image, (0, y - row // 3), (width, y), (seat * 0.35).tolist(), -1)
         for x in range(0, width, place):
@@ -42,17 +44,44 @@ def crowd(rng: np.random.Generator, width: int, height: int) -> Image:
                 corner = (x + place - 4, y - row // 3)
                 cv2.rectangle(image, (x + 2, y - row // 2), corner, seat.tolist(), -1)
                 continue
-            _spectator(image, rng, (x + int(jitter[0]), y + int(jitter[1])), place)
+            _spectator(image, rng, (x + int(jitter[0]), y + int(jitter[1])), place, dark)
     return image
 
 
-def _spectator(image: Image, rng: np.random.Generator, at: tuple[int, int], place: int) -> None:
-    grey = rng.choice([25, 60, 130, 235], p=[0.45, 0.25, 0.15, 0.15])
+def _spectator(
+    image: Image, rng: np.random.Generator, at: tuple[int, int], place: int, dark: float
+) -> None:
+    rest = (1 - dark) / 3
+    grey = rng.choice([25, 60, 130, 235], p=[dark, rest, rest, rest])
     cloth = np.clip(grey + rng.normal(0, 28, 3), 5, 250).tolist()
     skin = (np.array([215, 165, 135]) * rng.uniform(0.4, 1.05)).tolist()
     x, y = at
     cv2.ellipse(image, (x, y), (place // 2, place // 2 + 4), 0, 180, 360, cloth, -1)
     cv2.circle(image, (x, y - place // 2 - 7), 4, skin, -1)
+
+
+def hang_banners(stands: Image, rng: np.random.Generator) -> None:
+    """Cloths with words, flags, stairs and walls before the stands, drawn in place."""
+    height, width = stands.shape[:2]
+    if rng.random() < 0.4:  # a bare wall under the first row
+        rise = round(float(rng.uniform(0.6, 2.2)) * WALL_PX_PER_M)
+        stands[-rise:] = rng.integers(30, 215, 3)
+    for _ in range(rng.integers(0, 40)):
+        wide, tall = rng.uniform(2, 16), rng.uniform(0.7, 2.4)
+        ground = np.clip(rng.choice([15, 120, 240]) + rng.normal(0, 60, 3), 0, 255)
+        corners = np.array([[0, 0], [wide, 0], [wide, -tall], [0, -tall]]) * WALL_PX_PER_M
+        lean = rng.choice([0.0, 0.0, rng.uniform(-0.8, 0.8)])  # flags lean, banners hang
+        turn = np.array([[np.cos(lean), -np.sin(lean)], [np.sin(lean), np.cos(lean)]])
+        left, low = (
+            float(rng.uniform(0, width)),
+            height - float(rng.exponential(2.5)) * WALL_PX_PER_M,
+        )
+        cv2.fillPoly(stands, [(corners @ turn.T + (left, low)).astype(np.int32)], ground.tolist())
+        if lean == 0:
+            ink = (15, 15, 25) if ground.sum() > 380 else (250, 250, 250)
+            size = tall * WALL_PX_PER_M / 32
+            place = round(left) + 6, round(low - 0.2 * tall * WALL_PX_PER_M)
+            cv2.putText(stands, str(rng.choice(WORDS)), place, 0, size, ink, 3, cv2.LINE_AA)
 
 
 def billboards(rng: np.random.Generator, width: int, height: int) -> Image:

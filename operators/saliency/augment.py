@@ -1,6 +1,7 @@
 """Change a training picture so that no two epochs show it alike: Example -> Example.
 
-Pasted balls decide whether a ball is learned at all; pasted look-alikes, what is not one.
+Pasted balls decide whether a ball is learned at all; pasted look-alikes, what is not one. Clutter
+behind everybody keeps the network from knowing our stands by heart: real ones look otherwise.
 """
 
 from dataclasses import replace
@@ -18,8 +19,10 @@ FINE = 8  # sub-pixels a side of a pasted thing
 
 
 def augment(example: Example, rng: np.random.Generator) -> Example:
-    """Zoom, shift and mirror; paste; recolour; soften, roughen and compress."""
+    """Zoom, shift and mirror; clutter; paste; recolour; soften, roughen and compress."""
     example = move(example, rng)
+    if rng.random() < 0.6:
+        example = replace(example, picture=clutter(example, rng))
     example = paste(example, rng)
     picture = recolour(example.picture, rng)
     return replace(example, picture=degrade(picture, rng))
@@ -63,6 +66,60 @@ def _area(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray((boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1]), np.float32)
 
 
+def clutter(example: Example, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Patches of noise, blobs, bars and letters where nobody is; mostly in the upper part."""
+    picture = example.picture.copy()
+    height, width = picture.shape[:2]
+    taken = np.zeros((height, width), np.bool_)
+    for left, top, right, bottom in np.round(example.boxes).astype(int).tolist():
+        taken[max(top - 2, 0) : max(bottom + 2, 0), max(left - 2, 0) : max(right + 2, 0)] = True
+    for _ in range(1 + rng.poisson(3.0)):
+        wide, tall = (
+            int(side) for side in np.exp(rng.uniform(np.log([24, 8]), np.log([320, 100])))
+        )
+        x = int(rng.integers(-wide // 2, width - wide // 2))
+        y = int(min(rng.exponential(0.2), 0.95) * height) - tall // 4
+        x0, y0, x1, y1 = max(x, 0), max(y, 0), min(x + wide, width), min(y + tall, height)
+        if x1 - x0 < 4 or y1 - y0 < 4:
+            continue
+        patch = _texture(x1 - x0, y1 - y0, rng)
+        free = ~taken[y0:y1, x0:x1]
+        picture[y0:y1, x0:x1][free] = patch[free]
+    return picture
+
+
+def _texture(wide: int, tall: int, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """What a stand, a banner, a fence or a hoarding may look like from afar: (tall, wide, 3)."""
+    ground = rng.uniform(10, 230, 3)
+    patch = np.empty((tall, wide, 3), np.float32)
+    patch[:] = ground
+    for grain in (1, 2, 4, 8):  # noise of several sizes at once
+        if rng.random() < 0.5:
+            shape = (tall // grain + 2, wide // grain + 2, 3 if grain > 1 else 1)
+            coarse = rng.standard_normal(shape, np.float32) * np.float32(rng.uniform(4, 40))
+            if grain > 1:
+                coarse = cv2.resize(coarse, None, fx=grain, fy=grain)
+            patch += coarse[:tall, :wide]
+    drawn = np.clip(patch, 0, 255).astype(np.uint8)
+    draw = rng.random()
+    if draw < 0.35:
+        for _ in range(int(wide * tall * rng.uniform(0.002, 0.025)) + 1):
+            place = int(rng.integers(wide)), int(rng.integers(tall))
+            sides = int(rng.integers(1, 4)), int(rng.integers(1, 5))
+            ink = (rng.choice([20, 60, 130, 240]) + rng.normal(0, 25, 3)).tolist()
+            cv2.ellipse(drawn, place, sides, 0, 0, 360, ink, -1)
+    elif draw < 0.6:
+        ink, step = rng.uniform(0, 255, 3).tolist(), int(rng.integers(3, 14))
+        tilt, thick = int(rng.integers(-tall, tall + 1)), int(rng.integers(1, 3))
+        for x in range(-tall, wide + tall, step):
+            cv2.line(drawn, (x, 0), (x + tilt, tall), ink, thick)
+    elif draw < 0.85:
+        letters = "".join(chr(c) for c in rng.integers(48, 122, 40))
+        ink, size = rng.uniform(0, 255, 3).tolist(), float(rng.uniform(0.2, max(0.25, tall / 24)))
+        cv2.putText(drawn, letters, (-3, round(tall * 0.8)), 0, size, ink, 1, cv2.LINE_AA)
+    return drawn
+
+
 def paste(example: Example, rng: np.random.Generator) -> Example:
     """Balls over people, lines, grass and stands, and white things that are no balls."""
     people = example.boxes[example.labels != BALL_LABEL]
@@ -71,7 +128,7 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
     for _ in range(rng.poisson(1.5)):
         _draw_lookalike(picture, _somewhere(example, rng), tall, rng)
     found = []
-    for _ in range(rng.poisson(0.9)):
+    for _ in range(rng.poisson(1.2)):
         diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, 14))
         found.append(_draw_ball(picture, _somewhere(example, rng), diameter, rng))
     balls = np.array(found, np.float32).reshape(-1, 4)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from operators.saliency.augment import augment, move, paste
+from operators.saliency.augment import augment, clutter, move, paste
 from operators.saliency.example import BALL, NAMES, Example
 
 
@@ -63,3 +63,15 @@ def test_boxes_stay_inside_the_picture_and_keep_their_order(seed: int) -> None:
     assert (changed.boxes[:, 2:] <= (480, 270)).all()
     assert (changed.boxes[:, 2:] > changed.boxes[:, :2]).all()
     assert len(changed.boxes) == len(changed.labels) == len(changed.ignored)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_clutter_spares_everybody_and_leaves_no_picture_as_it_was(seed: int) -> None:
+    example = grass_with_player(seed)
+    left, top, right, bottom = np.round(example.boxes[0]).astype(int)
+    person = np.s_[top:bottom, left:right]
+
+    changed = clutter(example, np.random.default_rng(seed))
+
+    assert np.array_equal(changed[person], example.picture[person])
+    assert not np.array_equal(changed, example.picture)
