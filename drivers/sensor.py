@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
+from drivers.source import Truth
 from pipeline.contract import Loan
 from pipeline.messages import Frame, Geometry, Header, RoiSchedule
 
@@ -42,12 +43,14 @@ class Mode:
 class Exposure:
     """Both pictures of one exposure, under one header.
 
-    `roi` is empty, with an empty window, when the sensor reads no region in this exposure.
+    `roi` is empty, with an empty window, when the sensor reads no region in this exposure. A
+    simulated sensor may know what is really there; no strategy sees it but the oracle.
     """
 
     header: Header
     context: Frame
     roi: Frame
+    truth: Truth | None = None
 
 
 class DualStreamSensor(Protocol):

@@ -1,4 +1,7 @@
-"""Light into the graph: ROI schedules in, context and ROI frames of each exposure out."""
+"""Light into the graph: ROI schedules in, context and ROI frames of each exposure out.
+
+Where a simulated sensor knows what is really there, that comes beside them, for those who score.
+"""
 
 import importlib
 from collections.abc import Mapping
@@ -6,9 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.sensor import DualStreamSensor
+from drivers.source import Truth
 from pipeline.contract import Input, Output, Source
 from pipeline.errors import DriverError, SettingsError
-from pipeline.messages import Frame, Message, RoiSchedule
+from pipeline.messages import Frame, Header, Message, Percept, RoiSchedule
 from pipeline.settings import build
 
 
@@ -35,6 +39,7 @@ class Capture(Source[CaptureSettings, Frame]):
     schedule = Input(RoiSchedule, command=True)
     context = Output(Frame)
     roi = Output(Frame)
+    truth = Output(Percept)  # boxes, ids, share visible as scores, labels as texts
 
     _sensor: DualStreamSensor | None = None
 
@@ -53,7 +58,10 @@ class Capture(Source[CaptureSettings, Frame]):
         exposure = self._opened().read(self._loan)
         if exposure is None:
             return None
-        return {"context": exposure.context, "roi": exposure.roi}
+        answers: dict[str, Message] = {"context": exposure.context, "roi": exposure.roi}
+        if exposure.truth is not None:
+            answers["truth"] = told(exposure.truth, exposure.header)
+        return answers
 
     def summary(self) -> Mapping[str, Any]:
         """The sensor's figures."""
@@ -69,6 +77,17 @@ class Capture(Source[CaptureSettings, Frame]):
         if self._sensor is None:
             raise DriverError(f"capture: {self.settings.sensor} is not open")
         return self._sensor
+
+
+def told(truth: Truth, header: Header) -> Percept:
+    """What is really there, as a message."""
+    return Percept(
+        header=header,
+        boxes=truth.boxes,
+        ids=truth.ids,
+        scores=truth.visible,
+        texts=truth.labels,
+    )
 
 
 def _load(path: str) -> Any:

@@ -220,6 +220,7 @@ class SimulatedSensor:
                 command_seq=aim.command_seq,
                 status=aim.status,
             ),
+            truth=ready.truth,
         )
 
     def _aim(self, seq: int, truth: Truth | None) -> Commanded:

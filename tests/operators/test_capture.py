@@ -9,7 +9,7 @@ import pytest
 from operators.capture import Capture, CaptureSettings
 from pipeline.contract import inputs_of, outputs_of
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
-from pipeline.messages import Frame
+from pipeline.messages import Frame, Percept
 from pipeline.settings import build
 from tests.drivers.contract import command, refuse
 from tests.drivers.moving_square import MovingSquare
@@ -32,8 +32,8 @@ def produced(subject: Capture) -> tuple[Frame, Frame]:
     return context, roi
 
 
-def test_it_has_two_streams_and_takes_sensor_commands() -> None:
-    assert outputs_of(Capture) == {"context": Frame, "roi": Frame}
+def test_it_has_two_streams_and_the_truth_and_takes_sensor_commands() -> None:
+    assert outputs_of(Capture) == {"context": Frame, "roi": Frame, "truth": Percept}
     assert inputs_of(Capture)["schedule"].command
 
 
@@ -127,3 +127,16 @@ def test_wrong_settings_are_said_with_their_place_before_anything_runs(
 ) -> None:
     with pytest.raises(SettingsError, match=named):
         build(CaptureSettings, values, "capture")
+
+
+def test_a_source_that_knows_the_truth_tells_it_beside_the_pictures() -> None:
+    subject = capture()
+    subject.open()
+    frames = subject.produce()
+    subject.close()
+
+    assert frames is not None
+    truth = frames["truth"]
+    assert isinstance(truth, Percept)
+    assert truth.header is frames["context"].header
+    assert len(truth.boxes) == len(truth.ids) == len(truth.scores) == len(truth.texts) > 0
