@@ -1,0 +1,44 @@
+"""What looking at each candidate would be worth: foreseen boxes and the truth -> utilities.
+
+The paper trains "end-to-end with frozen task-specific perception models" and gives no loss. For
+tracking the frozen tracker gains where the ROI shows the target and the surroundings it searches:
+U[i, t] is the share of them inside the window that dispatch would command for candidate i at step
+t. So a neighbour of a hidden or undetected ball is worth as much as the ball: its window shows both.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import Geometry
+from pipeline.boxes import centres, from_centres
+
+SURROUNDINGS = 2.0  # side of what must be seen in sides of the target's box: the tracker's template
+
+
+def windows(boxes: NDArray[np.float32], geometry: Geometry) -> NDArray[np.float32]:
+    """`boxes.roi_window` of many boxes at once: (..., 4) -> (..., 4), sensor pixels."""
+    size = np.array([geometry.roi_width_px, geometry.roi_height_px])
+    most = np.array([geometry.width_px, geometry.height_px]) - size
+    start = np.clip(np.rint(centres(boxes) - size / 2), 0, most)
+    start -= start % geometry.step_px
+    return np.concatenate([start, start + size], -1).astype(np.float32)
+
+
+def gains(
+    predicted: NDArray[np.float32], truth: NDArray[np.float32], geometry: Geometry
+) -> NDArray[np.float32]:
+    """Utility of each candidate at each step: (N, T, 4) and (T, 4) sensor pixels -> (N, T), 0..1.
+
+    A row of `truth` without area means that the target is not in the picture: nothing is gained.
+    """
+    size = truth[:, 2:] - truth[:, :2]
+    field = np.array([geometry.width_px, geometry.height_px] * 2, np.float32)
+    wanted = np.clip(from_centres(centres(truth), size * SURROUNDINGS), 0, field)
+    shown = windows(predicted, geometry)
+    low = np.maximum(shown[..., :2], wanted[None, :, :2])
+    high = np.minimum(shown[..., 2:], wanted[None, :, 2:])
+    common = np.maximum(high - low, 0).prod(-1)
+    whole = (wanted[:, 2:] - wanted[:, :2]).prod(-1)
+    there = (size > 0).all(-1) & (whole > 0)
+    share = common / np.where(there, whole, 1)
+    return np.where(there, share, 0).astype(np.float32)

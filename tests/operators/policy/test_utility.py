@@ -1,0 +1,42 @@
+"""Utility: what the window around a candidate would show of the target."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from operators.policy.utility import gains, windows
+from pipeline import Geometry
+from pipeline.boxes import centres, roi_window
+
+FIELD = Geometry(width_px=1920, height_px=1080, roi_width_px=480, roi_height_px=270, step_px=4)
+places = st.floats(-500, 2500, width=32)
+
+
+@given(x=places, y=places, side=st.floats(1, 300, width=32))
+def test_windows_are_those_that_dispatch_commands(x: float, y: float, side: float) -> None:
+    box = np.array([x, y, x + side, y + side], np.float32)
+
+    assert windows(box, FIELD).tolist() == list(roi_window(centres(box), FIELD))
+
+
+def test_a_neighbour_whose_window_shows_the_target_is_worth_as_much() -> None:
+    ball = np.array([[900, 500, 916, 516]], np.float32)
+    itself, near, far = ball, ball + 60, ball + 600
+
+    worth = gains(np.stack([itself, near, far]), ball, FIELD)
+
+    assert worth[:, 0].tolist() == [1, 1, 0]
+
+
+def test_what_is_shown_in_part_is_worth_its_part() -> None:
+    ball = np.array([[900, 500, 916, 516]], np.float32)
+    beside = ball + np.array([240, 0, 240, 0], np.float32)  # its window begins at the ball's middle
+
+    assert gains(beside[None], ball, FIELD)[0, 0] == pytest.approx(0.5)
+
+
+def test_nothing_is_gained_where_the_target_is_not_in_the_picture() -> None:
+    gone = np.zeros((3, 4), np.float32)
+
+    assert not gains(np.full((2, 3, 4), 7, np.float32), gone, FIELD).any()
