@@ -19,9 +19,9 @@ from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from operators.saliency.example import BALL, NAMES, Example
 from operators.saliency.metadata import describe
-from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
+from operators.saliency.render import FULL_PX, RATE_HZ, example, moments, span
 from operators.saliency.saliency import SHIPPED, Saliency, SaliencySettings
-from pipeline import Detections, Frame
+from pipeline import Detections, Frame, SettingsError
 from pipeline.boxes import centres, iou
 from pipeline.testing import header
 
@@ -161,10 +161,13 @@ def scenes(seeds: Iterable[int], count: int) -> Iterator[Example]:
         scene.close()
 
 
-def sequence(folder: Path, stride: int) -> Iterator[Example]:
-    """Every `stride`-th picture of a SoccerNet sequence."""
+def sequence(folder: Path, stride: int, frames: tuple[int, int]) -> Iterator[Example]:
+    """Every `stride`-th picture of frames A-B (from 1; 0: to the end) of a SoccerNet sequence."""
     source = SoccerNetSequence(path=str(folder))
-    yield from (example(source, index) for index in range(0, source.length or 0, stride))
+    last = min(frames[1] or (source.length or 0), source.length or 0)
+    if not 1 <= frames[0] <= last:
+        raise SettingsError(f"frames: expected 1 to {source.length}, got {frames[0]}-{frames[1]}")
+    yield from (example(source, index) for index in range(frames[0] - 1, last, stride))
     source.close()
 
 
@@ -204,6 +207,7 @@ def main() -> None:
     parser.add_argument("--names", type=json.loads, default={}, help='{"0": "player", ...}')
     parser.add_argument("--data", type=Path, help="a SoccerNet sequence instead of scenes")
     parser.add_argument("--stride", type=int, default=5, help="with --data: every n-th frame")
+    parser.add_argument("--frames", type=span, default=(1, 0), help="with --data: A-B, from 1")
     parser.add_argument("--moments", type=int, default=12, help="pictures of each scene")
     parser.add_argument("--choose", action="store_true", help="choose thresholds, then score")
     parser.add_argument("--threads", type=int, default=2)
@@ -217,7 +221,7 @@ def main() -> None:
         weights=str(given.weights), names=given.names, threads=given.threads
     )
     test = scenes(SEEDS["test"], given.moments)
-    source = sequence(given.data, given.stride) if given.data else test
+    source = sequence(given.data, given.stride, given.frames) if given.data else test
     table = report(tqdm(source, desc="score"), settings)
     result |= {"on": given.data.name if given.data else "test scenes", "figures": table}
     for name, row in table.items():

@@ -1,10 +1,13 @@
 """Render procedural scenes once, as examples on disk: seeds -> one pair of files a scene.
 
-A picture is rendered at full size and shrunk by area, as the sensor shrinks its context. Real
-footage is never read here.
+A picture is rendered at full size and shrunk by area, as the sensor shrinks its context. What
+fovea ships is trained on scenes alone; `python -m operators.saliency.render --footage FOLDER
+--frames A-B --out FOLDER` turns a SoccerNet sequence into examples, for those who adapt a detector
+to a place of their own.
 """
 
-from collections.abc import Iterable
+import argparse
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -14,8 +17,10 @@ import numpy as np
 from tqdm import tqdm
 
 from drivers.soccer import SoccerScene
+from drivers.soccernet import SoccerNetSequence
 from drivers.source import FrameSource
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
+from pipeline.errors import FoveaError, SettingsError
 
 FULL_PX = (1920, 1080)
 RATE_HZ = 25.0
@@ -71,9 +76,36 @@ def _render_scene(seed: int, count: int, span: int, folder: Path) -> None:
     scene = SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=seed)
     examples = [example(scene, index) for index in moments(seed, count, span)]
     scene.close()
-    np.save(folder / f"{seed}.npy", np.stack([e.picture for e in examples]))
+    _write(examples, folder, seed)
+
+
+def convert(footage: Path, frames: tuple[int, int], folder: Path) -> int:
+    """Frames A-B (counted from 1, as their files are) of a sequence as examples; how many."""
+    source = SoccerNetSequence(path=str(footage))
+    first, last = frames
+    if not 1 <= first <= last <= (source.length or 0):
+        raise SettingsError(f"frames: expected 1 to {source.length}, got {first}-{last}")
+    folder.mkdir(parents=True, exist_ok=True)
+    examples = [example(source, k - 1) for k in tqdm(range(first, last + 1), desc="read")]
+    source.close()
+    _write(examples, folder, first)
+    return len(examples)
+
+
+def span(text: str) -> tuple[int, int]:
+    """Frames as they are typed.
+
+    >>> span("251-375"), span("7")
+    ((251, 375), (7, 7))
+    """
+    first, _, last = text.partition("-")
+    return int(first), int(last or first)
+
+
+def _write(examples: Sequence[Example], folder: Path, number: int) -> None:
+    np.save(folder / f"{number}.npy", np.stack([e.picture for e in examples]))
     # the truth is written last: its presence says that the pictures are complete
-    unfinished = folder / f"{seed}.part.npz"
+    unfinished = folder / f"{number}.part.npz"
     np.savez(
         unfinished,
         first=np.cumsum([0, *(len(e.labels) for e in examples)]),
@@ -81,4 +113,22 @@ def _render_scene(seed: int, count: int, span: int, folder: Path) -> None:
         labels=np.concatenate([e.labels for e in examples]),
         ignored=np.concatenate([e.ignored for e in examples]),
     )
-    unfinished.rename(folder / f"{seed}.npz")
+    unfinished.rename(folder / f"{number}.npz")
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="Turn footage with truth into examples.")
+    parser.add_argument("--footage", type=Path, required=True, help="a SoccerNet sequence")
+    parser.add_argument("--frames", type=span, required=True, help="A-B, counted from 1")
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    try:
+        count = convert(given.footage, given.frames, given.out)
+    except FoveaError as error:
+        parser.error(str(error))
+    print(f"{count} examples in {given.out}")
+
+
+if __name__ == "__main__":
+    main()

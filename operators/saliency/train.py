@@ -50,6 +50,7 @@ class TrainSettings:
     threads: int = 2
     minutes: float = 75.0
     compiled: bool = False
+    init: Path | None = None  # a checkpoint to begin with instead of random weights
 
 
 def learning_rate(step: int, settings: TrainSettings) -> float:
@@ -78,6 +79,10 @@ class Run:
         self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
         self.step = 0
         self.elapsed_s = 0.0
+        if settings.init is not None:
+            state = torch.load(settings.init, weights_only=True)
+            self.net.load_state_dict(state["mean"])
+            self.mean.load_state_dict(state["mean"])
 
     @property
     def path(self) -> Path:
@@ -203,6 +208,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="rendered scenes")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint and log")
     parser.add_argument("--export", type=Path, help="write the ONNX files here and end")
+    parser.add_argument("--init", type=Path, help="checkpoint whose weights to begin with")
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     numbers = {"scenes": 400, "moments": 24, "span": 900, "steps": 8000, "batch": 16}
     numbers |= {"warmup": 300, "seed": 1, "threads": 2}

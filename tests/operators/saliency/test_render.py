@@ -1,0 +1,37 @@
+"""Render: footage with truth becomes examples of the context's size."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from operators.saliency.example import CONTEXT_PX, NAMES
+from operators.saliency.render import convert
+from pipeline.errors import SettingsError
+from tests.drivers.sequences import SIZE_PX, write_sequence
+
+GAME = "[Sequence]\nnum_tracklets=2\ntrackletID_1= player team left;4\ntrackletID_2= ball;1\n"
+GT = "1,2,10,20,5,6,1,-1,-1,-1\n2,1,8,12,16,24,1,-1,-1,-1\n2,2,12,20,5,6,1,-1,-1,-1\n"
+
+
+def test_frames_of_a_sequence_become_examples_with_boxes_at_their_scale(tmp_path: Path) -> None:
+    folder = write_sequence(tmp_path / "clip", gt=GT, gameinfo=GAME)
+
+    count = convert(folder, (2, 3), tmp_path / "out")
+
+    truth = np.load(tmp_path / "out" / "2.npz")
+    assert count == 2
+    assert np.load(tmp_path / "out" / "2.npy").shape == (2, CONTEXT_PX[1], CONTEXT_PX[0], 3)
+    assert truth["first"].tolist() == [0, 2, 2]
+    assert truth["labels"].tolist() == [NAMES.index("player"), NAMES.index("ball")]
+    scale = np.array([CONTEXT_PX[i % 2] / SIZE_PX[i % 2] for i in range(4)])
+    assert truth["boxes"][0] == pytest.approx(np.array([8, 12, 24, 36]) * scale)
+
+
+@pytest.mark.parametrize("frames", [(0, 2), (1, 4), (3, 2)])
+def test_frames_that_are_not_there_are_refused(tmp_path: Path, frames: tuple[int, int]) -> None:
+    folder = write_sequence(tmp_path / "clip", gt=GT, gameinfo=GAME)
+
+    with pytest.raises(SettingsError, match="frames: expected 1 to 3, got"):
+        convert(folder, frames, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
