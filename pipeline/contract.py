@@ -7,7 +7,7 @@ of its own, beside others in one process, or in the in-line runner, and cannot t
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, Literal, TypeVar, get_args, get_origin
+from typing import Any, ClassVar, Generic, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -54,7 +54,11 @@ class Operator(Generic[S, Out]):
 
     `__init__` only stores; `open` acquires, in the process that uses it; `close` releases after
     any outcome. Operators with named outputs answer with a mapping of output name to message.
+
+    `live` names the settings that may change while it runs (`fovea set`).
     """
+
+    live: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, settings: S, *, loan: Loan | None = None) -> None:
         self.settings = settings
@@ -68,6 +72,14 @@ class Operator(Generic[S, Out]):
 
     def on_stream(self, header: Header) -> None:
         """A sensor was opened anew: forget what belonged to the old stream."""
+
+    def on_settings(self, settings: S) -> None:
+        """Take over settings that differ in `live` ones, between two calls of handlers.
+
+        They are of the right types and in range; raise `SettingsError` to refuse them all the
+        same, and leave everything as it was. Of a `Source` it is called between two exposures.
+        """
+        self.settings = settings
 
     def state(self) -> object | None:
         """What must survive a swap, as one dataclass of plain values and arrays."""
