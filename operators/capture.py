@@ -3,7 +3,6 @@
 Where a simulated sensor knows what is really there, that comes beside them, for those who score.
 """
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +11,7 @@ from drivers.sensor import DualStreamSensor
 from drivers.source import Truth
 from pipeline.contract import Input, Output, Source
 from pipeline.errors import DriverError, SettingsError
+from pipeline.import_path import imported
 from pipeline.messages import Frame, Header, Message, Percept, RoiSchedule
 from pipeline.settings import build
 
@@ -91,13 +91,7 @@ def told(truth: Truth, header: Header) -> Percept:
 
 
 def _load(path: str) -> Any:
-    module, colon, name = path.partition(":")
-    if not (module and colon and name):
-        raise SettingsError(f"sensor: expected an import path module:Class, got {path!r}")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise SettingsError(f"sensor: {path} cannot be imported: {error}") from error
+    found = imported(path, SettingsError, "sensor")
     if not hasattr(found, "settings_type"):
         raise SettingsError(f"sensor: expected a DualStreamSensor, got {path}")
     return found

@@ -4,13 +4,13 @@ The loader makes a plan; the supervisor hands it to node processes as JSON, the 
 it as it is.
 """
 
-import importlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pipeline.contract import Input, Keep, Operator, Source, inputs_of
 from pipeline.errors import GraphError
+from pipeline.import_path import imported
 
 Clock = Literal["realtime", "lockstep"]
 RestartPolicy = Literal["never", "on-failure", "always"]
@@ -150,11 +150,7 @@ def inputs_for(plan: Plan, node: Node) -> dict[str, Input]:
 
 def load_operator(path: str) -> type[Operator[Any, Any]]:
     """The class behind `module:Class`; raises `GraphError` when it is no operator."""
-    module, _, name = path.partition(":")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise GraphError(f"{path}: cannot be imported: {error}") from error
+    found = imported(path, GraphError)
     if not (isinstance(found, type) and issubclass(found, Operator)):
         raise GraphError(f"{path}: expected an Operator, got {found!r}")
     return found

@@ -1,12 +1,12 @@
 """Scenes and recordings by name: settings values in, an open FrameSource out."""
 
-import importlib
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from drivers.source import FrameSource
 from pipeline.errors import SettingsError
+from pipeline.import_path import imported
 
 SCENES = {"soccer": "drivers.soccer:SoccerScene"}
 
@@ -47,13 +47,7 @@ def scene_path(scene: str) -> str:
 
 def load_source(setting: str, path: str) -> Callable[..., FrameSource]:
     """The class behind `module:Class`; raises `SettingsError` naming the setting."""
-    module, colon, name = path.partition(":")
-    if not (module and colon and name):
-        raise SettingsError(f"{setting}: expected an import path module:Class, got {path!r}")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise SettingsError(f"{setting}: {path} cannot be imported: {error}") from error
+    found = imported(path, SettingsError, setting)
     if not callable(getattr(found, "picture", None)):
         raise SettingsError(f"{setting}: expected a FrameSource, got {path}")
     return found  # type: ignore[no-any-return]
