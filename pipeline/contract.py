@@ -36,8 +36,8 @@ class Input:
     join: bool = True
     optional: bool = False  # the handler gets None when it is absent
     wait_ms: float = 0.0  # realtime: how long a complete set waits for its optional members
-    max_age_ms: float = 0.0  # realtime: older than this since the stamp is stale; 0: no limit
-    stale: Literal["drop", "pass"] = "drop"  # what happens to stale ones; both are counted
+    max_age_ms: float = 0.0  # older than this since the stamp is stale; 0: never; not in lockstep
+    stale: Literal["drop", "pass"] = "drop"  # drop, counted; or pass like any other, uncounted
     command: bool = False  # a sensor command: closes the loop, always the newest
     tap: bool = False  # a viewer: copies what it would otherwise pin
 
