@@ -24,6 +24,7 @@ from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColum
 
 from bench.bus_figures import Result, summarise, table
 from bench.machine import facts
+from bench.options import JSON
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZES = (65_536, 2_341_920, 9_367_680, 18_735_360)  # 2040x1148, 4080x2296, the same in 16 bit
@@ -53,7 +54,7 @@ CONTESTANTS = (
 
 
 @click.command()
-@click.option("--json", "path", type=click.Path(path_type=Path), help="Write figures and facts.")
+@JSON
 @click.option("--count", default=200, show_default=True, type=click.IntRange(1), help="Per size.")
 @click.option("--rounds", default=4, show_default=True, type=click.IntRange(1))
 @click.option("--rate-hz", default=30.0, show_default=True, type=click.FloatRange(0.1))

@@ -21,6 +21,7 @@ from rich.progress import track
 from rich.table import Table
 
 from bench.machine import facts
+from bench.options import JSON, Bench, on_graph
 from pipeline.graph import load
 from pipeline.overlay import Overlay
 from pipeline.plan import Node
@@ -33,12 +34,10 @@ SETTLE_S = 3.0  # failures do not come in volleys; the spare process needs a mom
 PATIENCE_S = 30.0
 
 
-@click.command()
-@click.argument("graph", default="graphs/tracking.yaml", type=click.Path(path_type=Path))
-@click.option("--source", type=click.Path(path_type=Path))
-@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
+@click.command(cls=Bench)
+@on_graph
 @click.option("--count", default=20, show_default=True, type=click.IntRange(1))
-@click.option("--json", "path", type=click.Path(path_type=Path))
+@JSON
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], count: int, path: Path | None
 ) -> None:

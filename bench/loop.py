@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import facts
+from bench.options import JSON, Bench, on_graph
 from pipeline.graph import load
 from pipeline.overlay import Overlay
 from pipeline.report import Report
@@ -24,13 +25,11 @@ FRAME_BUDGET_MS = (33.0, 66.0)  # p50, p99 asked of the loop: one and two frames
 OVERHEAD_MS = 3.0
 
 
-@click.command()
-@click.argument("graph", default="graphs/tracking.yaml", type=click.Path(path_type=Path))
-@click.option("--source", type=click.Path(path_type=Path))
-@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
+@click.command(cls=Bench)
+@on_graph
 @click.option("--frames", default=375, show_default=True, type=click.IntRange(10))
 @click.option("--rounds", default=3, show_default=True, type=click.IntRange(1))
-@click.option("--json", "path", type=click.Path(path_type=Path))
+@JSON
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], frames: int, rounds: int,
     path: Path | None,

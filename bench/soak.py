@@ -16,6 +16,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from bench.machine import facts
+from bench.options import JSON, Bench, on_graph
 from pipeline.child import Sample
 from pipeline.graph import load
 from pipeline.overlay import Overlay
@@ -26,12 +27,10 @@ WINDOW_S = 60.0
 WARM_S = 10.0  # buffers and caches fill at first
 
 
-@click.command()
-@click.argument("graph", default="graphs/tracking.yaml", type=click.Path(path_type=Path))
-@click.option("--source", type=click.Path(path_type=Path))
-@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
+@click.command(cls=Bench)
+@on_graph
 @click.option("--minutes", default=30.0, show_default=True, type=click.FloatRange(0.5))
-@click.option("--json", "path", type=click.Path(path_type=Path))
+@JSON
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], minutes: float, path: Path | None
 ) -> None:

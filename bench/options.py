@@ -1,0 +1,33 @@
+"""What the benches that run a graph share: their options, and one sentence for what goes wrong."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pipeline.errors import FoveaError
+
+JSON = click.option("--json", "path", type=click.Path(path_type=Path), help="Write figures, facts.")
+
+
+class Bench(click.Command):
+    """A command that prints what fovea refuses as one sentence, and ends with 1."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run it."""
+        try:
+            return super().invoke(ctx)
+        except FoveaError as error:
+            raise click.ClickException(str(error)) from error
+
+
+def on_graph(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The graph to run (`graph`), and what is laid over it (`source`, `changes`)."""
+    for decorate in (
+        click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE"),
+        click.option("--source", type=click.Path(path_type=Path), help="Where frames come from."),
+        click.argument("graph", default="graphs/tracking.yaml", type=click.Path(path_type=Path)),
+    ):
+        command = decorate(command)
+    return command

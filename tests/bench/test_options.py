@@ -1,0 +1,21 @@
+"""A bench that cannot run says why in one sentence."""
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from bench import crash, loop, soak
+
+
+@pytest.mark.parametrize("bench", [crash, loop, soak])
+def test_a_wrong_setting_is_one_sentence_and_exit_status_1(bench: object, tmp_path: Path) -> None:
+    graph = tmp_path / "graph.yaml"
+    graph.write_text("name: x\nnodes:\n  ticker:\n    operator: tests.toys:Ticker\n")
+
+    done = CliRunner().invoke(bench.main, [str(graph), "--set", "ticker.rate=3"])  # type: ignore[attr-defined]
+
+    assert done.exit_code == 1
+    assert done.output.startswith("Error: ")
+    assert "did you mean 'rate_hz'" in done.output
+    assert len(done.output.splitlines()) == 1
