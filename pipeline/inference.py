@@ -12,6 +12,7 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from pipeline.errors import WeightsError
+from pipeline.weights import pull_hint
 
 
 class Network:
@@ -20,7 +21,7 @@ class Network:
     def __init__(self, path: str | Path, *, threads: int = 1) -> None:
         path = Path(path)
         if not path.is_file():
-            raise WeightsError(f"{path}: no such weights; try `fovea weights pull`")
+            raise WeightsError(f"{path}: no such weights{pull_hint(path)}")
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1

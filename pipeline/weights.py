@@ -92,6 +92,12 @@ def require(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST)
     return path
 
 
+def pull_hint(path: Path, *, manifest: Path = MANIFEST) -> str:
+    """How to get the file that is missing, or nothing when the manifest names none like it."""
+    named = [name for name, entry in entries(manifest).items() if entry.file == path.name]
+    return f"; `fovea weights pull {named[0]}` fetches it" if named else ""
+
+
 def pull(
     names: Iterable[str],
     mirror: Path | None = None,

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.errors import WeightsError
-from pipeline.weights import Entry, entries, find, pull, require, weights_commands
+from pipeline.weights import Entry, entries, find, pull, pull_hint, require, weights_commands
 
 NETWORK = bytes(range(256)) * 700  # more than one chunk
 
@@ -176,6 +176,13 @@ def test_an_intact_copy_is_not_fetched_again(tmp_path: Path) -> None:
 def test_weights_without_an_address_need_a_mirror(tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="net: has no address"):
         pull(["net"], folder=tmp_path, manifest=manifest_of(tmp_path))
+
+
+def test_pulling_is_proposed_only_for_a_file_that_the_manifest_names(tmp_path: Path) -> None:
+    manifest = manifest_of(tmp_path)
+
+    assert "fovea weights pull net`" in pull_hint(Path("there/net.onnx"), manifest=manifest)
+    assert pull_hint(Path("there/mine.onnx"), manifest=manifest) == ""
 
 
 def test_a_misspelt_name_is_met_with_the_right_one() -> None:
