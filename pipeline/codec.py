@@ -10,6 +10,7 @@ import hashlib
 import operator
 import types
 import typing
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
@@ -25,7 +26,6 @@ T = TypeVar("T")
 Place = Callable[[NDArray[Any]], bytes | int]  # puts an array somewhere: the bytes, or an offset
 Fetch = Callable[[int, int], NDArray[np.uint8]]  # offset, nbytes -> (nbytes,) uint8
 
-LIMIT_BYTES = 1 << 26  # of one message's own bytes; bigger arrays travel through the frame pool
 _DTYPES = {np.dtype(t).str: np.dtype(t) for t in ("?", "u1", "u2", "i4", "i8", "f4", "f8", "u8")}
 _SCALARS: dict[type, tuple[type, ...]] = {
     bool: (bool,),
@@ -127,17 +127,17 @@ def from_bytes(data: bytes) -> Any:
         raise MessageError(f"not a message: {type(error).__name__}: {error}") from error
 
 
-class _Kind:
+class _Kind(ABC):
     """How one field is written and read."""
 
     def __init__(self, text: str) -> None:
         self.text = text
 
-    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
-        raise NotImplementedError
+    @abstractmethod
+    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any: ...
 
-    def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
-        raise NotImplementedError
+    @abstractmethod
+    def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any: ...
 
 
 class _Scalar(_Kind):
