@@ -78,7 +78,12 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
             )
         rows = self._inside(roi, tracks)
         features = self._encoder(roi, tracks.boxes[rows, -1])
-        return RoiFeatures(header=roi.header, ids=tracks.ids[rows], features=features)
+        return RoiFeatures(
+            header=roi.header,
+            ids=tracks.ids[rows],
+            features=features,
+            genuine=np.ones(len(rows), np.float32),
+        )
 
     def _inside(self, roi: Frame, tracks: Tracks) -> NDArray[np.intp]:
         """Rows of the tracks to encode, in their own order."""

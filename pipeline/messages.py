@@ -145,10 +145,15 @@ class Tracks(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoiFeatures(Message):
-    """High-resolution appearance of the tracks that lay inside this frame's ROI."""
+    """High-resolution appearance of the tracks that lay inside this frame's ROI.
+
+    `genuine` is how sure the encoder is, from these pixels, that an object is of the class its
+    label says; 1 where the encoder cannot tell.
+    """
 
     ids: Ids
     features: Annotated[NDArray[np.float32], Shape.of("n", "channels")]
+    genuine: Scores
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,4 +1,8 @@
-"""What the ROI last showed of each object: RoiFeatures in, the newest vector per id out."""
+"""What the ROI showed of each object lately: RoiFeatures in, features over To frames out.
+
+Beside them stands a verdict: how sure the encoder was, over all looks at an object, that it is what
+its label says. What was looked at and found to be nothing is not worth another look.
+"""
 
 from dataclasses import dataclass
 
@@ -8,51 +12,102 @@ from numpy.typing import NDArray
 from pipeline import RoiFeatures
 from pipeline.errors import MessageError
 
+LOOKS = 2  # before a verdict counts
+WEIGHT = 0.5  # of the newest look in a verdict
+Array = NDArray[np.float32]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Memory:
-    """The newest features of at most `capacity` objects; the longest unseen is forgotten first."""
+    """Looks of the last frames, and verdicts on at most `capacity` objects, oldest first."""
 
     capacity: int
-    ids: NDArray[np.int32]  # (n,), oldest first
-    seqs: NDArray[np.int64]  # (n,), the frame they were seen in
-    features: NDArray[np.float32]  # (n, D)
+    seqs: NDArray[np.int64]  # (m,) frame of each look
+    ids: NDArray[np.int32]  # (m,)
+    features: Array  # (m, D)
+    judged: NDArray[np.int32]  # (k,) ids
+    genuine: Array  # (k,) running mean, 0..1
+    looks: NDArray[np.int32]  # (k,)
 
 
 def blank(capacity: int) -> Memory:
     """Nothing remembered."""
     return Memory(
         capacity=capacity,
-        ids=np.zeros(0, np.int32),
         seqs=np.zeros(0, np.int64),
+        ids=np.zeros(0, np.int32),
         features=np.zeros((0, 0), np.float32),
+        judged=np.zeros(0, np.int32),
+        genuine=np.zeros(0, np.float32),
+        looks=np.zeros(0, np.int32),
     )
 
 
-def remember(memory: Memory, seen: RoiFeatures) -> Memory:
-    """The memory after one more ROI; raises `MessageError` when the features change their width."""
-    if not len(seen.ids):
-        return memory
-    width, known = seen.features.shape[1], memory.features
-    if len(memory.ids) and known.shape[1] != width:
-        raise MessageError(f"policy.features: expected {known.shape[1]} channels, got {width}")
-    keep = ~np.isin(memory.ids, seen.ids)
-    seqs = np.full(len(seen.ids), seen.header.seq, np.int64)
-    newest = slice(-memory.capacity, None)
+def remember(memory: Memory, seen: RoiFeatures, observed: int) -> Memory:
+    """The memory after one more ROI, of which the looks of `observed` frames are kept.
+
+    Raises `MessageError` when the features change their width or are no numbers.
+    """
+    seq, width = seen.header.seq, seen.features.shape[1]
+    if len(memory.ids) and len(seen.ids) and memory.features.shape[1] != width:
+        known = memory.features.shape[1]
+        raise MessageError(f"policy.features: expected {known} channels, got {width}")
+    if not (np.isfinite(seen.features).all() and np.isfinite(seen.genuine).all()):
+        raise MessageError(f"policy.features: expected finite numbers in frame {seq}, got others")
+    recent = memory.seqs > seq - observed
+    known = memory.features[recent] if recent.any() else np.zeros((0, width), np.float32)
+    verdicts = _judge(memory, seen)
     return Memory(
         capacity=memory.capacity,
-        ids=np.concatenate([memory.ids[keep], seen.ids])[newest],
-        seqs=np.concatenate([memory.seqs[keep], seqs])[newest],
-        features=np.concatenate([known.reshape(-1, width)[keep], seen.features])[newest],
+        seqs=np.concatenate([memory.seqs[recent], np.full(len(seen.ids), seq, np.int64)]),
+        ids=np.concatenate([memory.ids[recent], seen.ids]),
+        features=np.concatenate([known, seen.features]),
+        judged=verdicts[0],
+        genuine=verdicts[1],
+        looks=verdicts[2],
     )
 
 
-def recall(memory: Memory, ids: NDArray[np.int32], width: int) -> NDArray[np.float32]:
-    """Features of these objects: (n,) -> (n, width); 0 for what was never seen."""
-    found = np.zeros((len(ids), width), np.float32)
-    if len(memory.ids):
-        order = np.argsort(memory.ids)
-        place = np.minimum(np.searchsorted(memory.ids, ids, sorter=order), len(order) - 1)
-        known = memory.ids[order[place]] == ids
-        found[known] = memory.features[order[place[known]]]
+def _judge(memory: Memory, seen: RoiFeatures) -> tuple[NDArray[np.int32], Array, NDArray[np.int32]]:
+    """Verdicts with this look; whoever was looked at longest ago is forgotten first."""
+    before, genuine = np.zeros(len(seen.ids), np.int32), seen.genuine.copy()
+    for row, object_id in enumerate(seen.ids):
+        place = np.flatnonzero(memory.judged == object_id)
+        if len(place):
+            before[row] = memory.looks[place[0]]
+            genuine[row] += (1 - WEIGHT) * (memory.genuine[place[0]] - genuine[row])
+    others = ~np.isin(memory.judged, seen.ids)
+    newest = slice(-memory.capacity, None)
+    return (
+        np.concatenate([memory.judged[others], seen.ids])[newest],
+        np.concatenate([memory.genuine[others], genuine])[newest].astype(np.float32),
+        np.concatenate([memory.looks[others], before + 1])[newest].astype(np.int32),
+    )
+
+
+def recall(
+    memory: Memory, ids: NDArray[np.int32], *, seq: int, observed: int, channels: int
+) -> Array:
+    """Looks at these objects in frames seq-To+1 … seq: (n,) -> (n, To, D); 0 where there is none.
+
+    Raises `MessageError` when the features are not `channels` wide.
+    """
+    found = np.zeros((len(ids), observed, channels), np.float32)
+    if not len(memory.ids):
+        return found
+    if memory.features.shape[1] != channels:
+        raise MessageError(
+            f"policy.features: expected {channels} channels, got {memory.features.shape[1]}"
+        )
+    column = memory.seqs - seq + observed - 1
+    row = np.searchsorted(ids, memory.ids)  # track ids ascend
+    known = (row < len(ids)) & (column >= 0) & (column < observed)
+    known[known] &= ids[row[known]] == memory.ids[known]
+    found[row[known], column[known]] = memory.features[known]
     return found
+
+
+def refuted(memory: Memory, ids: NDArray[np.int32], least: float) -> NDArray[np.bool_]:
+    """Which objects were looked at and found not to be what they seemed: (n,)."""
+    false = memory.judged[(memory.looks >= LOOKS) & (memory.genuine < least)]
+    return np.isin(ids, false)

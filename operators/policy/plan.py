@@ -16,6 +16,8 @@ class Plan:
 
     choice: NDArray[np.int32]  # (Tp,), track id or PLACE
     boxes: NDArray[np.float32]  # (Tp, 4), sensor pixels
+    # (Tp, n) of each track; what is missing to 1 is a place's. None: 1 for whoever is chosen
+    probability: NDArray[np.float32] | None = None
 
 
 def future(tracks: Tracks, row: int, horizon: int) -> NDArray[np.float32]:
@@ -52,12 +54,14 @@ def of_class(tracks: Tracks, name: str) -> NDArray[np.bool_]:
 
 
 def scanpath(tracks: Tracks, plan: Plan) -> Scanpath:
-    """The message: the chosen object has probability 1; a place leaves its row 0."""
-    chosen = plan.choice[:, None] == tracks.ids[None]
+    """The message."""
+    probability = plan.probability
+    if probability is None:
+        probability = (plan.choice[:, None] == tracks.ids[None]).astype(np.float32)
     return Scanpath(
         header=tracks.header,
         ids=tracks.ids,
-        probability=chosen.astype(np.float32),
+        probability=probability,
         choice=plan.choice,
         boxes=plan.boxes,
         first_seq=tracks.header.seq + 1,

@@ -5,9 +5,24 @@ state that is replaced, never changed: the same tracks in, the same plans out.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
 
 from operators.policy.baselines import Turn, centred, round_robin
+from operators.policy.conditioning import Wish
+from operators.policy.learned import (
+    SHIPPED,
+    Chooser,
+    Gaze,
+    Rules,
+    Selection,
+    decide,
+    nothing,
+    observe,
+    pick,
+)
 from operators.policy.memory import Memory, blank, remember
 from operators.policy.plan import Plan, scanpath
 from operators.policy.pursuit import Aim, Pursuit, pursue
@@ -21,22 +36,31 @@ MOST_OBJECTS = 25
 class PolicySettings:
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
-    strategy: Literal["pursue", "round_robin", "centred"] = "pursue"
+    strategy: Literal["learned", "pursue", "round_robin", "centred"] = "pursue"
+    weights: str = ""  # learned: an ONNX file of operators.policy.train; empty: the shipped one
+    selection: Selection = "argmax"  # learned: the likeliest object, or one drawn by its chance
+    seed: int = 0  # learned: of what is drawn
+    least_genuine: float = 0.2  # learned: below it an object that was looked at is believed false
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id
     prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
     horizon: int = 16  # Tp, frames planned
     dwell: int = 4  # round robin: frames per object
     confirm: int = 3  # pursue: sightings before the gaze moves to a candidate
-    patience: int = 24  # pursue: frames to wait at the last place before searching
+    patience: int = 24  # frames to wait at the last place before searching (pursue), or giving up
+    observed: int = 4  # To, frames of looks that are remembered
+    threads: int = 1
     held_by: tuple[str, ...] = ("player", "goalkeeper", "referee", "person")
 
     def __post_init__(self) -> None:
-        for name in ("horizon", "dwell", "confirm"):
+        for name in ("horizon", "dwell", "confirm", "observed", "threads"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        if self.patience < 0:
-            raise SettingsError(f"patience: must be at least 0, got {self.patience}")
+        for name in ("patience", "seed"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
+        if not 0 <= self.least_genuine <= 1:
+            raise SettingsError(f"least_genuine: must be within 0..1, got {self.least_genuine}")
         left, top, right, bottom = self.prompt_box
         if any(self.prompt_box) and not (left < right and top < bottom):
             raise SettingsError(
@@ -50,6 +74,7 @@ class PolicyState:
 
     pursuit: Pursuit = field(default_factory=Pursuit)
     turn: Turn = field(default_factory=Turn)
+    gaze: Gaze = field(default_factory=Gaze)
     memory: Memory = field(default_factory=lambda: blank(MEMORY_PER_OBJECT * MOST_OBJECTS))
 
 
@@ -58,12 +83,26 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
+    live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
 
     def open(self) -> None:
-        """Start without a past."""
+        """Start without a past; raises `WeightsError` when the learned policy has no network."""
         s = self.settings
         self._state = PolicyState()
+        self._chooser: Chooser | None = None
+        if s.strategy == "learned":
+            self._chooser = Chooser(Path(s.weights) if s.weights else SHIPPED, threads=s.threads)
+        self._look_for(s)
+
+    def on_settings(self, settings: PolicySettings) -> None:
+        """Another target from the next plan on; what everybody looks like stays known."""
+        self.settings = settings
+        self._state = replace(self._state, pursuit=Pursuit(), gaze=Gaze())
+        self._look_for(settings)
+
+    def _look_for(self, s: PolicySettings) -> None:
         self._aim = Aim(object_id=s.target_id, box=s.prompt_box, target=s.target, held_by=s.held_by)
+        self._wish = Wish(object_id=s.target_id, box=s.prompt_box, target=s.target)
 
     def on_stream(self, header: Header) -> None:
         """Ids of another stream are other objects."""
@@ -79,7 +118,8 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     def on_features(self, features: RoiFeatures) -> None:
         """Keep the newest look at each object."""
-        self._state = replace(self._state, memory=remember(self._state.memory, features))
+        memory = remember(self._state.memory, features, self.settings.observed)
+        self._state = replace(self._state, memory=memory)
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
@@ -87,6 +127,8 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     def _plan(self, tracks: Tracks) -> Plan:
         s, state = self.settings, self._state
+        if self._chooser is not None:
+            return self._chosen(tracks, self._chooser)
         if s.strategy == "centred":
             return centred(tracks, s.horizon)
         if s.strategy == "round_robin":
@@ -104,4 +146,22 @@ class Policy(Operator[PolicySettings, Scanpath]):
             horizon=s.horizon,
         )
         self._state = replace(state, pursuit=pursuit)
+        return plan
+
+    def _chosen(self, tracks: Tracks, chooser: Chooser) -> Plan:
+        """What the network chooses."""
+        s, state = self.settings, self._state
+        chooser.check(tracks)
+        rules = Rules(
+            patience=s.patience, least_genuine=s.least_genuine, roi_channels=chooser.roi_channels
+        )
+        gaze, candidates, told = observe(state.gaze, self._wish, tracks, state.memory, rules)
+        if len(candidates.ids):
+            probability = chooser(candidates, told)
+            rng = np.random.default_rng([s.seed, tracks.header.seq])
+            picked = pick(probability, s.selection, rng)
+            plan, gaze = decide(gaze, tracks, candidates, probability, picked)
+        else:
+            plan = nothing(gaze, tracks, chooser.horizon)
+        self._state = replace(state, gaze=gaze)
         return plan

@@ -3,7 +3,7 @@
 The paper trains "end-to-end with frozen task-specific perception models" and gives no loss. For
 tracking the frozen tracker gains where the ROI shows the target and the surroundings it searches:
 U[i, t] is the share of them inside the window that dispatch would command for candidate i at step
-t. So a neighbour of a hidden or undetected ball is worth as much as the ball: its window shows both.
+t. So a neighbour of a hidden ball is worth as much as the ball itself: its window shows both.
 """
 
 import numpy as np

@@ -9,7 +9,10 @@ NAMES = ("ball", "player")
 
 
 def tracks(
-    seq: int, *objects: tuple[int, int, float, float, float], unseen: tuple[int, ...] = ()
+    seq: int,
+    *objects: tuple[int, int, float, float, float],
+    unseen: tuple[int, ...] = (),
+    channels: int = 0,
 ) -> Tracks:
     """Objects (id, label, centre x, centre y, speed x) in frame `seq`; balls 16 px, players 40."""
     rows = np.array(objects, np.float32).reshape(-1, 5)
@@ -29,7 +32,7 @@ def tracks(
         scores=np.full(len(rows), 0.5, np.float32),
         boxes=boxes[:, :4],
         visible=visible,
-        features=np.zeros((len(rows), 4, 0), np.float32),
+        features=np.ones((len(rows), 4, channels), np.float32) * rows[:, :1, None],
         predicted=boxes[:, 4:],
         names=NAMES,
     )

@@ -67,11 +67,16 @@ def test_a_frame_without_objects_is_answered_with_places_in_the_field(strategy):
 def looks(seq: int, *ids: int, value: float = 1.0, width: int = 4) -> dict[str, RoiFeatures]:
     features = np.full((len(ids), width), value, np.float32)
     return {
-        "features": RoiFeatures(header=header(seq), ids=np.array(ids, np.int32), features=features)
+        "features": RoiFeatures(
+            header=header(seq),
+            ids=np.array(ids, np.int32),
+            features=features,
+            genuine=np.ones(len(ids), np.float32),
+        )
     }
 
 
-def test_features_are_kept_for_a_bounded_number_of_objects():
+def test_looks_are_kept_for_a_few_frames_and_verdicts_on_a_bounded_number_of_objects():
     subject = Policy(PolicySettings())
     subject.open()
 
@@ -79,9 +84,9 @@ def test_features_are_kept_for_a_bounded_number_of_objects():
         subject.on_features(**looks(k, k, k + 1, value=k))
 
     memory = subject.state().memory
-    assert len(memory.ids) == 100
-    assert memory.ids[-1] == 500
-    assert memory.features[-1, 0] == memory.seqs[-1] == 499
+    assert memory.ids.tolist() == [496, 497, 497, 498, 498, 499, 499, 500]
+    assert memory.features[:, 0].tolist() == memory.seqs.tolist()
+    assert len(memory.judged) == 100
 
 
 def test_features_that_change_their_width_are_refused():

@@ -1,0 +1,194 @@
+"""Who is meant: a prompt (a box, a track id, a class) followed through time -> the condition.
+
+The paper conditions on the features at the target's first place and on its box. We keep the box
+where the target was last believed to be: a prompt is bound to a track, follows it, and when the
+track is gone it moves with the camera until it is bound again to what the policy itself chose.
+
+The place itself is a candidate too while its target is not in view. That is ours, not the paper's:
+a ball that lies still at the corner flag stays below a detector's threshold, and nothing but the
+prompt says where it is.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from operators.policy.plan import PLACE
+from operators.policy.tokens import BOX, Array, Objects, tell
+from pipeline import Geometry, Tracks
+from pipeline.boxes import areas, centres, iou
+
+CLASSES = 8  # of a detector that can be told apart
+CHANNELS = 64  # of the detector's feature map
+CONDITION = CHANNELS + BOX + CLASSES + 4
+BIND_IOU = 0.1
+SURE = 0.5  # probability from which a choice binds the prompt
+GROWTH = 0.1  # box sizes by which the doubt grows with every frame
+WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wish:
+    """What was asked for: an id, else whoever is in a box, else a class; nothing: anybody."""
+
+    object_id: int = -1
+    box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
+    target: str = ""  # class name
+
+    @property
+    def one(self) -> bool:
+        """Whether one object is meant, and not any of a class."""
+        return self.object_id >= 0 or self.box[2] > self.box[0]
+
+
+def _nowhere() -> Array:
+    return np.zeros(4, np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prompt:
+    """A wish and what became of it."""
+
+    bound_id: int = -1  # the track that is believed to be the target
+    label: str = ""  # its class, once known
+    seen_seq: int = -1  # when it was last seen, or asked for; -1: neither yet
+    box: Array = field(default_factory=_nowhere)  # where it is believed to be, sensor pixels
+    features: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (C,) when bound
+
+    @property
+    def placed(self) -> bool:
+        """Whether a place is known."""
+        return bool(self.box[2] > self.box[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """What the policy chose for one frame."""
+
+    object_id: int = PLACE
+    probability: float = 0.0
+
+
+def follow(before: Prompt, wish: Wish, tracks: Tracks, chosen: Choice) -> Prompt:
+    """The prompt after one more frame, for which the policy had chosen `chosen`."""
+    now = before
+    if now.seen_seq < 0 and wish.box[2] > wish.box[0]:
+        now = replace(now, box=np.array(wish.box, np.float32), seen_seq=tracks.header.seq)
+    elif now.placed:
+        now = replace(now, box=now.box + np.tile(camera_motion(tracks), 2))
+    row = _row(tracks, now.bound_id)
+    if row < 0 or (not wish.one and chosen.probability >= SURE):
+        found = _first(tracks, wish, now) if now.bound_id < 0 else -1
+        found = found if found >= 0 else _again(tracks, wish, now, chosen)
+        row = found if found >= 0 else row
+    return _bound(tracks, row, now) if row >= 0 else now
+
+
+def condition(prompt: Prompt, wish: Wish, tracks: Tracks) -> Array:
+    """The condition (CONDITION,): features, box, class, and what is known of the target."""
+    told = np.zeros(CONDITION, np.float32)
+    told[: min(len(prompt.features), CHANNELS)] = prompt.features[:CHANNELS]
+    if prompt.placed:
+        told[CHANNELS : CHANNELS + BOX] = tell(prompt.box, tracks.header.geometry)
+    label = prompt.label or wish.target
+    if label in tracks.names[:CLASSES]:
+        told[CHANNELS + BOX + tracks.names.index(label)] = 1
+    row = _row(tracks, prompt.bound_id)
+    unseen = tracks.header.seq - prompt.seen_seq if prompt.seen_seq >= 0 else 0
+    told[-4:] = (
+        wish.one,
+        bool(wish.target),
+        row >= 0 and tracks.visible[row, -1],
+        min(unseen / 16, 2),
+    )
+    return told
+
+
+def place(prompt: Prompt, tracks: Tracks, *, patience: int, roi_channels: int) -> Objects | None:
+    """The prompted place as a candidate; None while its target is in view, and after `patience`."""
+    unseen = tracks.header.seq - prompt.seen_seq
+    row = _row(tracks, prompt.bound_id)
+    if not prompt.placed or unseen > patience or (row >= 0 and tracks.visible[row, -1]):
+        return None
+    observed, horizon = tracks.boxes.shape[1], tracks.predicted.shape[1]
+    motion = np.tile(camera_motion(tracks), 2)
+    ago = np.arange(1 - observed, 1, dtype=np.float32)[:, None]
+    ahead = np.arange(1, horizon + 1, dtype=np.float32)[:, None]
+    path = (prompt.box + ahead * motion).astype(np.float32)
+    past = tell((prompt.box + ago * motion).astype(np.float32), tracks.header.geometry)
+    features = np.zeros(tracks.features.shape[2], np.float32)
+    features[: len(prompt.features)] = prompt.features
+    return Objects(
+        ids=np.array([PLACE], np.int32),
+        roi=np.zeros((1, observed, roi_channels), np.float32),
+        context=np.broadcast_to(features, (1, observed, len(features))).copy(),
+        boxes=np.concatenate([past, np.zeros((observed, 1), np.float32)], 1)[None],
+        predicted=tell(path, tracks.header.geometry)[None],
+        place=np.ones(1, np.float32),
+        path=path[None],
+    )
+
+
+def camera_motion(tracks: Tracks) -> Array:
+    """By how much the picture moves in a frame: the median of all tracks, (2,) sensor pixels."""
+    if len(tracks.ids) < WITNESSES or not tracks.predicted.shape[1]:
+        return np.zeros(2, np.float32)
+    motion = centres(tracks.predicted[:, 0]) - centres(tracks.boxes[:, -1])
+    return np.asarray(np.median(motion, axis=0), np.float32)
+
+
+def _row(tracks: Tracks, object_id: int) -> int:
+    rows = np.flatnonzero(tracks.ids == object_id)
+    return int(rows[0]) if object_id >= 0 and len(rows) else -1
+
+
+def _first(tracks: Tracks, wish: Wish, now: Prompt) -> int:
+    """Row of what was asked for by id or box, -1: not there."""
+    if wish.object_id >= 0:
+        return _row(tracks, wish.object_id)
+    if not wish.one or not len(tracks.ids):
+        return -1
+    overlap = iou(tracks.boxes[:, -1], now.box[None])[:, 0]
+    return int(overlap.argmax()) if overlap.max() >= BIND_IOU else -1
+
+
+def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
+    """Row of the policy's own choice where it may be the target, -1: it may not."""
+    row = _row(tracks, chosen.object_id)
+    if row < 0 or chosen.probability < SURE or not tracks.visible[row, -1]:
+        return -1
+    wanted = now.label or wish.target
+    if wanted and _name(tracks, row) != wanted:
+        return -1
+    if wish.one and now.placed:
+        size = max(float(np.sqrt(areas(now.box[None])[0])), 1.0)
+        gone = tracks.header.seq - now.seen_seq
+        away = float(np.linalg.norm(centres(tracks.boxes[row, -1]) - centres(now.box)))
+        if away > (1 + GROWTH * gone) * size + _reach(tracks.header.geometry):
+            return -1
+    return row
+
+
+def _reach(geometry: Geometry) -> float:
+    """How far a target may have gone unseen: a part of the ROI, which was meant to show it."""
+    return 0.25 * geometry.roi_width_px
+
+
+def _bound(tracks: Tracks, row: int, now: Prompt) -> Prompt:
+    """The prompt, with its target at `row`."""
+    visible = bool(tracks.visible[row, -1])
+    fresh = int(tracks.ids[row]) != now.bound_id
+    first = fresh and not now.features.any()
+    return replace(
+        now,
+        bound_id=int(tracks.ids[row]),
+        label=now.label or _name(tracks, row),
+        box=tracks.boxes[row, -1],
+        seen_seq=tracks.header.seq if visible or now.seen_seq < 0 else now.seen_seq,
+        features=tracks.features[row, -1].copy() if first else now.features,
+    )
+
+
+def _name(tracks: Tracks, row: int) -> str:
+    label = int(tracks.labels[row])
+    return tracks.names[label] if 0 <= label < len(tracks.names) else ""

@@ -1,0 +1,204 @@
+"""Clips to learn from: seeds -> what the loop computes of each, kept on disk.
+
+What the loop computes of the context does not depend on where the ROI was, so it is computed once,
+by the operators themselves in the in-line runner (graphs/tasks/tracking_recording.yaml). Every
+object's appearance at full resolution is kept too; a roll-out reveals it where its ROI looks.
+"""
+
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import astuple, dataclass
+from functools import cached_property
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from pipeline import Geometry, Percept, RoiFeatures, Tracks
+from pipeline.errors import FoveaError
+from pipeline.graph import load
+from pipeline.inline import InlineRunner
+from pipeline.messages import Header, Message
+from pipeline.overlay import Overlay
+
+GRAPH = Path(__file__).parents[2] / "graphs" / "tasks" / "tracking_recording.yaml"
+TRAIN_SEEDS, VALIDATION_SEEDS = 30_000, 40_000  # no other part of the project uses them
+KEPT = ("association.out", "roi_features.out", "capture.truth")
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Moment:
+    """One frame of a recording."""
+
+    tracks: Tracks
+    seen: RoiFeatures  # of every track, as if the ROI had shown all of them
+    truth: Percept
+
+
+class Recording:
+    """One clip; the messages of frame k are put together when they are asked for."""
+
+    def __init__(self, path: Path) -> None:
+        with np.load(path) as file:
+            self._arrays: Arrays = dict(file)
+        if self._arrays["geometry"].shape != (5,):
+            raise FoveaError(f"{path}: expected a recording of this version, record it anew")
+        self.path = path
+
+    def __len__(self) -> int:
+        return len(self._arrays["seqs"])
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Field and ROI of the sensor."""
+        width, height, roi_width, roi_height, step = self._arrays["geometry"].tolist()
+        return Geometry(
+            width_px=width,
+            height_px=height,
+            roi_width_px=roi_width,
+            roi_height_px=roi_height,
+            step_px=step,
+        )
+
+    def header(self, frame: int) -> Header:
+        """The header of frame `frame`, counted from 0."""
+        seq = int(self._arrays["seqs"][frame])
+        return Header(stream=self.path.stem, seq=seq, stamp_ns=0, geometry=self.geometry)
+
+    def moment(self, frame: int) -> Moment:
+        """Frame `frame`, counted from 0; IndexError past the end."""
+        header, a = self.header(frame), self._arrays
+        rows = slice(a["first"][frame], a["first"][frame + 1])
+        known = slice(a["truth_first"][frame], a["truth_first"][frame + 1])
+        shown = a["shown"][rows]
+        return Moment(
+            tracks=Tracks(
+                header=header,
+                ids=a["ids"][rows],
+                labels=a["labels"][rows],
+                scores=a["scores"][rows],
+                boxes=a["boxes"][rows],
+                visible=a["visible"][rows],
+                features=a["features"][rows].astype(np.float32),
+                predicted=a["predicted"][rows],
+                names=tuple(a["names"].tolist()),
+            ),
+            seen=RoiFeatures(
+                header=header,
+                ids=a["ids"][rows][shown],
+                features=a["roi"][rows][shown].astype(np.float32),
+                genuine=a["genuine"][rows][shown],
+            ),
+            truth=Percept(
+                header=header,
+                boxes=a["truth_boxes"][known],
+                ids=a["truth_ids"][known],
+                scores=a["truth_visible"][known],
+                texts=tuple(a["truth_labels"][known].tolist()),
+            ),
+        )
+
+    def path_of(self, object_id: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Where an object really is: boxes (F, 4) and share visible (F,), 0 where it is not."""
+        a, frames = self._arrays, len(self)
+        boxes, visible = np.zeros((frames, 4), np.float32), np.zeros(frames, np.float32)
+        for row in np.flatnonzero(a["truth_ids"] == object_id):
+            frame = int(np.searchsorted(a["truth_first"], row, side="right")) - 1
+            boxes[frame], visible[frame] = a["truth_boxes"][row], a["truth_visible"][row]
+        return boxes, visible
+
+    @cached_property
+    def people_and_ball(self) -> dict[int, str]:
+        """Label of every object that is really there at some time, by id."""
+        pairs = zip(self._arrays["truth_ids"], self._arrays["truth_labels"], strict=True)
+        return {int(i): str(label) for i, label in pairs}
+
+
+def record(
+    seeds: Iterable[int],
+    frames: int,
+    folder: Path,
+    *,
+    workers: int = 2,
+    changes: tuple[str, ...] = (),
+) -> list[Path]:
+    """Record the first `frames` frames of each seed's scene; clips already there are kept.
+
+    `changes` are settings as `--set` takes them, e.g. other weights for the detector.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = [folder / f"{seed}.npz" for seed in seeds]
+    missing = [path for path in wanted if not path.exists()]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        jobs = [pool.submit(_record, path, frames, changes) for path in missing]
+        for job in tqdm(jobs, desc="record", unit="clip", disable=not jobs):
+            job.result()
+    return wanted
+
+
+def _record(path: Path, frames: int, changes: tuple[str, ...]) -> None:
+    """One clip; its file is named after its seed."""
+    cv2.setNumThreads(1)
+    own = (f"capture.options.seed={path.stem}", f"capture.options.frames={frames}")
+    plan = load(GRAPH, Overlay(changes=(*own, *changes), clock="lockstep"))
+    heard: list[dict[str, Message]] = [{}]
+    with InlineRunner(
+        plan, watch=lambda output, message: heard[-1].update({output: message})
+    ) as run:
+        for _ in run.run(frames):
+            heard[-1] = {name: heard[-1][name] for name in KEPT}  # not the pictures
+            heard.append({})
+    unfinished = path.with_suffix(".part.npz")
+    np.savez(unfinished, allow_pickle=False, **arrays(heard[:-1]))
+    unfinished.rename(path)
+
+
+def arrays(heard: list[dict[str, Any]]) -> Arrays:
+    """The messages of all frames, one after the other; features in half precision."""
+    tracks: list[Tracks] = [h["association.out"] for h in heard]
+    truths: list[Percept] = [h["capture.truth"] for h in heard]
+    appearance = [aligned(t.ids, h["roi_features.out"]) for t, h in zip(tracks, heard, strict=True)]
+    geometry = tracks[0].header.geometry
+    channels = max(roi.shape[1] for roi, _, _ in appearance)
+    shared = max(t.features.shape[2] for t in tracks)
+    observed = tracks[0].boxes.shape[1]
+    return {
+        "geometry": np.array(astuple(geometry)),
+        "names": np.array(tracks[0].names),
+        "seqs": np.array([t.header.seq for t in tracks]),
+        "first": np.cumsum([0, *(len(t.ids) for t in tracks)]),
+        **{
+            name: np.concatenate([getattr(t, name) for t in tracks])
+            for name in ("ids", "labels", "scores", "boxes", "visible", "predicted")
+        },
+        "features": np.concatenate(
+            [t.features.reshape(-1, observed, shared) for t in tracks], dtype=np.float16
+        ),
+        "roi": np.concatenate(
+            [a.reshape(-1, channels) for a, _, _ in appearance], dtype=np.float16
+        ),
+        "genuine": np.concatenate([g for _, g, _ in appearance]),
+        "shown": np.concatenate([s for _, _, s in appearance]),
+        "truth_first": np.cumsum([0, *(len(t.ids) for t in truths)]),
+        "truth_ids": np.concatenate([t.ids for t in truths]),
+        "truth_boxes": np.concatenate([t.boxes for t in truths]),
+        "truth_visible": np.concatenate([t.scores for t in truths]),
+        "truth_labels": np.array([label for t in truths for label in t.texts]),
+    }
+
+
+def aligned(
+    ids: NDArray[np.int32], seen: RoiFeatures
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+    """Appearance in the order of `ids` (n,): features (n, D), genuine (n,), whether shown (n,)."""
+    shown = np.isin(ids, seen.ids)
+    roi = np.zeros((len(ids), seen.features.shape[1]), np.float32)
+    genuine = np.ones(len(ids), np.float32)
+    rows = np.searchsorted(seen.ids, ids[shown])  # both ascend
+    roi[shown], genuine[shown] = seen.features[rows], seen.genuine[rows]
+    return roi, genuine, shown

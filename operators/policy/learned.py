@@ -1,0 +1,148 @@
+"""The learned policy: tracks, looks and a prompt -> a plan (paper, section 3.5).
+
+`observe` and `decide` are the same for the live graph and for training's roll-outs; only who
+computes the probabilities between them differs.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.conditioning import CONDITION, Choice, Prompt, Wish, condition, follow, place
+from operators.policy.memory import Memory, recall, refuted
+from operators.policy.plan import PLACE, Plan, field_centre, stay
+from operators.policy.tokens import Array, Objects, batched, joined, objects, without
+from pipeline import Tracks
+from pipeline.errors import MessageError, WeightsError
+from pipeline.inference import Network
+
+SHIPPED = Path(__file__).with_name("policy.onnx")
+Selection = Literal["argmax", "sample"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gaze:
+    """What the learned policy remembers beside its looks."""
+
+    prompt: Prompt = field(default_factory=Prompt)
+    first_seq: int = 0  # the frame that row 0 of the last choice speaks of
+    choice: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))  # (Tp,)
+    chance: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (Tp,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """What a graph sets of it."""
+
+    patience: int = 24
+    least_genuine: float = 0.2
+    roi_channels: int = 576
+
+
+class Chooser:
+    """The network of one ONNX file; raises `WeightsError` when it is none of ours."""
+
+    def __init__(self, path: Path, *, threads: int = 1) -> None:
+        if path == SHIPPED and not path.is_file():
+            raise WeightsError(f"policy.weights: {path.name} is not there; train one, or name one")
+        self._network = Network(path, threads=threads)
+        expected = {"roi", "context", "boxes", "predicted", "place", "condition", "mask"}
+        if set(self._network.inputs) != expected:
+            given = ", ".join(self._network.inputs)
+            raise WeightsError(
+                f"{path}: expected a policy's inputs {sorted(expected)}, got {given}"
+            )
+        if self._network.inputs["condition"][1] != CONDITION:
+            got = self._network.inputs["condition"][1]
+            raise WeightsError(f"{path}: expected a condition of {CONDITION} numbers, got {got}")
+        self.path = path
+        self.roi_channels = int(self._network.inputs["roi"][3])
+        self._observed, self._context = (int(n) for n in self._network.inputs["context"][2:])
+        self.horizon = int(self._network.inputs["predicted"][2])
+
+    def check(self, tracks: Tracks) -> None:
+        """Raise `MessageError` unless the tracks are what the network was trained on."""
+        expected = (self._observed, self._context, self.horizon)
+        got = (*tracks.features.shape[1:], tracks.predicted.shape[1])
+        if len(tracks.ids) and expected != got:
+            raise MessageError(
+                f"policy.tracks: {self.path.name} expects {expected[0]} frames of {expected[1]} "
+                f"features and {expected[2]} foreseen, got {got[0]} of {got[1]} and {got[2]}"
+            )
+
+    def __call__(self, candidates: Objects, told: Array) -> Array:
+        """Probability of each of N candidates at each step: (N, Tp)."""
+        logits = self._network(batched([candidates], [told]))["logits"][0]
+        return softmax(logits)
+
+
+def softmax(logits: Array) -> Array:
+    """Over the candidates: (..., N, Tp) -> the same, each step's sum 1."""
+    raised = np.exp(logits - logits.max(-2, keepdims=True))
+    return np.asarray(raised / raised.sum(-2, keepdims=True), np.float32)
+
+
+def observe(
+    before: Gaze, wish: Wish, tracks: Tracks, memory: Memory, rules: Rules
+) -> tuple[Gaze, Objects, Array]:
+    """Take in one frame: what to remember, the candidates, the condition.
+
+    Raises `MessageError` when a feature is no number.
+    """
+    if not (np.isfinite(tracks.features).all() and np.isfinite(tracks.boxes).all()):
+        raise MessageError(
+            f"policy.tracks: expected finite numbers in frame {tracks.header.seq}, got others"
+        )
+    seq, observed = tracks.header.seq, tracks.boxes.shape[1]
+    prompt = follow(before.prompt, wish, tracks, chosen_for(before, seq))
+    looks = recall(memory, tracks.ids, seq=seq, observed=observed, channels=rules.roi_channels)
+    candidates = objects(tracks, looks)
+    candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
+    spot = place(prompt, tracks, patience=rules.patience, roi_channels=rules.roi_channels)
+    if spot is not None:
+        candidates = joined(candidates, spot)
+    return replace(before, prompt=prompt), candidates, condition(prompt, wish, tracks)
+
+
+def chosen_for(gaze: Gaze, seq: int) -> Choice:
+    """What the last plan had chosen for frame `seq`; nothing past its end."""
+    row = seq - gaze.first_seq
+    if not 0 <= row < len(gaze.choice):
+        return Choice()
+    return Choice(object_id=int(gaze.choice[row]), probability=float(gaze.chance[row]))
+
+
+def decide(
+    before: Gaze, tracks: Tracks, candidates: Objects, probability: Array, picked: NDArray[np.intp]
+) -> tuple[Plan, Gaze]:
+    """The plan that looks at candidate `picked[t]` (Tp,) at step t, and what to remember of it."""
+    steps = np.arange(len(picked))
+    choice = candidates.ids[picked]
+    over = np.zeros((len(picked), len(tracks.ids)), np.float32)
+    rows = np.flatnonzero(candidates.ids != PLACE)
+    over[:, np.searchsorted(tracks.ids, candidates.ids[rows])] = probability[rows].T
+    plan = Plan(choice=choice, boxes=candidates.path[picked, steps], probability=over)
+    return plan, replace(
+        before,
+        first_seq=tracks.header.seq + 1,
+        choice=choice,
+        chance=probability[picked, steps],
+    )
+
+
+def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArray[np.intp]:
+    """One candidate for each step: (N, Tp) -> (Tp,)."""
+    if how == "argmax":
+        return np.asarray(probability.argmax(0))
+    reached = probability.cumsum(0) >= rng.random(probability.shape[1]) * probability.sum(0)
+    return np.asarray(reached.argmax(0))
+
+
+def nothing(gaze: Gaze, tracks: Tracks, horizon: int) -> Plan:
+    """Without candidates: where the target was last believed to be, or the middle of the field."""
+    if gaze.prompt.placed:
+        return stay(gaze.prompt.box, horizon)
+    return stay(field_centre(tracks.header.geometry), horizon)

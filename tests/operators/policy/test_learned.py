@@ -1,0 +1,254 @@
+"""The learned policy: what a network is told, and what becomes of what it answers."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+pytest.importorskip("onnx", reason="needs the train extra")
+import torch
+
+from operators.policy.conditioning import CHANNELS, CONDITION
+from operators.policy.learned import Chooser, pick
+from operators.policy.model import INPUTS, PolicyNet, example, export
+from operators.policy.policy import Policy, PolicySettings
+from operators.policy.tokens import MOST_OBJECTS, batched, objects
+from pipeline import MessageError, RoiFeatures, Scanpath, Tracks, WeightsError
+from pipeline.codec import dumps, loads
+from pipeline.inference import Network
+from pipeline.testing import drive, header
+from tests.operators.networks import mean_encoder
+from tests.operators.policy.made_up import tracks
+
+ROI = 12  # channels of the looks in these tests
+
+
+def net(seed: int, **sides: Any) -> PolicyNet:
+    torch.manual_seed(seed)
+    return PolicyNet(**({"roi_channels": ROI} | sides)).eval()
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("policy") / "policy.onnx"
+    export(net(3), path)
+    return path
+
+
+def world(seq: int, count: int = 6, **given: Any) -> Tracks:
+    rows = [(k, k % 2, 100.0 + 300 * k, 200.0 + 100 * k, 2.0) for k in range(1, count + 1)]
+    return tracks(seq, *rows, channels=CHANNELS, **given)
+
+
+def inputs(count: int, seed: int) -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    return {
+        name: value if value.dtype == torch.bool else torch.randn(value.shape, generator=generator)
+        for name, value in example(net(1), count).items()
+    }
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_order_of_the_objects_means_nothing(seed: int) -> None:
+    given, order = inputs(7, seed), torch.randperm(7, generator=torch.Generator().manual_seed(seed))
+    turned = {n: v if n == "condition" else v[:, order] for n, v in given.items()}
+
+    with torch.no_grad():
+        straight, mixed = (net(1)(*(g[n] for n in INPUTS)) for g in (given, turned))
+
+    assert torch.allclose(straight[:, order], mixed, atol=1e-5)
+    assert not torch.allclose(straight, mixed, atol=1e-3)
+
+
+def test_what_is_masked_changes_nothing() -> None:
+    given = inputs(5, 4)
+    padded = {
+        n: v if n == "condition" else torch.cat([v, (9 * torch.ones_like(v[:, :3])).to(v.dtype)], 1)
+        for n, v in given.items()
+    }
+    padded["mask"][:, 5:] = False
+
+    with torch.no_grad():
+        alone, among = (net(1)(*(g[n] for n in INPUTS)) for g in (given, padded))
+
+    assert torch.allclose(alone, among[:, :5], atol=1e-5)
+    assert (among.softmax(1)[:, 5:] == 0).all()
+
+
+def test_the_condition_changes_the_choice() -> None:
+    given = inputs(5, 4)
+    other = given | {"condition": -given["condition"]}
+
+    with torch.no_grad():
+        assert not torch.allclose(*(net(1)(*(g[n] for n in INPUTS)) for g in (given, other)))
+
+
+def test_it_has_about_as_many_parameters_as_the_papers() -> None:
+    count = sum(p.numel() for p in PolicyNet().parameters())
+
+    assert 0.5e6 < count < 0.62e6
+
+
+@pytest.mark.parametrize("count", [1, 9, MOST_OBJECTS])
+def test_onnx_runtime_computes_what_torch_computes(weights: Path, count: int) -> None:
+    given = inputs(count, count)
+
+    answer = Network(weights)({name: value.numpy() for name, value in given.items()})["logits"]
+
+    with torch.no_grad():
+        wanted = net(3)(*(given[n] for n in INPUTS))
+    assert np.abs(answer - wanted.numpy()).max() < 1e-4
+
+
+def test_an_ablation_does_not_see_what_it_is_not_told() -> None:
+    blind, given = net(1, use=("global", "motion")), inputs(5, 2)
+    other = given | {"roi": -given["roi"]}
+
+    with torch.no_grad():
+        assert torch.equal(*(blind(*(g[n] for n in INPUTS)) for g in (given, other)))
+
+
+def test_moments_are_padded_to_the_longest_and_marked() -> None:
+    few, many = (objects(world(0, n), np.ones((n, 4, ROI), np.float32)) for n in (2, 5))
+
+    given = batched([few, many], [np.zeros(CONDITION, np.float32)] * 2)
+
+    assert given["mask"].tolist() == [[True, True, False, False, False], [True] * 5]
+    assert given["context"].shape == (2, 5, 4, CHANNELS)
+    assert not given["boxes"][0, 2:].any()
+
+
+def test_the_best_are_told_when_there_are_too_many() -> None:
+    crowd = [(k, 1, 40.0 * k, 500, 0) for k in range(1, 31)]
+
+    told = objects(tracks(0, *crowd, channels=2), np.zeros((30, 4, ROI), np.float32))
+
+    assert len(told.ids) == MOST_OBJECTS
+
+
+def test_a_plan_names_tracks_with_their_chances(weights: Path) -> None:
+    (path,) = drive(Policy, [world(3)], {"strategy": "learned", "weights": str(weights)})
+
+    assert path.first_seq == 4
+    assert path.probability.shape == (16, 6)
+    assert path.probability.sum(1) == pytest.approx(np.ones(16), abs=1e-5)
+    chosen = path.ids[path.probability.argmax(1)]
+    assert path.choice.tolist() == chosen.tolist()
+    rows = np.searchsorted(path.ids, path.choice)
+    assert np.array_equal(path.boxes, world(3).predicted[rows, np.arange(16)])
+
+
+def test_what_is_left_of_the_chances_is_the_places(weights: Path) -> None:
+    values = {"strategy": "learned", "weights": str(weights), "prompt_box": (1500, 900, 1520, 920)}
+
+    (path,) = drive(Policy, [world(0)], values)
+
+    assert (path.probability.sum(1) < 1).all()
+    places = path.boxes[path.choice == -1]
+    assert np.isin(path.choice, [-1, *path.ids]).all()
+    assert (places[:, 0] >= 1500).all()
+
+
+def test_drawing_follows_the_chances_and_the_seed() -> None:
+    chance = np.tile(np.array([[0.0], [0.25], [0.75]], np.float32), (1, 4000))
+
+    drawn, again, other = (pick(chance, "sample", np.random.default_rng(s)) for s in (1, 1, 2))
+
+    assert np.bincount(drawn, minlength=3) / 4000 == pytest.approx([0, 0.25, 0.75], abs=0.03)
+    assert np.array_equal(drawn, again)
+    assert not np.array_equal(drawn, other)
+
+
+def test_what_two_looks_found_to_be_nothing_is_no_candidate(weights: Path) -> None:
+    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject.open()
+    before = subject.on_tracks(world(0))
+    for seq in (0, 1):
+        subject.on_features(look(seq, 2, genuine=0.05))
+
+    after = subject.on_tracks(world(1))
+
+    assert before.probability[:, 1].min() > 0
+    assert not after.probability[:, 1].any()
+    assert after.probability.sum(1) == pytest.approx(np.ones(16), abs=1e-5)
+
+
+def look(seq: int, *ids: int, genuine: float = 1.0, channels: int = ROI) -> RoiFeatures:
+    return RoiFeatures(
+        header=header(seq),
+        ids=np.array(ids, np.int32),
+        features=np.ones((len(ids), channels), np.float32),
+        genuine=np.full(len(ids), genuine, np.float32),
+    )
+
+
+def test_a_successor_goes_on_alike(weights: Path) -> None:
+    values = PolicySettings(
+        strategy="learned", weights=str(weights), prompt_box=(390, 290, 420, 320)
+    )
+    old, successor = Policy(values), Policy(values)
+    old.open()
+    successor.open()
+
+    for k in range(6):
+        old.on_features(look(k, 1, 3))
+        successor.restore(loads(type(old.state()), dumps(old.state())))
+        unseen = (1,) if k > 2 else ()
+        path = old.on_tracks(world(k, unseen=unseen))
+        assert dumps(successor.on_tracks(world(k, unseen=unseen))) == dumps(path)
+        assert loads(Scanpath, dumps(path)).boxes.shape == (16, 4)
+
+
+def test_another_target_takes_effect_with_the_next_plan(weights: Path) -> None:
+    subject = Policy(PolicySettings(strategy="learned", weights=str(weights), target_id=1))
+    subject.open()
+    subject.on_tracks(world(0))
+    assert subject.state().gaze.prompt.bound_id == 1
+
+    subject.on_settings(PolicySettings(strategy="learned", weights=str(weights), target_id=4))
+
+    subject.on_tracks(world(1))
+    assert subject.state().gaze.prompt.bound_id == 4
+
+
+def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None:
+    values = {"strategy": "learned", "weights": str(weights), "patience": 1}
+    prompted = values | {"prompt_box": (100, 100, 120, 120)}
+
+    empty = [world(k, 0) for k in range(4)]
+
+    assert drive(Policy, empty, prompted)[-1].boxes[0].tolist() == [100, 100, 120, 120]
+    assert drive(Policy, empty, values)[-1].choice.tolist() == [-1] * 16
+
+
+def test_features_that_are_no_numbers_are_refused_and_life_goes_on(weights: Path) -> None:
+    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject.open()
+    bad = world(5)
+    bad.features[2, 1, 0] = np.nan
+
+    with pytest.raises(MessageError, match=r"policy\.tracks: expected finite numbers in frame 5"):
+        subject.on_tracks(bad)
+    assert len(subject.on_tracks(world(6)).choice) == 16
+
+
+def test_tracks_that_the_network_does_not_know_are_refused(weights: Path) -> None:
+    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject.open()
+
+    with pytest.raises(MessageError, match="expects 4 frames of 64 features and 16 foreseen, got"):
+        subject.on_tracks(tracks(0, (1, 0, 100, 100, 0), channels=32))
+    subject.on_features(look(0, 1, channels=5))
+    with pytest.raises(MessageError, match="expected 12 channels, got 5"):
+        subject.on_tracks(world(1))
+
+
+def test_weights_that_are_no_policy_are_refused(tmp_path: Path) -> None:
+    mean_encoder(tmp_path / "other.onnx", batch="n", side_px=8, as_map=False)
+
+    with pytest.raises(WeightsError, match=r"other\.onnx: expected a policy's inputs"):
+        Chooser(tmp_path / "other.onnx")
+    with pytest.raises(WeightsError, match=r"none\.onnx: no such weights"):
+        Chooser(tmp_path / "none.onnx")

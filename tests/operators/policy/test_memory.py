@@ -1,0 +1,55 @@
+"""Memory: what the ROI showed lately, in its place in time, and what it was found to be."""
+
+import numpy as np
+import pytest
+
+from operators.policy.memory import Memory, blank, recall, refuted, remember
+from pipeline import MessageError, RoiFeatures
+from pipeline.testing import header
+
+
+def look(seq: int, genuine: float = 1.0, **features: float) -> RoiFeatures:
+    return RoiFeatures(
+        header=header(seq),
+        ids=np.array([int(name[1:]) for name in features], np.int32),
+        features=np.array([[value] * 3 for value in features.values()], np.float32).reshape(-1, 3),
+        genuine=np.full(len(features), genuine, np.float32),
+    )
+
+
+def after(*looks: RoiFeatures) -> Memory:
+    memory = blank(8)
+    for seen in looks:
+        memory = remember(memory, seen, observed=4)
+    return memory
+
+
+def test_a_look_stands_in_the_column_of_its_frame() -> None:
+    memory = after(look(5, t1=1, t9=9), look(6), look(7, t9=2))
+
+    found = recall(memory, np.array([1, 4, 9], np.int32), seq=8, observed=4, channels=3)
+
+    assert found[:, :, 0].tolist() == [[1, 0, 0, 0], [0, 0, 0, 0], [9, 0, 2, 0]]
+
+
+def test_looks_older_than_the_history_are_gone() -> None:
+    memory = after(look(5, t1=1), look(9, t2=1))
+
+    assert memory.ids.tolist() == [2]
+    assert not recall(memory, np.array([1], np.int32), seq=9, observed=4, channels=3).any()
+
+
+def test_two_looks_are_needed_to_refute_and_later_ones_can_change_it() -> None:
+    ids = np.array([1], np.int32)
+
+    assert not refuted(after(look(1, genuine=0.0, t1=1)), ids, 0.2)[0]
+    twice = after(look(1, genuine=0.0, t1=1), look(2, genuine=0.1, t1=1))
+    assert refuted(twice, ids, 0.2)[0]
+    assert not refuted(remember(twice, look(3, genuine=0.9, t1=1), 4), ids, 0.2)[0]
+
+
+def test_features_that_are_no_numbers_or_change_their_width_are_refused() -> None:
+    with pytest.raises(MessageError, match=r"policy\.features: expected finite numbers in frame 3"):
+        after(look(3, t1=float("nan")))
+    with pytest.raises(MessageError, match="expected 5 channels, got 3"):
+        recall(after(look(1, t1=1)), np.array([1], np.int32), seq=1, observed=4, channels=5)
