@@ -65,6 +65,17 @@ class Recording:
             step_px=step,
         )
 
+    @cached_property
+    def sides(self) -> dict[str, int]:
+        """What a network for these clips must take."""
+        observed, context_channels = self._arrays["features"].shape[1:]
+        return {
+            "roi_channels": self._arrays["roi"].shape[1],
+            "context_channels": context_channels,
+            "observed": observed,
+            "horizon": self._arrays["predicted"].shape[1],
+        }
+
     def header(self, frame: int) -> Header:
         """The header of frame `frame`, counted from 0."""
         seq = int(self._arrays["seqs"][frame])

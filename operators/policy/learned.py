@@ -81,7 +81,7 @@ class Chooser:
 
 def softmax(logits: Array) -> Array:
     """Over the candidates: (..., N, Tp) -> the same, each step's sum 1."""
-    raised = np.exp(logits - logits.max(-2, keepdims=True))
+    raised = np.exp(logits - logits.max(-2, keepdims=True, initial=-np.inf))
     return np.asarray(raised / raised.sum(-2, keepdims=True), np.float32)
 
 

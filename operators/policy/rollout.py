@@ -1,0 +1,222 @@
+"""The policy in its own loop on recorded clips: what it was told, and what each choice was worth.
+
+A recording holds everything that does not depend on where the ROI looked; a roll-out adds what
+does: the looks. It is the loop itself, without pictures: the same observing, deciding and
+dispatching, so the network learns from the situations that it gets itself into.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from operators.dispatch import plan_windows
+from operators.policy.conditioning import Wish
+from operators.policy.data import Recording
+from operators.policy.learned import Gaze, Rules, Selection, decide, nothing, observe, pick
+from operators.policy.memory import blank, remember
+from operators.policy.plan import Plan
+from operators.policy.tokens import Array, Objects
+from operators.policy.utility import gains
+from pipeline import RoiFeatures, Tracks
+from pipeline.boxes import centres, covered, roi_window
+
+INSIDE = 0.5  # share of a box that the ROI must show, as operators.roi_features has it
+CAPACITY = 100
+CLASSES = {"ball": "ball", "main referee": "referee"}  # truth's label -> class to ask for
+Choose = Callable[[Sequence[Objects], Sequence[Array]], Sequence[Array]]  # -> (N, Tp) each
+Window = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One episode: whom to look at in which clip, from which frame on, and how."""
+
+    clip: int
+    start: int  # frame, counted from 0
+    target: int  # id in the truth
+    prompt: Literal["box", "class"] = "box"
+    replan: int = 1  # Ta
+    delay: int = 0  # frames by which a plan comes late
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sample:
+    """One moment of an episode."""
+
+    candidates: Objects
+    told: Array  # (CONDITION,)
+    worth: Array  # (N, Tp)
+
+
+class Episode:
+    """One task being carried out, frame by frame."""
+
+    def __init__(self, recording: Recording, task: Task, rules: Rules) -> None:
+        self.recording, self.task, self._rules = recording, task, rules
+        self.label = recording.people_and_ball[task.target]
+        self.truth, self.visible = recording.path_of(task.target)
+        first = self.truth[task.start]
+        if task.prompt == "box":
+            left, top, right, bottom = (float(side) for side in first)
+            self._wish = Wish(box=(left, top, right, bottom))
+        else:
+            self._wish = Wish(target=CLASSES[self.label])
+        field = recording.geometry
+        middle = np.array([field.width_px / 2, field.height_px / 2], np.float32)
+        self._window = roi_window(
+            centres(first) if task.prompt == "box" else middle, recording.geometry
+        )
+        self._commanded: dict[int, Window] = {}
+        self._planned = -task.replan
+        self._memory, self._gaze = blank(CAPACITY), Gaze()
+        self.frame = task.start
+        self.shown: list[float] = []  # share of the target that the ROI showed, frame by frame
+
+    @property
+    def over(self) -> bool:
+        """Whether the clip has no further frame with a future."""
+        return self.frame + 1 >= len(self.recording)
+
+    def look(self) -> tuple[Objects, Array]:
+        """What the policy is told in this frame."""
+        moment = self.recording.moment(self.frame)
+        self._window = self._commanded.pop(self.frame, self._window)
+        if self.visible[self.frame] > 0:
+            window = np.array(self._window, np.float32)
+            self.shown.append(float(covered(self.truth[self.frame][None], window)[0]))
+        seen = within(moment.seen, moment.tracks, self._window)
+        self._memory = remember(self._memory, seen, moment.tracks.boxes.shape[1])
+        self._tracks = moment.tracks
+        self._gaze, self._candidates, told = observe(
+            self._gaze, self._wish, moment.tracks, self._memory, self._rules
+        )
+        return self._candidates, told
+
+    def worth(self) -> Array:
+        """What each candidate would be worth: (N, Tp)."""
+        horizon = self._candidates.path.shape[1]
+        ahead = self.truth[self.frame + 1 : self.frame + 1 + horizon]
+        ahead = np.concatenate([ahead, np.zeros((horizon - len(ahead), 4), np.float32)])
+        return gains(self._candidates.path, ahead, self.recording.geometry)
+
+    def act(self, probability: Array, how: Selection, rng: np.random.Generator) -> None:
+        """Look where the policy says, and go on to the next frame."""
+        if len(self._candidates.ids):
+            picked = pick(probability, how, rng)
+            plan, self._gaze = decide(
+                self._gaze, self._tracks, self._candidates, probability, picked
+            )
+        else:
+            plan = nothing(self._gaze, self._tracks, self._tracks.predicted.shape[1])
+        self._dispatch(plan)
+        self.frame += 1
+
+    def _dispatch(self, plan: Plan) -> None:
+        if self.frame - self._planned < self.task.replan:
+            return
+        self._planned = self.frame
+        first = self.frame + 1
+        windows = plan_windows(
+            plan.boxes, first, self.recording.geometry, fill="hold", held=self._window
+        )
+        for row in range(self.task.delay, len(windows)):
+            left, top, right, bottom = (int(side) for side in windows[row])
+            self._commanded[first + row] = (left, top, right, bottom)
+
+
+def within(seen: RoiFeatures, tracks: Tracks, window: Window) -> RoiFeatures:
+    """Those looks that a ROI at `window` shows."""
+    shares = covered(tracks.boxes[:, -1], np.array(window, np.float32))
+    kept = np.isin(seen.ids, tracks.ids[shares >= INSIDE])
+    return replace(
+        seen, ids=seen.ids[kept], features=seen.features[kept], genuine=seen.genuine[kept]
+    )
+
+
+def roll(
+    episodes: Sequence[Episode],
+    choose: Choose,
+    *,
+    frames: int,
+    how: Selection,
+    rng: np.random.Generator,
+    keep: float = 1.0,
+) -> list[Sample]:
+    """Carry out all episodes side by side for `frames` frames; a share `keep` of the moments.
+
+    Moments in which nothing is worth anything teach nothing and are left out.
+    """
+    samples: list[Sample] = []
+    for _ in range(frames):
+        running = [episode for episode in episodes if not episode.over]
+        if not running:
+            break
+        looks = [episode.look() for episode in running]
+        chances = choose([c for c, _ in looks], [told for _, told in looks])
+        for episode, (candidates, told), probability in zip(running, looks, chances, strict=True):
+            if len(candidates.ids) and rng.random() < keep:
+                worth = episode.worth()
+                if worth.any():
+                    samples.append(Sample(candidates=candidates, told=told, worth=worth))
+            episode.act(probability, how, rng)
+    return samples
+
+
+def teacher(episodes: Sequence[Episode], noise: float, rng: np.random.Generator) -> Choose:
+    """Somebody who knows the truth, and with probability `noise` a frame does not."""
+
+    def choose(moments: Sequence[Objects], _: Sequence[Array]) -> Sequence[Array]:
+        running = [episode for episode in episodes if not episode.over]
+        answers = []
+        for episode, candidates in zip(running, moments, strict=True):
+            worth = episode.worth() + 1e-3 * rng.random((len(candidates.ids), 1))
+            if len(candidates.ids) and rng.random() < noise:
+                worth = rng.random((len(candidates.ids), 1)) * np.ones_like(worth)
+            best = worth == worth.max(0, keepdims=True) if len(worth) else worth
+            answers.append(np.asarray(best, np.float32))
+        return answers
+
+    return choose
+
+
+def tasks(
+    recordings: Sequence[Recording], count: int, *, frames: int, seed: int, plain: bool = False
+) -> list[Task]:
+    """`count` episodes: half of them follow the ball, the others the main referee or a player.
+
+    Nobody starts on a target that cannot be seen. Most prompts are boxes; some of those for the
+    ball or the referee name the class alone. Plans may come late and may be made seldom. `plain`
+    ones are prompted by a box and planned in time with every frame.
+    """
+    rng = np.random.default_rng([seed, 5])
+    found: list[Task] = []
+    while len(found) < count:
+        clip = int(rng.integers(len(recordings)))
+        recording = recordings[clip]
+        label = str(rng.choice(["ball", "main referee", "player"], p=[0.5, 0.2, 0.3]))
+        able = [i for i, own in recording.people_and_ball.items() if own == label]
+        if not able:
+            continue
+        target = int(rng.choice(able))
+        _, visible = recording.path_of(target)
+        starts = np.flatnonzero(visible[: max(1, len(recording) - frames // 2)] >= INSIDE)
+        if not len(starts):
+            continue
+        start = int(rng.choice(starts))
+        if plain:
+            found.append(Task(clip=clip, start=start, target=target))
+            continue
+        by_class = label in CLASSES and rng.random() < 0.3
+        found.append(
+            Task(
+                clip=clip,
+                start=start,
+                target=target,
+                prompt="class" if by_class else "box",
+                replan=int(rng.choice([1, 4, 8], p=[0.5, 0.25, 0.25])),
+                delay=int(rng.choice([0, 1, 2, 4], p=[0.5, 0.2, 0.2, 0.1])),
+            )
+        )
+    return found

@@ -1,0 +1,342 @@
+"""Train the policy on roll-outs of itself: `python -m operators.policy.train --help`.
+
+Records procedural clips, then alternates: the policy, drawing its choices, follows targets through
+the clips; the network learns from what it was told and what each choice would have been worth. Only
+the first round, a sixth of the iterations, is driven by a teacher who knows the truth: a fresh
+network would show nothing but its own confusion. From then on every situation is one that the
+policy got itself into, looks it did not take included.
+
+Lowered is the expected utility's negative, sum over steps and objects of p U, which fits every task
+(labels are the case of a one-hot U), and a share of the cross-entropy to softmax(U / temperature):
+where p is next to 0, the expected utility alone has no gradient.
+"""
+
+# mypy: disallow-untyped-decorators=False
+import argparse
+import csv
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from tqdm import tqdm
+
+from operators.policy.data import TRAIN_SEEDS, VALIDATION_SEEDS, Recording, record
+from operators.policy.learned import Rules, Selection, softmax
+from operators.policy.model import INPUTS, PARTS, PolicyNet, export
+from operators.policy.rollout import Choose, Episode, Sample, roll, tasks, teacher
+from operators.policy.tokens import MOST_OBJECTS, Array, Objects, batched
+
+CHECKPOINT_S = 45.0
+ROUNDS = 6
+FEATURES = ("roi", "context")  # kept in half precision
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings:
+    """One training run; the defaults are the paper's where it gives them."""
+
+    data: Path
+    out: Path
+    clips: int = 160
+    validation: int = 24
+    frames: int = 96
+    iterations: int = 3000
+    batch: int = 128
+    rate: float = 1e-4
+    warmup: float = 0.1  # share of the iterations
+    decay: float = 0.01
+    temperature: float = 0.1
+    imitation: float = 0.5  # weight of the cross-entropy beside the expected utility
+    episodes: int = 240  # a round
+    length: int = 48  # frames of an episode
+    seed: int = 1
+    threads: int = 2
+    use: tuple[str, ...] = PARTS
+    changes: tuple[str, ...] = ()  # of the recording graph, as --set takes them
+
+
+class Pool:
+    """Samples of the newest rounds in arrays of fixed width."""
+
+    def __init__(self, samples: Sequence[Sample]) -> None:
+        parts = [s.candidates for s in samples]
+        chunks: dict[str, list[NDArray[Any]]] = {name: [] for name in (*INPUTS, "worth")}
+        for start in range(0, len(samples), 512):
+            rows = slice(start, start + 512)
+            given = padded(parts[rows], [s.told for s in samples[rows]])
+            worth = np.zeros(
+                (len(parts[rows]), MOST_OBJECTS, samples[0].worth.shape[1]), np.float32
+            )
+            for row, sample in enumerate(samples[rows]):
+                worth[row, : len(sample.worth)] = sample.worth
+            for name, values in (given | {"worth": worth}).items():
+                chunks[name].append(values.astype(np.float16) if name in FEATURES else values)
+        self.arrays = {name: np.concatenate(values) for name, values in chunks.items()}
+
+    def __len__(self) -> int:
+        return len(self.arrays["mask"])
+
+    def batch(self, rows: NDArray[np.intp]) -> dict[str, Tensor]:
+        """Some of them as tensors."""
+        found = {}
+        for name, values in self.arrays.items():
+            chosen = values[rows]
+            found[name] = torch.from_numpy(
+                chosen.astype(np.float32) if name in FEATURES else chosen
+            )
+        return found
+
+
+def padded(moments: Sequence[Objects], told: Sequence[Array]) -> dict[str, NDArray[Any]]:
+    """As `batched`, always `MOST_OBJECTS` wide."""
+    given: dict[str, NDArray[Any]] = dict(batched(moments, told))
+    for name, values in given.items():
+        if name != "condition":
+            more = MOST_OBJECTS - values.shape[1]
+            given[name] = np.pad(values, [(0, 0), (0, more), *[(0, 0)] * (values.ndim - 2)])
+    return given
+
+
+def loss_of(
+    logits: Tensor, worth: Tensor, mask: Tensor, settings: TrainSettings
+) -> tuple[Tensor, Tensor]:
+    """What is lowered, and the expected utility of a step; logits and worth are (B, N, Tp)."""
+    chance = logits.softmax(1)
+    gained = (chance * worth).sum(1)
+    wanted = (worth / settings.temperature).masked_fill(~mask[..., None], -1e4).softmax(1)
+    counts = (worth.amax(1) > 0).float()  # steps in which there is something to gain
+    steps = counts.sum().clamp(min=1)
+    imitation = -(wanted * logits.log_softmax(1)).sum(1)
+    utility = (gained * counts).sum() / steps
+    return settings.imitation * (imitation * counts).sum() / steps - utility, utility
+
+
+def learning_rate(step: int, settings: TrainSettings) -> float:
+    """Linear warm-up, then half a cosine."""
+    rise = max(1, round(settings.warmup * settings.iterations))
+    if step < rise:
+        return settings.rate * (step + 1) / rise
+    share = (step - rise) / max(1, settings.iterations - rise)
+    return settings.rate * (1 + math.cos(math.pi * min(1.0, share))) / 2
+
+
+def chooser(net: PolicyNet) -> Choose:
+    """The network as roll-outs use it: many moments at once."""
+
+    def choose(moments: Sequence[Objects], told: Sequence[Array]) -> Sequence[Array]:
+        net.eval()
+        given = batched(moments, told)
+        with torch.no_grad():
+            answer = net(*(torch.from_numpy(np.asarray(given[name])) for name in INPUTS))
+        logits = answer.numpy()
+        return [softmax(one[: len(m.ids)]) for one, m in zip(logits, moments, strict=True)]
+
+    return choose
+
+
+class Run:
+    """A training: network, optimiser, place in the plan. A checkpoint holds all of it."""
+
+    def __init__(self, settings: TrainSettings, net: PolicyNet) -> None:
+        self.settings, self.net = settings, net
+        self.roller = {name: value.clone() for name, value in net.state_dict().items()}
+        self.optimiser = torch.optim.AdamW(
+            net.parameters(), lr=settings.rate, weight_decay=settings.decay
+        )
+        self.step, self.elapsed_s = 0, 0.0
+
+    @property
+    def path(self) -> Path:
+        return self.settings.out / "checkpoint.pt"
+
+    def save(self) -> None:
+        """Write everything, atomically."""
+        state = {
+            "net": self.net.state_dict(),
+            "roller": self.roller,  # who drove this round's roll-outs
+            "optimiser": self.optimiser.state_dict(),
+            "step": self.step,
+            "elapsed_s": self.elapsed_s,
+        }
+        unfinished = self.path.with_suffix(".part")
+        torch.save(state, unfinished)
+        unfinished.rename(self.path)
+
+    def resume(self) -> None:
+        """Go on where a checkpoint stopped, if there is one."""
+        if not self.path.exists():
+            return
+        state = torch.load(self.path, weights_only=True)
+        self.net.load_state_dict(state["net"])
+        self.roller = state["roller"]
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.step, self.elapsed_s = state["step"], state["elapsed_s"]
+
+
+@dataclass
+class Clips:
+    """Recordings and what the policy is to follow in them."""
+
+    recordings: Sequence[Recording]
+    rules: Rules
+    settings: TrainSettings
+
+    def episodes(self, count: int, *, seed: int, plain: bool = False) -> list[Episode]:
+        """Fresh episodes; `plain` ones are prompted by a box, replan always and come in time."""
+        found = tasks(self.recordings, count, frames=self.settings.length, seed=seed, plain=plain)
+        return [Episode(self.recordings[t.clip], t, self.rules) for t in found]
+
+
+def round_of(run: Run, clips: Clips, number: int) -> Pool:
+    """The samples of one round of roll-outs; the same for the same seed, round and roller."""
+    s = run.settings
+    rng = np.random.default_rng([s.seed, number])
+    episodes = clips.episodes(s.episodes, seed=1000 * s.seed + number)
+    driver = PolicyNet(**run.net.sides, use=run.net.use)
+    driver.load_state_dict(run.roller)
+    choose = chooser(driver) if number else teacher(episodes, 0.2, rng)
+    how: Selection = "sample" if number else "argmax"
+    return Pool(roll(episodes, choose, frames=s.length, how=how, rng=rng))
+
+
+def coverage(net: PolicyNet, clips: Clips, *, count: int, seed: int) -> dict[str, float]:
+    """Share of the target that the ROI shows when the policy is in charge, by label."""
+    episodes = clips.episodes(count, seed=seed, plain=True)
+    rng = np.random.default_rng(seed)
+    roll(episodes, chooser(net), frames=clips.settings.length, how="argmax", rng=rng, keep=0)
+    shown: dict[str, list[float]] = {}
+    for episode in episodes:
+        shown.setdefault(episode.label, []).extend(episode.shown[1:])
+    return {label: round(float(np.mean(values)), 4) for label, values in sorted(shown.items())}
+
+
+def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> PolicyNet:
+    """Record what is missing, train what is left, write checkpoint and log; returns the network."""
+    torch.set_num_threads(settings.threads)
+    settings.out.mkdir(parents=True, exist_ok=True)
+    began = time.monotonic()
+    learn, check = recorded(settings)
+    sides = learn.recordings[0].sides
+    clips_s = time.monotonic() - began
+    torch.manual_seed(settings.seed)
+    run = Run(settings, PolicyNet(**sides, use=settings.use))
+    run.resume()
+    began = time.monotonic() - run.elapsed_s
+    per_round = math.ceil(settings.iterations / ROUNDS)
+    saved = time.monotonic()
+    with (
+        (settings.out / "log.csv").open("a", newline="") as file,
+        tqdm(total=settings.iterations, initial=run.step, desc="train", mininterval=2) as bar,
+    ):
+        log = csv.writer(file)
+        while run.step < settings.iterations:
+            number = run.step // per_round
+            pool = round_of(run, learn, number)
+            while run.step < min(settings.iterations, (number + 1) * per_round):
+                loss, gained = advance(run, pool)
+                run.elapsed_s = time.monotonic() - began
+                if run.step % 20 == 0:
+                    log.writerow([run.step, f"{run.elapsed_s:.0f}", f"{loss:.4f}", f"{gained:.4f}"])
+                    file.flush()
+                bar.set_postfix_str(f"round {number} loss {loss:.3f} utility {gained:.3f}")
+                bar.update()
+                if time.monotonic() - saved > CHECKPOINT_S:
+                    run.save()
+                    saved = time.monotonic()
+            run.roller = {name: value.clone() for name, value in run.net.state_dict().items()}
+            run.save()
+            say(f"round {number}: {json.dumps(coverage(run.net, check, count=48, seed=7))}")
+    facts = {
+        "clips_s": round(clips_s),
+        "train_s": round(run.elapsed_s),
+        "coverage": coverage(run.net, check, count=160, seed=8),
+    }
+    (settings.out / "result.json").write_text(json.dumps(facts, indent=1) + "\n")
+    say(json.dumps(facts))
+    plot(settings.out / "log.csv", settings.out / "training.png")
+    return run.net
+
+
+def recorded(settings: TrainSettings) -> tuple[Clips, Clips]:
+    """Clips to learn from, and others to check on."""
+    groups = []
+    for first, count in ((TRAIN_SEEDS, settings.clips), (VALIDATION_SEEDS, settings.validation)):
+        seeds = range(first, first + count)
+        paths = record(
+            seeds,
+            settings.frames,
+            settings.data,
+            workers=settings.threads,
+            changes=settings.changes,
+        )
+        recordings = [Recording(path) for path in paths]
+        rules = Rules(roi_channels=recordings[0].sides["roi_channels"])
+        groups.append(Clips(recordings=recordings, rules=rules, settings=settings))
+    return groups[0], groups[1]
+
+
+def advance(run: Run, pool: Pool) -> tuple[float, float]:
+    """One step of the optimiser: loss and expected utility."""
+    s = run.settings
+    rng = np.random.default_rng([s.seed, 11, run.step])
+    given = pool.batch(rng.integers(len(pool), size=s.batch))
+    for group in run.optimiser.param_groups:
+        group["lr"] = learning_rate(run.step, s)
+    run.net.train()
+    logits = run.net(*(given[name] for name in INPUTS))
+    loss, gained = loss_of(logits, given["worth"], given["mask"], s)
+    run.optimiser.zero_grad(set_to_none=True)
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(run.net.parameters(), 1.0)
+    run.optimiser.step()
+    run.step += 1
+    return float(loss.detach()), float(gained.detach())
+
+
+def plot(log: Path, picture: Path) -> None:
+    """Loss and expected utility over the iterations."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    rows = np.loadtxt(log, delimiter=",", ndmin=2)
+    if not len(rows):
+        return
+    figure, axes = pyplot.subplots(1, 2, figsize=(9, 3), layout="constrained")
+    for place, column, name in ((axes[0], 2, "loss"), (axes[1], 3, "expected utility")):
+        place.plot(rows[:, 0], rows[:, column])
+        place.set(xlabel="iteration", title=name)
+    figure.savefig(picture, dpi=120)
+    pyplot.close(figure)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--data", type=Path, required=True, help="recorded clips, made if missing")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="checkpoint, log, plot, policy.onnx"
+    )
+    parser.add_argument("--use", nargs="*", default=PARTS, choices=PARTS, help="for ablations")
+    parser.add_argument("--set", dest="changes", action="append", default=[], metavar="N.S=V")
+    defaults = {f.name: f.default for f in TrainSettings.__dataclass_fields__.values()}
+    for name, default in defaults.items():
+        if isinstance(default, int | float):
+            parser.add_argument(f"--{name}", type=type(default), default=default)
+    given = vars(parser.parse_args())
+    given |= {"use": tuple(given["use"]), "changes": tuple(given["changes"])}
+    settings = TrainSettings(**given)
+    export(train(settings), settings.out / "policy.onnx")
+
+
+if __name__ == "__main__":
+    main()
