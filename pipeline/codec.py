@@ -3,18 +3,21 @@
 A schema is read once from the type annotations. Its fingerprint travels with every message, so two
 sides that disagree notice before anything is decoded. Decoding trusts nothing: every type, size and
 shape is checked, and any violation is a `MessageError`.
+
+msgspec writes and reads everything but arrays in one call; a dataclass that holds arrays has a twin
+for it, in which each array is its dtype, its sides and its bytes or offset.
 """
 
 import dataclasses
 import hashlib
-import operator
+import math
 import types
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
-import msgpack
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,26 +27,30 @@ from pipeline.once import once
 
 T = TypeVar("T")
 Place = Callable[[NDArray[Any]], bytes | int]  # puts an array somewhere: the bytes, or an offset
+Buffer = bytes | msgspec.Raw
 Fetch = Callable[[int, int], NDArray[np.uint8]]  # offset, nbytes -> (nbytes,) uint8
+Side = Annotated[int, msgspec.Meta(ge=0)]
 
 _DTYPES = {np.dtype(t).str: np.dtype(t) for t in ("?", "u1", "u2", "i4", "i8", "f4", "f8", "u8")}
-_SCALARS: dict[type, tuple[type, ...]] = {
-    bool: (bool,),
-    int: (int,),
-    float: (float, int),
-    str: (str,),
-    bytes: (bytes,),
-}
+_SCALARS = (bool, int, float, str, bytes)
 
 
-@dataclasses.dataclass(frozen=True)
 class Schema:
-    """How one dataclass is written: field names in order, and a codec for each."""
+    """The fields of a dataclass, how each is written, and how all are read."""
 
-    cls: type[Any]
-    fields: tuple[tuple[str, "_Kind"], ...]
-    readers: tuple[tuple[str, "_Kind", str], ...]  # with the field's full name for complaints
-    text: str
+    def __init__(self, cls: type[Any]) -> None:
+        hints = typing.get_type_hints(cls, include_extras=True)
+        self.names = tuple(f.name for f in _fields(cls))
+        kinds = {name: _kind(hints[name], f"{cls.__name__}.{name}") for name in self.names}
+        self.text = f"{cls.__name__}({','.join(f'{n}:{k.text}' for n, k in kinds.items())})"
+        self.converted = tuple(
+            (index, name, kinds[name], f"{cls.__name__}.{name}")
+            for index, name in enumerate(self.names)
+            if not kinds[name].plain
+        )
+        self.wire: type[Any] = cls if not self.converted else _twin(cls, kinds)
+        self.decode = msgspec.msgpack.Decoder(self.wire).decode
+        self.checked = hasattr(cls, "__post_init__") or not hasattr(cls, "__dict__")
 
     @property
     def fingerprint(self) -> bytes:
@@ -54,12 +61,7 @@ class Schema:
 @once
 def schema(cls: type[Any]) -> Schema:
     """The schema of a dataclass; raises `MessageError` for a field that cannot travel."""
-    hints = typing.get_type_hints(cls, include_extras=True)
-    fields = tuple((f.name, _kind(hints[f.name], f"{cls.__name__}.{f.name}")) for f in _fields(cls))
-    readers = tuple((name, kind, f"{cls.__name__}.{name}") for name, kind in fields)
-    return Schema(
-        cls, fields, readers, f"{cls.__name__}({','.join(f'{n}:{k.text}' for n, k in fields)})"
-    )
+    return Schema(cls)
 
 
 @once
@@ -68,30 +70,15 @@ def fingerprint(cls: type[Any]) -> bytes:
     return schema(cls).fingerprint
 
 
-def pack(value: Any, place: Place | None = None) -> list[Any]:
-    """A dataclass as nested lists for msgpack; `place` decides where each array goes."""
-    plan = schema(type(value))
-    known: dict[str, int] = {}
-    return [
-        kind.pack(getattr(value, name), place or _inline, known, name) for name, kind in plan.fields
-    ]
+def pack(value: Any, place: Place | None = None) -> Any:
+    """What `to_bytes` takes for a dataclass; `place` decides where each array goes."""
+    return _written(schema(type(value)), value, place or _inline)
 
 
-def unpack(cls: type[T], body: Any, fetch: Fetch | None = None) -> T:
-    """The dataclass that `pack` wrote; arrays are read-only views of what `fetch` gives."""
+def unpack(cls: type[T], data: Buffer, fetch: Fetch | None = None) -> T:
+    """The dataclass behind the bytes of a `pack`; arrays are views of what `fetch` gives."""
     plan = schema(cls)
-    if not isinstance(body, list) or len(body) != len(plan.fields):
-        raise MessageError(f"{cls.__name__}: expected {len(plan.fields)} fields, got {_say(body)}")
-    known: dict[str, int] = {}
-    fetch = fetch or _nowhere
-    values = {
-        name: kind.unpack(item, fetch, known, where)
-        for (name, kind, where), item in zip(plan.readers, body)  # noqa: B905 - checked above
-    }
-    try:
-        return cls(**values)
-    except (TypeError, ValueError) as error:
-        raise MessageError(f"{cls.__name__}: {error}") from error
+    return _read(plan, cls, parse(plan.decode, data, cls.__name__), fetch or _nowhere)
 
 
 def dumps(value: Any) -> bytes:
@@ -103,35 +90,32 @@ def loads(cls: type[T], data: bytes) -> T:
     """What `dumps` wrote; raises `MessageError` when it is anything else."""
     if data[:8] != fingerprint(cls):
         raise MessageError(f"{cls.__name__}: fingerprint {data[:8].hex()} is of another schema")
-    return unpack(cls, from_bytes(data[8:]))
+    return unpack(cls, data[8:])
 
 
 def to_bytes(body: Any) -> bytes:
-    """msgpack, nothing else."""
-    return writer()(body)
-
-
-def writer() -> Callable[[Any], bytes]:
-    """`to_bytes` for one thread that writes again and again: it keeps its buffer."""
-    pack_one: Callable[[Any], bytes] = msgpack.Packer(use_bin_type=True, buf_size=1 << 14).pack
-    return pack_one
-
-
-def from_bytes(data: bytes) -> Any:
-    """msgpack with limits; raises `MessageError` for anything malformed."""
+    """msgpack, nothing else; raises `MessageError` for what cannot travel."""
     try:
-        return msgpack.unpackb(
-            data, raw=False, strict_map_key=True, use_list=True, max_ext_len=0, max_map_len=0
-        )
-    except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
-        raise MessageError(f"not a message: {type(error).__name__}: {error}") from error
+        return _encode(body)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise MessageError(f"cannot travel: {error}") from error
+
+
+def parse(decode: Callable[[Buffer], T], data: Buffer, what: str) -> T:
+    """What a msgspec decoder makes of untrusted bytes; raises `MessageError` beginning `what`."""
+    try:
+        return decode(data)
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise MessageError(f"{what}: {error}") from error
 
 
 class _Kind(ABC):
     """How one field is written and read."""
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    plain = False  # msgspec writes and reads it as it is
+
+    def __init__(self, text: str, wire: Any) -> None:
+        self.text, self.wire = text, wire
 
     @abstractmethod
     def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any: ...
@@ -140,78 +124,62 @@ class _Kind(ABC):
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any: ...
 
 
-class _Scalar(_Kind):
-    def __init__(self, cls: type) -> None:
-        super().__init__(cls.__name__)
-        self.cls, self.allowed = cls, _SCALARS[cls]
+class _Plain(_Kind):
+    """Numbers, texts, and tuples and dataclasses of them."""
+
+    plain = True
 
     def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
-        return value.item() if isinstance(value, np.generic) else value
+        return value
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
-        if type(item) not in self.allowed:
-            raise MessageError(f"{where}: expected {self.text}, got {_say(item)}")
-        return self.cls(item)
+        return item
 
 
 class _Tuple(_Kind):
-    def __init__(self, items: tuple[_Kind, ...], length: int | None) -> None:
-        size = "*" if length is None else str(length)
-        super().__init__(f"tuple{size}[{','.join(k.text for k in items)}]")
-        self.items, self.length = items, length
+    """A tuple with arrays somewhere inside."""
+
+    def __init__(self, text: str, wire: Any, items: tuple[_Kind, ...], *, endless: bool) -> None:
+        super().__init__(text, wire)
+        self.items, self.endless = items, endless
 
     def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
-        kinds = self.items * len(value) if self.length is None else self.items
-        pairs = zip(kinds, value, strict=True)
-        return [kind.pack(item, place, known, where) for kind, item in pairs]
+        pairs = zip(self._kinds(value), value, strict=True)
+        return tuple(kind.pack(item, place, known, where) for kind, item in pairs)
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
-        if not isinstance(item, list) or self.length not in (None, len(item)):
-            raise MessageError(f"{where}: expected {self.text}, got {_say(item)}")
-        kinds = self.items * len(item) if self.length is None else self.items
-        return tuple(
-            kind.unpack(part, fetch, known, where) for kind, part in zip(kinds, item, strict=True)
-        )
+        pairs = zip(self._kinds(item), item, strict=True)
+        return tuple(kind.unpack(part, fetch, known, where) for kind, part in pairs)
+
+    def _kinds(self, value: tuple[Any, ...]) -> tuple[_Kind, ...]:
+        return self.items * len(value) if self.endless else self.items
 
 
 class _Nested(_Kind):
+    """A dataclass with arrays somewhere inside."""
+
     def __init__(self, cls: type[Any]) -> None:
-        super().__init__(schema(cls).text)
+        super().__init__(schema(cls).text, schema(cls).wire)
         self.cls = cls
 
     def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
-        return pack(value, place)
+        return _written(schema(self.cls), value, place)
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
-        return unpack(self.cls, item, fetch)
+        return _read(schema(self.cls), self.cls, item, fetch)
 
 
-class _Flat(_Nested):
-    """A dataclass of scalars only: the many small ones in every header, so it is written fast."""
+class _Spot(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
+    """An array on the wire."""
 
-    def __init__(self, cls: type[Any]) -> None:
-        super().__init__(cls)
-        self.names = tuple(f.name for f in _fields(cls))
-        self.values = operator.attrgetter(*self.names)
-        kinds = dict(schema(cls).fields)
-        self.types = [kinds[name].cls for name in self.names]  # type: ignore[attr-defined]
-
-    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
-        return self.values(value)
-
-    def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
-        if not isinstance(item, list) or [type(part) for part in item] != self.types:
-            return super().unpack(item, fetch, known, where)
-        fresh = object.__new__(self.cls)
-        fresh.__dict__.update(zip(self.names, item, strict=True))
-        return fresh
+    dtype: str
+    sides: tuple[Side, ...]
+    spot: bytes | Side  # its bytes, or where they begin in the pool's slot
 
 
 class _Array(_Kind):
-    """Written as [dtype, sides, bytes or offset]."""
-
     def __init__(self, dtypes: frozenset[str], shape: Shape | None) -> None:
-        super().__init__(f"array[{'|'.join(sorted(dtypes))}]{shape or ''}")
+        super().__init__(f"array[{'|'.join(sorted(dtypes))}]{shape or ''}", _Spot)
         self.dtypes, self.shape = dtypes, shape
 
     def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
@@ -220,29 +188,52 @@ class _Array(_Kind):
             raise MessageError(f"{where}: expected {self.text}, got {got}")
         if self.shape:
             self.shape.check(where, value.shape, known)
-        return [value.dtype.str, value.shape, place(value)]
+        return (value.dtype.str, value.shape, place(value))
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
-        named = isinstance(item, list) and len(item) == 3 and isinstance(item[0], str)
-        if not named or item[0] not in self.dtypes:
-            raise MessageError(f"{where}: expected {self.text}, got {_say(item)}")
-        dtype, sides, spot = _DTYPES[item[0]], item[1], item[2]
-        if not isinstance(sides, list) or not all(type(s) is int and s >= 0 for s in sides):
-            raise MessageError(f"{where}: expected sides of an array, got {_say(sides)}")
-        nbytes = dtype.itemsize
-        for side in sides:
-            nbytes *= side
-        if isinstance(spot, bytes):
+        if item.dtype not in self.dtypes:
+            raise MessageError(f"{where}: expected {self.text}, got another kind of array")
+        dtype, sides, spot = _DTYPES[item.dtype], item.sides, item.spot
+        nbytes = dtype.itemsize * math.prod(sides)
+        if type(spot) is bytes:
             raw = np.frombuffer(spot, np.uint8)
-        elif type(spot) is int and spot >= 0 and spot % dtype.itemsize == 0:
+        elif spot % dtype.itemsize == 0:
             raw = fetch(spot, nbytes)
         else:
-            raise MessageError(f"{where}: expected bytes or an offset, got {_say(spot)}")
+            raise MessageError(f"{where}: expected an offset of whole items, got {spot}")
         if raw.nbytes != nbytes:
             raise MessageError(f"{where}: expected {nbytes} bytes for {sides}, got {raw.nbytes}")
         if self.shape:
-            self.shape.check(where, tuple(sides), known)
-        return raw.view(dtype).reshape(sides)
+            self.shape.check(where, sides, known)
+        array: NDArray[Any] = np.ndarray(sides, dtype, raw)
+        return array
+
+
+def _written(plan: Schema, value: Any, place: Place) -> Any:
+    if not plan.converted:
+        return value
+    known: dict[str, int] = {}
+    items = [getattr(value, name) for name in plan.names]
+    for index, _name, kind, where in plan.converted:
+        items[index] = kind.pack(items[index], place, known, where)
+    return items
+
+
+def _read(plan: Schema, cls: type[T], wire: Any, fetch: Fetch) -> T:
+    if not plan.converted:
+        return wire  # type: ignore[no-any-return]
+    values = msgspec.structs.asdict(wire)
+    known: dict[str, int] = {}
+    for _index, name, kind, where in plan.converted:
+        values[name] = kind.unpack(values[name], fetch, known, where)
+    if not plan.checked:  # as its __init__ would, in a fraction of the time
+        fresh = object.__new__(cls)
+        fresh.__dict__.update(values)
+        return fresh
+    try:
+        return cls(**values)
+    except (TypeError, ValueError) as error:
+        raise MessageError(f"{cls.__name__}: {error}") from error
 
 
 def _kind(hint: Any, where: str) -> _Kind:
@@ -253,17 +244,31 @@ def _kind(hint: Any, where: str) -> _Kind:
     if origin is np.ndarray or origin in (Union, types.UnionType):
         return _Array(_dtypes(hint, where), None)
     if origin is tuple:
-        if len(arguments) == 2 and arguments[1] is Ellipsis:
-            return _Tuple((_kind(arguments[0], where),), None)
-        return _Tuple(tuple(_kind(a, where) for a in arguments), len(arguments))
+        return _tuple(arguments, where)
     if isinstance(hint, type) and hint in _SCALARS:
-        return _Scalar(hint)
+        return _Plain(hint.__name__, hint)
     if isinstance(hint, type) and dataclasses.is_dataclass(hint):
-        kinds = [kind for _, kind in schema(hint).fields]
-        plain = len(kinds) > 1 and not hasattr(hint, "__post_init__")
-        flat = plain and all(isinstance(kind, _Scalar) for kind in kinds)
-        return _Flat(hint) if flat else _Nested(hint)
+        plan = schema(hint)
+        return _Nested(hint) if plan.converted else _Plain(plan.text, hint)
     raise MessageError(f"{where}: a field of type {hint} cannot travel")
+
+
+def _tuple(arguments: tuple[Any, ...], where: str) -> _Kind:
+    endless = len(arguments) == 2 and arguments[1] is Ellipsis
+    items = tuple(_kind(a, where) for a in (arguments[:1] if endless else arguments))
+    size = "*" if endless else str(len(items))
+    text = f"tuple{size}[{','.join(k.text for k in items)}]"
+    wires = tuple(kind.wire for kind in items)
+    wire = types.GenericAlias(tuple, (*wires, ...) if endless else wires)
+    if all(kind.plain for kind in items):
+        return _Plain(text, wire)
+    return _Tuple(text, wire, items, endless=endless)
+
+
+def _twin(cls: type[Any], kinds: Mapping[str, _Kind]) -> type[Any]:
+    """The struct that travels in the place of a dataclass with arrays."""
+    fields = [(name, kind.wire) for name, kind in kinds.items()]
+    return msgspec.defstruct(cls.__name__, fields, array_like=True, forbid_unknown_fields=True)
 
 
 def _dtypes(hint: Any, where: str) -> frozenset[str]:
@@ -290,7 +295,11 @@ def _nowhere(_offset: int, _nbytes: int) -> NDArray[np.uint8]:
     raise MessageError("an array lies in a frame pool that was not named")
 
 
-def _say(item: Any) -> str:
-    """A short description of hostile input, never the input itself."""
-    size = f" of {len(item)}" if isinstance(item, (list, bytes, str)) else ""
-    return f"{type(item).__name__}{size}"
+def _bare(value: Any) -> Any:
+    """numpy's numbers travel as Python's."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise MessageError(f"cannot travel: a {type(value).__name__}")
+
+
+_encode = msgspec.msgpack.Encoder(enc_hook=_bare).encode

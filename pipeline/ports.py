@@ -9,8 +9,9 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
@@ -22,12 +23,12 @@ from pipeline.ledger import EdgeAccount
 from pipeline.messages import Header, Message
 from pipeline.pool import Lease, PoolReader, PoolWriter, SlotRef
 
-VERSION = 1
+VERSION = 2
+Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
 HELLO, MESSAGE, NOTHING = 0, 1, 2
 INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
 INSIST_S = 5.0  # longer than a frozen reader lives
 TAP_SLOTS = 2  # what a viewer may pin before it copies
-_SLOT_TYPES = [str, int, int, int, int]
 BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
 
 
@@ -74,7 +75,7 @@ class OutPort:
         self.readers = tuple(readers)
         self._epoch = epoch
         self._ordinal = max((r.account.sent for r in readers), default=0)
-        self._mark, self._write = codec.fingerprint(message), codec.writer()
+        self._mark = codec.fingerprint(message)
         self._pool = pool(self._free)
         self._leases: list[Lease] = []
 
@@ -102,7 +103,7 @@ class OutPort:
         """Greet readers that have not heard this instance; True when all that live have."""
         waiting = [r for r in self.readers if r.account.reader_epoch and not r.account.live]
         if self._links.connect() or waiting:
-            self._send(self._wrap(HELLO, None, []), ())
+            self._send(self._wrap(HELLO, None, None), ())
         return not waiting
 
     def send(self, message: Message | None, header: Header) -> None:
@@ -171,8 +172,9 @@ class OutPort:
             time.sleep(0.0005)
             full = self._links.send(payload, full)
 
-    def _wrap(self, kind: int, ref: SlotRef | None, body: list[Any]) -> bytes:
-        return self._write([VERSION, kind, self._ordinal, self._epoch, self._mark, ref, body])
+    def _wrap(self, kind: int, ref: SlotRef | None, body: Any) -> bytes:
+        head = (VERSION, kind, self._ordinal, self._epoch, self._mark, ref)
+        return codec.to_bytes((*head, body))
 
     def _room_for(self, message: Message) -> Lease | None:
         """The slot the message was written into, or one for arrays that are elsewhere."""
@@ -260,38 +262,24 @@ class InPort:
         return Arrival(message.header, message, envelope.ordinal)
 
 
-class Envelope(NamedTuple):
+class Envelope(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     """What surrounds a message on the bus."""
 
-    kind: int
-    ordinal: int
-    epoch: int
+    version: Literal[2]
+    kind: Literal[0, 1, 2]
+    ordinal: Count
+    epoch: Count
     mark: bytes
     slot: SlotRef | None
-    body: Any
+    body: msgspec.Raw
 
     @staticmethod
     def parse(payload: bytes) -> "Envelope":
         """Read an envelope from untrusted bytes; raises `MessageError`."""
-        parts = codec.from_bytes(payload)
-        if not isinstance(parts, list) or len(parts) != 7 or parts[0] != VERSION:
-            raise MessageError("not an envelope of this version")
-        _, kind, ordinal, epoch, mark, slot, body = parts
-        if not (_is_count(kind) and _is_count(ordinal) and _is_count(epoch) and kind <= NOTHING):
-            raise MessageError("not an envelope: numbers out of range")
-        if type(mark) is not bytes:
-            raise MessageError("not an envelope: no fingerprint")
-        return Envelope(kind, ordinal, epoch, mark, None if slot is None else _slot(slot), body)
+        return codec.parse(_read_envelope, payload, "not an envelope of this version")
 
 
-def _is_count(value: Any) -> bool:
-    return type(value) is int and 0 <= value < 1 << 62
-
-
-def _slot(parts: Any) -> SlotRef:
-    if type(parts) is not list or [type(part) for part in parts] != _SLOT_TYPES:
-        raise MessageError("not an envelope: no slot")
-    return SlotRef(*parts)
+_read_envelope = msgspec.msgpack.Decoder(Envelope).decode
 
 
 def _is_big(value: Any) -> bool:

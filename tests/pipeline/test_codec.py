@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
 from pipeline import Detections, Frame, MessageError, Scanpath, Span
-from pipeline.codec import dumps, fingerprint, from_bytes, loads, pack, to_bytes, unpack
+from pipeline.codec import dumps, fingerprint, loads, pack, to_bytes, unpack
 from pipeline.messages import stamped
 from pipeline.testing import header, picture
 
@@ -132,8 +132,8 @@ def test_a_message_with_any_field_replaced_by_junk_is_refused_or_still_valid(
     body[path] = data.draw(JUNK)
 
     try:
-        got = unpack(Detections, from_bytes(to_bytes(body)))
-    except (MessageError, OverflowError):
+        got = unpack(Detections, to_bytes(body))
+    except MessageError:
         return
     assert got.boxes.shape[1] == 4
     assert len(got.scores) == len(got.boxes)
@@ -144,7 +144,7 @@ def test_an_array_cannot_claim_more_bytes_than_it_brings() -> None:
     body[1] = ["|u1", [1 << 40, 1 << 40, 3], b"abc"]
 
     with pytest.raises(MessageError, match=r"Frame\.pixels: expected \d+ bytes"):
-        unpack(Frame, from_bytes(to_bytes(body)))
+        unpack(Frame, to_bytes(body))
 
 
 def test_objects_never_travel() -> None:
@@ -152,4 +152,4 @@ def test_objects_never_travel() -> None:
     body[1] = ["|O", [1], b"\0" * 8]
 
     with pytest.raises(MessageError, match="expected array"):
-        unpack(Frame, from_bytes(to_bytes(body)))
+        unpack(Frame, to_bytes(body))
