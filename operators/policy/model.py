@@ -6,7 +6,6 @@ There is no encoding of position: the order of the objects means nothing.
 """
 
 # mypy: disallow-subclassing-any=False
-import warnings
 from pathlib import Path
 
 import torch
@@ -14,7 +13,7 @@ from torch import Tensor, nn
 
 from operators.policy.conditioning import CONDITION
 from operators.policy.tokens import BOX
-from operators.saliency.metadata import describe
+from operators.training.onnx_files import write
 
 PARTS = ("roi", "global", "motion")  # what an ablation may leave out
 WIDTHS = {"roi": 64, "global": 64, "detection": 32, "motion": 32}
@@ -151,22 +150,16 @@ def example(net: PolicyNet, count: int = 3) -> dict[str, Tensor]:
 
 def export(net: PolicyNet, path: Path) -> None:
     """One ONNX file with open B and N, which says what it expects."""
-    net = net.eval()
+    both = {0: "b", 1: "n"}
+    sides = {name: both for name in (*INPUTS, "logits")} | {"condition": {0: "b"}}
+    facts = {name: str(side) for name, side in net.sides.items()}
     given = example(net)
-    axes = {name: {0: "b", 1: "n"} for name in (*INPUTS, "logits") if name != "condition"}
-    with warnings.catch_warnings():
-        # the older exporter keeps the parameters' names, by which they can be loaded back
-        warnings.simplefilter("ignore", DeprecationWarning)
-        torch.onnx.export(
-            net,
-            tuple(given[name] for name in INPUTS),
-            path,
-            input_names=list(INPUTS),
-            output_names=["logits"],
-            dynamic_axes=axes | {"condition": {0: "b"}},
-            opset_version=17,
-            dynamo=False,
-        )
-    describe(
-        path, {name: str(side) for name, side in net.sides.items()} | {"use": " ".join(net.use)}
+    write(
+        net,
+        {name: given[name] for name in INPUTS},
+        path,
+        ("logits",),
+        open_sides=sides,
+        use=" ".join(net.use),
+        **facts,
     )

@@ -18,9 +18,9 @@ from tqdm import tqdm
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from operators.saliency.example import BALL, NAMES, Example
-from operators.saliency.metadata import describe
 from operators.saliency.render import FULL_PX, RATE_HZ, example, moments, span
 from operators.saliency.saliency import SHIPPED, Saliency, SaliencySettings
+from operators.training.onnx_files import describe
 from pipeline import Detections, Frame, SettingsError
 from pipeline.boxes import centres, iou
 from pipeline.testing import header

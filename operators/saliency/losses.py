@@ -3,6 +3,7 @@
 People are found at three strides by task-aligned assignment, the ball by a heat-map at stride 4.
 """
 
+# mypy: disallow-untyped-decorators=False
 from dataclasses import dataclass
 
 import torch

@@ -8,22 +8,17 @@ small for a grid of eight. All widths are multiples of 16, the run-time's channe
 """
 
 # mypy: disallow-subclassing-any=False
-from copy import deepcopy
 from dataclasses import dataclass
-from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
-from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from operators.saliency.example import PEOPLE
 
 STRIDES = (8, 16, 32)
 BALL_STRIDE = 4
 FEATURES = 64  # channels of the stride-8 map
-
-Net = TypeVar("Net", bound=nn.Module)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,31 +208,6 @@ class Exported(nn.Module):
         nobody = torch.zeros_like(place[:, : len(PEOPLE)])
         ball = torch.cat([place, nobody, peak.flatten(2)], 1).transpose(1, 2)
         return torch.cat([people, ball], 1).transpose(1, 2), raw.features
-
-
-class Encoder(nn.Module):
-    """The backbone to stride 16, averaged: crops (n, 3, S, S) RGB 0..1 -> (n, 128)."""
-
-    def __init__(self, net: DetectorNet) -> None:
-        super().__init__()
-        own = net.backbone
-        self.body = nn.Sequential(own.stem, own.stage4, own.stage8, own.stage16)
-
-    def forward(self, crops: Tensor) -> Tensor:
-        return self.body(crops).mean((2, 3))
-
-
-def fused(net: Net) -> Net:
-    """A copy whose batch norms are folded into their convolutions, under the same names.
-
-    Exported weights then keep names by which they can be loaded back.
-    """
-    net = deepcopy(net).eval()
-    for block in net.modules():
-        if isinstance(block, nn.Sequential) and isinstance(block[1], nn.BatchNorm2d):
-            block[0] = fuse_conv_bn_eval(block[0], block[1])
-            block[1] = nn.Identity()
-    return net
 
 
 def cell_centres(height: int, width: int, stride: int, device: torch.device) -> Tensor:

@@ -2,7 +2,7 @@
 
 Renders what is missing, trains on the processor in bfloat16, keeps a running mean of the weights,
 writes a checkpoint every two minutes and goes on from it when started again. `--export` writes
-the two ONNX files that fovea ships.
+the ONNX file that fovea ships.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -11,7 +11,6 @@ import csv
 import json
 import math
 import time
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,12 +22,11 @@ from tqdm import tqdm
 from operators.saliency.data import Batch, stream
 from operators.saliency.example import INPUT_PX, NAMES
 from operators.saliency.losses import losses
-from operators.saliency.metadata import describe
-from operators.saliency.model import DetectorNet, Encoder, Exported, fused
+from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.render import render
+from operators.training.onnx_files import fused, write
 
 CHECKPOINT_S = 120.0
-CROP_PX = 96
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
 
 
@@ -166,40 +164,20 @@ def _advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     return {name: part.detach() for name, part in parts.items()}
 
 
-def export(net: DetectorNet, detector: Path, encoder: Path | None = None) -> None:
-    """Write the detector, and its backbone as an encoder of crops, as ONNX."""
+def export(net: DetectorNet, path: Path) -> None:
+    """Write the detector as ONNX."""
     net = fused(net).to(memory_format=torch.contiguous_format)
     width, height = INPUT_PX
-    picture, crops = torch.zeros(1, 3, height, width), torch.zeros(2, 3, CROP_PX, CROP_PX)
-    _write(Exported(net), picture, detector, ["images"], ["output", "features"])
-    facts = {"names": str(dict(enumerate(NAMES))), "stride": "32", "task": "detect"}
-    describe(detector, facts | {"format": "yolo"})
-    if encoder is not None:
-        _write(Encoder(net), crops, encoder, ["crops"], ["features"], open_side="n")
-
-
-def _write(
-    module: torch.nn.Module,
-    example: Tensor,
-    path: Path,
-    inputs: list[str],
-    outputs: list[str],
-    open_side: str = "",
-) -> None:
-    axes = {name: {0: open_side} for name in (*inputs, *outputs)} if open_side else None
-    with warnings.catch_warnings():
-        # the older exporter keeps the parameters' names, by which they can be loaded back
-        warnings.simplefilter("ignore", DeprecationWarning)
-        torch.onnx.export(
-            module.eval(),
-            (example,),
-            path,
-            input_names=inputs,
-            output_names=outputs,
-            dynamic_axes=axes,
-            opset_version=17,
-            dynamo=False,
-        )
+    write(
+        Exported(net),
+        {"images": torch.zeros(1, 3, height, width)},
+        path,
+        ("output", "features"),
+        names=str(dict(enumerate(NAMES))),
+        stride="32",
+        task="detect",
+        format="yolo",
+    )
 
 
 def main() -> None:
@@ -207,7 +185,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="rendered scenes")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint and log")
-    parser.add_argument("--export", type=Path, help="write the ONNX files here and end")
+    parser.add_argument("--export", type=Path, help="write detector.onnx here and end")
     parser.add_argument("--init", type=Path, help="checkpoint whose weights to begin with")
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     numbers = {"scenes": 400, "moments": 24, "span": 900, "steps": 8000, "batch": 16}
@@ -222,7 +200,7 @@ def main() -> None:
     if target is not None:
         run = Run(settings)
         run.resume()
-        export(run.mean, target / "detector.onnx", target / "roi_encoder.onnx")
+        export(run.mean, target / "detector.onnx")
         print(json.dumps({"step": run.step, "elapsed_s": run.elapsed_s}))
         return
     seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)

@@ -10,11 +10,11 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import onnx
 import torch
 
-from operators.roi_features import SHIPPED as SHIPPED_ENCODER
 from operators.saliency.example import BALL, NAMES
-from operators.saliency.model import DetectorNet, Encoder, Exported, fused
+from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.saliency import SHIPPED as SHIPPED_DETECTOR
 from operators.saliency.train import export
+from operators.training.onnx_files import fused
 from pipeline.inference import Network
 
 TOLERANCE = {"rtol": 1e-3, "atol": 1e-3}
@@ -62,18 +62,15 @@ def assert_same_output(got: np.ndarray, wanted: np.ndarray) -> None:
 
 def test_a_fresh_network_survives_its_export(tmp_path: Path) -> None:
     net = fresh(seed=3)
-    export(net, tmp_path / "detector.onnx", tmp_path / "encoder.onnx")
-    images, crops = picture(5, 1, 288, 480), picture(6, 3, 96, 96)
+    export(net, tmp_path / "detector.onnx")
+    images = picture(5, 1, 288, 480)
 
     got = Network(tmp_path / "detector.onnx")({"images": images})
-    encoded = Network(tmp_path / "encoder.onnx")({"crops": crops})
 
     with torch.no_grad():
         output, features = Exported(net)(torch.from_numpy(images))
-        vectors = Encoder(net).eval()(torch.from_numpy(crops))
     assert_same_output(got["output"], output.numpy())
     np.testing.assert_allclose(got["features"], features, **TOLERANCE)
-    np.testing.assert_allclose(encoded["features"], vectors, **TOLERANCE)
 
 
 def test_the_shipped_detector_is_the_network_of_model_py() -> None:
@@ -89,14 +86,3 @@ def test_the_shipped_detector_is_the_network_of_model_py() -> None:
     assert_same_output(got["output"], output.numpy())
     np.testing.assert_allclose(got["features"], features, **TOLERANCE)
     assert network.metadata["names"] == str(dict(enumerate(NAMES)))
-
-
-def test_the_shipped_encoder_is_the_detectors_backbone() -> None:
-    crops = picture(6, 3, 96, 96)
-    backbone = loaded(SHIPPED_DETECTOR, Exported(DetectorNet()))
-
-    got = Network(SHIPPED_ENCODER)({"crops": crops})
-
-    with torch.no_grad():
-        vectors = Encoder(backbone.net)(torch.from_numpy(crops))
-    np.testing.assert_allclose(got["features"], vectors, **TOLERANCE)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from operators.roi_features import FILL, RoiEncoder, cut, to_squares
+from operators.roi_features import RoiEncoder
+from operators.roi_features.crops import FILL, cut, to_squares
 from pipeline import Frame, MessageError, RoiFeatures, SettingsError, Tracks, WeightsError
 from pipeline.testing import drive, header
 from tests.operators.networks import mean_encoder

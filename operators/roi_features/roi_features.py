@@ -1,16 +1,18 @@
 """Describe tracked objects at full resolution: ROI Frame and Tracks -> RoiFeatures.
 
 Each track that lies in the ROI is cut out, scaled to the encoder's square and encoded; all of
-them go through the network in one batch where it allows one.
+them go through the network in one batch where it allows one. A network with a second output,
+`classes`, verifies too: it says how likely each object is what the context made of it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.roi_features.crops import cut, to_squares
 from pipeline import (
     Frame,
     Input,
@@ -26,7 +28,6 @@ from pipeline.inference import Network
 from pipeline.weights import require
 
 SHIPPED = Path(__file__).with_name("roi_encoder.onnx")
-FILL = 114  # grey around what the ROI does not show
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,12 +78,10 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
                 f"{roi.pixels.dtype}; put operators.downsample before it"
             )
         rows = self._inside(roi, tracks)
-        features = self._encoder(roi, tracks.boxes[rows, -1])
+        labels = [name_of(tracks, int(row)) for row in rows]
+        features, genuine = self._encoder(roi, tracks.boxes[rows, -1], labels)
         return RoiFeatures(
-            header=roi.header,
-            ids=tracks.ids[rows],
-            features=features,
-            genuine=np.ones(len(rows), np.float32),
+            header=roi.header, ids=tracks.ids[rows], features=features, genuine=genuine
         )
 
     def _inside(self, roi: Frame, tracks: Tracks) -> NDArray[np.intp]:
@@ -120,16 +119,25 @@ class Encoder:
         self._shift = (-np.array(settings.mean) / settings.std).astype(np.float32)[
             order, None, None
         ]
-        first = self._run(1 if self._open else self._at_once)
+        first, classes = self._run(1 if self._open else self._at_once)
         if first.ndim != 2:
             raise WeightsError(f"{path}: expected an output (n, d) or (n, d, h, w)")
         self.channels = first.shape[1]
+        self._names = self._network.metadata.get("classes", "").split()
+        if classes.shape[1] != len(self._names):
+            raise WeightsError(
+                f"{path}: expected names of {classes.shape[1]} classes in its metadata, "
+                f"got {len(self._names)}"
+            )
 
-    def __call__(self, roi: Frame, boxes: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Boxes (n, 4) in sensor pixels -> features (n, d)."""
+    def __call__(
+        self, roi: Frame, boxes: NDArray[np.float32], labels: Sequence[str]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Boxes (n, 4) in sensor pixels and their labels -> features (n, d), genuine (n,)."""
         features = np.zeros((len(boxes), self.channels), np.float32)
+        genuine = np.ones(len(boxes), np.float32)
         if not len(boxes):
-            return features
+            return features, genuine
         squares = to_squares(boxes, roi, self._settings.margin)
         for start in range(0, len(boxes), self._at_once):
             part = squares[start : start + self._at_once]
@@ -138,13 +146,31 @@ class Encoder:
                 planes = self._canvas.transpose(2, 0, 1)[self._order]
                 np.multiply(planes, self._scale, out=self._batch[row])
                 self._batch[row] += self._shift
-            answer = self._run(len(part) if self._open else self._at_once)
+            answer, classes = self._run(len(part) if self._open else self._at_once)
             features[start : start + len(part)] = answer[: len(part)]
-        return features
+            for row, label in enumerate(labels[start : start + len(part)]):
+                if label in self._names:
+                    genuine[start + row] = chance(classes[row])[self._names.index(label)]
+        return features, genuine
 
-    def _run(self, count: int) -> NDArray[np.float32]:
-        answer = next(iter(self._network({self._input: self._batch[:count]}).values()))
-        return answer.mean((2, 3)) if answer.ndim == 4 else answer
+    def _run(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Features and logits of classes, (n, 0) where the network has none."""
+        answers = self._network({self._input: self._batch[:count]})
+        features = next(iter(answers.values()))
+        classes = answers.get("classes", np.zeros((count, 0), np.float32))
+        return (features.mean((2, 3)) if features.ndim == 4 else features), classes
+
+
+def chance(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Softmax of one object's logits (k,)."""
+    raised = np.exp(logits - logits.max())
+    return np.asarray(raised / raised.sum(), np.float32)
+
+
+def name_of(tracks: Tracks, row: int) -> str:
+    """Class name of a track, empty when it has none."""
+    label = int(tracks.labels[row])
+    return tracks.names[label] if 0 <= label < len(tracks.names) else ""
 
 
 def weights_file(weights: str) -> Path:
@@ -152,34 +178,3 @@ def weights_file(weights: str) -> Path:
     if not weights:
         return SHIPPED
     return Path(weights) if weights.endswith(".onnx") else require(weights)
-
-
-def to_squares(boxes: NDArray[np.float32], roi: Frame, margin: float) -> NDArray[np.float32]:
-    """Squares around boxes, with a margin: (n, 4) sensor pixels -> (n, 4) xyxy, ROI pixels."""
-    left, top, right, bottom = roi.window
-    scale = np.array(
-        [roi.pixels.shape[1] / (right - left), roi.pixels.shape[0] / (bottom - top)], np.float32
-    )
-    low = (boxes[:, :2] - np.array([left, top], np.float32)) * scale
-    high = (boxes[:, 2:] - np.array([left, top], np.float32)) * scale
-    half = (high - low).max(1, keepdims=True) * np.float32((1 + margin) / 2)
-    middle = (low + high) / 2
-    return np.concatenate([middle - half, middle + half], 1)
-
-
-def cut(picture: NDArray[np.uint8], square: NDArray[np.float32], canvas: NDArray[np.uint8]) -> None:
-    """Scale one square of a picture (h, w, 3) into `canvas` (s, s, 3); outside it is grey."""
-    side = max(float(square[2] - square[0]), 1.0)
-    limits = np.array(picture.shape[1::-1] * 2)
-    whole = np.clip(np.round(square).astype(int), 0, limits)
-    height_px, width_px = canvas.shape[:2]
-    gain = np.array([width_px, height_px] * 2) / side
-    target = np.round((whole - np.tile(square[:2], 2)) * gain).astype(int)
-    x0, y0, x1, y1 = np.clip(target, 0, [width_px, height_px] * 2)
-    canvas[:] = FILL
-    if x1 <= x0 or y1 <= y0 or whole[2] <= whole[0] or whole[3] <= whole[1]:
-        return
-    part = picture[whole[1] : whole[3], whole[0] : whole[2]]
-    # averaging what is shrunk keeps shirt numbers from breaking up
-    how = cv2.INTER_AREA if gain[0] < 1 else cv2.INTER_LINEAR
-    canvas[y0:y1, x0:x1] = cv2.resize(part, (int(x1 - x0), int(y1 - y0)), interpolation=how)

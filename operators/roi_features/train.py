@@ -1,0 +1,235 @@
+"""Train the ROI encoder on procedural scenes: `python -m operators.roi_features.train --help`.
+
+Two objectives, for the two things the loop asks of it. *What is it?*, false candidates included: a
+ball in the context is four pixels, and so is a boot; at full resolution the two can be told apart.
+*Who is it?*, by a supervised contrast (Khosla et al. 2020) among those of one scene: a policy that
+was shown somebody must know them again, and of eleven alike only number, skin, hair and build tell.
+"""
+
+# mypy: disallow-untyped-decorators=False
+import argparse
+import csv
+import json
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional as F
+from tqdm import tqdm
+
+from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, render
+from operators.roi_features.model import CLASSES, EncoderNet, Exported, load_imagenet
+from operators.training.onnx_files import fused, write
+from operators.training.photometric import degrade, recolour
+
+TRAIN_SEEDS = 20_000  # no other part of the project uses them
+CHECKPOINT_S = 45.0
+TEMPERATURE = 0.1
+OF_SCENE = 16  # crops of one scene in a batch
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings:
+    """One training run."""
+
+    data: Path
+    out: Path
+    scenes: int = 150
+    moments: int = 10
+    span: int = 900  # frames of each scene over which its moments are spread
+    steps: int = 1600
+    batch: int = 128
+    rate: float = 2e-3
+    warmup: int = 100
+    decay: float = 0.02
+    identity: float = 0.5  # weight of the second objective
+    seed: int = 1
+    threads: int = 2
+    minutes: float = 30.0
+    init: Path | None = None  # ImageNet weights to begin with
+
+
+def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Rows of a batch: some scenes, of each four people twice, the ball, and false candidates."""
+    rows: list[NDArray[np.intp]] = []
+    for scene in rng.choice(np.unique(crops.scenes), size // OF_SCENE, replace=False):
+        own = np.flatnonzero(crops.scenes == scene)
+        people = own[crops.persons[own] != NOBODY]
+        ball = own[crops.kinds[own] == CLASSES.index("ball")]
+        false = own[crops.kinds[own] == CLASSES.index("background")]
+        taken = 0
+        for person in rng.permutation(np.unique(crops.persons[people]))[:4]:
+            same = people[crops.persons[people] == person]
+            rows.append(rng.choice(same, 2, replace=len(same) < 2))
+            taken += 2
+        if len(ball):
+            rows.append(rng.choice(ball, 3))
+            taken += 3
+        rows.append(rng.choice(false, OF_SCENE - taken))
+    return np.concatenate(rows)
+
+
+def changed(picture: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """One crop as it is never seen twice: mirrored, shifted, zoomed, relit, softened."""
+    if rng.random() < 0.5:
+        picture = np.ascontiguousarray(picture[:, ::-1])
+    return degrade(recolour(picture, rng), rng)
+
+
+def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
+    """Supervised contrast of people (n, d) among those of their own scene."""
+    known = persons != NOBODY
+    vectors, persons, scenes = vectors[known], persons[known], scenes[known]
+    likeness = vectors @ vectors.T / TEMPERATURE
+    other = ~torch.eye(len(vectors), dtype=torch.bool)
+    rivals = (scenes[:, None] == scenes) & other
+    same = rivals & (persons[:, None] == persons)
+    spread = likeness.masked_fill(~rivals, -1e4).logsumexp(1, keepdim=True)
+    each = ((likeness - spread) * same).sum(1) / same.sum(1).clamp(min=1)
+    return -each[same.any(1)].mean()
+
+
+def losses(net: EncoderNet, given: dict[str, Tensor], weight: float) -> dict[str, Tensor]:
+    """Both objectives; their sum is lowered."""
+    with torch.autocast("cpu", torch.bfloat16):
+        kinds, vectors = net(given["pictures"])
+    what = F.cross_entropy(kinds.float(), given["kinds"], label_smoothing=0.02)
+    who = identity_loss(vectors.float(), given["persons"], given["scenes"])
+    return {"what": what, "who": weight * who}
+
+
+def learning_rate(step: int, s: TrainSettings) -> float:
+    """Linear warm-up, then half a cosine."""
+    if step < s.warmup:
+        return s.rate * (step + 1) / s.warmup
+    share = (step - s.warmup) / max(1, s.steps - s.warmup)
+    return s.rate * (0.01 + 0.99 * (1 + math.cos(math.pi * min(1.0, share))) / 2)
+
+
+class Run:
+    """Network, optimiser and place in the plan; a checkpoint holds all of it."""
+
+    def __init__(self, settings: TrainSettings) -> None:
+        torch.manual_seed(settings.seed)
+        self.settings = settings
+        self.net = EncoderNet()
+        if settings.init is not None:
+            load_imagenet(self.net, settings.init)
+        self.net = self.net.to(memory_format=torch.channels_last)
+        self.optimiser = torch.optim.AdamW(
+            self.net.parameters(), lr=settings.rate, weight_decay=settings.decay
+        )
+        self.step, self.elapsed_s = 0, 0.0
+
+    @property
+    def path(self) -> Path:
+        return self.settings.out / "checkpoint.pt"
+
+    def save(self) -> None:
+        """Write everything, atomically."""
+        parts: dict[str, Any] = {"net": self.net, "optimiser": self.optimiser}
+        state = {name: part.state_dict() for name, part in parts.items()}
+        unfinished = self.path.with_suffix(".part")
+        torch.save(state | {"step": self.step, "elapsed_s": self.elapsed_s}, unfinished)
+        unfinished.rename(self.path)
+
+    def resume(self) -> None:
+        """Go on where a checkpoint stopped, if there is one."""
+        if not self.path.exists():
+            return
+        state = torch.load(self.path, weights_only=True)
+        self.net.load_state_dict(state["net"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.step, self.elapsed_s = state["step"], state["elapsed_s"]
+
+
+def train(settings: TrainSettings) -> EncoderNet:
+    """Render what is missing, train what is left, write checkpoint and log; returns the network."""
+    torch.set_num_threads(settings.threads)
+    settings.out.mkdir(parents=True, exist_ok=True)
+    seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
+    crops = load(render(seeds, settings.moments, settings.span, settings.data, settings.threads))
+    run = Run(settings)
+    run.resume()
+    run.net.train()
+    began, saved = time.monotonic() - run.elapsed_s, time.monotonic()
+    with (
+        (settings.out / "log.csv").open("a", newline="") as file,
+        tqdm(total=settings.steps, initial=run.step, desc="train", mininterval=5) as bar,
+    ):
+        log = csv.writer(file)
+        while run.step < settings.steps and run.elapsed_s < settings.minutes * 60:
+            figures = advance(run, crops)
+            run.elapsed_s = time.monotonic() - began
+            if run.step % 20 == 0:
+                log.writerow(
+                    [run.step, f"{run.elapsed_s:.0f}", *(f"{v:.4f}" for v in figures.values())]
+                )
+                file.flush()
+            bar.set_postfix({name: f"{value:.3f}" for name, value in figures.items()})
+            bar.update()
+            if time.monotonic() - saved > CHECKPOINT_S:
+                run.save()
+                saved = time.monotonic()
+    run.save()
+    return run.net
+
+
+def advance(run: Run, crops: Crops) -> dict[str, float]:
+    """One step of the optimiser: the parts of the loss."""
+    s = run.settings
+    rng = np.random.default_rng([s.seed, 12, run.step])
+    rows = batch_rows(crops, s.batch, rng)
+    pictures = np.stack([changed(crops.pictures[row], rng) for row in rows])
+    given = {
+        "pictures": torch.from_numpy(pictures).permute(0, 3, 1, 2).float().div_(255),
+        "kinds": torch.from_numpy(crops.kinds[rows]),
+        "persons": torch.from_numpy(crops.persons[rows]),
+        "scenes": torch.from_numpy(crops.scenes[rows]),
+    }
+    for group in run.optimiser.param_groups:
+        group["lr"] = learning_rate(run.step, s)
+    parts = losses(run.net, given, s.identity)
+    run.optimiser.zero_grad(set_to_none=True)
+    torch.stack(list(parts.values())).sum().backward()
+    torch.nn.utils.clip_grad_norm_(run.net.parameters(), 5.0)
+    run.optimiser.step()
+    run.step += 1
+    return {name: float(part.detach()) for name, part in parts.items()}
+
+
+def export(net: EncoderNet, path: Path) -> None:
+    """What runs live, as ONNX: crops (n, 3, 96, 96) -> features (n, 576), classes (n, 4)."""
+    crops = torch.zeros(2, 3, CROP_PX, CROP_PX)
+    write(
+        Exported(fused(net).to(memory_format=torch.contiguous_format)),
+        {"crops": crops},
+        path,
+        ("features", "classes"),
+        open_sides={name: {0: "n"} for name in ("crops", "features", "classes")},
+        classes=" ".join(CLASSES),
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
+    parser.add_argument("--data", type=Path, required=True, help="rendered crops, made if missing")
+    parser.add_argument("--out", type=Path, required=True, help="checkpoint, log, roi_encoder.onnx")
+    parser.add_argument("--init", type=Path, help="ImageNet weights of torchvision to begin with")
+    for name, made in TrainSettings.__dataclass_fields__.items():
+        if isinstance(made.default, int | float):
+            parser.add_argument(f"--{name}", type=type(made.default), default=made.default)
+    settings = TrainSettings(**vars(parser.parse_args()))
+    export(train(settings), settings.out / "roi_encoder.onnx")
+    print(json.dumps({"wrote": str(settings.out / "roi_encoder.onnx")}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What several trainings share. Nothing that runs live imports it."""
