@@ -25,7 +25,7 @@ from pipeline.ports import Arrival, OutPort
 IDLE_S = 0.2  # the heartbeat of a host that has nothing to do
 GREET_S = 0.02  # while a reader has not heard us yet
 CREDIT_S = 0.0005
-WAIT_EVERY = 4  # the kernel's accounts are asked for every fourth exposure: asking takes time too
+WAIT_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: asking takes time too
 
 
 class Host:
@@ -95,9 +95,9 @@ class Host:
         """What to do next; None when nothing came within the patience."""
         with self._lock:
             work = self._inbox.take(time.monotonic_ns())
+            if work is not None:
+                return work
             due = self._inbox.due_ns()
-        if work is not None:
-            return work
         if due is not None:
             patience_s = min(patience_s, max(0.0, (due - time.monotonic_ns()) / 1e9))
         self._waiter = threading.get_ident()

@@ -6,8 +6,7 @@ its members are counted as unmatched. No thread and no clock of its own: the cal
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from pipeline.contract import Input
@@ -27,10 +26,14 @@ class Work(NamedTuple):
     new_stream: bool = False
 
 
-@dataclass
 class _Set:
-    arrivals: dict[str, Arrival] = field(default_factory=dict)
-    complete_ns: int | None = None  # when the last required member came
+    """What has come of one exposure."""
+
+    __slots__ = ("arrivals", "complete_ns")
+
+    def __init__(self) -> None:
+        self.arrivals: dict[str, Arrival] = {}
+        self.complete_ns: int | None = None  # when the last required member came
 
 
 class Inbox:
@@ -40,11 +43,13 @@ class Inbox:
         self._inputs, self._settle, self._lockstep = dict(inputs), settle, lockstep
         self._joined = tuple(n for n, i in inputs.items() if i.join and not i.command)
         self._required = tuple(n for n in self._joined if not inputs[n].optional)
+        self._needed = frozenset(self._required)
         self._every = lockstep or any(inputs[n].keep == "every" for n in self._joined)
         depths = [inputs[n].depth for n in self._joined] or [1]
         # lossless writers stop by themselves, with one message in hand beyond the depth
         self._depth = sum(d + 1 for d in depths) if self._every else max(depths)
         self._wait_ns = max((int(inputs[n].wait_ms * 1e6) for n in self._joined), default=0)
+        self._stale_ns = 0 if lockstep else _limit_ns(inputs[n] for n in self._joined)
         self._sets: dict[int, _Set] = {}
         self._last: dict[str, int] = {}
         self._handled = -1
@@ -54,20 +59,24 @@ class Inbox:
 
     def offer(self, name: str, arrival: Arrival, now_ns: int) -> None:
         """Take an arrival in."""
-        if not self._same_stream(name, arrival):
+        header = arrival.header
+        if header.stream != self._stream and not self._change_stream(name, header.stream):
             return
         if name not in self._joined:
             self._offer_side(name, arrival)
             return
-        seq = arrival.header.seq
+        seq = header.seq
         self._last[name] = seq
         if seq <= self._handled:
             self._settle(name, "unmatched")
         else:
-            waiting = self._sets.setdefault(seq, _Set())
-            waiting.arrivals[name] = arrival
-            if all(n in waiting.arrivals for n in self._required):
-                waiting.complete_ns = now_ns if waiting.complete_ns is None else waiting.complete_ns
+            waiting = self._sets.get(seq)
+            if waiting is None:
+                waiting = self._sets[seq] = _Set()
+            arrivals = waiting.arrivals
+            arrivals[name] = arrival
+            if waiting.complete_ns is None and arrivals.keys() >= self._needed:
+                waiting.complete_ns = now_ns
         if len(self._joined) > 1:
             self._give_up(lambda s: any(self._never(n, s) for n in self._required))
         while len(self._sets) > self._depth:
@@ -84,12 +93,13 @@ class Inbox:
         if not ready:
             return None
         seq = ready[0] if self._every else ready[-1]
-        for older in [s for s in self._sets if s < seq]:
-            self._drop(older, "superseded" if older in ready else "unmatched")
+        if len(self._sets) > 1:
+            for older in [s for s in self._sets if s < seq]:
+                self._drop(older, "superseded" if older in ready else "unmatched")
         waiting = self._sets.pop(seq)
         self._handled = seq
         header = next(iter(waiting.arrivals.values())).header
-        if self._is_stale(header, now_ns):
+        if self._stale_ns and now_ns - header.stamp_ns > self._stale_ns:
             for name in waiting.arrivals:
                 self._settle(name, "stale")
             return Work(header, {}, (), answer=False, new_stream=self._once_fresh())
@@ -109,17 +119,15 @@ class Inbox:
         names = self._joined if next(iter(arrivals)) in self._joined else tuple(arrivals)
         messages = {n: arrivals[n].message if n in arrivals else None for n in names}
         needed = self._required if names == self._joined else names
-        answer = all(messages[n] is not None for n in needed)
+        answer = not [n for n in needed if messages[n] is None]
         return Work(header, messages, tuple(arrivals), answer, self._once_fresh())
 
     def _once_fresh(self) -> bool:
         fresh, self._fresh = self._fresh, False
         return fresh
 
-    def _same_stream(self, name: str, arrival: Arrival) -> bool:
-        stream = arrival.header.stream
-        if stream == self._stream:
-            return True
+    def _change_stream(self, name: str, stream: str) -> bool:
+        """Forget the old stream; False when the new one was retired before."""
         if stream in self._retired:
             self._settle(name, "unmatched")
             return False
@@ -157,15 +165,6 @@ class Inbox:
         late = not self._lockstep and now_ns - waiting.complete_ns >= self._wait_ns
         return not absent or late
 
-    def _is_stale(self, header: Header, now_ns: int) -> bool:
-        limits = [
-            i.max_age_ms
-            for i in (self._inputs[n] for n in self._joined)
-            if i.max_age_ms and i.stale == "drop"
-        ]
-        age_ms = (now_ns - header.stamp_ns) / 1e6
-        return bool(limits) and not self._lockstep and age_ms > min(limits)
-
     def _give_up(self, doomed: Callable[[int], bool]) -> None:
         for seq in [s for s in self._sets if doomed(s)]:
             self._drop(seq, "unmatched")
@@ -173,3 +172,9 @@ class Inbox:
     def _drop(self, seq: int, reason: str) -> None:
         for name in self._sets.pop(seq).arrivals:
             self._settle(name, reason)
+
+
+def _limit_ns(inputs: Iterable[Input]) -> int:
+    """The least age at which a set is dropped, 0: never."""
+    limits = [i.max_age_ms for i in inputs if i.max_age_ms and i.stale == "drop"]
+    return int(min(limits, default=0) * 1e6)

@@ -79,7 +79,7 @@ class Lease:
     def ref(self) -> SlotRef:
         """The descriptor of what was written."""
         pool = self.pool
-        return SlotRef(pool.path.name, pool.pool_id, self.slot, self.generation, self.used_bytes)
+        return SlotRef(pool.name, pool.pool_id, self.slot, self.generation, self.used_bytes)
 
 
 class PoolWriter:
@@ -167,7 +167,7 @@ class PoolReader:
         return sum(1 for count in self._file.views.values() if count) if self._file else 0
 
     def _open(self, ref: SlotRef) -> "_File":
-        if self._file is None or self._file.path.name != ref.file:
+        if self._file is None or self._file.name != ref.file:
             if not self._name.fullmatch(ref.file):
                 raise MessageError("a descriptor names a file that is no pool of this port")
             self._file = _File(self._folder / ref.file, writable=False)
@@ -180,7 +180,7 @@ class _File:
     """A mapped pool file."""
 
     def __init__(self, path: Path, *, writable: bool) -> None:
-        self.path = path
+        self.path, self.name = path, path.name
         try:
             self.handle = os.open(path, os.O_RDWR if writable else os.O_RDONLY)
         except OSError as error:

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
@@ -258,7 +259,7 @@ class InPort:
         if self._tap and self._pool.pinned > TAP_SLOTS:
             raw = raw.copy()
             raw.flags.writeable = False
-        message = codec.unpack(self._message, envelope.body, lambda at, size: _cut(raw, at, size))
+        message = codec.unpack(self._message, envelope.body, partial(_cut, raw))
         return Arrival(message.header, message, envelope.ordinal)
 
 
