@@ -1,0 +1,81 @@
+"""How each strategy spends a pixel budget, by the rules of the simulated sensor.
+
+The budget of a strategy with a ROI is shared between context and ROI. At 1/4 and 1/8 the context
+keeps a sixteenth of the pixels (0.25x, what the detector was trained on) and the ROI gets the rest;
+at 1/16 both get 1/32, the context being 0.177x. The detector is retrained for none of them.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+from drivers.simulated.settings import SimulatedSensorSettings
+from drivers.simulated.strategies import STRATEGIES, WITH_ROI, Sampling
+from pipeline.errors import SettingsError
+from pipeline.messages import Geometry
+
+TOLERANCE = 0.01  # of the budget: the sensor's own count must be this near
+SHARES: Mapping[Fraction, tuple[float, float]] = {  # budget -> context's side, ROI's area
+    Fraction(1, 4): (0.25, 3 / 16),
+    Fraction(1, 8): (0.25, 1 / 16),
+    Fraction(1, 16): (math.sqrt(1 / 32), 1 / 32),
+    Fraction(1, 32): (math.sqrt(1 / 64), 1 / 64),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Acquisition:
+    """One strategy at one budget over a field of one size."""
+
+    strategy: str
+    budget: Fraction
+    sampling: Sampling
+    geometry: Geometry
+
+    @property
+    def looks(self) -> bool:
+        """Whether it has a ROI."""
+        return self.strategy in WITH_ROI
+
+
+def acquisition(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Acquisition:
+    """What is read; raises `SettingsError` when the budget cannot be met within `TOLERANCE`."""
+    if strategy not in STRATEGIES:
+        raise SettingsError(f"strategies: expected {', '.join(STRATEGIES)}, got {strategy}")
+    if strategy == "full":
+        budget = Fraction(1)
+    context, roi = SHARES.get(budget, (math.sqrt(budget / 2), float(budget / 2)))
+    settings = SimulatedSensorSettings(
+        scene="soccer",
+        strategy=strategy,  # type: ignore[arg-type]
+        budget=float(budget),
+        context_scale=context,
+        roi_area=roi,
+    )
+    found = settings.sampling(size_px)
+    used = found.emitted_px() / math.prod(size_px) / found.interval
+    if abs(used / float(budget) - 1) > TOLERANCE:
+        raise SettingsError(
+            f"budgets: {strategy} at {budget} of {size_px[0]}x{size_px[1]} takes {used:.5f} of the "
+            f"pixels, expected {float(budget):.5f} within {TOLERANCE:.0%}"
+        )
+    return Acquisition(
+        strategy=strategy, budget=budget, sampling=found, geometry=settings.geometry(size_px)
+    )
+
+
+def parsed(text: str) -> tuple[Fraction, ...]:
+    """Budgets as they are typed; raises `SettingsError`.
+
+    >>> parsed("1/4,1/8")
+    (Fraction(1, 4), Fraction(1, 8))
+    """
+    try:
+        found = tuple(Fraction(part) for part in text.split(","))
+    except (ValueError, ZeroDivisionError):
+        raise SettingsError(f"budgets: expected fractions such as 1/4,1/8, got {text!r}") from None
+    for budget in found:
+        if not 0 < budget <= 1:
+            raise SettingsError(f"budgets: expected above 0 to 1, got {budget}")
+    return found

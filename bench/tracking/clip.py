@@ -1,0 +1,92 @@
+"""A clip in memory: a folder or a seed -> its pictures at full resolution and the truth of each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.soccer import SoccerScene
+from drivers.soccernet import SoccerNetSequence
+from drivers.source import FrameSource, Truth
+from pipeline.errors import DriverError, SettingsError
+
+HELD_OUT = 70_000  # first seed of the clips that nothing is trained or chosen on
+FULL_PX, RATE_HZ = (1920, 1080), 25.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipName:
+    """Where a clip comes from: a seed, or a SoccerNet sequence's folder."""
+
+    seed: int = -1
+    folder: str = ""
+
+    def __str__(self) -> str:
+        return Path(self.folder).name if self.folder else f"procedural-{self.seed}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Clip:
+    """F frames; 1080p takes 6 MB each."""
+
+    name: ClipName
+    size_px: tuple[int, int]
+    pictures: Sequence[NDArray[np.uint8]]  # F of (h, w, 3) RGB
+    truths: Sequence[Truth]
+
+
+def names(data: str, count: int) -> list[ClipName]:
+    """What `--data` means: `procedural[:FIRST]`, a sequence's folder, or a folder of such folders.
+
+    Raises `SettingsError` or `DriverError` where it is none of these.
+    """
+    if data == "procedural" or data.startswith("procedural:"):
+        _, _, first = data.partition(":")
+        if first and not first.isdigit():
+            raise SettingsError(f"data: expected procedural:SEED, got {data!r}")
+        start = int(first) if first else HELD_OUT
+        return [ClipName(seed=start + k) for k in range(count)]
+    folder = Path(data)
+    if not folder.is_dir():
+        raise DriverError(f"{folder}: expected a folder of SoccerNet sequences, found none")
+    found = [folder] if (folder / "seqinfo.ini").exists() else sorted(folder.iterdir())
+    found = [f for f in found if (f / "seqinfo.ini").exists()]
+    if not found:
+        raise DriverError(f"{folder}: expected seqinfo.ini in it or in its folders, found none")
+    for each in found:
+        if SoccerNetSequence(path=str(each)).truth(0) is None:
+            raise DriverError(
+                f"{each}: expected gt/gt.txt, found none: there is no truth to score by"
+            )
+    return [ClipName(folder=str(each)) for each in found]
+
+
+def read(name: ClipName, frames: tuple[int, int]) -> Clip:
+    """Frames A-B of a clip, counted from 1 as SoccerNet's files are; B 0: to the end.
+
+    A scene is endless: of it B must be given.
+    """
+    source: FrameSource = (
+        SoccerNetSequence(path=name.folder)
+        if name.folder
+        else SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=name.seed)
+    )
+    try:
+        last = frames[1] or source.length or 0
+        if not 1 <= frames[0] < last or (source.length is not None and last > source.length):
+            raise SettingsError(
+                f"frames: {name} has 1 to {source.length or 'any'}, got {frames[0]}-{frames[1]}"
+            )
+        indices = range(frames[0] - 1, last)
+        pictures, truths = [], []
+        for index in indices:
+            truth = source.truth(index)
+            if truth is None:
+                raise DriverError(f"{name}: frame {index + 1} has no truth to score by")
+            truths.append(truth)
+            pictures.append(np.array(source.picture(index)))
+    finally:
+        source.close()
+    return Clip(name=name, size_px=source.size_px, pictures=pictures, truths=truths)

@@ -1,0 +1,246 @@
+"""`fovea eval tracking`: strategies of acquisition at equal pixel budgets, by a frozen tracker.
+
+Every few frames in which the target can be seen a tracker is started on the truth and followed for
+at most 64 frames; a figure is the mean IoU over all frames of all starts in which the truth knows
+the target. Of a strategy that leaves frames out, the frames it kept count, as in the paper; what
+all frames would give stands beside it (the last box holds). A strategy with a ROI begins with the
+ROI on the target and the target's box as prompt; the middle is the middle.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.machine import facts
+from bench.tracking import report as reporting
+from bench.tracking.budgets import acquisition, parsed
+from bench.tracking.clip import FULL_PX, names
+from bench.tracking.episode import Rules
+from bench.tracking.replaced import PARTS, Replaced
+from bench.tracking.targets import KINDS
+from bench.tracking.units import Case, Protocol, measured
+from pipeline.errors import FoveaError, SettingsError
+from pipeline.weights import find
+
+ALL = ("full", "oracle", "foveated", "centred", "round_robin", "spatial", "temporal", "exposure")
+GRAPH = Path(__file__).parents[2] / "graphs" / "tracking.yaml"
+SCENE_FRAMES = 96
+
+
+def cases(
+    strategies: Sequence[str],
+    budgets: Sequence[Fraction],
+    *,
+    rules: Sequence[Rules],
+    replaced: Sequence[tuple[str, ...]],
+    policies: dict[str, str],
+    changes: tuple[str, ...],
+) -> list[Case]:
+    """Every row that is asked for; what does not plan has one row a budget, `full` one in all."""
+    found = []
+    for strategy, budget in product(strategies, budgets):
+        if strategy == "full" and budget != budgets[0]:
+            continue
+        share = "1" if strategy == "full" else str(budget)
+        if strategy != "foveated":
+            plain = Case(
+                strategy=strategy, budget=share, name=strategy, rules=Rules(), changes=changes
+            )
+            found.append(plain)
+            continue
+        for (label, path), rule, parts in product(policies.items(), rules, replaced):
+            policy: tuple[str, ...] = ()
+            if path:
+                policy = (f"policy.weights={path}", "policy.strategy=learned")
+            if path == "pursue":
+                policy = ("policy.strategy=pursue",)
+            found.append(
+                Case(
+                    strategy=strategy,
+                    budget=share,
+                    name=named(label, rule, parts, many=len(rules) > 1),
+                    rules=rule,
+                    replaced=parts,
+                    changes=(*changes, *policy),
+                )
+            )
+    return found
+
+
+def named(label: str, rule: Rules, parts: tuple[str, ...], *, many: bool) -> str:
+    """What a row is called."""
+    name = "foveated" + (f" {label}" if label else "")
+    if many or rule.delay or rule.replan != 1:
+        name += f", delay {rule.delay}, Ta {rule.replan}"
+    name += "" if rule.prediction else ", no prediction"
+    return name + (f" + true {' and '.join(parts)}" if parts else "")
+
+
+def policy_files(given: Sequence[str]) -> dict[str, str]:
+    """`--policy [NAME=]FILE|pursue` by name; nothing given is what the graph says."""
+    found: dict[str, str] = {}
+    for text in given:
+        name, equals, path = text.rpartition("=")
+        if path != "pursue" and not Path(path).is_file():
+            raise SettingsError(f"policy: expected an ONNX file or pursue, got {path}")
+        found[name if equals else ("" if len(given) == 1 else Path(path).stem)] = path
+    return found or {"": ""}
+
+
+def interval(text: str) -> tuple[int, int]:
+    """`A-B`, counted from 1, or nothing.
+
+    >>> interval("1-375"), interval("")
+    ((1, 375), (1, 0))
+    """
+    if not text:
+        return 1, 0
+    first, dash, last = text.partition("-")
+    if not (dash and first.isdigit() and last.isdigit()):
+        raise SettingsError(f"frames: expected A-B, counted from 1, got {text!r}")
+    return int(first), int(last)
+
+
+def numbers(name: str, text: str) -> tuple[int, ...]:
+    """Whole numbers as they are typed."""
+    try:
+        found = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise SettingsError(
+            f"{name}: expected whole numbers such as 0,2,13, got {text!r}"
+        ) from None
+    if min(found) < 0:
+        raise SettingsError(f"{name}: must not be negative, got {min(found)}")
+    return found
+
+
+@click.command(help=(__doc__ or "").split("\n", 1)[0])
+@click.option("--data", required=True, help="a SoccerNet sequence, a folder of them, procedural")
+@click.option("--frames", default="", help="A-B, counted from 1; of a scene 1-96")
+@click.option("--clips", default=30, help="procedural clips")
+@click.option("--strategies", default="all", help="all, or some of " + ",".join(ALL))
+@click.option("--budgets", default="1/4,1/8,1/16", help="shares of the full pixel rate")
+@click.option("--targets", default="ball,referee,player")
+@click.option("--players", default=1, help="players of a clip, drawn by the seed")
+@click.option("--every", default=8, help="frames between starts")
+@click.option("--graph", default=str(GRAPH), help="the loop")
+@click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
+@click.option("--tracker", default="auto", help="auto, vittrack, correlation, or an ONNX file")
+@click.option("--policy", multiple=True, help="[NAME=]FILE.onnx, or pursue; more give more rows")
+@click.option("--delay", default="0", help="frames by which plans come late, e.g. 0,2,13")
+@click.option("--replan", default="1", help="Ta: frames between plans, e.g. 1,4,8")
+@click.option("--prediction", default="kalman", type=click.Choice(["kalman", "hold", "both"]))
+@click.option("--replace", multiple=True, help="part known from the truth: " + ", ".join(PARTS))
+@click.option("--jobs", default=2, help="processes")
+@click.option("--seed", default=0)
+@click.option("--report", type=Path, help="JSON")
+@click.option("--markdown", type=Path)
+@click.option("--plot", type=Path, help="PNG of IoU over budget")
+@click.option("--work", type=Path, help="folder for what is finished; beside the report")
+def command(**given: Any) -> None:
+    """See the module."""
+    try:
+        _evaluate(**given)
+    except FoveaError as error:
+        click.echo(f"fovea eval tracking: {error}", err=True)
+        sys.exit(2)
+
+
+def _evaluate(**given: Any) -> None:
+    strategies = ALL if given["strategies"] == "all" else tuple(given["strategies"].split(","))
+    budgets = parsed(given["budgets"])
+    kinds = tuple(given["targets"].split(","))
+    for kind in kinds:
+        if kind not in KINDS:
+            raise SettingsError(f"targets: expected {', '.join(KINDS)}, got {kind}")
+    clips = names(given["data"], given["clips"])
+    frames = interval(given["frames"])
+    if not frames[1] and not clips[0].folder:
+        frames = (1, SCENE_FRAMES)
+    predictions = {"kalman": (True,), "hold": (False,), "both": (True, False)}[given["prediction"]]
+    rules = [
+        Rules(delay=d, replan=ta, prediction=p)
+        for d, ta, p in product(
+            numbers("delay", given["delay"]), numbers("replan", given["replan"]), predictions
+        )
+    ]
+    replaced = [(), *(tuple(text.split("+")) for text in given["replace"])]
+    for parts in replaced:
+        Replaced(parts=frozenset(parts))  # refuses what is no part
+    for strategy, budget in product(strategies, budgets):
+        acquisition(strategy, budget, FULL_PX)  # refuses what cannot be read
+    follower = tracker(given["tracker"])
+    protocol = Protocol(
+        graph=given["graph"],
+        frames=frames,
+        kinds=kinds,
+        every=given["every"],
+        players=given["players"],
+        seed=given["seed"],
+    )
+    wanted = cases(
+        strategies,
+        budgets,
+        rules=rules,
+        replaced=replaced,
+        policies=policy_files(given["policy"]),
+        changes=(*given["changes"], *follower),
+    )
+    out: Path | None = given["report"]
+    folder = given["work"] or (out.with_suffix(".work") if out else Path(".fovea-eval"))
+    units = measured(clips, wanted, protocol, folder, jobs=given["jobs"])
+    found = {
+        **facts(),
+        "graph": Path(given["graph"]).name,
+        "tracker": list(follower),
+        "clips": [str(clip) for clip in clips],
+        "frames": list(frames),
+        "every": given["every"],
+        "seed": given["seed"],
+        "rows": reporting.rows(units, seed=given["seed"]),
+        "paired": [
+            row
+            for case in sorted({c.name for c in wanted if c.strategy == "foveated"})
+            for row in reporting.paired(units, of=case, seed=given["seed"])
+        ],
+    }
+    text = reporting.markdown(found)
+    if out:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps(found, indent=1) + os.linesep)
+    if given["markdown"]:
+        given["markdown"].write_text(text)
+    if given["plot"]:
+        last = [r for r in found["rows"] if r["clip"] == "all" or len(clips) == 1]
+        reporting.plot(last, given["plot"])
+    click.echo(text)
+
+
+def tracker(choice: str) -> tuple[str, ...]:
+    """Changes to the graph for `--tracker`; auto is settled here, for it decides the figures."""
+    if choice.endswith(".onnx"):
+        return ("tracker.method=vittrack", f"tracker.weights={choice}")
+    if choice not in ("auto", "vittrack", "correlation"):
+        raise SettingsError(
+            f"tracker: expected auto, vittrack, correlation or an ONNX file, got {choice}"
+        )
+    if choice == "auto":
+        choice = "vittrack" if find("vittrack") else "correlation"
+        click.echo(f"tracker: {choice}", err=True)
+    return (f"tracker.method={choice}",)
+
+
+def main() -> None:
+    """Command line."""
+    command()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""Parts of the loop replaced by the truth, to tell what each of them costs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.tracking.targets import Target
+from drivers.source import Truth
+from pipeline.boxes import centres, iou
+from pipeline.errors import SettingsError
+from pipeline.messages import Detections, Scanpath, Tracks, altered
+
+PARTS = ("detections", "association", "prediction", "policy", "tracker")
+SAME_IOU = 0.3  # from here on a track or a detection is taken for an object of the truth
+SHOWN = 0.5  # share of the target from which a perfect tracker would see it in the ROI
+NAMES = {"player": "player", "goalkeeper": "player", "ball": "ball"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Replaced:
+    """Which parts know the truth; all answers are untouched for the others."""
+
+    parts: frozenset[str] = frozenset()
+    truths: Sequence[Truth] = field(default_factory=tuple)
+
+    def __post_init__(self) -> None:
+        for part in self.parts:
+            if part not in PARTS:
+                raise SettingsError(f"replace: expected {', '.join(PARTS)}, got {part}")
+
+    def detections(self, found: Detections, frame: int) -> Detections:
+        """What is really there, with the features of what was found at the same place."""
+        if "detections" not in self.parts:
+            return found
+        truth = self.truths[frame]
+        rows = [k for k, v in enumerate(truth.visible) if v >= 0.25]
+        names = [NAMES.get(truth.labels[k], "referee") for k in rows]
+        boxes = truth.boxes[rows]
+        features = np.zeros((len(rows), found.features.shape[1]), np.float32)
+        if len(found.boxes) and len(rows):
+            overlap = iou(boxes, found.boxes)
+            same = overlap.max(1) >= SAME_IOU
+            features[same] = found.features[overlap.argmax(1)[same]]
+        return altered(
+            found,
+            boxes=boxes,
+            angles=np.zeros(len(rows), np.float32),
+            scores=np.ones(len(rows), np.float32),
+            labels=np.array([found.names.index(name) for name in names], np.int32),
+            features=features,
+        )
+
+    def tracks(self, tracks: Tracks, frame: int) -> Tracks:
+        """Tracks with true identities, or a true future."""
+        if not self.parts & {"association", "prediction"} or not len(tracks.ids):
+            return tracks
+        who = self._who(tracks, frame)
+        if "prediction" in self.parts:
+            tracks = altered(tracks, predicted=self._future(tracks, who, frame))
+        if "association" in self.parts:
+            ids = np.where(who >= 0, who, 100_000 + tracks.ids).astype(np.int32)
+            _, first = np.unique(ids, return_index=True)  # ids ascend; of doubles one is kept
+            names = ("labels", "scores", "boxes", "visible", "features", "predicted")
+            tracks = altered(
+                tracks, ids=ids[first], **{name: getattr(tracks, name)[first] for name in names}
+            )
+        return tracks
+
+    def scanpath(self, path: Scanpath, tracks: Tracks, target: Target, frame: int) -> Scanpath:
+        """The choice of somebody who knows where the target will be."""
+        if "policy" not in self.parts or not len(tracks.ids):
+            return path
+        horizon = len(path.choice)
+        ahead = np.arange(frame + 1, frame + 1 + horizon)
+        there = target.boxes[np.minimum(ahead, len(target.boxes) - 1)]
+        options = np.concatenate([tracks.predicted[:, :horizon], path.boxes[None]])
+        away = np.linalg.norm(centres(options) - centres(there)[None], axis=-1)
+        best = away.argmin(0)
+        ids = np.append(tracks.ids, -1)
+        return altered(path, choice=ids[best], boxes=options[best, np.arange(horizon)])
+
+    def percept(
+        self, box: NDArray[np.float32], truth: NDArray[np.float32], shown: float
+    ) -> NDArray[np.float32]:
+        """What a perfect tracker would say of a target that the ROI shows."""
+        return truth if "tracker" in self.parts and shown >= SHOWN and truth.any() else box
+
+    def _who(self, tracks: Tracks, frame: int) -> NDArray[np.int64]:
+        """Id in the truth of each track, -1: none."""
+        truth = self.truths[frame]
+        if not len(truth.boxes):
+            return np.full(len(tracks.ids), -1)
+        overlap = iou(tracks.boxes[:, -1], truth.boxes)
+        return np.where(overlap.max(1) >= SAME_IOU, truth.ids[overlap.argmax(1)], -1)
+
+    def _future(self, tracks: Tracks, who: NDArray[np.int64], frame: int) -> NDArray[np.float32]:
+        """Where each track that is somebody will really be; as foreseen where the truth ends."""
+        ahead = tracks.predicted.copy()
+        for step in range(ahead.shape[1]):
+            if frame + 1 + step >= len(self.truths):
+                break
+            truth = self.truths[frame + 1 + step]
+            place = {int(i): row for row, i in enumerate(truth.ids)}
+            for row, i in enumerate(who):
+                if int(i) in place:
+                    ahead[row, step] = truth.boxes[place[int(i)]]
+        return ahead

@@ -1,0 +1,134 @@
+"""The operators of a graph, driven by hand: one process, no runner, any frame again and again.
+
+What the loop computes of the context does not depend on where the ROI is: it is computed once for a
+clip, and every episode adds policy, encoder and tracker only. That this is the loop itself is
+tested against the in-line runner on the shipped graph.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.tracking.budgets import Acquisition
+from bench.tracking.clip import Clip
+from bench.tracking.replaced import Replaced
+from drivers.simulated.readout import Readout, Window
+from pipeline import settings as checked
+from pipeline.contract import Operator, handler_of, settings_of
+from pipeline.errors import GraphError
+from pipeline.graph import load
+from pipeline.messages import Frame, Header, Message, Tracks
+from pipeline.overlay import Overlay
+from pipeline.plan import load_operator
+
+NEEDED = ("downsample", "saliency", "association", "roi_features", "policy", "dispatch", "tracker")
+EMPTY: Window = (0, 0, 0, 0)
+
+
+class Stages:
+    """The opened operators of a tracking graph, by node name; use as a context."""
+
+    def __init__(self, graph: Path, changes: Sequence[str] = ()) -> None:
+        self.plan = load(graph, Overlay(changes=tuple(changes), clock="lockstep"))
+        known = {node.name for node in self.plan.nodes}
+        for name in NEEDED:
+            if name not in known:
+                raise GraphError(
+                    f"{graph}: tracking is evaluated on {', '.join(NEEDED)}; no {name}"
+                )
+        self._parts: dict[str, Operator[Any, Any]] = {}
+        for name in NEEDED:
+            node = self.plan.node(name)
+            cls = load_operator(node.operator)
+            self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))
+
+    def __enter__(self) -> "Stages":
+        try:
+            for part in self._parts.values():
+                part.open()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for part in self._parts.values():
+            part.close()
+
+    def begin(self, header: Header, *names: str, **settings: Mapping[str, Any]) -> None:
+        """A new stream for some stages, with these settings changed by stage."""
+        for name in names:
+            part = self._parts[name]
+            part.on_settings(replace(part.settings, **settings.get(name, {})))
+            part.on_stream(header)
+
+    def tell(self, name: str, **messages: Message) -> Any:
+        """Hand one set of messages to a stage: its answer, None for nothing."""
+        return handler_of(self._parts[name], tuple(messages))(**messages)
+
+
+class Camera:
+    """The simulated sensor's reading of a clip, exposure by exposure, looking where it is told."""
+
+    def __init__(self, clip: Clip, how: Acquisition) -> None:
+        self._clip, self.how = clip, how
+        width, height = clip.size_px
+        self._readout = Readout(mosaic=False, noise=0, seed=0, most_px=width * height)
+        self._whole = (0, 0, width, height)
+        self._contexts: dict[int, Frame] = {}
+        context, roi = how.sampling.context_px, how.sampling.roi_px
+        self._roi = np.empty(self._readout.shape(roi), np.uint8)
+        self.emitted_px = self.exposures = 0
+        self._per_exposure = context[0] * context[1] + roi[0] * roi[1]
+
+    def header(self, frame: int) -> Header:
+        """The header of a frame of the clip."""
+        stream = f"{self._clip.name}"
+        return Header(stream=stream, seq=frame, stamp_ns=0, geometry=self.how.geometry)
+
+    def context(self, frame: int, first: int = 0) -> Frame:
+        """The whole field at `frame`; of an averaging strategy all of `first` … `frame`.
+
+        Pictures of the full size are views of the clip's.
+        """
+        header = self.header(frame)
+        if self.how.sampling.averaged:
+            mean = np.mean(self._clip.pictures[first : frame + 1], axis=0, dtype=np.float32)
+            pixels = np.rint(mean).astype(np.uint8)
+            return Frame(header=header, pixels=pixels, window=self._whole)
+        if self.how.sampling.context_px == self._clip.size_px:
+            return Frame(header=header, pixels=self._clip.pictures[frame], window=self._whole)
+        known = self._contexts.get(frame)
+        if known is None:
+            out = np.empty(self._readout.shape(self.how.sampling.context_px), np.uint8)
+            self._readout.read(self._clip.pictures[frame], self._whole, out, seq=frame, port=0)
+            known = Frame(header=header, pixels=out, window=self._whole)
+            self._contexts[frame] = known
+        return known
+
+    def roi(self, frame: int, window: Window) -> Frame:
+        """The ROI at `frame`, valid until the next one; empty for strategies without."""
+        if not self.how.looks:
+            none = np.empty((0, 0, 3), np.uint8)
+            return Frame(header=self.header(frame), pixels=none, window=EMPTY)
+        self._readout.read(self._clip.pictures[frame], window, self._roi, seq=frame, port=1)
+        return Frame(header=self.header(frame), pixels=self._roi, window=window)
+
+    def count(self) -> None:
+        """One exposure more."""
+        self.exposures += 1
+        self.emitted_px += self._per_exposure
+
+
+def watched(camera: Camera, stages: Stages, frames: int, replaced: Replaced) -> list[Tracks]:
+    """What saliency and association make of the contexts of a clip's frames."""
+    stages.begin(camera.header(0), "downsample", "saliency", "association")
+    found = []
+    for frame in range(frames):
+        small = stages.tell("downsample", frame=camera.context(frame))
+        detections = replaced.detections(stages.tell("saliency", frame=small), frame)
+        found.append(stages.tell("association", detections=detections))
+    return found

@@ -1,0 +1,131 @@
+"""Whom to track from which frame on, and what state a ball is in, told by the truth alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.source import Truth
+from pipeline.boxes import areas, centres
+from pipeline.errors import SettingsError
+
+KINDS = {"ball": "ball", "referee": "main referee", "player": "player"}
+LEAST_VISIBLE = 0.25
+PEOPLE = ("player", "goalkeeper", "main referee", "assistant referee")
+STILL_PX = 1.5  # a frame, at 1920 pixels of width: what is slower lies still
+AROUND = 4  # frames before and after over which a ball's state is judged
+FREE, STILL, HELD = "free", "still", "held"
+Boxes = NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """One object through a clip of F frames."""
+
+    kind: str  # ball | referee | player
+    id: int
+    boxes: Boxes  # (F, 4), zeros where it is not in the picture
+    visible: NDArray[np.float32]  # (F,) share, 0 where it is not in the picture
+    state: tuple[str, ...]  # F of free, still, held for a ball, else free
+
+    @property
+    def there(self) -> NDArray[np.bool_]:
+        """In which frames the truth knows it: (F,)."""
+        return np.asarray(self.visible > 0)
+
+
+def targets(
+    truths: Sequence[Truth], kinds: Sequence[str], *, players: int, seed: int
+) -> list[Target]:
+    """Ball, main referee and some players of a clip, drawn by the seed among those long in view."""
+    found = []
+    for kind in kinds:
+        if kind not in KINDS:
+            raise SettingsError(f"targets: expected {', '.join(KINDS)}, got {kind}")
+        ids = sorted(
+            {
+                int(i)
+                for t in truths
+                for i, n in zip(t.ids, t.labels, strict=True)
+                if n == KINDS[kind]
+            }
+        )
+        whole = [_target(kind, i, truths) for i in ids]
+        whole = [t for t in whole if t.there.mean() > (0.5 if kind == "player" else 0.1)]
+        if kind == "player" and len(whole) > players:
+            rows = np.sort(np.random.default_rng([seed, 9]).permutation(len(whole))[:players])
+            whole = [whole[row] for row in rows]
+        found += whole
+    return found
+
+
+def starts(target: Target, every: int) -> list[int]:
+    """Frames in which a tracker is started: every so many where the target can be seen."""
+    frames = range(0, len(target.visible) - 1, every)
+    return [k for k in frames if target.visible[k] >= LEAST_VISIBLE]
+
+
+def _target(kind: str, object_id: int, truths: Sequence[Truth]) -> Target:
+    boxes = np.zeros((len(truths), 4), np.float32)
+    visible = np.zeros(len(truths), np.float32)
+    for k, truth in enumerate(truths):
+        row = np.flatnonzero(truth.ids == object_id)
+        if len(row) and areas(truth.boxes[row])[0] > 0:
+            boxes[k], visible[k] = truth.boxes[row[0]], truth.visible[row[0]]
+    state = ball_states(boxes, truths) if kind == "ball" else (FREE,) * len(truths)
+    return Target(kind=kind, id=object_id, boxes=boxes, visible=visible, state=state)
+
+
+def ball_states(boxes: Boxes, truths: Sequence[Truth]) -> tuple[str, ...]:
+    """free, still or held in each frame, by the truth.
+
+    Held: in most frames around, its centre lies in the upper three quarters of somebody's box,
+    the same person's. Still: against the camera, known by the others' median motion, it moves by
+    less than `STILL_PX` a frame. Free otherwise.
+    """
+    seen = areas(boxes) > 0
+    speed = _speeds(boxes, seen, truths)
+    carriers = [
+        _carrier(box, truth) if s else -1 for box, truth, s in zip(boxes, truths, seen, strict=True)
+    ]
+    states = []
+    for k in range(len(truths)):
+        around = slice(max(k - AROUND, 0), k + AROUND + 1)
+        near = np.array(carriers[around])
+        known = near[near >= 0]
+        if len(known) and np.bincount(known).max() > 0.6 * len(near):
+            states.append(HELD)
+        else:
+            slow = speed[around][np.isfinite(speed[around])]
+            states.append(STILL if len(slow) and np.median(slow) < STILL_PX else FREE)
+    return tuple(states)
+
+
+def _speeds(boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Truth]) -> NDArray[np.float64]:
+    """How far the ball went since the frame before, against the people's median: (F,), pixels."""
+    speed = np.full(len(boxes), np.nan)
+    middle = centres(boxes)
+    for k in range(1, len(boxes)):
+        if seen[k] and seen[k - 1]:
+            speed[k] = np.linalg.norm(middle[k] - middle[k - 1] - _camera(truths[k - 1], truths[k]))
+    return speed
+
+
+def _camera(before: Truth, now: Truth) -> NDArray[np.float32]:
+    """The median motion of all people in both frames: (2,)."""
+    both, first, second = np.intersect1d(before.ids, now.ids, return_indices=True)
+    if len(both) < 4:
+        return np.zeros(2, np.float32)
+    motion = centres(now.boxes[second]) - centres(before.boxes[first])
+    return np.asarray(np.median(motion, axis=0), np.float32)
+
+
+def _carrier(ball: NDArray[np.float32], truth: Truth) -> int:
+    """Id of the person in whose upper three quarters the ball's centre lies, -1: nobody's."""
+    x, y = centres(ball)
+    for box, label, i in zip(truth.boxes, truth.labels, truth.ids, strict=True):
+        left, top, right, bottom = box
+        if label in PEOPLE and left <= x <= right and top <= y <= top + 0.75 * (bottom - top):
+            return int(i)
+    return -1
