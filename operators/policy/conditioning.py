@@ -12,16 +12,18 @@ prompt says where it is.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from operators.policy.plan import PLACE
-from operators.policy.tokens import BOX, Array, Objects, tell
+from operators.policy.tokens import BOX, CLASSES, Array, Objects, one_hot, tell
 from pipeline import Geometry, Tracks
 from pipeline.boxes import areas, centres, iou
 
-CLASSES = 8  # of a detector that can be told apart
 CHANNELS = 64  # of the detector's feature map
 CONDITION = CHANNELS + BOX + CLASSES + 4
 BIND_IOU = 0.1
+ALIKE = 2.0  # what overlaps nothing binds to what is near, if their sides differ by less
+GRACE = 8  # frames a prompt may wait for its track before that is worth a word
 SURE = 0.5  # probability from which a choice binds the prompt
 GROWTH = 0.1  # box sizes by which the doubt grows with every frame
 WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
@@ -38,7 +40,12 @@ class Wish:
     @property
     def one(self) -> bool:
         """Whether one object is meant, and not any of a class."""
-        return self.object_id >= 0 or self.box[2] > self.box[0]
+        return self.object_id >= 0 or self.boxed
+
+    @property
+    def boxed(self) -> bool:
+        """Whether a box says who is meant; an id goes before it."""
+        return self.object_id < 0 and self.box[2] > self.box[0]
 
 
 def _nowhere() -> Array:
@@ -51,6 +58,7 @@ class Prompt:
 
     bound_id: int = -1  # the track that is believed to be the target
     label: str = ""  # its class, once known
+    asked_seq: int = -1  # the first frame after the prompt; -1: not yet
     seen_seq: int = -1  # when it was last seen, or asked for; -1: neither yet
     box: Array = field(default_factory=_nowhere)  # where it is believed to be, sensor pixels
     features: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (C,) when bound
@@ -71,9 +79,10 @@ class Choice:
 
 def follow(before: Prompt, wish: Wish, tracks: Tracks, chosen: Choice) -> Prompt:
     """The prompt after one more frame, for which the policy had chosen `chosen`."""
-    now = before
-    if now.seen_seq < 0 and wish.box[2] > wish.box[0]:
-        now = replace(now, box=np.array(wish.box, np.float32), seen_seq=tracks.header.seq)
+    seq = tracks.header.seq
+    now = before if before.asked_seq >= 0 else replace(before, asked_seq=seq)
+    if now.seen_seq < 0 and wish.boxed:
+        now = replace(now, box=np.array(wish.box, np.float32), seen_seq=seq)
     elif now.placed:
         now = replace(now, box=now.box + np.tile(camera_motion(tracks), 2))
     row = _row(tracks, now.bound_id)
@@ -90,9 +99,7 @@ def condition(prompt: Prompt, wish: Wish, tracks: Tracks) -> Array:
     told[: min(len(prompt.features), CHANNELS)] = prompt.features[:CHANNELS]
     if prompt.placed:
         told[CHANNELS : CHANNELS + BOX] = tell(prompt.box, tracks.header.geometry)
-    label = prompt.label or wish.target
-    if label in tracks.names[:CLASSES]:
-        told[CHANNELS + BOX + tracks.names.index(label)] = 1
+    told[CHANNELS + BOX : -4] = one_hot(tracks.names, [prompt.label or wish.target])[0]
     row = _row(tracks, prompt.bound_id)
     unseen = tracks.header.seq - prompt.seen_seq if prompt.seen_seq >= 0 else 0
     told[-4:] = (
@@ -104,8 +111,27 @@ def condition(prompt: Prompt, wish: Wish, tracks: Tracks) -> Array:
     return told
 
 
-def place(prompt: Prompt, tracks: Tracks, *, patience: int, roi_channels: int) -> Objects | None:
-    """The prompted place as a candidate; None while its target is in view, and after `patience`."""
+def unmet(prompt: Prompt, wish: Wish, tracks: Tracks) -> str:
+    """A sentence when nothing answers to the prompt, else empty."""
+    if wish.target and tracks.names and wish.target not in tracks.names:
+        known = ", ".join(tracks.names)
+        return f"policy.target: expected one of {known}, got {wish.target}"
+    seq = tracks.header.seq
+    if not wish.one or prompt.bound_id >= 0 or seq - prompt.asked_seq < GRACE:
+        return ""
+    frames = f"frames {prompt.asked_seq} to {seq}"
+    if wish.boxed:
+        return f"policy.prompt_box: expected a track at {wish.box}, none was there in {frames}"
+    return f"policy.target_id: expected a track {wish.object_id}, none was there in {frames}"
+
+
+def place(
+    prompt: Prompt, wish: Wish, tracks: Tracks, looks: Array, *, patience: int
+) -> Objects | None:
+    """The prompted place as a candidate; None while its target is in view, and after `patience`.
+
+    `looks` (To, D) is what the ROI lately showed of the target.
+    """
     unseen = tracks.header.seq - prompt.seen_seq
     row = _row(tracks, prompt.bound_id)
     if not prompt.placed or unseen > patience or (row >= 0 and tracks.visible[row, -1]):
@@ -120,10 +146,11 @@ def place(prompt: Prompt, tracks: Tracks, *, patience: int, roi_channels: int) -
     features[: len(prompt.features)] = prompt.features
     return Objects(
         ids=np.array([PLACE], np.int32),
-        roi=np.zeros((1, observed, roi_channels), np.float32),
+        roi=looks[None],
         context=np.broadcast_to(features, (1, observed, len(features))).copy(),
         boxes=np.concatenate([past, np.zeros((observed, 1), np.float32)], 1)[None],
         predicted=tell(path, tracks.header.geometry)[None],
+        label=one_hot(tracks.names, [prompt.label or wish.target]),
         place=np.ones(1, np.float32),
         path=path[None],
     )
@@ -148,8 +175,22 @@ def _first(tracks: Tracks, wish: Wish, now: Prompt) -> int:
         return _row(tracks, wish.object_id)
     if not wish.one or not len(tracks.ids):
         return -1
-    overlap = iou(tracks.boxes[:, -1], now.box[None])[:, 0]
-    return int(overlap.argmax()) if overlap.max() >= BIND_IOU else -1
+    return in_box(tracks.boxes[:, -1], now.box)
+
+
+def in_box(boxes: Array, box: Array) -> int:
+    """Which of `boxes` (n, 4) is meant by `box` (4,): the greatest overlap, else the nearest.
+
+    The nearest must be about as large, and not further than that; -1: none. A drawn prompt and a
+    ball of a few pixels hardly overlap.
+    """
+    overlap = iou(boxes, box[None])[:, 0]
+    if overlap.max() >= BIND_IOU:
+        return int(overlap.argmax())
+    size, sides = _size(box), np.sqrt(np.maximum(areas(boxes), 1))
+    away = np.linalg.norm(centres(boxes) - centres(box), axis=1)
+    fit: NDArray[np.bool_] = (away <= size) & (np.maximum(sides / size, size / sides) <= ALIKE)
+    return int(np.where(fit, away, np.inf).argmin()) if fit.any() else -1
 
 
 def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
@@ -160,13 +201,20 @@ def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
     wanted = now.label or wish.target
     if wanted and _name(tracks, row) != wanted:
         return -1
-    if wish.one and now.placed:
-        size = max(float(np.sqrt(areas(now.box[None])[0])), 1.0)
-        gone = tracks.header.seq - now.seen_seq
-        away = float(np.linalg.norm(centres(tracks.boxes[row, -1]) - centres(now.box)))
-        if away > (1 + GROWTH * gone) * size + _reach(tracks.header.geometry):
-            return -1
-    return row
+    return row if not wish.one or _near(tracks, row, now) else -1
+
+
+def _near(tracks: Tracks, row: int, now: Prompt) -> bool:
+    """Whether the target may have gone there since it was seen; nothing is near nowhere."""
+    if not now.placed:
+        return False
+    gone = tracks.header.seq - now.seen_seq
+    away = float(np.linalg.norm(centres(tracks.boxes[row, -1]) - centres(now.box)))
+    return away <= (1 + GROWTH * gone) * _size(now.box) + _reach(tracks.header.geometry)
+
+
+def _size(box: Array) -> float:
+    return max(float(np.sqrt(areas(box[None])[0])), 1.0)
 
 
 def _reach(geometry: Geometry) -> float:

@@ -4,7 +4,8 @@
 computes the probabilities between them differs.
 """
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 
 from operators.policy.conditioning import CONDITION, Choice, Prompt, Wish, condition, follow, place
 from operators.policy.memory import Memory, recall, refuted
-from operators.policy.plan import PLACE, Plan, field_centre, stay
-from operators.policy.tokens import Array, Objects, batched, joined, objects, without
+from operators.policy.plan import Plan, field_centre, stay
+from operators.policy.tokens import BOX, CLASSES, Array, Objects, batched, joined, objects, without
 from pipeline import Tracks
 from pipeline.errors import MessageError, WeightsError
 from pipeline.inference import Network
@@ -48,24 +49,39 @@ class Chooser:
     def __init__(self, path: Path, *, threads: int = 1) -> None:
         if path == SHIPPED and not path.is_file():
             raise WeightsError(f"policy.weights: {path.name} is not there; train one, or name one")
-        self._network = Network(path, threads=threads)
-        expected = {"roi", "context", "boxes", "predicted", "place", "condition", "mask"}
-        if set(self._network.inputs) != expected:
-            given = ", ".join(self._network.inputs)
+        self.path, self._network = path, Network(path, threads=threads)
+        given = self._network.inputs
+        told = {f.name for f in fields(Objects)} - {"ids", "path"} | {"condition", "mask"}
+        if set(given) != told or set(self._network.outputs) != {"logits"}:
             raise WeightsError(
-                f"{path}: expected a policy's inputs {sorted(expected)}, got {given}"
+                f"{path}: expected a policy's inputs {', '.join(sorted(told))} and the output "
+                f"logits, got {', '.join(given)} and {', '.join(self._network.outputs)}"
             )
-        if self._network.inputs["condition"][1] != CONDITION:
-            got = self._network.inputs["condition"][1]
-            raise WeightsError(f"{path}: expected a condition of {CONDITION} numbers, got {got}")
-        self.path = path
-        self.roi_channels = int(self._network.inputs["roi"][3])
-        self._observed, self._context = (int(n) for n in self._network.inputs["context"][2:])
-        self.horizon = int(self._network.inputs["predicted"][2])
+        self.roi_channels, self._context = _last(given["roi"]), _last(given["context"])
+        self.observed, self.horizon = _last(given["boxes"][:-1]), _last(given["predicted"][:-1])
+        for name, sides in {
+            "roi": [self.observed, self.roi_channels],
+            "context": [self.observed, self._context],
+            "boxes": [self.observed, BOX + 1],
+            "predicted": [self.horizon, BOX],
+            "label": [CLASSES],
+            "condition": [CONDITION],
+        }.items():
+            got = list(given[name])[-len(sides) :]
+            if got != sides:
+                raise WeightsError(f"{path}: expected {name} of {sides}, got {got}")
+
+    def suits(self, *, horizon: int, observed: int) -> None:
+        """Raise `WeightsError` unless the network was trained for these settings."""
+        if (self.horizon, self.observed) != (horizon, observed):
+            raise WeightsError(
+                f"{self.path}: expected horizon {horizon} and observed {observed} as policy's "
+                f"settings say, got {self.horizon} and {self.observed}"
+            )
 
     def check(self, tracks: Tracks) -> None:
         """Raise `MessageError` unless the tracks are what the network was trained on."""
-        expected = (self._observed, self._context, self.horizon)
+        expected = (self.observed, self._context, self.horizon)
         got = (*tracks.features.shape[1:], tracks.predicted.shape[1])
         if len(tracks.ids) and expected != got:
             raise MessageError(
@@ -79,6 +95,12 @@ class Chooser:
         return softmax(logits)
 
 
+def _last(sides: Sequence[object]) -> int:
+    """The last side, 0 where it is open."""
+    side = sides[-1] if sides else 0
+    return side if isinstance(side, int) else 0
+
+
 def softmax(logits: Array) -> Array:
     """Over the candidates: (..., N, Tp) -> the same, each step's sum 1."""
     raised = np.exp(logits - logits.max(-2, keepdims=True, initial=-np.inf))
@@ -88,23 +110,24 @@ def softmax(logits: Array) -> Array:
 def observe(
     before: Gaze, wish: Wish, tracks: Tracks, memory: Memory, rules: Rules
 ) -> tuple[Gaze, Objects, Array]:
-    """Take in one frame: what to remember, the candidates, the condition.
-
-    Raises `MessageError` when a feature is no number.
-    """
-    if not (np.isfinite(tracks.features).all() and np.isfinite(tracks.boxes).all()):
-        raise MessageError(
-            f"policy.tracks: expected finite numbers in frame {tracks.header.seq}, got others"
-        )
+    """Take in one frame: what to remember, the candidates, the condition."""
     seq, observed = tracks.header.seq, tracks.boxes.shape[1]
     prompt = follow(before.prompt, wish, tracks, chosen_for(before, seq))
-    looks = recall(memory, tracks.ids, seq=seq, observed=observed, channels=rules.roi_channels)
-    candidates = objects(tracks, looks)
+    ids = np.append(tracks.ids, np.int32(prompt.bound_id))
+    looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
+    candidates = objects(tracks, looks[:-1])
     candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
-    spot = place(prompt, tracks, patience=rules.patience, roi_channels=rules.roi_channels)
+    spot = place(prompt, wish, tracks, looks[-1], patience=rules.patience)
     if spot is not None:
         candidates = joined(candidates, spot)
     return replace(before, prompt=prompt), candidates, condition(prompt, wish, tracks)
+
+
+def fault(tracks: Tracks) -> str:
+    """A sentence when the tracks hold something that is no number, else empty."""
+    if all(np.isfinite(a).all() for a in (tracks.features, tracks.boxes, tracks.predicted)):
+        return ""
+    return f"policy.tracks: expected finite numbers in frame {tracks.header.seq}, got others"
 
 
 def chosen_for(gaze: Gaze, seq: int) -> Choice:
@@ -122,8 +145,8 @@ def decide(
     steps = np.arange(len(picked))
     choice = candidates.ids[picked]
     over = np.zeros((len(picked), len(tracks.ids)), np.float32)
-    rows = np.flatnonzero(candidates.ids != PLACE)
-    over[:, np.searchsorted(tracks.ids, candidates.ids[rows])] = probability[rows].T
+    track, candidate = np.nonzero(tracks.ids[:, None] == candidates.ids)
+    over[:, track] = probability[candidate].T
     plan = Plan(choice=choice, boxes=candidates.path[picked, steps], probability=over)
     return plan, replace(
         before,

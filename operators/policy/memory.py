@@ -46,14 +46,12 @@ def blank(capacity: int) -> Memory:
 def remember(memory: Memory, seen: RoiFeatures, observed: int) -> Memory:
     """The memory after one more ROI, of which the looks of `observed` frames are kept.
 
-    Raises `MessageError` when the features change their width or are no numbers.
+    Raises `MessageError` when the features change their width.
     """
     seq, width = seen.header.seq, seen.features.shape[1]
     if len(memory.ids) and len(seen.ids) and memory.features.shape[1] != width:
         known = memory.features.shape[1]
         raise MessageError(f"policy.features: expected {known} channels, got {width}")
-    if not (np.isfinite(seen.features).all() and np.isfinite(seen.genuine).all()):
-        raise MessageError(f"policy.features: expected finite numbers in frame {seq}, got others")
     recent = memory.seqs > seq - observed
     known = memory.features[recent] if recent.any() else np.zeros((0, width), np.float32)
     verdicts = _judge(memory, seen)
@@ -66,6 +64,13 @@ def remember(memory: Memory, seen: RoiFeatures, observed: int) -> Memory:
         genuine=verdicts[1],
         looks=verdicts[2],
     )
+
+
+def fault(seen: RoiFeatures) -> str:
+    """A sentence when a look holds something that is no number, else empty."""
+    if np.isfinite(seen.features).all() and np.isfinite(seen.genuine).all():
+        return ""
+    return f"policy.features: expected finite numbers in frame {seen.header.seq}, got others"
 
 
 def _judge(memory: Memory, seen: RoiFeatures) -> tuple[NDArray[np.int32], Array, NDArray[np.int32]]:
@@ -100,10 +105,10 @@ def recall(
             f"policy.features: expected {channels} channels, got {memory.features.shape[1]}"
         )
     column = memory.seqs - seq + observed - 1
-    row = np.searchsorted(ids, memory.ids)  # track ids ascend
-    known = (row < len(ids)) & (column >= 0) & (column < observed)
-    known[known] &= ids[row[known]] == memory.ids[known]
-    found[row[known], column[known]] = memory.features[known]
+    row, look = np.nonzero(ids[:, None] == memory.ids)
+    known = (column[look] >= 0) & (column[look] < observed)
+    row, look = row[known], look[known]
+    found[row, column[look]] = memory.features[look]
     return found
 
 

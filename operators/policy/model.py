@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from operators.policy.conditioning import CONDITION
-from operators.policy.tokens import BOX
+from operators.policy.tokens import BOX, CLASSES
 from operators.training.onnx_files import write
 
 PARTS = ("roi", "global", "motion")  # what an ablation may leave out
@@ -20,7 +20,7 @@ WIDTHS = {"roi": 64, "global": 64, "detection": 32, "motion": 32}
 EMBEDDED, HEADS, LAYERS, FEED_FORWARD = 128, 4, 2, 256
 HIDDEN = 96  # of the convolutions along time
 NEVER = -1e4  # the logit of what is no object
-INPUTS = ("roi", "context", "boxes", "predicted", "place", "condition", "mask")
+INPUTS = ("roi", "context", "boxes", "predicted", "label", "place", "condition", "mask")
 
 
 class History(nn.Module):
@@ -89,8 +89,8 @@ class PolicyNet(nn.Module):
         self.use = use
         self.roi = History(roi_channels, observed, WIDTHS["roi"])
         self.context = History(context_channels, observed, WIDTHS["global"])
-        # beside the boxes: whether each was seen, and whether it is but the prompted place
-        self.detection = perceptron((BOX + 1) * observed + 1, WIDTHS["detection"])
+        # beside the boxes: whether each was seen, the class, and whether it is the prompted place
+        self.detection = perceptron((BOX + 1) * observed + CLASSES + 1, WIDTHS["detection"])
         self.motion = perceptron(BOX * horizon, WIDTHS["motion"])
         self.norms = nn.ModuleDict({name: nn.LayerNorm(width) for name, width in WIDTHS.items()})
         self.embed = nn.Linear(sum(WIDTHS.values()), EMBEDDED)
@@ -111,6 +111,7 @@ class PolicyNet(nn.Module):
         context: Tensor,  # (B, N, To, C)
         boxes: Tensor,  # (B, N, To, 5)
         predicted: Tensor,  # (B, N, Tp, 4)
+        label: Tensor,  # (B, N, CLASSES)
         place: Tensor,  # (B, N)
         condition: Tensor,  # (B, CONDITION)
         mask: Tensor,  # (B, N) bool, True: an object
@@ -119,7 +120,7 @@ class PolicyNet(nn.Module):
         parts = {
             "roi": self.roi(roi),
             "global": self.context(context),
-            "detection": self.detection(torch.cat([boxes.flatten(2), place[..., None]], -1)),
+            "detection": self.detection(torch.cat([boxes.flatten(2), label, place[..., None]], -1)),
             "motion": self.motion(predicted.flatten(2)),
         }
         told = [
@@ -142,6 +143,7 @@ def example(net: PolicyNet, count: int = 3) -> dict[str, Tensor]:
         "context": torch.zeros(1, count, s["observed"], s["context_channels"]),
         "boxes": torch.zeros(1, count, s["observed"], BOX + 1),
         "predicted": torch.zeros(1, count, s["horizon"], BOX),
+        "label": torch.zeros(1, count, CLASSES),
         "place": torch.zeros(1, count),
         "condition": torch.zeros(1, CONDITION),
         "mask": torch.ones(1, count, dtype=torch.bool),

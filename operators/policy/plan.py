@@ -38,6 +38,11 @@ def stay(boxes: NDArray[np.float32], horizon: int) -> Plan:
     return Plan(choice=np.full(horizon, PLACE, np.int32), boxes=places)
 
 
+def no_proposal() -> Plan:
+    """No proposal: the plan before stays in force."""
+    return Plan(choice=np.zeros(0, np.int32), boxes=np.zeros((0, 4), np.float32))
+
+
 def field_centre(geometry: Geometry) -> NDArray[np.float32]:
     """A box of the ROI's size in the middle of the field: (4,)."""
     middle = np.array([geometry.width_px, geometry.height_px], np.float32) / 2

@@ -4,6 +4,7 @@ Answers every frame k with a plan for k+1 … k+Tp. Strategies are functions of 
 state that is replaced, never changed: the same tracks in, the same plans out.
 """
 
+import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -11,7 +12,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from operators.policy.baselines import Turn, centred, round_robin
-from operators.policy.conditioning import Wish
+from operators.policy.conditioning import Wish, unmet
 from operators.policy.learned import (
     SHIPPED,
     Chooser,
@@ -19,17 +20,20 @@ from operators.policy.learned import (
     Rules,
     Selection,
     decide,
+    fault,
     nothing,
     observe,
     pick,
 )
 from operators.policy.memory import Memory, blank, remember
-from operators.policy.plan import Plan, scanpath
+from operators.policy.memory import fault as fault_of_looks
+from operators.policy.plan import Plan, no_proposal, scanpath
 from operators.policy.pursuit import Aim, Pursuit, pursue
+from operators.policy.tokens import MOST_OBJECTS
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
+log = logging.getLogger(__name__)
 MEMORY_PER_OBJECT = 4  # objects that come and go, for each of the 25 that are reported at once
-MOST_OBJECTS = 25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,26 +83,33 @@ class PolicyState:
 
 
 class Policy(Operator[PolicySettings, Scanpath]):
-    """Never silent: a frame without objects is answered with places to look at."""
+    """Never silent: a frame without objects is answered with places to look at.
+
+    Only what is no number is answered with no proposal, so that the last plan stays in force.
+    """
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
 
     def open(self) -> None:
-        """Start without a past; raises `WeightsError` when the learned policy has no network."""
+        """Start without a past; raises `WeightsError` when no network fits the settings."""
         s = self.settings
         self._state = PolicyState()
         self._chooser: Chooser | None = None
         if s.strategy == "learned":
             self._chooser = Chooser(Path(s.weights) if s.weights else SHIPPED, threads=s.threads)
+            self._chooser.suits(horizon=s.horizon, observed=s.observed)
+        self._ailing: set[str] = set()
         self._look_for(s)
 
     def on_settings(self, settings: PolicySettings) -> None:
         """Another target from the next plan on; what everybody looks like stays known."""
-        self.settings = settings
-        self._state = replace(self._state, pursuit=Pursuit(), gaze=Gaze())
+        self.settings, before = settings, self._wish
         self._look_for(settings)
+        if self._wish != before:
+            self._state = replace(self._state, pursuit=Pursuit(), gaze=Gaze())
+            self._ailing.discard("prompt")
 
     def _look_for(self, s: PolicySettings) -> None:
         self._aim = Aim(object_id=s.target_id, box=s.prompt_box, target=s.target, held_by=s.held_by)
@@ -117,7 +128,11 @@ class Policy(Operator[PolicySettings, Scanpath]):
         self._state = state
 
     def on_features(self, features: RoiFeatures) -> None:
-        """Keep the newest look at each object."""
+        """Keep the looks of the last frames."""
+        wrong = fault_of_looks(features)
+        self._complain("looks", wrong)
+        if wrong:
+            return
         memory = remember(self._state.memory, features, self.settings.observed)
         self._state = replace(self._state, memory=memory)
 
@@ -127,7 +142,7 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     def _plan(self, tracks: Tracks) -> Plan:
         s, state = self.settings, self._state
-        if self._chooser is not None:
+        if s.strategy == "learned" and self._chooser is not None:
             return self._chosen(tracks, self._chooser)
         if s.strategy == "centred":
             return centred(tracks, s.horizon)
@@ -152,10 +167,15 @@ class Policy(Operator[PolicySettings, Scanpath]):
         """What the network chooses."""
         s, state = self.settings, self._state
         chooser.check(tracks)
+        wrong = fault(tracks)
+        self._complain("tracks", wrong)
+        if wrong:
+            return no_proposal()
         rules = Rules(
             patience=s.patience, least_genuine=s.least_genuine, roi_channels=chooser.roi_channels
         )
         gaze, candidates, told = observe(state.gaze, self._wish, tracks, state.memory, rules)
+        self._complain("prompt", unmet(gaze.prompt, self._wish, tracks))
         if len(candidates.ids):
             probability = chooser(candidates, told)
             rng = np.random.default_rng([s.seed, tracks.header.seq])
@@ -165,3 +185,9 @@ class Policy(Operator[PolicySettings, Scanpath]):
             plan = nothing(gaze, tracks, chooser.horizon)
         self._state = replace(state, gaze=gaze)
         return plan
+
+    def _complain(self, about: str, sentence: str) -> None:
+        """Log a sentence once, until there is nothing to complain of any more."""
+        if sentence and about not in self._ailing:
+            log.warning(sentence)
+        (self._ailing.add if sentence else self._ailing.discard)(about)

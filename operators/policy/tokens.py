@@ -1,7 +1,8 @@
 """What the network is told of each object: Tracks and what the ROI showed of them -> arrays.
 
-Paper, supplement "Scanpath Selection Policy": per object its appearance in the ROI and in the
-context over the last To frames, its boxes over them, and its foreseen boxes over the next Tp.
+Paper, section 3.5 and supplement "Scanpath Selection Policy": per object its appearance in the ROI
+and in the context over the last To frames, its class, its boxes and when it was visible over them,
+and its foreseen boxes over the next Tp.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from pipeline import Geometry, Tracks
 
 MOST_OBJECTS = 25
 BOX = 4  # numbers that tell one box
+CLASSES = 8  # of a detector that can be told apart
 Array = NDArray[np.float32]
 
 
@@ -26,6 +28,7 @@ class Objects:
     context: Array  # (N, To, C) features of the detector's map
     boxes: Array  # (N, To, 5) told boxes and whether seen
     predicted: Array  # (N, Tp, 4) told boxes
+    label: Array  # (N, CLASSES) 1 at its class
     place: Array  # (N,) 1: the prompted place, no track
     path: Array  # (N, Tp, 4) foreseen boxes, sensor pixels
 
@@ -41,6 +44,19 @@ def tell(boxes: Array, geometry: Geometry) -> Array:
     return np.concatenate([centre, np.log(sides) / 3 + 1], -1).astype(np.float32)
 
 
+def one_hot(names: tuple[str, ...], wanted: Sequence[str]) -> Array:
+    """1 at the place of each class in the detector's `names`: (n, CLASSES); 0 for others.
+
+    >>> one_hot(("ball", "player"), ["player", "dog"])[:, :3].tolist()
+    [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    """
+    told = np.zeros((len(wanted), CLASSES), np.float32)
+    for row, name in enumerate(wanted):
+        if name in names[:CLASSES]:
+            told[row, names.index(name)] = 1
+    return told
+
+
 def objects(tracks: Tracks, roi: Array) -> Objects:
     """All tracks as candidates, at most `MOST_OBJECTS` by score; `roi` is (n, To, D)."""
     rows = np.arange(len(tracks.ids))
@@ -54,6 +70,7 @@ def objects(tracks: Tracks, roi: Array) -> Objects:
         context=tracks.features[rows],
         boxes=np.concatenate([tell(tracks.boxes[rows], geometry), seen], -1),
         predicted=tell(tracks.predicted[rows], geometry),
+        label=(tracks.labels[rows, None] == np.arange(CLASSES)).astype(np.float32),
         place=np.zeros(len(rows), np.float32),
         path=tracks.predicted[rows],
     )
@@ -90,9 +107,10 @@ def batched(
         "mask": np.zeros((len(moments), most), np.bool_),
     }
     shapes = {
-        name: getattr(first, name).shape[1:] for name in ("roi", "context", "boxes", "predicted")
+        name: getattr(first, name).shape[1:]
+        for name in ("roi", "context", "boxes", "predicted", "label", "place")
     }
-    for name, shape in (shapes | {"place": ()}).items():
+    for name, shape in shapes.items():
         padded = np.zeros((len(moments), most, *shape), np.float32)
         for row, moment in enumerate(moments):
             padded[row, : len(moment.ids)] = getattr(moment, name)

@@ -1,5 +1,6 @@
 """The learned policy: what a network is told, and what becomes of what it answers."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
 from operators.policy.conditioning import CHANNELS, CONDITION
-from operators.policy.learned import Chooser, pick
+from operators.policy.learned import SHIPPED, Chooser, pick
 from operators.policy.model import INPUTS, PolicyNet, example, export
 from operators.policy.policy import Policy, PolicySettings
 from operators.policy.tokens import MOST_OBJECTS, batched, objects
@@ -117,6 +118,7 @@ def test_moments_are_padded_to_the_longest_and_marked() -> None:
 
     assert given["mask"].tolist() == [[True, True, False, False, False], [True] * 5]
     assert given["context"].shape == (2, 5, 4, CHANNELS)
+    assert given["label"][1, :, :2].tolist() == [[0, 1], [1, 0], [0, 1], [1, 0], [0, 1]]
     assert not given["boxes"][0, 2:].any()
 
 
@@ -213,6 +215,21 @@ def test_another_target_takes_effect_with_the_next_plan(weights: Path) -> None:
     assert subject.state().gaze.prompt.bound_id == 4
 
 
+def test_what_is_no_other_target_leaves_the_prompt_where_it_is(weights: Path) -> None:
+    settings = PolicySettings(
+        strategy="learned", weights=str(weights), prompt_box=(390, 290, 420, 320)
+    )
+    subject = Policy(settings)
+    subject.open()
+    subject.on_tracks(world(0))
+    prompt = subject.state().gaze.prompt
+
+    subject.on_settings(replace(settings, least_genuine=0.5))
+
+    assert prompt.bound_id == 1
+    assert subject.state().gaze.prompt is prompt
+
+
 def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None:
     values = {"strategy": "learned", "weights": str(weights), "patience": 1}
     prompted = values | {"prompt_box": (100, 100, 120, 120)}
@@ -223,15 +240,45 @@ def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None
     assert drive(Policy, empty, values)[-1].choice.tolist() == [-1] * 16
 
 
-def test_features_that_are_no_numbers_are_refused_and_life_goes_on(weights: Path) -> None:
+@pytest.mark.parametrize("field", ["features", "boxes", "predicted"])
+def test_tracks_that_are_no_numbers_leave_the_last_plan_in_force_and_are_told_once(
+    weights: Path, field: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    frames = [world(k) for k in range(4)]
+    for bad in frames[1:3]:
+        getattr(bad, field)[2, 1, 0] = np.nan
+
+    paths = drive(Policy, frames, {"strategy": "learned", "weights": str(weights)})
+
+    assert [len(path.choice) for path in paths] == [16, 0, 0, 16]
+    assert caplog.messages == ["policy.tracks: expected finite numbers in frame 1, got others"]
+
+
+def test_looks_that_are_no_numbers_are_forgotten_and_told_once(
+    weights: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
     subject.open()
-    bad = world(5)
-    bad.features[2, 1, 0] = np.nan
+    for seq in (0, 1):
+        bad = look(seq, 1, 2)
+        bad.features[1, 3] = np.inf
+        subject.on_features(bad)
 
-    with pytest.raises(MessageError, match=r"policy\.tracks: expected finite numbers in frame 5"):
-        subject.on_tracks(bad)
-    assert len(subject.on_tracks(world(6)).choice) == 16
+    assert not len(subject.state().memory.ids)
+    assert len(subject.on_tracks(world(1)).choice) == 16
+    assert caplog.messages == ["policy.features: expected finite numbers in frame 0, got others"]
+
+
+def test_a_prompt_that_nothing_answers_to_is_told_once(
+    weights: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    values = {"strategy": "learned", "weights": str(weights), "target_id": 77}
+
+    drive(Policy, [world(k) for k in range(20)], values)
+
+    assert caplog.messages == [
+        "policy.target_id: expected a track 77, none was there in frames 0 to 8"
+    ]
 
 
 def test_tracks_that_the_network_does_not_know_are_refused(weights: Path) -> None:
@@ -252,3 +299,22 @@ def test_weights_that_are_no_policy_are_refused(tmp_path: Path) -> None:
         Chooser(tmp_path / "other.onnx")
     with pytest.raises(WeightsError, match=r"none\.onnx: no such weights"):
         Chooser(tmp_path / "none.onnx")
+
+
+def test_weights_for_another_history_or_horizon_are_refused_before_the_first_frame(
+    weights: Path, tmp_path: Path
+) -> None:
+    export(net(3, horizon=8, observed=2), tmp_path / "short.onnx")
+
+    for path, settings in ((tmp_path / "short.onnx", {}), (weights, {"horizon": 8})):
+        with pytest.raises(
+            WeightsError, match=rf"{path.name}: expected horizon \d+ and observed 4"
+        ):
+            drive(Policy, [], {"strategy": "learned", "weights": str(path), **settings})
+
+
+def test_without_weights_of_its_own_and_none_shipped_it_says_so() -> None:
+    if SHIPPED.exists():
+        pytest.skip("there are shipped weights")
+    with pytest.raises(WeightsError, match=r"policy\.weights: policy\.onnx is not there"):
+        drive(Policy, [], {"strategy": "learned"})

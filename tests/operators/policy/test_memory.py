@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from operators.policy.memory import Memory, blank, recall, refuted, remember
+from operators.policy.memory import Memory, blank, fault, recall, refuted, remember
 from pipeline import MessageError, RoiFeatures
 from pipeline.testing import header
 
@@ -48,8 +48,22 @@ def test_two_looks_are_needed_to_refute_and_later_ones_can_change_it() -> None:
     assert not refuted(remember(twice, look(3, genuine=0.9, t1=1), 4), ids, 0.2)[0]
 
 
-def test_features_that_are_no_numbers_or_change_their_width_are_refused() -> None:
-    with pytest.raises(MessageError, match=r"policy\.features: expected finite numbers in frame 3"):
-        after(look(3, t1=float("nan")))
+def test_looks_find_their_object_whatever_the_order_of_the_ids() -> None:
+    found = recall(
+        after(look(5, t1=1, t9=9)), np.array([9, 1], np.int32), seq=5, observed=4, channels=3
+    )
+
+    assert found[:, -1, 0].tolist() == [9, 1]
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf")])
+def test_a_look_that_is_no_number_is_a_fault(wrong: float) -> None:
+    said = "policy.features: expected finite numbers in frame 3, got others"
+
+    assert fault(look(3, t1=wrong)) == fault(look(3, genuine=wrong, t1=1)) == said
+    assert not fault(look(3, t1=1))
+
+
+def test_features_of_another_width_are_refused() -> None:
     with pytest.raises(MessageError, match="expected 5 channels, got 3"):
         recall(after(look(1, t1=1)), np.array([1], np.int32), seq=1, observed=4, channels=5)
