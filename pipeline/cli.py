@@ -1,4 +1,4 @@
-"""The command line: `fovea run | check | draw | ps | top | logs | echo | hz | weights`."""
+"""The command line: `fovea run | check | draw | ps | top | logs | echo | hz | …`."""
 
 import json
 import logging
@@ -19,6 +19,7 @@ from pipeline.graph_schema import graph_schema
 from pipeline.overlay import Overlay, manual_nodes
 from pipeline.plan import Plan
 from pipeline.report import tables
+from pipeline.tasks import task_command
 from pipeline.weights import weights_commands
 
 console = Console()
@@ -183,6 +184,8 @@ def _load(
 
 
 commands.add_command(weights_commands)
+commands.add_command(task_command("train", "Train the networks of a task."))
+commands.add_command(task_command("eval", "Measure a task: figures, tables, plots."))
 
 if __name__ == "__main__":
     main()

@@ -16,6 +16,7 @@ from pipeline.errors import SettingsError
 from pipeline.messages import Geometry
 
 TOLERANCE = 0.01  # of the budget: the sensor's own count must be this near
+LEAST = Fraction(1, 256)  # below it the context shows nothing that a detector could find
 SHARES: Mapping[Fraction, tuple[float, float]] = {  # budget -> context's side, ROI's area
     Fraction(1, 4): (0.25, 3 / 16),
     Fraction(1, 8): (0.25, 1 / 16),
@@ -45,6 +46,8 @@ def acquisition(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Ac
         raise SettingsError(f"strategies: expected {', '.join(STRATEGIES)}, got {strategy}")
     if strategy == "full":
         budget = Fraction(1)
+    if budget < LEAST:
+        raise SettingsError(f"budgets: expected at least {LEAST} of the pixels, got {budget}")
     context, roi = SHARES.get(budget, (math.sqrt(budget / 2), float(budget / 2)))
     settings = SimulatedSensorSettings(
         scene="soccer",

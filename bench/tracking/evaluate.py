@@ -21,7 +21,7 @@ import click
 from bench.machine import facts
 from bench.tracking import report as reporting
 from bench.tracking.budgets import acquisition, parsed
-from bench.tracking.clip import FULL_PX, names
+from bench.tracking.clip import FULL_PX, ClipName, names
 from bench.tracking.episode import Rules
 from bench.tracking.replaced import PARTS, Replaced
 from bench.tracking.targets import KINDS
@@ -154,61 +154,25 @@ def command(**given: Any) -> None:
 
 
 def _evaluate(**given: Any) -> None:
-    strategies = ALL if given["strategies"] == "all" else tuple(given["strategies"].split(","))
-    budgets = parsed(given["budgets"])
-    kinds = tuple(given["targets"].split(","))
-    for kind in kinds:
-        if kind not in KINDS:
-            raise SettingsError(f"targets: expected {', '.join(KINDS)}, got {kind}")
-    clips = names(given["data"], given["clips"])
-    frames = interval(given["frames"])
-    if not frames[1] and not clips[0].folder:
-        frames = (1, SCENE_FRAMES)
-    predictions = {"kalman": (True,), "hold": (False,), "both": (True, False)}[given["prediction"]]
-    rules = [
-        Rules(delay=d, replan=ta, prediction=p)
-        for d, ta, p in product(
-            numbers("delay", given["delay"]), numbers("replan", given["replan"]), predictions
-        )
-    ]
-    replaced = [(), *(tuple(text.split("+")) for text in given["replace"])]
-    for parts in replaced:
-        Replaced(parts=frozenset(parts))  # refuses what is no part
-    for strategy, budget in product(strategies, budgets):
-        acquisition(strategy, budget, FULL_PX)  # refuses what cannot be read
-    follower = tracker(given["tracker"])
-    protocol = Protocol(
-        graph=given["graph"],
-        frames=frames,
-        kinds=kinds,
-        every=given["every"],
-        players=given["players"],
-        seed=given["seed"],
-    )
-    wanted = cases(
-        strategies,
-        budgets,
-        rules=rules,
-        replaced=replaced,
-        policies=policy_files(given["policy"]),
-        changes=(*given["changes"], *follower),
-    )
+    wanted, protocol, clips, budgets = asked(given)
     out: Path | None = given["report"]
     folder = given["work"] or (out.with_suffix(".work") if out else Path(".fovea-eval"))
     units = measured(clips, wanted, protocol, folder, jobs=given["jobs"])
+    seed = protocol.seed
     found = {
         **facts(),
-        "graph": Path(given["graph"]).name,
-        "tracker": list(follower),
+        "graph": Path(protocol.graph).name,
+        "changes": sorted({change for case in wanted for change in case.changes}),
         "clips": [str(clip) for clip in clips],
-        "frames": list(frames),
-        "every": given["every"],
-        "seed": given["seed"],
-        "rows": reporting.rows(units, seed=given["seed"]),
+        "frames": list(protocol.frames),
+        "every": protocol.every,
+        "budgets": [str(budget) for budget in budgets],
+        "seed": seed,
+        "rows": reporting.rows(units, seed=seed),
         "paired": [
             row
             for case in sorted({c.name for c in wanted if c.strategy == "foveated"})
-            for row in reporting.paired(units, of=case, seed=given["seed"])
+            for row in reporting.paired(units, of=case, seed=seed)
         ],
     }
     text = reporting.markdown(found)
@@ -221,6 +185,54 @@ def _evaluate(**given: Any) -> None:
         last = [r for r in found["rows"] if r["clip"] == "all" or len(clips) == 1]
         reporting.plot(last, given["plot"])
     click.echo(text)
+
+
+def asked(
+    given: dict[str, Any],
+) -> tuple[list[Case], Protocol, list[ClipName], tuple[Fraction, ...]]:
+    """What the options mean; raises `FoveaError` before anything is measured."""
+    strategies = ALL if given["strategies"] == "all" else tuple(given["strategies"].split(","))
+    budgets = parsed(given["budgets"])
+    kinds = tuple(given["targets"].split(","))
+    for kind in kinds:
+        if kind not in KINDS:
+            raise SettingsError(f"targets: expected {', '.join(KINDS)}, got {kind}")
+    clips = names(given["data"], given["clips"])
+    frames = interval(given["frames"])
+    if not frames[1] and not clips[0].folder:
+        frames = (1, SCENE_FRAMES)
+    replaced = [(), *(tuple(text.split("+")) for text in given["replace"])]
+    for parts in replaced:
+        Replaced(parts=frozenset(parts))  # refuses what is no part
+    for strategy, budget in product(strategies, budgets):
+        acquisition(strategy, budget, FULL_PX)  # refuses what cannot be read
+    protocol = Protocol(
+        graph=given["graph"],
+        frames=frames,
+        kinds=kinds,
+        every=given["every"],
+        players=given["players"],
+        seed=given["seed"],
+    )
+    wanted = cases(
+        strategies,
+        budgets,
+        rules=rules_of(given),
+        replaced=replaced,
+        policies=policy_files(given["policy"]),
+        changes=(*given["changes"], *tracker(given["tracker"])),
+    )
+    return wanted, protocol, clips, budgets
+
+
+def rules_of(given: dict[str, Any]) -> list[Rules]:
+    """Every delay with every replanning interval, with and without prediction."""
+    predictions = {"kalman": (True,), "hold": (False,), "both": (True, False)}[given["prediction"]]
+    delays, replans = (numbers(name, given[name]) for name in ("delay", "replan"))
+    return [
+        Rules(delay=d, replan=ta, prediction=p)
+        for d, ta, p in product(delays, replans, predictions)
+    ]
 
 
 def tracker(choice: str) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bench.tracking.statistics import Block, block_of, difference, mean
+from bench.tracking.intervals import Block, block_of, difference, mean
 from bench.tracking.targets import HELD
 from bench.tracking.units import Unit
 

@@ -86,12 +86,13 @@ class Episode:
         if self.visible[self.frame] > 0:
             window = np.array(self._window, np.float32)
             self.shown.append(float(covered(self.truth[self.frame][None], window)[0]))
-        seen = within(moment.seen, moment.tracks, self._window)
-        self._memory = remember(self._memory, seen, moment.tracks.boxes.shape[1])
         self._tracks = moment.tracks
         self._gaze, self._candidates, told = observe(
             self._gaze, self._wish, moment.tracks, self._memory, self._rules
         )
+        # in the loop too the plan is made before this frame's ROI has been encoded
+        seen = within(moment.seen, moment.tracks, self._window)
+        self._memory = remember(self._memory, seen, moment.tracks.boxes.shape[1])
         return self._candidates, told
 
     def worth(self) -> Array:

@@ -12,16 +12,16 @@ where p is next to 0, the expected utility alone has no gradient.
 """
 
 # mypy: disallow-untyped-decorators=False
-import argparse
 import csv
 import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -319,24 +319,25 @@ def plot(log: Path, picture: Path) -> None:
     pyplot.close(figure)
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
-    parser.add_argument("--data", type=Path, required=True, help="recorded clips, made if missing")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="checkpoint, log, plot, policy.onnx"
-    )
-    parser.add_argument("--use", nargs="*", default=PARTS, choices=PARTS, help="for ablations")
-    parser.add_argument("--set", dest="changes", action="append", default=[], metavar="N.S=V")
-    defaults = {f.name: f.default for f in TrainSettings.__dataclass_fields__.values()}
-    for name, default in defaults.items():
-        if isinstance(default, int | float):
-            parser.add_argument(f"--{name}", type=type(default), default=default)
-    given = vars(parser.parse_args())
-    given |= {"use": tuple(given["use"]), "changes": tuple(given["changes"])}
-    settings = TrainSettings(**given)
+@click.command(help=(__doc__ or "").split("\n", 1)[0])
+@click.option("--data", type=Path, required=True, help="recorded clips, made where missing")
+@click.option("--out", type=Path, required=True, help="checkpoint, log, plot, policy.onnx")
+@click.option("--use", default=",".join(PARTS), show_default=True, help="inputs; for ablations")
+@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE", help="of recording")
+def command(data: Path, out: Path, use: str, changes: tuple[str, ...], **numbers: float) -> None:
+    """See the module."""
+    parts = tuple(part for part in use.split(",") if part)
+    for part in parts:
+        if part not in PARTS:
+            raise click.UsageError(f"--use: expected some of {', '.join(PARTS)}, got {part}")
+    settings = TrainSettings(data=data, out=out, use=parts, changes=changes, **numbers)  # type: ignore[arg-type]
     export(train(settings), settings.out / "policy.onnx")
 
 
+for _field in fields(TrainSettings):
+    if isinstance(_field.default, int | float):
+        click.option(f"--{_field.name}", default=_field.default, show_default=True)(command)
+
+
 if __name__ == "__main__":
-    main()
+    command()

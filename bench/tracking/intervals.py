@@ -73,8 +73,8 @@ def ratios(
 ) -> NDArray[np.float64]:
     """Mean of each draw; NaN where it holds no frame."""
     counted = frames[rows].sum(1)
-    return np.divide(
-        totals[rows].sum(1), counted, out=np.full(len(rows), np.nan), where=counted > 0
+    return np.asarray(
+        np.where(counted > 0, totals[rows].sum(1) / np.maximum(counted, 1), np.nan), np.float64
     )
 
 
