@@ -1,8 +1,8 @@
 """Crops to learn appearance from: procedural scenes at full resolution -> squares of 96 pixels.
 
 Of each moment: people and the ball, boxes disturbed as a detector in the small context disturbs
-them, and what a detector might take for one: boots, hands and heads of people, marks and crossings
-of lines, bits of crowd, boards and goal, empty grass, and places just beside the ball.
+them, and what a detector might take for one: boots, hands and heads of people, whatever is small
+and white (marks and crossings of lines, socks, letters, bits of crowd, the goal), empty grass.
 """
 
 from collections.abc import Iterable, Iterator
@@ -52,48 +52,75 @@ class Crops:
     moments: NDArray[np.int64]  # (n,) frame
 
 
-def crops_of(
-    picture: Picture, boxes: Boxes, window: tuple[int, int, int, int] | None = None
-) -> Picture:
-    """Boxes (n, 4) of a whole picture, cut as the operator cuts them: (n, 96, 96, 3)."""
+def whole(picture: Picture) -> Frame:
+    """A picture as a frame that shows all the sensor sees."""
     height, width = picture.shape[:2]
-    frame = Frame(header=header(), pixels=picture, window=window or (0, 0, width, height))
+    return Frame(header=header(), pixels=picture, window=(0, 0, width, height))
+
+
+def crops_of(picture: Picture, boxes: Boxes) -> Picture:
+    """Boxes (n, 4) of a whole picture, cut as the operator cuts them: (n, 96, 96, 3)."""
     found = np.empty((len(boxes), CROP_PX, CROP_PX, 3), np.uint8)
-    for row, square in enumerate(to_squares(boxes, frame, MARGIN)):
+    for row, square in enumerate(to_squares(boxes, whole(picture), MARGIN)):
         cut(picture, square, found[row])
     return found
 
 
-def moment(source: FrameSource, index: int, scene: int, rng: np.random.Generator) -> Crops:
-    """The crops of one frame of a source that knows the truth."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidates:
+    """What a detector may offer in one picture, and what it is."""
+
+    picture: Picture  # (h, w, 3) RGB
+    boxes: Boxes  # (n, 4) its pixels
+    kinds: NDArray[np.int64]  # (n,) index into CLASSES
+    persons: NDArray[np.int64]  # (n,) NOBODY: no person
+
+
+def candidates(
+    source: FrameSource, index: int, rng: np.random.Generator, people: int = PEOPLE
+) -> Candidates:
+    """Boxes in one frame of a source that knows the truth: at most `people`, ball, false ones."""
     truth = source.truth(index)
     if truth is None:
         raise ValueError(f"frame {index}: expected a source that knows the truth, got none")
     picture = np.asarray(source.picture(index), np.uint8)
-    people, balls = chosen(truth, rng)
+    persons, balls = chosen(truth, rng, people)
+    rows = np.concatenate([persons, np.repeat(balls, BALLS)])
     others = false_candidates(picture, truth, OTHERS, rng)
-    rows = np.concatenate([people, np.repeat(balls, BALLS)])
-    real = disturbed(truth.boxes[rows], rng)
-    boxes = np.concatenate([real, others])
-    kinds = [CLASSES.index(ROLES[truth.labels[row]]) for row in rows]
-    persons = [int(truth.ids[row]) if row in people else NOBODY for row in rows]
-    return Crops(
-        pictures=crops_of(picture, boxes),
-        kinds=np.array([*kinds, *[BACKGROUND] * len(others)]),
-        persons=np.array([*persons, *[NOBODY] * len(others)]),
-        scenes=np.full(len(boxes), scene),
-        moments=np.full(len(boxes), index),
+    return Candidates(
+        picture=picture,
+        boxes=np.concatenate([disturbed(truth.boxes[rows], rng), others]),
+        kinds=np.array(
+            [*(CLASSES.index(ROLES[truth.labels[row]]) for row in rows), *[BACKGROUND] * OTHERS]
+        ),
+        persons=np.concatenate(
+            [truth.ids[persons], np.full(len(rows) - len(persons) + OTHERS, NOBODY)]
+        ).astype(np.int64),
     )
 
 
-def chosen(truth: Truth, rng: np.random.Generator) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows of at most PEOPLE people, officials first, and of the ball, of what can be seen."""
+def moment(source: FrameSource, index: int, scene: int, rng: np.random.Generator) -> Crops:
+    """The crops of one frame of a source that knows the truth."""
+    found = candidates(source, index, rng)
+    return Crops(
+        pictures=crops_of(found.picture, found.boxes),
+        kinds=found.kinds,
+        persons=found.persons,
+        scenes=np.full(len(found.boxes), scene),
+        moments=np.full(len(found.boxes), index),
+    )
+
+
+def chosen(
+    truth: Truth, rng: np.random.Generator, most: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows of at most so many people, officials first, and of the ball, of what can be seen."""
     seen = np.array([label in ROLES for label in truth.labels], np.bool_)
     seen &= truth.visible >= LEAST_VISIBLE
     ball = np.array([label == "ball" for label in truth.labels], np.bool_)
     people = rng.permutation(np.flatnonzero(seen & ~ball))
     official = np.array([ROLES.get(truth.labels[row]) == "referee" for row in people], np.bool_)
-    people = people[np.argsort(~official, kind="stable")][:PEOPLE]
+    people = people[np.argsort(~official, kind="stable")][:most]
     return people, np.flatnonzero(seen & ball)
 
 
@@ -111,6 +138,7 @@ def false_candidates(picture: Picture, truth: Truth, count: int, rng: np.random.
     """Boxes (count, 4) of what is nothing: no ball in them, and nobody as a whole."""
     height, width = picture.shape[:2]
     found: list[NDArray[np.float64]] = []
+    standing_out = outstanding(picture, rng)
     people = truth.boxes[[label != "ball" for label in truth.labels]]
     while len(found) < count:
         small = rng.random() < 0.7
@@ -118,23 +146,31 @@ def false_candidates(picture: Picture, truth: Truth, count: int, rng: np.random.
         shape = np.array([side, side if small else side * rng.uniform(1.8, 2.6)])
         place = rng.random(2) * (width, height)
         draw = rng.random()
-        if small and draw < 0.45 and len(people):
+        if small and draw < 0.4 and len(people):
             left, top, right, bottom = people[rng.integers(len(people))]
             share = rng.choice([0.96, 0.96, 0.06, 0.5])  # boots twice, head, hands
             place = np.array([rng.uniform(left, right), top + share * (bottom - top)])
-        elif small and draw < 0.75:
-            place = bright_place(picture, rng)
+        elif small and draw < 0.85:
+            place = standing_out[rng.integers(len(standing_out))] + rng.normal(size=2) * side / 8
         box = np.concatenate([place - shape / 2, place + shape / 2])
         if free(box, truth, small):
             found.append(box)
     return np.array(found, np.float32)
 
 
-def bright_place(picture: Picture, rng: np.random.Generator) -> NDArray[np.float64]:
-    """The brightest of some places: lines, spots, letters, shirts."""
-    places = (rng.random((32, 2)) * (picture.shape[1] - 1, picture.shape[0] - 1)).astype(int)
-    light = picture[places[:, 1], places[:, 0]].astype(int).sum(1)
-    return np.asarray(places[light.argmax()], np.float64)
+def outstanding(picture: Picture, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Places (64, 2) as white against what is around them as a ball is, or nearly."""
+    light = picture.min(2).astype(np.int16)
+    contrast = light - cv2.blur(picture.min(2), (41, 41))
+    rows, columns = np.nonzero(contrast > 40)
+    if not len(rows):
+        return rng.random((64, 2)) * picture.shape[1::-1]
+    # most of it is in the stands: half of the places are taken from the lower part of the picture
+    low = np.flatnonzero(rows > picture.shape[0] * 0.4)
+    drawn = rng.integers(len(rows), size=64)
+    if len(low):
+        drawn[32:] = low[rng.integers(len(low), size=32)]
+    return np.stack([columns[drawn], rows[drawn]], 1).astype(np.float64)
 
 
 def free(box: NDArray[np.float64], truth: Truth, small: bool) -> bool:

@@ -1,14 +1,15 @@
 """MobileNetV3-Small (Howard et al. 2019, table 2): crops (n, 3, S, S) RGB -> 576 features.
 
 Own code after the published table. The modules are named as in torchvision, so that its ImageNet
-weights load as they are (`load_imagenet`). Two heads stand on the features: what the object is, a
-false candidate included, and for training alone who it is.
+weights load as they are (`load_imagenet`). Of the 2.5 million parameters the network is known by,
+0.9 are the trunk; the rest is a head for ImageNet's thousand classes, of no use here: one layer
+tells what the object is, a false candidate included, and the features themselves tell who it is.
 """
 
 # mypy: disallow-subclassing-any=False
 from collections.abc import Mapping
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -16,7 +17,7 @@ from torch.nn import functional as F
 
 from pipeline.errors import WeightsError
 
-FEATURES, WIDE, IDENTITY = 576, 1024, 128
+FEATURES = 576
 CLASSES = ("player", "referee", "ball", "background")
 # kernel, expanded, out, squeeze and excite, hard swish, stride
 TABLE = (
@@ -88,7 +89,7 @@ class Bottleneck(nn.Module):
 
 
 class EncoderNet(nn.Module):
-    """The trunk and its heads."""
+    """The trunk and its head."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -99,32 +100,19 @@ class EncoderNet(nn.Module):
             width = out
         layers.append(convolution(width, FEATURES, 1, act=nn.Hardswish))
         self.features = nn.Sequential(*layers)
+        self.pool = nn.AdaptiveAvgPool2d(1)
         self.kind = nn.Linear(FEATURES, len(CLASSES))
-        self.classifier = nn.Sequential(nn.Linear(FEATURES, WIDE), nn.Hardswish())
-        self.identity = nn.Linear(WIDE, IDENTITY)
         self.register_buffer("mean", torch.tensor(MEAN)[:, None, None])
         self.register_buffer("deviation", torch.tensor(DEVIATION)[:, None, None])
 
-    def trunk(self, crops: Tensor) -> Tensor:
-        """Crops (n, 3, S, S), RGB 0..1 -> (n, 576)."""
-        return self.features((crops - self.mean) / self.deviation).mean((2, 3))
-
     def forward(self, crops: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits of classes (n, 4), and vectors of length 1 that tell who it is (n, 128)."""
-        seen = self.trunk(crops)
-        return self.kind(seen), F.normalize(self.identity(self.classifier(seen)), dim=1)
+        """Crops (n, 3, S, S), RGB 0..1 -> features (n, 576), logits of `CLASSES` (n, 4).
 
-
-class Exported(nn.Module):
-    """What runs live: features and classes."""
-
-    def __init__(self, net: EncoderNet) -> None:
-        super().__init__()
-        self.net = net
-
-    def forward(self, crops: Tensor) -> tuple[Tensor, Tensor]:
-        seen = self.net.trunk(crops)
-        return seen, self.net.kind(seen)
+        Each row of features has mean 0 and deviation 1: a dot product compares two of them, and a
+        LayerNorm behind leaves them as they are.
+        """
+        seen = self.pool(self.features((crops - self.mean) / self.deviation)).flatten(1)
+        return F.layer_norm(seen, (FEATURES,)), self.kind(seen)
 
 
 def rounded(channels: float) -> int:
@@ -138,21 +126,37 @@ def rounded(channels: float) -> int:
 
 
 def load_imagenet(net: EncoderNet, path: Path) -> None:
-    """Begin with ImageNet weights: a state dict of torchvision's `mobilenet_v3_small`.
+    """Begin with ImageNet weights: a state dict of torchvision's or timm's MobileNetV3-Small.
 
-    Raises `WeightsError` naming the first entry that is missing or of another shape.
+    Both list the trunk's tensors in the order of its layers, under names of their own. Raises
+    `WeightsError` naming the first that is missing or of another shape.
     """
     try:
-        state: Mapping[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        state = torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:  # torch raises many kinds for what is no state dict
-        raise WeightsError(f"{path}: expected a state dict of tensors, got {error}") from error
-    state = state.get("state_dict", state)
-    state = {name.removeprefix("module."): value for name, value in state.items()}
-    own = net.features.state_dict()
-    wanted = {f"features.{name}": value.shape for name, value in own.items()}
-    for name, shape in wanted.items():
-        got = state.get(name)
-        if got is None or got.shape != shape:
-            found = "nothing" if got is None else tuple(got.shape)
-            raise WeightsError(f"{path}: expected {name} of {tuple(shape)}, got {found}")
-    net.features.load_state_dict({name: state[f"features.{name}"] for name in own})
+        reason = str(error).split("\n", 1)[0]
+        raise WeightsError(f"{path}: expected a state dict of tensors, got {reason}") from error
+    if not isinstance(state, Mapping):
+        raise WeightsError(f"{path}: expected a state dict of tensors, got {type(state).__name__}")
+    state = {str(name): value for name, value in state.get("state_dict", state).items()}
+    given = {name: value for name, value in state.items() if not of_head(name)}
+    own = {name: value for name, value in net.features.state_dict().items() if not of_head(name)}
+    pairs = zip_longest(own.items(), given.items(), fillvalue=("", None))
+    for (name, wanted), (known, got) in pairs:
+        if wanted is None or got is None or wanted.shape != got.shape:
+            raise WeightsError(
+                f"{path}: expected {shape_of(name, wanted)}, got {shape_of(known, got)}; "
+                "is it a MobileNetV3-Small?"
+            )
+    loaded = dict(zip(own, given.values(), strict=True))
+    net.features.load_state_dict(loaded, strict=False)
+
+
+def of_head(name: str) -> bool:
+    """Whether an entry is no weight of the trunk."""
+    return "classifier" in name or "conv_head" in name or name.endswith("num_batches_tracked")
+
+
+def shape_of(name: str, value: Tensor | None) -> str:
+    """An entry in words."""
+    return "nothing more" if value is None else f"{name} of {tuple(value.shape)}"

@@ -78,10 +78,13 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
                 f"{roi.pixels.dtype}; put operators.downsample before it"
             )
         rows = self._inside(roi, tracks)
+        features, logits = self._encoder(roi, tracks.boxes[rows, -1])
         labels = [name_of(tracks, int(row)) for row in rows]
-        features, genuine = self._encoder(roi, tracks.boxes[rows, -1], labels)
         return RoiFeatures(
-            header=roi.header, ids=tracks.ids[rows], features=features, genuine=genuine
+            header=roi.header,
+            ids=tracks.ids[rows],
+            features=features,
+            genuine=verdicts(logits, self._encoder.names, labels),
         )
 
     def _inside(self, roi: Frame, tracks: Tracks) -> NDArray[np.intp]:
@@ -95,7 +98,10 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
 
 
 class Encoder:
-    """A network that describes square crops, and the memory it reads them from."""
+    """A network that describes square crops, and the memory it reads them from.
+
+    `channels` is d; `names` are the k classes it tells apart, none where it does not.
+    """
 
     def __init__(self, settings: RoiEncoderSettings) -> None:
         self._settings = settings
@@ -123,21 +129,21 @@ class Encoder:
         if first.ndim != 2:
             raise WeightsError(f"{path}: expected an output (n, d) or (n, d, h, w)")
         self.channels = first.shape[1]
-        self._names = self._network.metadata.get("classes", "").split()
-        if classes.shape[1] != len(self._names):
+        self.names = self._network.metadata.get("classes", "").split()
+        if classes.shape[1] != len(self.names):
             raise WeightsError(
                 f"{path}: expected names of {classes.shape[1]} classes in its metadata, "
-                f"got {len(self._names)}"
+                f"got {len(self.names)}"
             )
 
     def __call__(
-        self, roi: Frame, boxes: NDArray[np.float32], labels: Sequence[str]
+        self, roi: Frame, boxes: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Boxes (n, 4) in sensor pixels and their labels -> features (n, d), genuine (n,)."""
+        """Boxes (n, 4) in sensor pixels -> features (n, d), logits of `names` (n, k)."""
         features = np.zeros((len(boxes), self.channels), np.float32)
-        genuine = np.ones(len(boxes), np.float32)
+        logits = np.zeros((len(boxes), len(self.names)), np.float32)
         if not len(boxes):
-            return features, genuine
+            return features, logits
         squares = to_squares(boxes, roi, self._settings.margin)
         for start in range(0, len(boxes), self._at_once):
             part = squares[start : start + self._at_once]
@@ -148,10 +154,8 @@ class Encoder:
                 self._batch[row] += self._shift
             answer, classes = self._run(len(part) if self._open else self._at_once)
             features[start : start + len(part)] = answer[: len(part)]
-            for row, label in enumerate(labels[start : start + len(part)]):
-                if label in self._names:
-                    genuine[start + row] = chance(classes[row])[self._names.index(label)]
-        return features, genuine
+            logits[start : start + len(part)] = classes[: len(part)]
+        return features, logits
 
     def _run(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Features and logits of classes, (n, 0) where the network has none."""
@@ -161,10 +165,19 @@ class Encoder:
         return (features.mean((2, 3)) if features.ndim == 4 else features), classes
 
 
-def chance(logits: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Softmax of one object's logits (k,)."""
-    raised = np.exp(logits - logits.max())
-    return np.asarray(raised / raised.sum(), np.float32)
+def verdicts(
+    logits: NDArray[np.float32], names: Sequence[str], labels: Sequence[str]
+) -> NDArray[np.float32]:
+    """How likely each object (n,) is of its label's class, by logits (n, k) of the named classes.
+
+    1 for a label that is not among the names.
+    """
+    raised = np.exp(logits - logits.max(1, initial=0, keepdims=True))
+    found = [
+        row[names.index(label)] / row.sum() if label in names else 1.0
+        for row, label in zip(raised, labels, strict=True)
+    ]
+    return np.array(found, np.float32)
 
 
 def name_of(tracks: Tracks, row: int) -> str:

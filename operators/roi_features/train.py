@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, render
-from operators.roi_features.model import CLASSES, EncoderNet, Exported, load_imagenet
+from operators.roi_features.model import CLASSES, EncoderNet, load_imagenet
 from operators.training.onnx_files import fused, write
 from operators.training.photometric import degrade, recolour
 
@@ -43,7 +44,7 @@ class TrainSettings:
     scenes: int = 150
     moments: int = 10
     span: int = 900  # frames of each scene over which its moments are spread
-    steps: int = 1600
+    steps: int = 2000
     batch: int = 128
     rate: float = 2e-3
     warmup: int = 100
@@ -75,17 +76,27 @@ def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.
     return np.concatenate(rows)
 
 
-def changed(picture: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
-    """One crop as it is never seen twice: mirrored, shifted, zoomed, relit, softened."""
-    if rng.random() < 0.5:
-        picture = np.ascontiguousarray(picture[:, ::-1])
-    return degrade(recolour(picture, rng), rng)
+def changed(
+    picture: NDArray[np.uint8], rng: np.random.Generator, *, mirror: bool
+) -> NDArray[np.uint8]:
+    """One crop as it is never seen twice: shifted, zoomed, coarser, relit, softened, mirrored."""
+    side, zoom = -1 if mirror else 1, np.exp(rng.uniform(-0.2, 0.2))
+    shift = CROP_PX / 2 * (1 - np.array([side * zoom, zoom])) + rng.uniform(-7, 7, 2)
+    matrix = np.array([[side * zoom, 0, shift[0]], [0, zoom, shift[1]]])
+    size = (CROP_PX, CROP_PX)
+    moved = cv2.warpAffine(picture, matrix, size, borderMode=cv2.BORDER_REFLECT_101)
+    if rng.random() < 0.3:  # a ball of ten pixels, a player of forty
+        few = int(rng.integers(10, 50))
+        coarse = cv2.resize(moved, (few, few), interpolation=cv2.INTER_AREA)
+        moved = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+    return degrade(recolour(np.asarray(moved, np.uint8), rng), rng)
 
 
 def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
-    """Supervised contrast of people (n, d) among those of their own scene."""
+    """Supervised contrast of people's features (n, d) among those of their own scene."""
     known = persons != NOBODY
-    vectors, persons, scenes = vectors[known], persons[known], scenes[known]
+    vectors = F.normalize(vectors[known], dim=1)
+    persons, scenes = persons[known], scenes[known]
     likeness = vectors @ vectors.T / TEMPERATURE
     other = ~torch.eye(len(vectors), dtype=torch.bool)
     rivals = (scenes[:, None] == scenes) & other
@@ -97,10 +108,10 @@ def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
 
 def losses(net: EncoderNet, given: dict[str, Tensor], weight: float) -> dict[str, Tensor]:
     """Both objectives; their sum is lowered."""
-    with torch.autocast("cpu", torch.bfloat16):
-        kinds, vectors = net(given["pictures"])
-    what = F.cross_entropy(kinds.float(), given["kinds"], label_smoothing=0.02)
-    who = identity_loss(vectors.float(), given["persons"], given["scenes"])
+    # in bfloat16 the filters of single channels are slower, and a step takes twice as long
+    features, kinds = net(given["pictures"])
+    what = F.cross_entropy(kinds, given["kinds"], label_smoothing=0.02)
+    who = identity_loss(features, given["persons"], given["scenes"])
     return {"what": what, "who": weight * who}
 
 
@@ -186,7 +197,11 @@ def advance(run: Run, crops: Crops) -> dict[str, float]:
     s = run.settings
     rng = np.random.default_rng([s.seed, 12, run.step])
     rows = batch_rows(crops, s.batch, rng)
-    pictures = np.stack([changed(crops.pictures[row], rng) for row in rows])
+    # a number in a mirror is another one
+    mirrored = (crops.persons[rows] == NOBODY) & (rng.random(len(rows)) < 0.5)
+    pictures = np.stack(
+        [changed(crops.pictures[row], rng, mirror=m) for row, m in zip(rows, mirrored, strict=True)]
+    )
     given = {
         "pictures": torch.from_numpy(pictures).permute(0, 3, 1, 2).float().div_(255),
         "kinds": torch.from_numpy(crops.kinds[rows]),
@@ -208,7 +223,7 @@ def export(net: EncoderNet, path: Path) -> None:
     """What runs live, as ONNX: crops (n, 3, 96, 96) -> features (n, 576), classes (n, 4)."""
     crops = torch.zeros(2, 3, CROP_PX, CROP_PX)
     write(
-        Exported(fused(net).to(memory_format=torch.contiguous_format)),
+        fused(net).to(memory_format=torch.contiguous_format),
         {"crops": crops},
         path,
         ("features", "classes"),

@@ -49,3 +49,24 @@ def mean_encoder(path: Path, *, batch: int | str, side_px: int | str, as_map: bo
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     save_model(model, path)
     return str(path)
+
+
+def verifying_encoder(path: Path, *, names: str, classes: int) -> str:
+    """As `mean_encoder`, with logits of as many classes: the first has ten times the red."""
+    crops = helper.make_tensor_value_info("crops", TensorProto.FLOAT, ("n", 3, 32, 32))
+    outputs = [
+        helper.make_tensor_value_info("features", TensorProto.FLOAT, ("n", 3)),
+        helper.make_tensor_value_info("classes", TensorProto.FLOAT, ("n", classes)),
+    ]
+    taken = np.zeros((3, classes), np.float32)
+    taken[0, 0] = 10
+    nodes = [
+        helper.make_node("ReduceMean", ["crops"], ["features"], axes=[2, 3], keepdims=0),
+        helper.make_node("MatMul", ["features", "taken"], ["classes"]),
+    ]
+    weights = [numpy_helper.from_array(taken, "taken")]
+    graph = helper.make_graph(nodes, "verifying", [crops], outputs, weights)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    helper.set_model_props(model, {"classes": names})
+    save_model(model, path)
+    return str(path)

@@ -1,5 +1,6 @@
 """The encoder over a network that tells the mean colour of each crop."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -14,10 +15,10 @@ from operators.roi_features import RoiEncoder
 from operators.roi_features.crops import FILL, cut, to_squares
 from pipeline import Frame, MessageError, RoiFeatures, SettingsError, Tracks, WeightsError
 from pipeline.testing import drive, header
-from tests.operators.networks import mean_encoder
+from tests.operators.networks import mean_encoder, verifying_encoder
 
 WINDOW = (480, 270, 960, 540)
-SHARED = Path(__file__).parents[3] / "shared"
+SHARED = Path(__file__).parents[4] / "shared"
 TRUNCATED = SHARED / "models/nanotrack/nanotrackv3_nanotrack_backbone_dyn.onnx"
 
 
@@ -79,6 +80,34 @@ def test_a_binned_roi_is_read_at_its_own_scale(tmp_path: Path) -> None:
     answer = encoded(weights, binned, tracks_at((500, 290, 600, 390)), margin=0.0, crop_px=48)
 
     assert answer.features == pytest.approx(np.array([[200 / 255, 0, 0]]), abs=1e-5)
+
+
+def test_a_candidate_is_genuine_where_the_network_sees_what_its_label_says(tmp_path: Path) -> None:
+    weights = verifying_encoder(tmp_path / "e.onnx", names="ball background", classes=2)
+    roi = roi_with((20, 20, 120, 120, 200), (220, 120, 320, 220, 0))
+    tracks = tracks_at((500, 290, 600, 390), (700, 390, 800, 490))
+
+    as_balls = encoded(weights, roi, replace(tracks, names=("ball",)), margin=0.0)
+    unknown = encoded(weights, roi, replace(tracks, names=("giraffe",)), margin=0.0)
+    unlabelled = encoded(weights, roi, tracks, margin=0.0)
+
+    sure = 1 / (1 + np.exp(-10 * 200 / 255))
+    assert as_balls.genuine == pytest.approx(np.array([sure, 0.5]), abs=1e-4)
+    assert unknown.genuine.tolist() == unlabelled.genuine.tolist() == [1.0, 1.0]
+
+
+def test_a_network_that_tells_no_classes_doubts_nobody(tmp_path: Path) -> None:
+    weights = mean_encoder(tmp_path / "e.onnx", batch="n", side_px=32, as_map=False)
+    tracks = replace(tracks_at((500, 290, 600, 390)), names=("ball",))
+
+    assert encoded(weights, roi_with(), tracks).genuine.tolist() == [1.0]
+
+
+def test_a_network_must_name_the_classes_it_tells(tmp_path: Path) -> None:
+    weights = verifying_encoder(tmp_path / "e.onnx", names="ball", classes=2)
+
+    with pytest.raises(WeightsError, match="expected names of 2 classes in its metadata, got 1"):
+        encoded(weights, roi_with(), tracks_at())
 
 
 def test_nobody_inside_and_no_roi_give_empty_arrays(tmp_path: Path) -> None:

@@ -1,0 +1,116 @@
+"""The encoder's training: its objectives, and that it goes on where it stopped."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+import torch
+
+from operators.roi_features.data import NOBODY, Crops
+from operators.roi_features.model import CLASSES
+from operators.roi_features.train import (
+    Run,
+    TrainSettings,
+    advance,
+    batch_rows,
+    changed,
+    identity_loss,
+    learning_rate,
+)
+
+
+def crops_of(scenes: int, seed: int) -> Crops:
+    """Scenes of four people seen twice, a ball and nine false candidates."""
+    kinds = [0] * 6 + [1] * 2 + [2] * 2 + [3] * 9
+    persons = [1, 1, 2, 2, 3, 3, 4, 4] + [NOBODY] * 11
+    count = len(kinds)
+    rng = np.random.default_rng(seed)
+    return Crops(
+        pictures=rng.integers(0, 256, (scenes * count, 96, 96, 3)).astype(np.uint8),
+        kinds=np.tile(kinds, scenes),
+        persons=np.tile(persons, scenes),
+        scenes=np.repeat(np.arange(scenes), count),
+        moments=np.zeros(scenes * count, np.int64),
+    )
+
+
+def settings_in(folder: Path, **more: object) -> TrainSettings:
+    """A training of few and small steps."""
+    return replace(TrainSettings(data=folder, out=folder, batch=32, steps=10), **more)  # type: ignore[arg-type]
+
+
+def vectors(*angles_deg: float) -> torch.Tensor:
+    """Directions in a plane."""
+    turned = torch.deg2rad(torch.tensor(angles_deg))
+    return torch.stack([turned.cos(), turned.sin()], 1)
+
+
+def test_identity_is_cheap_where_each_is_next_to_themselves() -> None:
+    persons, scenes = torch.tensor([1, 1, 2, 2]), torch.zeros(4)
+
+    right = identity_loss(vectors(0, 5, 90, 95), persons, scenes)
+    wrong = identity_loss(vectors(0, 90, 5, 95), persons, scenes)
+
+    assert right < 0.01 < 1 < wrong
+
+
+def test_identity_knows_neither_false_candidates_nor_people_of_other_scenes() -> None:
+    persons = torch.tensor([1, 1, 2, 2, NOBODY, 1])
+    scenes = torch.tensor([0, 0, 0, 0, 0, 1])
+
+    alone = identity_loss(vectors(0, 20, 60, 80), persons[:4], scenes[:4])
+    with_others = identity_loss(vectors(0, 20, 60, 80, 10, 10), persons, scenes)
+
+    assert with_others == pytest.approx(float(alone), abs=1e-4)
+
+
+def test_a_batch_shows_people_twice_and_every_class() -> None:
+    crops = crops_of(scenes=5, seed=1)
+
+    rows = batch_rows(crops, 64, np.random.default_rng(1))
+
+    assert len(rows) == 64
+    assert set(crops.kinds[rows]) == set(range(len(CLASSES)))
+    for scene in set(crops.scenes[rows]):
+        persons = crops.persons[rows][crops.scenes[rows] == scene]
+        assert (np.unique(persons[persons != NOBODY], return_counts=True)[1] == 2).all()
+
+
+def test_a_crop_changes_but_keeps_its_shape_and_its_seed() -> None:
+    picture = crops_of(scenes=1, seed=2).pictures[0]
+
+    one, same, other = (
+        changed(picture, np.random.default_rng(seed), mirror=True) for seed in (3, 3, 4)
+    )
+
+    assert one.shape == picture.shape
+    assert one.dtype == np.uint8
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+
+
+def test_the_rate_rises_then_falls() -> None:
+    s = TrainSettings(data=Path(), out=Path(), steps=100, warmup=10, rate=1.0)
+
+    rates = [learning_rate(step, s) for step in range(100)]
+
+    assert rates.index(max(rates)) == 9
+    assert rates[0] == pytest.approx(0.1)
+    assert rates[-1] < 0.02
+
+
+def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
+    crops = crops_of(scenes=4, seed=5)
+    whole = Run(settings_in(tmp_path))
+    advance(whole, crops)
+    whole.save()
+    expected = advance(whole, crops)
+
+    resumed = Run(settings_in(tmp_path))
+    resumed.resume()
+
+    assert resumed.step == 1
+    assert advance(resumed, crops) == pytest.approx(expected, rel=1e-3)
