@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from pipeline.contract import Input, Operator, handler_of
+from pipeline.contract import Input, Operator, handler_of, joined
 from pipeline.corewait import CoreWait
 from pipeline.doors import Doors
 from pipeline.errors import PoolExhausted, RunError
@@ -42,6 +42,7 @@ class Host:
         self._lock = threading.Lock()
         self._doors = doors
         self._inbox = Inbox(inputs, self.settle, lockstep=lockstep)
+        self._together = frozenset(joined(type(operator)))
         self._arrived_wait_ns = self._waiter = 0
         self._handlers: dict[tuple[str, ...], Callable[..., Any]] = {}
         self.corewait = CoreWait()
@@ -50,7 +51,7 @@ class Host:
 
     def settle(self, name: str, fate: str) -> None:
         """Account for the end of a message on one of this node's edges."""
-        self._edges[name].add(fate)
+        self._edges[name].settle(fate)
 
     def deliver(self, name: str, arrival: Arrival) -> None:
         """Called while this host waits at its doors, or by a transport's thread."""
@@ -65,7 +66,7 @@ class Host:
 
     def run(self) -> None:
         """Handle what arrives until told to stop; an operator's exception passes through."""
-        self.account.enter("waiting")
+        self.alive("waiting")
         while not self.stopping.is_set():
             work = self._wait()
             if work is None:
@@ -107,7 +108,7 @@ class Host:
 
     def _wait(self) -> Work | None:
         greeted = self.greet()
-        self.account.put("heartbeat_ns", time.monotonic_ns())
+        self.account.heartbeat_ns = time.monotonic_ns()
         return self.next_work(IDLE_S if greeted else GREET_S)
 
     def _handle(self, work: Work) -> None:
@@ -118,7 +119,7 @@ class Host:
         if work.new_stream:
             self.operator.on_stream(work.header)
         answers: Mapping[str, Message | None] = dict.fromkeys(self.outs)
-        side = len(work.messages) == 1 and not self._is_joined(next(iter(work.messages)))
+        side = not self._together.issuperset(work.messages)
         if work.answer:
             given = self._handler(tuple(work.messages))(**work.messages)
             if not side:
@@ -142,15 +143,25 @@ class Host:
 
     def busy(self, now_ns: int, seq: int) -> None:
         """Note that a message was taken."""
-        self.account.put("busy_since_ns", now_ns)
-        self.account.put("last_seq", max(0, seq))
-        self.account.enter("busy")
+        account = self.account
+        account.busy_since_ns = now_ns
+        account.last_seq = max(0, seq)
+        account.enter("busy")
 
     def idle(self) -> None:
         """Note that it was finished."""
-        self.account.add("handled")
-        self.account.put("heartbeat_ns", time.monotonic_ns())
-        self.account.enter("waiting")
+        self.account.handled += 1
+        self.alive("waiting")
+
+    def resume(self) -> None:
+        """Go on with the message in hand; what was waited for others is no stall of this node."""
+        self.account.busy_since_ns = time.monotonic_ns()
+        self.account.enter("busy")
+
+    def alive(self, state: str) -> None:
+        """Enter a state in which only the heartbeat tells a stall: it has to beat first."""
+        self.account.heartbeat_ns = time.monotonic_ns()
+        self.account.enter(state)
 
     def publish(self, answers: Mapping[str, Message | None], header: Header) -> None:
         """Send every output's answer, waiting for the credit of lossless readers."""
@@ -168,17 +179,24 @@ class Host:
             except PoolExhausted:
                 self.patiently(partial(port.send, message, header))
 
+    def has_credit(self) -> bool:
+        """Whether every lossless reader of every output has room."""
+        for port in self.outs.values():  # noqa: SIM110 - for every message: no generator
+            if not port.has_credit():
+                return False
+        return True
+
     def await_credit(self) -> None:
         """Back-pressure: stand still while a lossless reader has no room."""
-        if all(port.has_credit() for port in self.outs.values()):
+        if self.has_credit():
             return
-        self.account.enter("credit")
-        while not all(port.has_credit() for port in self.outs.values()):
+        self.alive("credit")
+        while not self.has_credit():
             if self.stopping.wait(CREDIT_S):
                 return
             self.greet()
-            self.account.put("heartbeat_ns", time.monotonic_ns())
-        self.account.enter("busy")
+            self.account.heartbeat_ns = time.monotonic_ns()
+        self.resume()
 
     def patiently(self, act: Callable[[], Any]) -> Any:
         """Do something that needs a slot, as soon as a reader gives one back."""
@@ -186,12 +204,11 @@ class Host:
             try:
                 return act()
             except PoolExhausted:
-                self.account.enter("credit")
-                self.account.put("heartbeat_ns", time.monotonic_ns())
+                self.alive("credit")
                 if self.stopping.wait(CREDIT_S):
                     raise
             finally:
-                self.account.enter("busy")
+                self.resume()
 
     def answers(self, given: Any) -> Mapping[str, Message | None]:
         """What a handler returned, by output name; raises `RunError` for anything else."""
@@ -226,10 +243,6 @@ class Host:
         if names not in self._handlers:
             self._handlers[names] = handler_of(self.operator, names)
         return self._handlers[names]
-
-    def _is_joined(self, name: str) -> bool:
-        declared: Input = getattr(type(self.operator), name)
-        return declared.join and not declared.command
 
     def _take_arrived_wait(self) -> int:
         with self._lock:

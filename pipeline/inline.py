@@ -39,7 +39,7 @@ class _Part:
         accounts = {name: ledger.edges[e.index] for name, e in self.edges.items()}
         self.inbox = Inbox(
             inputs_for(plan, node),
-            lambda name, fate: accounts[name].add(fate),
+            lambda name, fate: accounts[name].settle(fate),
             lockstep=True,
         )
 
@@ -134,12 +134,12 @@ class InlineRunner:
                 message = work.messages[names[0]]
                 assert message is not None
                 fold(self.commands, message)
-        part.account.add("handled")
+        part.account.handled += 1
         part.account.histograms["handler"].add(time.monotonic_ns() - begun)
         if names == part.together:
             self._send(part.node.name, answers, work.header, begun_ns=begun)
         for name in work.arrived:
-            self.ledger.edges[part.edges[name].index].add("delivered")
+            self.ledger.edges[part.edges[name].index].delivered += 1
 
     def _send(
         self, node: str, answers: Mapping[str, Message | None], header: Header, *, begun_ns: int
@@ -160,7 +160,7 @@ class InlineRunner:
 
     def _hand_over(self, edge: Edge, header: Header, message: Message | None) -> None:
         account = self.ledger.edges[edge.index]
-        account.add("sent")
+        account.sent += 1
         arrival = Arrival(header, message, account.sent)
         self._parts[edge.target].inbox.offer(edge.input, arrival, time.monotonic_ns())
-        account.put("seen", account.sent)
+        account.seen = account.sent

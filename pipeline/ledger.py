@@ -6,6 +6,7 @@ needed, and nothing is lost when a process is killed: its successor goes on from
     offered = delivered + dropped + in flight + lost in a crash
 """
 
+import ctypes
 import mmap
 import os
 from collections.abc import Iterable
@@ -32,84 +33,70 @@ DROPS = (
 )
 HISTOGRAMS = ("handler", "loop", "overhead", "cpu_wait", "hop")
 
-# counters of an edge and who writes them
-_EDGE = {
-    name: index
-    for index, name in enumerate(
-        (
-            "sent", "overrun", "broken",  # the writing node
-            "seen", "delivered", *DROPS, "lost_in_crash",  # the reading node
-            "attached_epoch", "strays",  # likewise
-            "reader_epoch", "writer_epoch",  # the supervisor
-        )
-    )
-}  # fmt: skip
-_NODE = {
-    name: index
-    for index, name in enumerate(
-        ("epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq")
-    )
-}
-_STATE_WORD = _NODE["state"]
 STATES = ("absent", "starting", "waiting", "busy", "credit", "finished", "stopped")
-
 _STATE_NUMBERS = {name: number for number, name in enumerate(STATES)}
 
 
-def _counter(name: str) -> property:
-    index = _EDGE[name]
-    return property(lambda account: account._words[index])
+class EdgeAccount(ctypes.Structure):
+    """The counters of one edge, each written by one process only."""
 
+    # the writing node
+    sent: int
+    overrun: int
+    broken: int
+    # the reading node; the DROPS between the two below
+    seen: int
+    delivered: int
+    strays: int
+    lost_in_crash: int
+    attached_epoch: int
+    # the supervisor
+    reader_epoch: int
+    writer_epoch: int
 
-def _progress(name: str) -> property:
-    index = _NODE[name]
-    return property(lambda account: account._words[index])
+    age: Histogram
+    _ends: memoryview
 
+    _fields_ = [
+        (name, ctypes.c_uint64)
+        for name in (
+            "sent", "overrun", "broken", "seen", "delivered", *DROPS, "lost_in_crash",
+            "attached_epoch", "strays", "reader_epoch", "writer_epoch",
+        )
+    ]  # fmt: skip
 
-class EdgeAccount:
-    """The counters of one edge. Attribute access reads; `add` and `put` write one counter."""
-
-    def __init__(self, memory: memoryview) -> None:
-        self._words = memory[:PAGE_BYTES].cast("Q")
-        self.age = Histogram(np.frombuffer(memory, np.uint32, BUCKETS, PAGE_BYTES))
-
-    sent, overrun, broken = _counter("sent"), _counter("overrun"), _counter("broken")
-    seen, delivered = _counter("seen"), _counter("delivered")
-    lost_in_crash, strays = _counter("lost_in_crash"), _counter("strays")
-    attached_epoch = _counter("attached_epoch")
-    reader_epoch, writer_epoch = _counter("reader_epoch"), _counter("writer_epoch")
+    @staticmethod
+    def over(memory: memoryview) -> "EdgeAccount":
+        """The account that lies in EDGE_BYTES of memory."""
+        account = EdgeAccount.from_buffer(memory)
+        first, last = EdgeAccount.delivered.offset, EdgeAccount.lost_in_crash.offset  # type: ignore[attr-defined]
+        account._ends = memory[first : last + 8].cast("Q")
+        account.age = Histogram(np.frombuffer(memory, np.uint32, BUCKETS, PAGE_BYTES))
+        return account
 
     def dropped(self, reason: str) -> int:
         """Messages dropped for one of the `DROPS`."""
-        return self._words[_EDGE[reason]]
+        return int(getattr(self, reason))
 
-    def add(self, name: str, count: int = 1) -> None:
-        """Count: only the counter's single writer may."""
-        self._words[_EDGE[name]] += count
-
-    def put(self, name: str, value: int) -> None:
-        """Overwrite: only the counter's single writer may."""
-        self._words[_EDGE[name]] = value
+    def settle(self, fate: str, count: int = 1) -> None:
+        """Count the end of messages: delivered, one of the `DROPS`, lost_in_crash."""
+        setattr(self, fate, getattr(self, fate) + count)
 
     @property
     def accounted(self) -> int:
         """Messages of which the reader knows the end: delivered, dropped or lost."""
-        w = self._words
-        first = _EDGE["delivered"]
-        return sum(w[first : _EDGE["lost_in_crash"] + 1])
+        return sum(self._ends)
 
     @property
     def in_flight(self) -> int:
         """Sent and not yet accounted for."""
-        return max(0, int(self.sent) - self.accounted)
+        return max(0, self.sent - sum(self._ends))
 
     @property
     def live(self) -> bool:
         """A reader is there and has heard this writer: it counts for back-pressure."""
-        w = self._words
-        return w[_EDGE["reader_epoch"]] != 0 and (
-            w[_EDGE["attached_epoch"]] == w[_EDGE["reader_epoch"]]
-        )
+        reader = self.reader_epoch
+        return reader != 0 and self.attached_epoch == reader
 
     def report(self) -> dict[str, Any]:
         """The account as the run's report shows it."""
@@ -125,27 +112,32 @@ class EdgeAccount:
         }
 
 
-class NodeAccount:
-    """The state, the progress and the latencies of one node."""
+class NodeAccount(ctypes.Structure):
+    """The state, the progress and the latencies of one node; the supervisor only announces it."""
 
-    def __init__(self, memory: memoryview) -> None:
-        self._words = memory[:PAGE_BYTES].cast("Q")
-        self.histograms = {
+    epoch: int
+    state: int
+    heartbeat_ns: int
+    busy_since_ns: int
+    handled: int
+    last_seq: int
+
+    histograms: dict[str, Histogram]
+
+    _fields_ = [
+        (name, ctypes.c_uint64)
+        for name in ("epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq")
+    ]
+
+    @staticmethod
+    def over(memory: memoryview) -> "NodeAccount":
+        """The account that lies in NODE_BYTES of memory."""
+        account = NodeAccount.from_buffer(memory)
+        account.histograms = {
             name: Histogram(np.frombuffer(memory, np.uint32, BUCKETS, PAGE_BYTES * (1 + i)))
             for i, name in enumerate(HISTOGRAMS)
         }
-
-    epoch, handled = _progress("epoch"), _progress("handled")
-    state, last_seq = _progress("state"), _progress("last_seq")
-    heartbeat_ns, busy_since_ns = _progress("heartbeat_ns"), _progress("busy_since_ns")
-
-    def add(self, name: str, count: int = 1) -> None:
-        """Count: only the node itself may."""
-        self._words[_NODE[name]] += count
-
-    def put(self, name: str, value: int) -> None:
-        """Overwrite: only the node itself may; the supervisor before it starts the node."""
-        self._words[_NODE[name]] = value
+        return account
 
     @property
     def condition(self) -> str:
@@ -154,7 +146,7 @@ class NodeAccount:
 
     def enter(self, state: str) -> None:
         """Note a change of state."""
-        self._words[_STATE_WORD] = _STATE_NUMBERS[state]
+        self.state = _STATE_NUMBERS[state]
 
 
 @dataclass(frozen=True)
@@ -187,8 +179,8 @@ class Ledger:
         first = edges * EDGE_BYTES
         return Ledger(
             path,
-            tuple(EdgeAccount(part) for part in _parts(memory, 0, edges, EDGE_BYTES)),
-            tuple(NodeAccount(part) for part in _parts(memory, first, nodes, NODE_BYTES)),
+            tuple(EdgeAccount.over(part) for part in _parts(memory, 0, edges, EDGE_BYTES)),
+            tuple(NodeAccount.over(part) for part in _parts(memory, first, nodes, NODE_BYTES)),
         )
 
     def drained(self) -> bool:
@@ -202,8 +194,8 @@ def private_ledger(edges: int, nodes: int) -> Ledger:
     first = edges * EDGE_BYTES
     return Ledger(
         Path(),
-        tuple(EdgeAccount(part) for part in _parts(memory, 0, edges, EDGE_BYTES)),
-        tuple(NodeAccount(part) for part in _parts(memory, first, nodes, NODE_BYTES)),
+        tuple(EdgeAccount.over(part) for part in _parts(memory, 0, edges, EDGE_BYTES)),
+        tuple(NodeAccount.over(part) for part in _parts(memory, first, nodes, NODE_BYTES)),
     )
 
 

@@ -18,6 +18,7 @@ import time
 import traceback
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -78,7 +79,7 @@ class Process:
         try:
             for node in self._nodes:
                 account = self._ledger.nodes[node.index]
-                account.put("epoch", self._job.epochs[node.name])
+                account.epoch = self._job.epochs[node.name]
                 account.enter("starting")
                 self._operators.append(self._make(node))
                 self._operators[-1].open()
@@ -181,7 +182,7 @@ class Process:
             self._ledger.edges[edge.index],
             PoolReader(self._memory, f"{job.prefix}{edge.source}.{edge.output}"),
             job.epochs[edge.target],
-            lambda arrival: host.deliver(edge.input, arrival),
+            partial(host.deliver, edge.input),
             tap=edge.tap,
         )
         if edge.transport == "pool":

@@ -9,6 +9,7 @@ A pool never changes its size: bigger messages get a new file, named in their de
 outlives its writer; whoever started the graph removes it.
 """
 
+import contextlib
 import fcntl
 import math
 import mmap
@@ -97,9 +98,22 @@ class PoolWriter:
         self._held: dict[int, int] = {}  # slot -> ordinal of the message in it
         self._lent: set[int] = set()
         self._next = 0
+        self._ahead: Lease | None = None
 
     def lease(self, nbytes: int) -> Lease:
         """A slot of at least `nbytes`; raises `PoolExhausted` when none is free right now."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None and nbytes <= ahead.pool.slot_bytes:
+            return ahead
+        return self._lease(nbytes)
+
+    def prepare(self) -> None:
+        """Lease the next slot while there is time, if one is free: asking for it is then quick."""
+        if self._ahead is None and self._file is not None:
+            with contextlib.suppress(PoolExhausted):
+                self._ahead = self._lease(0)
+
+    def _lease(self, nbytes: int) -> Lease:
         if self._file is None or self._file.slot_bytes < nbytes:
             self._file = _reuse_or_create(self._folder, self._stem, self._slots, nbytes)
             self._held.clear()
@@ -148,7 +162,9 @@ class PoolReader:
 
         Raises `MessageError` when the descriptor does not fit the pool it names.
         """
-        file = self._open(ref)
+        file = self._file
+        if file is None or file.name != ref.file or file.pool_id != ref.pool_id:
+            file = self._open(ref)
         if not (0 <= ref.slot < file.slots and 0 <= ref.nbytes <= file.slot_bytes):
             raise MessageError(f"{ref.file}: no slot {ref.slot} of {ref.nbytes} bytes")
         if not file.lock(fcntl.F_RDLCK, ref.slot):

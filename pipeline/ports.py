@@ -10,23 +10,20 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline import codec
 from pipeline.bus import Sender
 from pipeline.doors import Links
+from pipeline.envelope import HELLO, MESSAGE, NOTHING, Envelope
 from pipeline.errors import MessageError, PoolExhausted
 from pipeline.ledger import EdgeAccount
 from pipeline.messages import Header, Message
 from pipeline.pool import Lease, PoolReader, PoolWriter, SlotRef
 
-VERSION = 2
-Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
-HELLO, MESSAGE, NOTHING = 0, 1, 2
 INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
 INSIST_S = 5.0  # longer than a frozen reader lives
 TAP_SLOTS = 2  # what a viewer may pin before it copies
@@ -53,13 +50,11 @@ class Reader:
     def has_credit(self) -> bool:
         """Whether one more message finds room; readers that are gone do not count."""
         account = self.account
-        return not self.lossless or not account.live or account.in_flight < self.depth
+        return not self.lossless or account.in_flight < self.depth or not account.live
 
     def has_seen(self, ordinal: int, newest: int) -> bool:
         """Whether the message may be overwritten for all this reader cares."""
-        if not self.account.live:
-            return True
-        if self.account.seen >= ordinal:
+        if self.account.seen >= ordinal or not self.account.live:
             return True
         return not self.lossless and newest >= ordinal + 2
 
@@ -98,7 +93,10 @@ class OutPort:
 
     def has_credit(self) -> bool:
         """Whether every lossless reader has room for one more message."""
-        return all(reader.has_credit() for reader in self.readers)
+        for reader in self.readers:  # noqa: SIM110 - for every message: no generator
+            if not reader.has_credit():
+                return False
+        return True
 
     def hello(self) -> bool:
         """Greet readers that have not heard this instance; True when all that live have."""
@@ -112,8 +110,9 @@ class OutPort:
 
         Raises `PoolExhausted` (a slot is not to be had) before anything was counted.
         """
-        if any(reader.account.writer_epoch > self._epoch for reader in self.readers):
-            return  # a successor speaks for this node now
+        for reader in self.readers:
+            if reader.account.writer_epoch > self._epoch:
+                return  # a successor speaks for this node now
         if message is None:
             self.discard()
             self._count()
@@ -125,7 +124,7 @@ class OutPort:
             )
         lease = self._room_for(message)
         try:
-            body = codec.pack(message, lambda array: _place(array, lease))
+            body = codec.pack(message, partial(_place, lease))
         except MessageError:
             self.discard()
             raise
@@ -135,6 +134,8 @@ class OutPort:
         self.discard()  # loans of this handler call that went into no message
         self._count()
         self._send(self._wrap(MESSAGE, lease.ref() if lease else None, body), (message,))
+        if lease is not None:
+            self._pool.prepare()
 
     def discard(self) -> None:
         """Give back loans that were not sent."""
@@ -145,15 +146,15 @@ class OutPort:
     def overrun(self) -> None:
         """Count an exposure that found no room, and mark the edge that is to blame."""
         for reader in self.readers:
-            reader.account.add("overrun")
+            reader.account.overrun += 1
             if not reader.has_credit():
-                reader.account.put("broken", 1)
+                reader.account.broken = 1
 
     def _count(self) -> None:
         """Before it is sent: killed in between, the message counts as lost, never as sent twice."""
         self._ordinal += 1
         for reader in self.readers:
-            reader.account.add("sent")
+            reader.account.sent += 1
 
     def _send(self, payload: bytes, inline: tuple[Message, ...]) -> None:
         """To the readers; to whoever taps the key; and whole, to whoever shares no memory."""
@@ -174,15 +175,16 @@ class OutPort:
             full = self._links.send(payload, full)
 
     def _wrap(self, kind: int, ref: SlotRef | None, body: Any) -> bytes:
-        head = (VERSION, kind, self._ordinal, self._epoch, self._mark, ref)
-        return codec.to_bytes((*head, body))
+        return Envelope.render(kind, self._ordinal, self._epoch, self._mark, ref, body)
 
     def _room_for(self, message: Message) -> Lease | None:
         """The slot the message was written into, or one for arrays that are elsewhere."""
-        big = [a for a in vars(message).values() if _is_big(a)]
+        arrays = [a for a in vars(message).values() if isinstance(a, np.ndarray)]
+        big = [a for a in arrays if a.nbytes > INLINE_BYTES]
         for lease in self._leases:
-            if any(lease.offset_of(a) is not None for a in big):
-                return lease
+            for array in big:
+                if lease.offset_of(array) is not None:
+                    return lease
         if not big:
             return None
         lease = self._pool.lease(sum(a.nbytes + 64 for a in big))
@@ -203,11 +205,11 @@ class InPort:
         self, message: type[Message], account: EdgeAccount, pool: PoolReader, epoch: int,
         deliver: Callable[[Arrival], None], *, tap: bool = False,
     ) -> None:  # fmt: skip
-        self._message, self._account, self._pool = message, account, pool
+        self._schema, self._account, self._pool = codec.schema(message), account, pool
         self._epoch, self._deliver, self._tap = epoch, deliver, tap
-        self._sender_epoch, self._mark = -1, codec.fingerprint(message)
+        self._sender_epoch, self._mark = -1, self._schema.fingerprint
         # what the predecessor had taken and not finished died with it
-        account.add("lost_in_crash", max(0, account.seen - account.accounted))
+        account.lost_in_crash += max(0, account.seen - account.accounted)
 
     def receive(self, payload: bytes) -> None:
         """Take one descriptor; never raises."""
@@ -215,81 +217,59 @@ class InPort:
         try:
             envelope = Envelope.parse(payload)
         except MessageError:
-            account.add("strays")  # without a number it is nobody's message
+            account.strays += 1  # without a number it is nobody's message
             return
         fresh = account.attached_epoch != self._epoch or envelope.epoch != self._sender_epoch
         missing = envelope.ordinal - account.seen - (envelope.kind != HELLO)
         if missing < 0:
-            account.add("strays")
+            account.strays += 1
             return
         arrival, fate = self._open(envelope)
-        account.put("seen", envelope.ordinal)
+        account.seen = envelope.ordinal
         if missing:
-            account.add("lost_in_crash" if fresh else "gap", missing)
+            account.settle("lost_in_crash" if fresh else "gap", missing)
         if fresh:
             self._sender_epoch = envelope.epoch
-            account.put("attached_epoch", self._epoch)
+            account.attached_epoch = self._epoch
         if arrival is not None:
             self._deliver(arrival)
         elif fate:
-            account.add(fate)
+            account.settle(fate)
 
-    def _open(self, envelope: "Envelope") -> tuple[Arrival | None, str]:
+    def _open(self, envelope: Envelope) -> tuple[Arrival | None, str]:
         """The arrival, or None and which drop it counts as (none for a greeting)."""
         if envelope.kind == HELLO:
             return None, ""
         if envelope.epoch < self._account.writer_epoch:
             return None, "fenced"
+        if envelope.mark != self._mark:
+            return None, "refused"
         try:
-            return self._decode(envelope), "overwritten"
+            if envelope.kind == NOTHING:
+                header = codec.unpack(Header, envelope.body)
+                return Arrival(header, None, envelope.ordinal), ""
+            fetch = codec.nowhere
+            if envelope.slot is not None:
+                raw = self._pool.take(envelope.slot)
+                if raw is None:
+                    return None, "overwritten"
+                fetch = partial(_cut, self._affordable(raw))
+            message = self._schema.read(envelope.body, fetch)
         except MessageError:
             return None, "refused"
+        return Arrival(message.header, message, envelope.ordinal), ""
 
-    def _decode(self, envelope: "Envelope") -> Arrival | None:
-        if envelope.mark != self._mark:
-            raise MessageError(f"expected {self._message.__name__}, got another schema")
-        if envelope.kind == NOTHING:
-            return Arrival(codec.unpack(Header, envelope.body), None, envelope.ordinal)
-        if envelope.slot is None:
-            message = codec.unpack(self._message, envelope.body)
-            return Arrival(message.header, message, envelope.ordinal)
-        raw = self._pool.take(envelope.slot)
-        if raw is None:
-            return None
+    def _affordable(self, raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What a tap would pin beyond its share is copied."""
         if self._tap and self._pool.pinned > TAP_SLOTS:
             raw = raw.copy()
             raw.flags.writeable = False
-        message = codec.unpack(self._message, envelope.body, partial(_cut, raw))
-        return Arrival(message.header, message, envelope.ordinal)
+        return raw
 
 
-class Envelope(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
-    """What surrounds a message on the bus."""
-
-    version: Literal[2]
-    kind: Literal[0, 1, 2]
-    ordinal: Count
-    epoch: Count
-    mark: bytes
-    slot: SlotRef | None
-    body: msgspec.Raw
-
-    @staticmethod
-    def parse(payload: bytes) -> "Envelope":
-        """Read an envelope from untrusted bytes; raises `MessageError`."""
-        return codec.parse(_read_envelope, payload, "not an envelope of this version")
-
-
-_read_envelope = msgspec.msgpack.Decoder(Envelope).decode
-
-
-def _is_big(value: Any) -> bool:
-    return isinstance(value, np.ndarray) and value.nbytes > INLINE_BYTES
-
-
-def _place(array: NDArray[Any], lease: Lease | None) -> bytes | int:
+def _place(lease: Lease | None, array: NDArray[Any]) -> bytes | int:
     """Where an array of a message goes: it may lie in the slot already."""
-    if lease is None or not _is_big(array):
+    if lease is None or array.nbytes <= INLINE_BYTES:
         return array.tobytes()
     offset = lease.offset_of(array)
     if offset is None:

@@ -39,7 +39,7 @@ class SourceHost(Host):
         assert isinstance(source, Source)
         commands = threading.Thread(target=self._command_loop, name=f"{self.name}-commands")
         commands.start()
-        self.account.enter("waiting")
+        self.alive("waiting")
         exposures = 0
         try:
             while not self._ending.is_set() and (not self._limit or exposures < self._limit):
@@ -52,7 +52,7 @@ class SourceHost(Host):
             self.account.enter("finished")
             self.on_finished()
             while not self.stopping.wait(0.2):
-                self.account.put("heartbeat_ns", time.monotonic_ns())
+                self.account.heartbeat_ns = time.monotonic_ns()
         finally:
             self.stopping.set()
             commands.join()
@@ -87,7 +87,7 @@ class SourceHost(Host):
 
     def _send(self, frames: Any, begun_ns: int) -> None:
         header = next(iter(frames.values())).header
-        if not self.lockstep and not all(port.has_credit() for port in self.outs.values()):
+        if not self.lockstep and not self.has_credit():
             raise PoolExhausted(f"{self.name}: a lossless reader has no room")
         ended = time.monotonic_ns()
         ready = max(begun_ns, header.stamp_ns)  # before it, the source waited for the world
@@ -99,7 +99,7 @@ class SourceHost(Host):
         if self.lockstep:
             self.await_credit()
         self.send_all(frames, leaving)
-        self.account.put("last_seq", header.seq)
+        self.account.last_seq = header.seq
         self.account.histograms["handler"].add(ended - ready)
 
     def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
@@ -113,7 +113,7 @@ class SourceHost(Host):
     def _await_answer(self) -> bool:
         """Lockstep: wait until the graph has dealt with everything that was sent."""
         while not self._drained():
-            self.account.put("heartbeat_ns", time.monotonic_ns())
+            self.account.heartbeat_ns = time.monotonic_ns()
             if self.stopping.wait(DRAIN_S):
                 return False
             self.greet()

@@ -166,9 +166,9 @@ class Supervisor:
             for edge in self.plan.edges:
                 account = self.ledger.edges[edge.index]
                 if edge.source == node.name:
-                    account.put("writer_epoch", slot.epoch)
+                    account.writer_epoch = slot.epoch
                 if edge.target == node.name:
-                    account.put("reader_epoch", slot.epoch)
+                    account.reader_epoch = slot.epoch
         job = Assignment(
             plan=self.plan,
             process=slot.name,
@@ -268,7 +268,7 @@ class Supervisor:
         slot.child = None
         for edge in self.plan.edges:
             if edge.target in {node.name for node in slot.nodes}:
-                self.ledger.edges[edge.index].put("reader_epoch", 0)
+                self.ledger.edges[edge.index].reader_epoch = 0
         for node in slot.nodes:
             self.ledger.nodes[node.index].enter("absent")
         how = f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"

@@ -147,6 +147,24 @@ def test_an_array_cannot_claim_more_bytes_than_it_brings() -> None:
         unpack(Frame, to_bytes(body))
 
 
+@pytest.mark.parametrize("sides", [[0, 1 << 63, 3], [1 << 62, 0, 3], [0, 1 << 40, 3]])
+def test_empty_arrays_of_absurd_sides_are_refused_or_empty(sides: list[int]) -> None:
+    body = pack(Frame(header=header(), pixels=picture(1, 1, seed=1)))
+    body[1] = ["|u1", sides, b""]
+
+    try:
+        got = unpack(Frame, to_bytes(body))
+    except MessageError:
+        return
+    assert got.pixels.size == 0
+
+
+@pytest.mark.parametrize("value", [1 << 64, object(), np.zeros(1, np.complex64)])
+def test_what_msgpack_has_no_word_for_is_refused_before_sending(value: object) -> None:
+    with pytest.raises(MessageError, match="cannot travel"):
+        to_bytes([value])
+
+
 def test_objects_never_travel() -> None:
     body = pack(Frame(header=header(), pixels=picture(1, 1, seed=1)))
     body[1] = ["|O", [1], b"\0" * 8]

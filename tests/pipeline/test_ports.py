@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from pipeline import Frame, Header, MessageError, Percept, PoolExhausted
 from pipeline.codec import to_bytes
+from pipeline.envelope import Envelope
 from pipeline.ledger import EdgeAccount, private_ledger
 from pipeline.pool import PoolReader, PoolWriter, remove_pools
-from pipeline.ports import Arrival, Envelope, InPort, OutPort, Reader
+from pipeline.ports import Arrival, InPort, OutPort, Reader
 from pipeline.testing import header, picture
 
 MEMORY = Path("/dev/shm")
@@ -45,7 +46,7 @@ class Edge:
     def __init__(self, *, lossless: bool = True, depth: int = 4, remote: bool = False) -> None:
         self.stem = f"fovea-test-{secrets.token_hex(4)}"
         self.account: EdgeAccount = private_ledger(1, 0).edges[0]
-        self.account.put("reader_epoch", 1)
+        self.account.reader_epoch = 1
         self.wire, self.remote = Wire(), Wire(matched=remote)
         self.lossless, self.depth = lossless, depth
         self.arrivals: list[Arrival] = []
@@ -76,7 +77,7 @@ class Edge:
 
     def finish(self) -> None:
         """The operator has done with all that arrived."""
-        self.account.add("delivered", len(self.arrivals))
+        self.account.settle("delivered", len(self.arrivals))
         self.arrivals.clear()
 
 
@@ -152,7 +153,7 @@ def test_a_new_reader_counts_what_its_predecessor_left(edge: Edge) -> None:
     edge.arrivals.clear()  # taken, never finished: killed
     edge.send(1)
     edge.wire.sent.clear()  # sent to nobody
-    edge.account.put("reader_epoch", 2)
+    edge.account.reader_epoch = 2
     edge.port = edge.reader(2)
 
     edge.out.hello()
@@ -165,7 +166,7 @@ def test_a_new_reader_counts_what_its_predecessor_left(edge: Edge) -> None:
 
 def test_a_superseded_writer_is_fenced(edge: Edge) -> None:
     edge.send(0)
-    edge.account.put("writer_epoch", 2)  # its successor has been started
+    edge.account.writer_epoch = 2  # its successor has been started
 
     edge.carry()
     edge.send(1)

@@ -234,7 +234,8 @@ def test_a_node_that_dies_too_often_ends_the_run(tmp_path: Path) -> None:
 
 
 def test_an_exception_is_in_the_log_and_the_graph_goes_on(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOOP, changes=("work.crash_at=20",))
+    text = LOOP.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
+    plan = plan_of(tmp_path, text, changes=("work.crash_at=20",))
 
     report = go(plan, 120)
 
@@ -260,7 +261,8 @@ def test_a_source_that_breaks_ends_the_run_with_its_sentence(tmp_path: Path) -> 
 def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
     text = LOOP.replace("    operator: tests.toys:Pair\n", "    operator: tests.toys:PairEvery\n")
     text = text.replace("    inputs: {frame: ticker.context}\n",
-                        "    inputs: {frame: ticker.context}\n    stall_s: 0.5\n")  # fmt: skip
+                        "    inputs: {frame: {from: ticker.context, keep: every}}\n"
+                        "    stall_s: 0.5\n")  # fmt: skip
     plan = plan_of(tmp_path, text, changes=("work.hang_at=20",))
 
     report = go(plan, 150)
