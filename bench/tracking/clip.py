@@ -68,6 +68,8 @@ def read(name: ClipName, frames: tuple[int, int]) -> Clip:
 
     A scene is endless: of it B must be given.
     """
+    if not name.folder and not 1 <= frames[0] < frames[1]:
+        raise SettingsError(f"frames: {name} has 1 to any, got {frames[0]}-{frames[1]}")
     source: FrameSource = (
         SoccerNetSequence(path=name.folder)
         if name.folder

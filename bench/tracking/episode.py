@@ -25,6 +25,7 @@ class Rules:
     delay: int = 0  # frames by which a plan comes late
     replan: int = 1  # Ta
     prediction: bool = True  # False: boxes are foreseen where they are
+    aimed: bool = True  # the first ROI is on the target; False: in the middle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,7 +109,9 @@ class Gaze:
         self._start, self._planned = start, start - rules.replan
         self._commanded: dict[int, Window] = {}
         self._geometry = camera.how.geometry
-        self._held: Window = self._on(target.boxes[start])
+        field = np.array([0, 0, self._geometry.width_px, self._geometry.height_px])
+        self._middle: Window = self._on(field)
+        self._held = self._on(target.boxes[start]) if rules.aimed else self._middle
         self._planned_by_graph = camera.how.strategy in ("foveated", "round_robin")
         if self._planned_by_graph:
             box = tuple(float(v) for v in target.boxes[start])
@@ -121,7 +124,7 @@ class Gaze:
         """Where it looks in a frame; frames are asked for in order."""
         strategy = self._camera.how.strategy
         if strategy == "centred":
-            return self._on(np.array([0, 0, self._geometry.width_px, self._geometry.height_px]))
+            return self._middle
         if strategy == "oracle" and self._target.visible[frame] > 0:
             self._held = self._on(self._target.boxes[frame])
         self._held = self._commanded.pop(frame, self._held)

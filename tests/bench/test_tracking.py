@@ -1,0 +1,251 @@
+"""The evaluation: equal budgets, states told by the truth, honest intervals, the loop itself."""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bench.tracking.budgets import acquisition, parsed
+from bench.tracking.clip import Clip, ClipName, names, read
+from bench.tracking.episode import Rules, run
+from bench.tracking.evaluate import command, interval, policy_files
+from bench.tracking.intervals import Block, difference, mean
+from bench.tracking.replaced import Replaced
+from bench.tracking.stages import Camera, Stages, watched
+from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
+from drivers.source import Truth
+from pipeline.errors import DriverError, SettingsError
+from pipeline.graph import load
+from pipeline.inline import InlineRunner
+from pipeline.messages import Frame
+from pipeline.overlay import Overlay
+from tests.drivers.sequences import write_sequence
+
+ROOT = Path(__file__).resolve().parents[2]
+GRAPH = ROOT / "graphs" / "tracking.yaml"
+HD = (1920, 1080)
+STRATEGIES = ("spatial", "temporal", "exposure", "foveated", "centred", "round_robin", "oracle")
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+@pytest.mark.parametrize("budget", ["1/4", "1/8", "1/16"])
+def test_every_strategy_spends_its_budget_to_a_hundredth(strategy: str, budget: str) -> None:
+    how = acquisition(strategy, Fraction(budget), HD)
+
+    spent = how.sampling.emitted_px() / (HD[0] * HD[1]) / how.sampling.interval
+
+    assert spent == pytest.approx(float(Fraction(budget)), rel=0.01)
+
+
+@pytest.mark.parametrize("text", ["1/1000", "0", "2", "a", "1/0"])
+def test_a_budget_that_cannot_be_met_is_refused(text: str) -> None:
+    def spent() -> None:
+        for budget in parsed(text):
+            acquisition("foveated", budget, HD)
+
+    with pytest.raises(SettingsError, match="budgets: expected"):
+        spent()
+
+
+def truth(ball: tuple[float, float], *people: tuple[float, float]) -> Truth:
+    boxes = [(x - 8, y - 8, x + 8, y + 8) for x, y in (ball,)]
+    boxes += [(x - 20, y - 60, x + 20, y + 60) for x, y in people]
+    return Truth(
+        boxes=np.array(boxes, np.float32),
+        ids=np.arange(len(boxes), dtype=np.int32),
+        labels=("ball", *["player"] * len(people)),
+        visible=np.ones(len(boxes), np.float32),
+    )
+
+
+def states(truths: list[Truth]) -> set[str]:
+    boxes = np.stack([t.boxes[0] for t in truths])
+    return set(ball_states(boxes, truths))
+
+
+CROWD = ((100.0, 500.0), (300.0, 600.0), (500.0, 400.0), (700.0, 500.0))
+
+
+def test_a_ball_is_still_free_or_held_by_what_the_truth_says() -> None:
+    def panned(k: int) -> tuple[tuple[float, float], ...]:
+        return tuple((x + 6.0 * k, y) for x, y in CROWD)
+
+    lying = [truth((900 + 6.0 * k, 300), *panned(k)) for k in range(12)]
+    flying = [truth((900 + 12.0 * k, 300), *CROWD) for k in range(12)]
+    carried = [truth((100 + 5.0 * k, 480), (100 + 5.0 * k, 500), *CROWD[1:]) for k in range(12)]
+
+    assert (states(lying), states(flying), states(carried)) == ({STILL}, {FREE}, {HELD})
+
+
+def test_a_tracker_is_started_where_the_target_can_be_seen() -> None:
+    truths = [truth((900, 300), *CROWD) for _ in range(20)]
+    truths[8] = Truth(
+        boxes=truths[8].boxes,
+        ids=truths[8].ids,
+        labels=truths[8].labels,
+        visible=np.full(5, 0.1, np.float32),
+    )
+
+    (ball,) = targets(truths, ["ball"], players=1, seed=0)
+
+    assert starts(ball, 8) == [0, 16]
+
+
+def test_players_are_drawn_by_the_seed() -> None:
+    truths = [truth((900, 300), *CROWD) for _ in range(4)]
+
+    drawn = [targets(truths, ["player"], players=2, seed=s) for s in range(8)]
+
+    assert all(len(found) == 2 for found in drawn)
+    assert len({tuple(t.id for t in found) for found in drawn}) > 1
+    again = targets(truths, ["player"], players=2, seed=3)
+    assert [t.id for t in again] == [t.id for t in drawn[3]]
+
+
+def blocks(*values: float) -> dict[str, Block]:
+    return {f"clip {k}": Block(total=10 * v, frames=10, starts=1) for k, v in enumerate(values)}
+
+
+def test_an_interval_holds_the_mean_and_shrinks_with_more_clips() -> None:
+    rng = np.random.default_rng(1)
+    few, many = (mean(blocks(*rng.normal(0.5, 0.1, n)), seed=0) for n in (8, 200))
+
+    for found in (few, many):
+        assert found.low < found.iou < found.high
+    assert many.high - many.low < 0.5 * (few.high - few.low)
+    assert (many.frames, many.starts) == (2000, 200)
+
+
+def test_a_small_difference_shows_when_it_is_there_in_every_clip() -> None:
+    base = np.random.default_rng(2).uniform(0.1, 0.9, 30)
+    better, worse = blocks(*base + 0.02), blocks(*base)
+
+    middle, low, high = difference(better, worse, seed=0)
+
+    assert middle == pytest.approx(0.02)
+    assert 0 < low <= high
+    assert mean(better, seed=0).low < mean(worse, seed=0).high  # unpaired, it would be hidden
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    return read(ClipName(seed=70_003), (1, 14))
+
+
+def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    box = [float(v) for v in ball.boxes[0]]
+    aim = ("policy.strategy=pursue", "policy.target=''", f"policy.prompt_box={box}")
+    sensor = ("capture.options.seed=70003", "capture.options.rate_hz=25")
+    looked: list[tuple[int, ...]] = []
+
+    def note(output: str, message: object) -> None:
+        if output == "capture.roi" and isinstance(message, Frame):
+            looked.append(message.window)
+
+    plan = load(GRAPH, Overlay(changes=(*aim, *sensor), clock="lockstep"))
+    with InlineRunner(plan, watch=note) as runner:
+        list(runner.run(14))
+
+    camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
+    with Stages(GRAPH, ("policy.strategy=pursue", "tracker.method=correlation")) as stages:
+        tracks = watched(camera, stages, 14, Replaced())
+        outcome = run(camera, stages, tracks, ball, 0, Rules(aimed=False), Replaced())
+
+    assert outcome.windows == looked
+    assert len(set(looked)) > 1
+    assert camera.emitted_px == pytest.approx(14 * HD[0] * HD[1] / 8, rel=0.01)
+
+
+def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip) -> None:
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    means = {}
+    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+        for strategy in ("full", "oracle", "spatial"):
+            camera = Camera(clip, acquisition(strategy, Fraction(1, 16), clip.size_px))
+            outcome = run(camera, stages, (), ball, 0, Rules(), Replaced())
+            means[strategy] = np.nanmean(outcome.iou)
+
+    assert means["full"] == pytest.approx(means["oracle"], abs=0.1)
+    assert means["spatial"] <= means["full"] + 0.05
+
+
+def test_a_perfect_tracker_is_as_good_as_what_the_roi_shows(clip: Clip) -> None:
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
+    known = Replaced(parts=frozenset({"tracker"}), truths=clip.truths)
+
+    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+        outcome = run(camera, stages, (), ball, 0, Rules(), known)
+
+    assert np.nanmin(outcome.iou) == pytest.approx(1)
+
+
+def test_data_of_the_wrong_shape_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    write_sequence(tmp_path / "clip", gameinfo="[Sequence]\nnum_tracklets=0\n")
+
+    with pytest.raises(DriverError, match="expected a folder of SoccerNet sequences, found none"):
+        names(str(tmp_path / "nothing"), 1)
+    with pytest.raises(DriverError, match=r"expected seqinfo\.ini in it or in its folders"):
+        names(str(tmp_path / "clip" / "img1"), 1)
+    with pytest.raises(DriverError, match="expected gt"):
+        names(str(tmp_path), 1)
+    with pytest.raises(SettingsError, match="expected procedural:SEED"):
+        names("procedural:x", 1)
+    with pytest.raises(SettingsError, match=r"frames: .* has 1 to any, got 5-2"):
+        read(ClipName(seed=1), (5, 2))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--strategies", "magic"], "strategies: expected foveated, centred"),
+        (["--targets", "coach"], "targets: expected ball"),
+        (["--policy", "none.onnx"], "policy: expected an ONNX file or pursue, got none.onnx"),
+        (["--delay", "soon"], "delay: expected whole numbers"),
+        (["--replace", "luck"], "replace: expected detections"),
+        (["--tracker", "magic"], "tracker: expected auto"),
+        (["--frames", "1"], "frames: expected A-B"),
+    ],
+)
+def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str) -> None:
+    result = CliRunner().invoke(command, ["--data", "procedural", *words])
+
+    assert result.exit_code == 2
+    assert said in result.output
+    assert "Traceback" not in result.output
+
+
+def test_options_are_read_as_they_are_meant() -> None:
+    assert interval("251-375") == (251, 375)
+    assert policy_files(["pursue"]) == {"": "pursue"}
+    assert policy_files(["a=pursue", "b=pursue"]) == {"a": "pursue", "b": "pursue"}
+
+
+def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    words = [
+        *("--data", "procedural:70003", "--clips", "1", "--frames", "1-20", "--jobs", "1"),
+        *("--strategies", "centred,temporal,foveated", "--budgets", "1/8", "--targets", "ball"),
+        *("--tracker", "correlation", "--policy", "pursue", "--report", str(tmp_path / "r.json")),
+        *("--plot", str(tmp_path / "plot.png"), "--markdown", str(tmp_path / "table.md")),
+    ]
+    first = CliRunner().invoke(command, words, catch_exceptions=False)
+    report = json.loads((tmp_path / "r.json").read_text())
+    units = sorted((tmp_path / "r.work").glob("*.json"))
+    written = [unit.stat().st_mtime_ns for unit in units]
+    units[0].unlink()
+
+    again = CliRunner().invoke(command, words, catch_exceptions=False)
+
+    assert (first.exit_code, again.exit_code) == (0, 0)
+    assert json.loads((tmp_path / "r.json").read_text())["rows"] == report["rows"]
+    after = sorted((tmp_path / "r.work").glob("*.json"))
+    assert [unit.stat().st_mtime_ns for unit in after[1:]] == written[1:]
+    wanted = {"clip", "target", "strategy", "budget", "iou", "ci95", "frames", "starts"}
+    assert all(wanted <= set(row) for row in report["rows"])
+    assert {row["against"] for row in report["paired"]} == {"centred", "temporal"}
+    assert "| ball | 1/8 | foveated |" in (tmp_path / "table.md").read_text()
+    assert (tmp_path / "plot.png").stat().st_size > 10_000
