@@ -1,5 +1,7 @@
 """Cut squares out of a picture: boxes and a frame -> small pictures of one size."""
 
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -22,19 +24,32 @@ def to_squares(boxes: NDArray[np.float32], roi: Frame, margin: float) -> NDArray
     return np.concatenate([middle - half, middle + half], 1)
 
 
-def cut(picture: NDArray[np.uint8], square: NDArray[np.float32], canvas: NDArray[np.uint8]) -> None:
-    """Scale one square of a picture (h, w, 3) into `canvas` (s, s, 3); outside it is grey."""
-    side = max(float(square[2] - square[0]), 1.0)
-    limits = np.array(picture.shape[1::-1] * 2)
-    whole = np.clip(np.round(square).astype(int), 0, limits)
-    height_px, width_px = canvas.shape[:2]
-    gain = np.array([width_px, height_px] * 2) / side
-    target = np.round((whole - np.tile(square[:2], 2)) * gain).astype(int)
-    x0, y0, x1, y1 = np.clip(target, 0, [width_px, height_px] * 2)
-    canvas[:] = FILL
-    if x1 <= x0 or y1 <= y0 or whole[2] <= whole[0] or whole[3] <= whole[1]:
-        return
-    part = picture[whole[1] : whole[3], whole[0] : whole[2]]
-    # averaging what is shrunk keeps shirt numbers from breaking up
-    how = cv2.INTER_AREA if gain[0] < 1 else cv2.INTER_LINEAR
-    canvas[y0:y1, x0:x1] = cv2.resize(part, (int(x1 - x0), int(y1 - y0)), interpolation=how)
+def cut(
+    picture: NDArray[np.uint8], squares: NDArray[np.float32], side_px: tuple[int, int]
+) -> Iterator[NDArray[np.uint8]]:
+    """Squares (n, 4) of a picture (h, w, 3), scaled to (width, height); outside it is grey.
+
+    Each may stand in the memory of the one before.
+    """
+    width_px, height_px = side_px
+    canvas = np.empty((height_px, width_px, 3), np.uint8)
+    sides = np.maximum(squares[:, 2:3] - squares[:, :1], 1.0)
+    limits = picture.shape[1::-1] * 2
+    parts = np.clip(np.round(squares), 0, limits).astype(int)
+    gains = np.array([width_px, height_px] * 2) / sides
+    targets = np.round((parts - np.tile(squares[:, :2], 2)) * gains)
+    targets = np.clip(targets, 0, [width_px, height_px] * 2).astype(int)
+    for part, target, gain in zip(parts.tolist(), targets.tolist(), gains[:, 0], strict=True):
+        left, top, right, bottom = part
+        x0, y0, x1, y1 = target
+        whole = target == [0, 0, width_px, height_px]
+        if not whole:
+            canvas[:] = FILL
+        if x0 < x1 and y0 < y1 and left < right and top < bottom:
+            # averaging what is shrunk keeps shirt numbers from breaking up
+            how = cv2.INTER_AREA if gain < 1 else cv2.INTER_LINEAR
+            scaled = cv2.resize(
+                picture[top:bottom, left:right], (x1 - x0, y1 - y0), interpolation=how
+            )
+            canvas[y0:y1, x0:x1] = scaled
+        yield canvas

@@ -61,8 +61,9 @@ def whole(picture: Picture) -> Frame:
 def crops_of(picture: Picture, boxes: Boxes) -> Picture:
     """Boxes (n, 4) of a whole picture, cut as the operator cuts them: (n, 96, 96, 3)."""
     found = np.empty((len(boxes), CROP_PX, CROP_PX, 3), np.uint8)
-    for row, square in enumerate(to_squares(boxes, whole(picture), MARGIN)):
-        cut(picture, square, found[row])
+    squares = to_squares(boxes, whole(picture), MARGIN)
+    for row, crop in enumerate(cut(picture, squares, (CROP_PX, CROP_PX))):
+        found[row] = crop
     return found
 
 

@@ -33,7 +33,8 @@ TABLE = (
     (5, 576, 96, True, True, 1),
     (5, 576, 96, True, True, 1),
 )
-MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of ImageNet's RGB, 0..1
+# of RGB 0..1 in ImageNet: networks trained on it expect it subtracted, and the rest divided
+MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 def convolution(
@@ -62,7 +63,7 @@ class Excite(nn.Module):
         self.fc2 = nn.Conv2d(narrow, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        weight = self.fc2(F.relu(self.fc1(x.mean((2, 3), keepdim=True))))
+        weight = self.fc2(F.relu(self.fc1(F.adaptive_avg_pool2d(x, 1))))
         return x * F.hardsigmoid(weight)
 
 
@@ -102,8 +103,6 @@ class EncoderNet(nn.Module):
         self.features = nn.Sequential(*layers)
         self.pool = nn.AdaptiveAvgPool2d(1)
         self.kind = nn.Linear(FEATURES, len(CLASSES))
-        self.register_buffer("mean", torch.tensor(MEAN)[:, None, None])
-        self.register_buffer("deviation", torch.tensor(DEVIATION)[:, None, None])
 
     def forward(self, crops: Tensor) -> tuple[Tensor, Tensor]:
         """Crops (n, 3, S, S), RGB 0..1 -> features (n, 576), logits of `CLASSES` (n, 4).
@@ -111,7 +110,7 @@ class EncoderNet(nn.Module):
         Each row of features has mean 0 and deviation 1: a dot product compares two of them, and a
         LayerNorm behind leaves them as they are.
         """
-        seen = self.pool(self.features((crops - self.mean) / self.deviation)).flatten(1)
+        seen = self.pool(self.features(crops)).flatten(1)
         return F.layer_norm(seen, (FEATURES,)), self.kind(seen)
 
 
@@ -150,6 +149,18 @@ def load_imagenet(net: EncoderNet, path: Path) -> None:
             )
     loaded = dict(zip(own, given.values(), strict=True))
     net.features.load_state_dict(loaded, strict=False)
+    take_plain(net.features[0])
+
+
+@torch.no_grad()
+def take_plain(stem: nn.Sequential) -> None:
+    """Let a first layer that expects ImageNet's mean and deviation removed do that itself.
+
+    Exact but where the filter reaches over the picture's edge, which it now takes for black.
+    """
+    kernel, norm = stem[0].weight, stem[1]
+    kernel /= torch.tensor(DEVIATION)[:, None, None]
+    norm.running_mean += (kernel * torch.tensor(MEAN)[:, None, None]).sum((1, 2, 3))
 
 
 def of_head(name: str) -> bool:

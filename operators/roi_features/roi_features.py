@@ -118,9 +118,8 @@ class Encoder:
         self._at_once = count or settings.batch or settings.max_objects
         self._open = not (count or settings.batch)
         self._batch = np.zeros((self._at_once, 3, size_px[1], size_px[0]), np.float32)
-        self._canvas = np.empty((size_px[1], size_px[0], 3), np.uint8)
+        self._size_px = size_px
         order = [2, 1, 0] if settings.bgr else [0, 1, 2]
-        self._order = order
         self._scale = (1 / (255 * np.array(settings.std, np.float32)))[order, None, None]
         self._shift = (-np.array(settings.mean) / settings.std).astype(np.float32)[
             order, None, None
@@ -147,11 +146,11 @@ class Encoder:
         squares = to_squares(boxes, roi, self._settings.margin)
         for start in range(0, len(boxes), self._at_once):
             part = squares[start : start + self._at_once]
-            for row, square in enumerate(part):
-                cut(np.asarray(roi.pixels, np.uint8), square, self._canvas)
-                planes = self._canvas.transpose(2, 0, 1)[self._order]
+            for row, crop in enumerate(cut(np.asarray(roi.pixels, np.uint8), part, self._size_px)):
+                planes = (crop[..., ::-1] if self._settings.bgr else crop).transpose(2, 0, 1)
                 np.multiply(planes, self._scale, out=self._batch[row])
-                self._batch[row] += self._shift
+            if self._shift.any():
+                self._batch[: len(part)] += self._shift
             answer, classes = self._run(len(part) if self._open else self._at_once)
             features[start : start + len(part)] = answer[: len(part)]
             logits[start : start + len(part)] = classes[: len(part)]

@@ -148,11 +148,13 @@ def test_mean_deviation_and_channel_order_are_applied(tmp_path: Path) -> None:
 )
 def test_any_square_can_be_cut(corner: NDArray[np.float32], side: float, canvas_px: int) -> None:
     picture = np.full((27, 48, 3), 200, np.uint8)
-    canvas = np.zeros((canvas_px, canvas_px, 3), np.uint8)
+    squares = np.array([[*corner, *(corner + side)], [0, 0, 27, 27]], np.float32)
 
-    cut(picture, np.array([*corner, *(corner + side)], np.float32), canvas)
+    one, other = (np.array(crop) for crop in cut(picture, squares, (canvas_px, canvas_px)))
 
-    assert set(np.unique(canvas)) <= {FILL, 200}
+    assert one.shape == other.shape == (canvas_px, canvas_px, 3)
+    assert set(np.unique(one)) <= {FILL, 200}
+    assert (other == 200).all()
 
 
 def test_squares_keep_the_centre_and_cover_the_box() -> None:
