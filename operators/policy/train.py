@@ -229,6 +229,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
     torch.manual_seed(settings.seed)
     run = Run(settings, PolicyNet(**sides, use=settings.use))
     run.resume()
+    shorten(settings.out / "log.csv", run.step)
     began = time.monotonic() - run.elapsed_s
     per_round = math.ceil(settings.iterations / ROUNDS)
     saved = time.monotonic()
@@ -301,6 +302,14 @@ def advance(run: Run, pool: Pool) -> tuple[float, float]:
     return float(loss.detach()), float(gained.detach())
 
 
+def shorten(log: Path, step: int) -> None:
+    """Forget what was logged after the checkpoint that a training goes on from."""
+    if log.exists():
+        lines = log.read_text().splitlines()
+        kept = [line for line in lines if int(line.partition(",")[0]) <= step]
+        log.write_text("".join(f"{line}\n" for line in kept))
+
+
 def plot(log: Path, picture: Path) -> None:
     """Loss and expected utility over the iterations."""
     import matplotlib
@@ -308,9 +317,9 @@ def plot(log: Path, picture: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    rows = np.loadtxt(log, delimiter=",", ndmin=2)
-    if not len(rows):
+    if not log.stat().st_size:
         return
+    rows = np.loadtxt(log, delimiter=",", ndmin=2)
     figure, axes = pyplot.subplots(1, 2, figsize=(9, 3), layout="constrained")
     for place, column, name in ((axes[0], 2, "loss"), (axes[1], 3, "expected utility")):
         place.plot(rows[:, 0], rows[:, column])

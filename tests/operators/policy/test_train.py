@@ -1,0 +1,137 @@
+"""Training: what is lowered falls, what is masked counts for nothing, what stops goes on."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+pytest.importorskip("onnx", reason="needs the train extra")
+import torch
+from click.testing import CliRunner
+
+from operators.policy import train as training
+from operators.policy.data import Recording
+from operators.policy.learned import Chooser
+from operators.policy.model import PolicyNet, export
+from operators.policy.train import Clips, Run, TrainSettings, command, loss_of, round_of, train
+from tests.operators.policy.test_rollout import ROI, recording
+
+
+def settings(tmp_path: Path, **given: object) -> TrainSettings:
+    values = {
+        "data": tmp_path,
+        "out": tmp_path / "out",
+        "iterations": 12,
+        "batch": 16,
+        "episodes": 6,
+        "length": 8,
+        "threads": 1,
+        "rate": 1e-3,
+    }
+    return TrainSettings(**(values | given))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
+    """Made-up recordings in place of the scene's, which take seconds each."""
+    found = [recording(tmp_path)]
+
+    def recorded(given: TrainSettings) -> tuple[Clips, Clips]:
+        rules = training.Rules(roi_channels=ROI)
+        both = Clips(recordings=found, rules=rules, settings=given)
+        return both, both
+
+    monkeypatch.setattr(training, "recorded", recorded)
+    return found
+
+
+def test_the_loss_prefers_whoever_is_worth_more() -> None:
+    worth = torch.tensor([[[1.0], [0.0], [0.0]]])
+    mask = torch.ones(1, 3, dtype=torch.bool)
+    given = settings(Path())
+
+    right, wrong = (
+        loss_of(torch.tensor([[[a], [b], [0.0]]]), worth, mask, given) for a, b in ((4, 0), (0, 4))
+    )
+
+    assert right[0] < wrong[0]
+    assert right[1] > 0.9
+    assert wrong[1] < 0.05
+
+
+def test_steps_in_which_nothing_can_be_gained_teach_nothing() -> None:
+    logits = torch.randn(2, 3, 5, generator=torch.Generator().manual_seed(1), requires_grad=True)
+    worth = torch.zeros(2, 3, 5)
+    worth[0, 1, 2] = 1
+
+    loss_of(logits, worth, torch.ones(2, 3, dtype=torch.bool), settings(Path()))[0].backward()
+
+    assert logits.grad is not None
+    assert logits.grad[0, :, 2].abs().sum() > 0
+    logits.grad[0, :, 2] = 0
+    assert not logits.grad.any()
+
+
+@pytest.mark.usefixtures("clips")
+def test_it_learns_and_writes_what_it_learned(tmp_path: Path) -> None:
+    said: list[str] = []
+
+    net = train(settings(tmp_path, iterations=60), say=said.append)
+    export(net, tmp_path / "policy.onnx")
+
+    rows = np.loadtxt(tmp_path / "out" / "log.csv", delimiter=",")
+    assert rows[-1, 3] > rows[0, 3]  # expected utility
+    assert Chooser(tmp_path / "policy.onnx").roi_channels == ROI
+    assert (tmp_path / "out" / "training.png").exists()
+    assert "coverage" in said[-1]
+
+
+@pytest.mark.usefixtures("clips")
+def test_an_interrupted_training_ends_as_one_that_was_not(tmp_path: Path) -> None:
+    whole = train(settings(tmp_path, out=tmp_path / "whole", iterations=24), say=lambda _: None)
+    first = settings(tmp_path, out=tmp_path / "parts", iterations=24)
+    calls = 0
+    advance = training.advance
+
+    def interrupted(*given: object) -> tuple[float, float]:
+        nonlocal calls
+        calls += 1
+        if calls == 22:
+            raise KeyboardInterrupt
+        return advance(*given)  # type: ignore[arg-type]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "advance", interrupted)
+        patch.setattr(training, "CHECKPOINT_S", 0.0)
+        with pytest.raises(KeyboardInterrupt):
+            train(first, say=lambda _: None)
+    resumed = train(first, say=lambda _: None)
+
+    for name, value in whole.state_dict().items():
+        assert torch.allclose(value, resumed.state_dict()[name], atol=1e-6), name
+    steps = np.loadtxt(tmp_path / "parts" / "log.csv", delimiter=",", ndmin=2)[:, 0]
+    assert steps.tolist() == [20]
+
+
+def test_a_round_is_the_same_for_the_same_roller(tmp_path: Path, clips: list[Recording]) -> None:
+    given = settings(tmp_path)
+    torch.manual_seed(1)
+    run = Run(given, PolicyNet(roi_channels=ROI))
+    able = Clips(recordings=clips, rules=training.Rules(roi_channels=ROI), settings=given)
+
+    first, again, other = (round_of(run, able, n) for n in (1, 1, 2))
+
+    assert np.array_equal(first.arrays["condition"], again.arrays["condition"])
+    assert not np.array_equal(first.arrays["condition"], other.arrays["condition"])
+    assert replace(given, seed=2) != given
+
+
+def test_an_input_that_is_none_is_refused(tmp_path: Path) -> None:
+    words = ["--data", str(tmp_path), "--out", str(tmp_path), "--use", "roi,smell"]
+
+    result = CliRunner().invoke(command, words)
+
+    assert result.exit_code == 2
+    assert "expected some of roi, global, motion, got smell" in result.output
