@@ -84,7 +84,7 @@ def candidates(
     truth = source.truth(index)
     if truth is None:
         raise ValueError(f"frame {index}: expected a source that knows the truth, got none")
-    picture = np.asarray(source.picture(index), np.uint8)
+    picture = np.array(source.picture(index), np.uint8)  # the source reuses its memory
     persons, balls = chosen(truth, rng, people)
     rows = np.concatenate([persons, np.repeat(balls, BALLS)])
     others = false_candidates(picture, truth, OTHERS, rng)

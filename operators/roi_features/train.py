@@ -32,7 +32,8 @@ from operators.training.photometric import degrade, recolour
 TRAIN_SEEDS = 20_000  # no other part of the project uses them
 CHECKPOINT_S = 45.0
 TEMPERATURE = 0.1
-OF_SCENE = 16  # crops of one scene in a batch
+# crops of one scene in a batch: that many people, twice each, the ball, and false candidates
+PEOPLE, BALLS, OF_SCENE = 7, 2, 21
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +46,11 @@ class TrainSettings:
     moments: int = 10
     span: int = 900  # frames of each scene over which its moments are spread
     steps: int = 2000
-    batch: int = 128
+    batch: int = 126
     rate: float = 2e-3
     warmup: int = 100
     decay: float = 0.02
-    identity: float = 0.5  # weight of the second objective
+    identity: float = 1.0  # weight of the second objective
     seed: int = 1
     threads: int = 2
     minutes: float = 30.0
@@ -57,29 +58,28 @@ class TrainSettings:
 
 
 def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Rows of a batch: some scenes, of each four people twice, the ball, and false candidates."""
+    """Rows of a batch: some scenes, of each some people at two moments, the ball, false ones."""
     rows: list[NDArray[np.intp]] = []
     for scene in rng.choice(np.unique(crops.scenes), size // OF_SCENE, replace=False):
         own = np.flatnonzero(crops.scenes == scene)
-        people = own[crops.persons[own] != NOBODY]
         ball = own[crops.kinds[own] == CLASSES.index("ball")]
         false = own[crops.kinds[own] == CLASSES.index("background")]
-        taken = 0
-        for person in rng.permutation(np.unique(crops.persons[people]))[:4]:
-            same = people[crops.persons[people] == person]
-            rows.append(rng.choice(same, 2, replace=len(same) < 2))
-            taken += 2
-        if len(ball):
-            rows.append(rng.choice(ball, 3))
-            taken += 3
-        rows.append(rng.choice(false, OF_SCENE - taken))
+        persons, times = np.unique(crops.persons[own], return_counts=True)
+        twice = rng.permutation(persons[(persons != NOBODY) & (times > 1)])[:PEOPLE]
+        chosen = [rng.choice(own[crops.persons[own] == p], 2, replace=False) for p in twice]
+        chosen.append(rng.choice(ball, BALLS) if len(ball) else ball)
+        chosen.append(rng.choice(false, OF_SCENE - sum(map(len, chosen))))
+        rows += chosen
     return np.concatenate(rows)
 
 
 def changed(
-    picture: NDArray[np.uint8], rng: np.random.Generator, *, mirror: bool
+    picture: NDArray[np.uint8], light: int, rng: np.random.Generator, *, mirror: bool
 ) -> NDArray[np.uint8]:
-    """One crop as it is never seen twice: shifted, zoomed, coarser, relit, softened, mirrored."""
+    """One crop as it is never seen twice: shifted, zoomed, coarser, relit, softened, mirrored.
+
+    Crops of the same `light` are relit alike: one camera shows a shirt in one colour.
+    """
     side, zoom = -1 if mirror else 1, np.exp(rng.uniform(-0.2, 0.2))
     shift = CROP_PX / 2 * (1 - np.array([side * zoom, zoom])) + rng.uniform(-7, 7, 2)
     matrix = np.array([[side * zoom, 0, shift[0]], [0, zoom, shift[1]]])
@@ -89,7 +89,8 @@ def changed(
         few = int(rng.integers(10, 50))
         coarse = cv2.resize(moved, (few, few), interpolation=cv2.INTER_AREA)
         moved = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
-    return degrade(recolour(np.asarray(moved, np.uint8), rng), rng)
+    lit = recolour(np.asarray(moved, np.uint8), np.random.default_rng([light, 13]))
+    return degrade(lit, rng)
 
 
 def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
@@ -199,11 +200,14 @@ def advance(run: Run, crops: Crops) -> dict[str, float]:
     rows = batch_rows(crops, s.batch, rng)
     # a number in a mirror is another one
     mirrored = (crops.persons[rows] == NOBODY) & (rng.random(len(rows)) < 0.5)
-    pictures = np.stack(
-        [changed(crops.pictures[row], rng, mirror=m) for row, m in zip(rows, mirrored, strict=True)]
-    )
+    pictures = [
+        changed(
+            crops.pictures[row], run.step << 20 | int(crops.scenes[row]), rng, mirror=bool(turn)
+        )
+        for row, turn in zip(rows, mirrored, strict=True)
+    ]
     given = {
-        "pictures": torch.from_numpy(pictures).permute(0, 3, 1, 2).float().div_(255),
+        "pictures": torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float().div_(255),
         "kinds": torch.from_numpy(crops.kinds[rows]),
         "persons": torch.from_numpy(crops.persons[rows]),
         "scenes": torch.from_numpy(crops.scenes[rows]),

@@ -114,3 +114,15 @@ def test_rendered_crops_are_read_back_as_one(tmp_path: Path) -> None:
     assert np.array_equal(both.pictures, np.concatenate([one.pictures, one.pictures]))
     assert np.array_equal(both.persons, np.tile(one.persons, 2))
     scene.close()
+
+
+def test_candidates_keep_their_picture_when_the_next_is_drawn() -> None:
+    scene = SoccerScene(size_px=SIZE_PX, rate_hz=25.0, seed=9)
+    rng = np.random.default_rng(9)
+
+    first = candidates(scene, 10, rng)
+    before = first.picture.copy()
+    candidates(scene, 60, rng)
+
+    assert np.array_equal(first.picture, before)
+    scene.close()
