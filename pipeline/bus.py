@@ -6,6 +6,7 @@ multicast is sent, and Zenoh's own shared memory is off: frames travel through `
 """
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,6 +16,8 @@ import zenoh
 from pipeline.errors import RunError
 
 OnBytes = Callable[[bytes], None]
+OnQuestion = Callable[[bytes, OnBytes], None]  # the question, and how to reply
+AGAIN_S = 0.05  # a new session does not know at once who answers
 
 
 class Sender(Protocol):
@@ -68,6 +71,31 @@ class Session:
             key, zenoh.handlers.Callback(receive, indirect=False)
         )
         return subscriber.undeclare
+
+    def answer(self, key: str, on_question: OnQuestion) -> Callable[[], None]:
+        """Call `on_question` from the transport's thread for every question; returns how to stop.
+
+        It must be quick; the reply may be given later, by any thread, at most once.
+        """
+
+        def receive(query: zenoh.Query) -> None:
+            question = query.payload.to_bytes() if query.payload is not None else b""
+            on_question(question, lambda answer: query.reply(key, answer))
+
+        queryable = self._session.declare_queryable(
+            key, zenoh.handlers.Callback(receive, indirect=False)
+        )
+        return queryable.undeclare
+
+    def ask(self, key: str, question: bytes, timeout_s: float) -> bytes | None:
+        """The answer to a question, or None when none came in time."""
+        deadline = time.monotonic() + timeout_s
+        while (left_s := deadline - time.monotonic()) > 0:
+            for reply in self._session.get(key, payload=question or None, timeout=left_s):
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
+            time.sleep(AGAIN_S)
+        return None
 
     def close(self) -> None:
         """Leave the bus."""

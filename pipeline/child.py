@@ -17,7 +17,7 @@ from typing import Any
 import psutil
 from pydantic import TypeAdapter
 
-from pipeline.node import Assignment
+from pipeline.wiring import Assignment
 
 # numeric libraries would start a thread per core in every process
 _THREAD_LIMITS = (

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 
 from pipeline import running, watching
+from pipeline.changing import set_command
 from pipeline.drawing import mermaid
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.graph import load
@@ -184,6 +185,7 @@ def _load(
 
 
 commands.add_command(weights_commands)
+commands.add_command(set_command)
 commands.add_command(task_command("train", "Train the networks of a task."))
 commands.add_command(task_command("eval", "Measure a task: figures, tables, plots."))
 

@@ -6,7 +6,7 @@ of its own, beside others in one process, or in the in-line runner, and cannot t
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Generic, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
@@ -146,6 +146,18 @@ def settings_of(operator: type[Operator[Any, Any]]) -> type[Any]:
             "among its bases, got none"
         )
     return settings
+
+
+def live_of(operator: type[Operator[Any, Any]]) -> tuple[str, ...]:
+    """Its live settings; raises `SettingsError` when `live` names what is no setting."""
+    known = {f.name for f in fields(settings_of(operator))}
+    for name in operator.live:
+        if name not in known:
+            raise SettingsError(
+                f"{operator.__module__}:{operator.__qualname__}.live: expected names of settings, "
+                f"got {name!r}"
+            )
+    return tuple(operator.live)
 
 
 def joined(operator: type[Operator[Any, Any]]) -> tuple[str, ...]:

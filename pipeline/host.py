@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from pipeline.doors import Doors
 from pipeline.errors import PoolExhausted, RunError
 from pipeline.inbox import Inbox, Work
 from pipeline.ledger import EdgeAccount, NodeAccount
+from pipeline.live import Live
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.ports import Arrival, OutPort
 
@@ -34,13 +36,14 @@ class Host:
     def __init__(
         self, name: str, operator: Operator[Any, Any], inputs: Mapping[str, Input],
         edges: Mapping[str, EdgeAccount], outs: Mapping[str, OutPort], account: NodeAccount,
-        doors: Doors, *, lockstep: bool, epoch: int,
+        doors: Doors, live: Live, *, lockstep: bool, epoch: int,
     ) -> None:  # fmt: skip
         self.name, self.operator, self.outs = name, operator, dict(outs)
         self._edges, self.account, self._epoch = dict(edges), account, epoch
         self.lockstep = lockstep
         self._lock = threading.Lock()
-        self._doors = doors
+        self._doors, self._live = doors, live
+        self._questions: SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = SimpleQueue()
         self._inbox = Inbox(inputs, self.settle, lockstep=lockstep)
         self._together = frozenset(joined(type(operator)))
         self._arrived_wait_ns = self._waiter = 0
@@ -69,6 +72,7 @@ class Host:
         self.alive("waiting")
         while not self.stopping.is_set():
             work = self._wait()
+            self.answer_questions()
             if work is None:
                 continue
             try:
@@ -76,6 +80,16 @@ class Host:
             except PoolExhausted:
                 if not self.stopping.is_set():
                     raise
+
+    def ask(self, question: bytes, reply: Callable[[bytes], None]) -> None:
+        """Have a question about the settings answered between two calls of handlers."""
+        self._questions.put((question, reply))
+        self._doors.wake()
+
+    def answer_questions(self) -> None:
+        """Answer what was asked; to be called by the thread that calls the handlers."""
+        while not self._questions.empty():
+            self._live.answer(*self._questions.get())
 
     def stop(self) -> None:
         """Let `run` return after the message in hand."""

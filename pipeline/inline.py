@@ -14,6 +14,7 @@ from pipeline.contract import Operator, Source, handler_of, joined, outputs_of, 
 from pipeline.errors import GraphError, RunError
 from pipeline.inbox import Inbox, Work
 from pipeline.ledger import Ledger, private_ledger
+from pipeline.live import Live
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.plan import Edge, Node, Plan, inputs_for, load_operator
 from pipeline.ports import Arrival
@@ -32,6 +33,7 @@ class _Part:
         self.operator: Operator[Any, Any] = cls(
             checked.build(settings_of(cls), node.settings, node.name)
         )
+        self.live = Live(node.name, self.operator, node.settings, None)
         self.edges = plan.inputs(node.name)
         self.account = ledger.nodes[node.index]
         self.outputs = tuple(outputs_of(cls))
@@ -72,6 +74,17 @@ class InlineRunner:
     def operator(self, node: str) -> Operator[Any, Any]:
         """The live operator behind a node, for training and evaluation."""
         return self._parts[node].operator
+
+    def change(self, node: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Change live settings between two frames; the effective values of all of them.
+
+        Raises `SettingsError` and changes nothing when the node refuses, `RunError` for no node.
+        """
+        if node not in self._parts:
+            raise RunError(f"{self.plan.name}: no node {node}{checked.suggest(node, self._parts)}")
+        live = self._parts[node].live
+        live.change(changes)
+        return live.describe().settings
 
     def run(self, frames: int = 0) -> Iterator[int]:
         """Expose up to `frames` frames (0: all), yielding each seq after the loop answered it."""

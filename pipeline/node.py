@@ -17,8 +17,6 @@ import threading
 import time
 import traceback
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -26,32 +24,17 @@ from pydantic import TypeAdapter
 
 from pipeline import settings as checked
 from pipeline.bus import Session
-from pipeline.contract import Input, Operator, Source, outputs_of, settings_of
-from pipeline.doors import Doors, Links
+from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.host import Host
 from pipeline.ledger import Ledger
-from pipeline.plan import Edge, Node, Plan, inputs_for, load_operator, slots
-from pipeline.pool import PoolReader, PoolWriter
-from pipeline.ports import BYTES_SUFFIX, InPort, OutPort, Reader
+from pipeline.plan import Node, load_operator
 from pipeline.source import SourceHost
+from pipeline.wiring import Assignment, Wiring
 
 ASIDE_NICENESS = 5  # of processes that no sensor command waits for
 FAREWELL_S = 3.0  # after this the process ends whatever an operator does
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Assignment:
-    """What the supervisor gives a process to do."""
-
-    plan: Plan
-    process: str
-    run_folder: str
-    memory_folder: str
-    prefix: str  # of every file of this run in the memory folder
-    epochs: dict[str, int]  # by node
-    frames: int = 0
 
 
 class Process:
@@ -60,16 +43,12 @@ class Process:
     def __init__(self, job: Assignment, events: TextIO) -> None:
         self._job, self._events = job, events
         self._nodes = [n for n in job.plan.nodes if n.process == job.process]
-        self._memory = Path(job.memory_folder)
-        self._ledger = Ledger.open(
-            self._memory / f"{job.prefix}ledger", len(job.plan.edges), len(job.plan.nodes)
-        )
+        path = Path(job.memory_folder) / f"{job.prefix}ledger"
+        self._ledger = Ledger.open(path, len(job.plan.edges), len(job.plan.nodes))
         self._hosts: list[Host] = []
         self._operators: list[Operator[Any, Any]] = []
         self._session: Session | None = None
-        self._doors: list[Doors] = []
-        self._links: list[Links] = []
-        self._stops: list[Any] = []
+        self._wiring: Wiring | None = None
         self.go = threading.Event()
         self.failed = False
 
@@ -85,8 +64,9 @@ class Process:
                 self._operators[-1].open()
             loaded_s = time.monotonic()
             self._session = Session(Path(self._job.run_folder), self._job.process)
+            self._wiring = Wiring(self._job, self._session, self._ledger)
             self._hosts = [
-                self._host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
+                self._wiring.host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
             ]
             gc.collect()
             gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
@@ -116,84 +96,10 @@ class Process:
 
     def _make(self, node: Node) -> Operator[Any, Any]:
         cls = load_operator(node.operator)
-        operator = cls(checked.build(settings_of(cls), node.settings, node.name))
+        operator = cls(checked.build(settings_of(cls), self._job.settings(node), node.name))
         if isinstance(operator, Source):
             operator.realtime = self._job.plan.clock == "realtime"
         return operator
-
-    def _host(self, node: Node, operator: Operator[Any, Any]) -> Host:
-        job, plan = self._job, self._job.plan
-        edges = plan.inputs(node.name)
-        doors = Doors(self._address(node.name))
-        self._doors.append(doors)
-        outs = {
-            name: self._out_port(node, name, message)
-            for name, message in outputs_of(type(operator)).items()
-        }
-        common: dict[str, Any] = {
-            "inputs": inputs_for(plan, node),
-            "edges": {name: self._ledger.edges[e.index] for name, e in edges.items()},
-            "outs": outs,
-            "doors": doors,
-            "account": self._ledger.nodes[node.index],
-            "lockstep": plan.clock == "lockstep",
-            "epoch": job.epochs[node.name],
-        }
-        host = (
-            SourceHost(
-                node.name, operator, drained=self._ledger.drained, limit=job.frames, **common
-            )
-            if isinstance(operator, Source)
-            else Host(node.name, operator, **common)
-        )
-        for edge in edges.values():
-            self._listen(host, edge, common["inputs"][edge.input], doors)
-        return host
-
-    def _out_port(self, node: Node, output: str, message: type[Any]) -> OutPort:
-        job = self._job
-        edges = job.plan.readers(node.name, output)
-        readers = [
-            Reader(self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index)
-            for e in edges
-        ]
-        assert self._session is not None
-        key = key_of(job.plan.name, node.name, output)
-        urgent = any(e.command for e in edges)
-        patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
-        stem = f"{job.prefix}{node.name}.{output}"
-        near = [(e.index, self._address(e.target)) for e in edges if e.transport == "pool"]
-        links = Links(near)
-        self._links.append(links)
-        return OutPort(
-            message,
-            links,
-            self._session.sender(key, urgent=urgent),
-            self._session.sender(key + BYTES_SUFFIX, urgent=urgent, patient=patient),
-            readers,
-            lambda free: PoolWriter(self._memory, stem, slots(edges), free),
-            job.epochs[node.name],
-        )
-
-    def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
-        job = self._job
-        port = InPort(
-            declared.message,
-            self._ledger.edges[edge.index],
-            PoolReader(self._memory, f"{job.prefix}{edge.source}.{edge.output}"),
-            job.epochs[edge.target],
-            partial(host.deliver, edge.input),
-            tap=edge.tap,
-        )
-        if edge.transport == "pool":
-            doors.expect(edge.index, port.receive)
-            return
-        key = key_of(job.plan.name, edge.source, edge.output) + BYTES_SUFFIX
-        assert self._session is not None
-        self._stops.append(self._session.listen(key, port.receive))
-
-    def _address(self, node: str) -> Path:
-        return Path(self._job.run_folder) / f"{node}.door"
 
     def _run_hosts(self) -> None:
         threads = [
@@ -234,19 +140,10 @@ class Process:
         for host in self._hosts:
             if isinstance(host, SourceHost):
                 self.say("summary", node=host.name, figures=host.figures())
-        for stop in self._stops:
-            stop()
-        for links in self._links:
-            links.close()
-        for doors in self._doors:
-            doors.close()
+        if self._wiring is not None:
+            self._wiring.close()
         if self._session is not None:
             self._session.close()
-
-
-def key_of(graph: str, node: str, output: str) -> str:
-    """The Zenoh key of an output."""
-    return f"fovea/{graph}/{node}/{output}"
 
 
 def main() -> None:

@@ -68,17 +68,29 @@ def _makes_frames(entry: Any) -> bool:
         return False
 
 
-def _lay_change(nodes: Any, change: str, path: Path) -> None:
+def read_change(change: str) -> tuple[str, str, Any]:
+    """Node, setting and value of `node.setting=value`; raises `GraphError` for anything else.
+
+    >>> read_change("policy.prompt_box=[1, 2, 3, 4]")
+    ('policy', 'prompt_box', [1, 2, 3, 4])
+    """
     target, equals, text = change.partition("=")
-    name, dot, setting = target.partition(".")
-    if not (equals and dot and setting):
-        raise GraphError(f"--set {change}: expected node.setting=value")
+    node, dot, setting = target.partition(".")
+    if not (equals and dot and node and setting):
+        raise GraphError(f"{change}: expected node.setting=value")
+    try:
+        return node, setting, YAML(typ="safe").load(text) if text else ""
+    except YAMLError as error:
+        raise GraphError(f"{change}: not a value: {error}") from error
+
+
+def _lay_change(nodes: Any, change: str, path: Path) -> None:
+    try:
+        name, setting, value = read_change(change)
+    except GraphError as error:
+        raise GraphError(f"--set {error}") from error
     if name not in nodes:
         raise GraphError(f"--set {change}: {path} has no node {name}{suggest(name, nodes)}")
-    try:
-        value = YAML(typ="safe").load(text) if text else ""
-    except YAMLError as error:
-        raise GraphError(f"--set {change}: not a value: {error}") from error
     entry = nodes[name]
     settings = entry.setdefault("settings", CommentedMap())
     cls = settings_of(load_operator(str(entry.get("operator"))))

@@ -69,7 +69,7 @@ class RunFolder:
     def release(self) -> None:
         """Remove sockets and memory; the logs stay for reading."""
         remove_pools(MEMORY, self.prefix)
-        for path in (*_sockets(self.folder), self.folder / "run.json"):
+        for path in (*_remains(self.folder), self.folder / "run.json"):
             path.unlink(missing_ok=True)
         os.close(self._lock)
 
@@ -121,12 +121,13 @@ def _remove_remains(folder: Path) -> None:
     if prefix.startswith("fovea-"):
         _end_orphans(prefix)
         remove_pools(MEMORY, prefix)
-    for path in (*_sockets(folder), folder / "run.json"):
+    for path in (*_remains(folder), folder / "run.json"):
         path.unlink(missing_ok=True)
 
 
-def _sockets(folder: Path) -> list[Path]:
-    return [*folder.glob("*.sock"), *folder.glob("*.door")]
+def _remains(folder: Path) -> list[Path]:
+    """What a run leaves beside its logs: sockets, and settings that were changed meanwhile."""
+    return [path for kind in ("sock", "door", "live") for path in folder.glob(f"*.{kind}")]
 
 
 def _end_orphans(prefix: str) -> None:

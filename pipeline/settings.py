@@ -34,6 +34,17 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
         raise SettingsError(_sentence(error, where)) from error
 
 
+def plain(settings: Any) -> dict[str, Any]:
+    """Every setting's value in the words of a graph file.
+
+    >>> from pipeline.plan import Restart
+    >>> plain(Restart(most=2))
+    {'policy': 'on-failure', 'backoff_s': 0.05, 'window_s': 60.0, 'most': 2}
+    """
+    values: dict[str, Any] = _adapter(type(settings)).dump_python(settings, mode="json")
+    return values
+
+
 def json_schema(cls: type[Any]) -> dict[str, Any]:
     """The JSON Schema of a settings dataclass."""
     return _adapter(cls).json_schema()

@@ -17,9 +17,9 @@ from pipeline.bus import Session
 from pipeline.child import Child, Events, Sample, close_pipes, spawn
 from pipeline.errors import RunError
 from pipeline.ledger import Ledger
-from pipeline.node import Assignment
 from pipeline.plan import Node, Plan, is_source
 from pipeline.rundir import MEMORY, RunFolder
+from pipeline.wiring import Assignment
 
 TICK_S = 0.02
 SAMPLE_S = 1.0

@@ -23,12 +23,12 @@ from pipeline.contract import outputs_of
 from pipeline.errors import RunError
 from pipeline.ledger import Ledger, private_ledger
 from pipeline.messages import Message
-from pipeline.node import key_of
 from pipeline.plan import load_operator
 from pipeline.pool import PoolReader
 from pipeline.ports import Arrival, InPort
 from pipeline.rundir import MEMORY, base, running
 from pipeline.settings import suggest
+from pipeline.wiring import key_of
 
 QUIET_S = 10.0  # without a message for this long, echo says so and leaves
 
@@ -52,7 +52,7 @@ def process_table() -> Table:
 
 def top(graph: str, every_s: float, *, once: bool, console: Console) -> None:
     """A table per edge and per node, refreshed until Ctrl-C or the end of the graph."""
-    name, facts = _find(graph)
+    name, facts = find(graph)
     ledger = _ledger(facts)
     tables = _refreshed(facts, ledger, every_s)
     next(tables)
@@ -122,7 +122,7 @@ def describe(message: Message) -> str:
 
 
 def _tap(graph: str, output: str) -> Iterator[Message]:
-    name, facts = _find(graph)
+    name, facts = find(graph)
     node, _, port = output.partition(".")
     operators = {n["name"]: n["operator"] for n in facts["nodes"]}
     if node not in operators:
@@ -190,14 +190,16 @@ def _top_tables(facts: dict[str, Any], ledger: Ledger, rates: list[float]) -> Gr
     return Group(edges, nodes)
 
 
-def _find(graph: str) -> tuple[str, dict[str, Any]]:
+def find(graph: str) -> tuple[str, dict[str, Any]]:
+    """A running graph's name and facts, the only one's for ""; raises `RunError`."""
     found = running()
     if graph and graph in found:
         return graph, found[graph]
     if not graph and len(found) == 1:
         return next(iter(found.items()))
-    what = f"graph {graph}" if graph else "one running graph"
-    raise RunError(f"expected {what}, got {', '.join(found) or 'none running'}")
+    if graph:
+        raise RunError(f"no graph {graph} runs{suggest(graph, found)}")
+    raise RunError(f"expected one running graph, got {', '.join(found) or 'none'}")
 
 
 def _ledger(facts: dict[str, Any]) -> Ledger:

@@ -43,6 +43,8 @@ class TickerSettings:
 class Ticker(Source[TickerSettings, Mapping[str, Message]]):
     """Two streams of pictures filled with their own number."""
 
+    live = ("rate_hz",)
+
     context = Output(Frame)
     roi = Output(Frame)
     schedule = Input(RoiSchedule, command=True)
@@ -55,6 +57,10 @@ class Ticker(Source[TickerSettings, Mapping[str, Message]]):
             windows=np.zeros((0, 4), np.int32),
         )
         self.commanded = 0
+
+    def on_settings(self, settings: TickerSettings) -> None:
+        self.settings = settings
+        self.start_s = time.monotonic() - self.seq / settings.rate_hz
 
     def on_schedule(self, schedule: RoiSchedule) -> None:
         self.newest = schedule
@@ -96,15 +102,27 @@ class WorkSettings:
     every: int = 1  # answers nothing for the others
     hold: int = 0  # keeps that many pictures
 
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise SettingsError(f"every: must be at least 1, got {self.every}")
+
 
 class Pass(Operator[WorkSettings, Frame]):
     """The same picture again."""
 
+    live = ("every", "hold")
     frame = Input(Frame, keep="latest")
 
     def open(self) -> None:
         self.held: list[Frame] = []
         self.handled = 0
+
+    def on_settings(self, settings: WorkSettings) -> None:
+        if settings.hold > 9:
+            raise SettingsError("work.hold: no room for more than 9 pictures")
+        if settings.hold < 0:
+            raise ValueError("told to break")
+        self.settings = settings
 
     def on_frame(self, frame: Frame) -> Frame | None:
         settings = self.settings

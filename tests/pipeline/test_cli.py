@@ -145,6 +145,27 @@ def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
     assert name not in fovea("ps").stdout
 
 
+def test_a_running_node_can_be_set_and_says_why_not(
+    running: "subprocess.Popen[str]", name: str
+) -> None:
+    done = fovea("set", name, "work.every=2", "ticker.rate_hz=50")
+    shown = fovea("set", name, "work")
+    refused = fovea("set", name, "work.sleep_s=1")
+    nowhere = fovea("set", "nowhere", "work.every=2")
+    wrong = fovea("set", name, "work.every=2", "every")
+
+    assert done.stdout.splitlines() == ["work.every = 2", "ticker.rate_hz = 50.0"]
+    assert done.returncode == 0
+    assert [line for line in shown.stdout.splitlines() if "every" in line and "yes" in line]
+    assert refused.returncode == 1
+    assert refused.stderr.strip() == (
+        "fovea: work.sleep_s: cannot change while the node runs; every, hold can"
+    )
+    assert (nowhere.returncode, wrong.returncode) == (1, 2)
+    assert "no graph nowhere runs" in nowhere.stderr
+    assert "every: expected node.setting=value" in wrong.stderr
+
+
 def test_sigterm_ends_a_run_like_ctrl_c(running: "subprocess.Popen[str]") -> None:
     running.send_signal(signal.SIGTERM)
     out, _ = running.communicate(timeout=20)
