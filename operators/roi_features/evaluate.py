@@ -1,8 +1,8 @@
 """Score an encoder on scenes it never saw: `python -m operators.roi_features.evaluate --help`.
 
 Runs the operator's own encoder on boxes disturbed as a detector disturbs them. Two questions: is a
-candidate what its label says (at `CERTAIN`, against false candidates); and who of those in one
-picture is the one that was seen two seconds before, by likeness of features alone.
+candidate what its label says, against false candidates; and who of those in one picture is the one
+that was seen two seconds before, by likeness of features alone.
 """
 
 import argparse
@@ -26,7 +26,6 @@ from pipeline import SettingsError
 SEEDS = {"validation": range(55_000, 55_020), "test": range(65_000, 65_030)}
 SPAN, GAP = 900, 50  # frames: of each scene; between two looks at the same person
 EVERYBODY = 40
-CERTAIN = 0.5
 BACKGROUND = CLASSES.index("background")
 # published encoders that the operator runs with settings of their own
 SETTINGS: dict[str, RoiEncoderSettings] = {
@@ -64,8 +63,8 @@ def looked_at(encoder: Encoder, found: Candidates, team_of: TeamOf) -> Look:
     )
 
 
-def told_apart(looks: Iterable[Look], names: list[str]) -> dict[str, float]:
-    """Share of right classes; of each class, precision and recall against false candidates."""
+def told_apart(looks: Iterable[Look], names: list[str], least: float) -> dict[str, float]:
+    """Share of right classes; of each, precision and recall of who is at `least` so genuine."""
     kept = list(looks)
     logits, kinds = (
         np.concatenate([k.logits for k in kept]),
@@ -79,7 +78,7 @@ def told_apart(looks: Iterable[Look], names: list[str]) -> dict[str, float]:
         if kind == BACKGROUND or not (kinds == kind).any():
             continue
         asked = (kinds == kind) | (kinds == BACKGROUND)
-        taken = verdicts(logits[asked], names, [name] * int(asked.sum())) >= CERTAIN
+        taken = verdicts(logits[asked], names, [name] * int(asked.sum())) >= least
         true = kinds[asked] == kind
         figures[f"{name}_precision"] = float(true[taken].mean()) if taken.any() else 0.0
         figures[f"{name}_recall"] = float(taken[true].mean())
@@ -156,7 +155,7 @@ def teams_of(folder: Path) -> TeamOf:
 
 
 def report(
-    encoders: dict[str, Encoder], pairs: Iterable[Pair], team_of: TeamOf
+    encoders: dict[str, Encoder], pairs: Iterable[Pair], team_of: TeamOf, least: float
 ) -> dict[str, dict[str, float]]:
     """All figures of all encoders on the same candidates."""
     looks: dict[str, list[tuple[Look, Look]]] = {name: [] for name in encoders}
@@ -166,7 +165,7 @@ def report(
                 (looked_at(encoder, first, team_of), looked_at(encoder, second, team_of))
             )
     return {
-        name: told_apart([look for both in found for look in both], encoders[name].names)
+        name: told_apart([look for both in found for look in both], encoders[name].names, least)
         | found_again(found)
         for name, found in looks.items()
     }
@@ -192,6 +191,7 @@ def main() -> None:
     parser.add_argument("--on", choices=SEEDS, default="test")
     parser.add_argument("--scenes", type=int, default=30)
     parser.add_argument("--moments", type=int, default=4, help="pairs of pictures of each scene")
+    parser.add_argument("--least", type=float, default=0.5, help="from which on it is genuine")
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args()
     encoders = {
@@ -202,7 +202,7 @@ def main() -> None:
         pairs, team_of = of_sequence(given.data, given.stride, given.frames), teams_of(given.data)
     else:
         pairs, team_of = of_scenes(SEEDS[given.on][: given.scenes], given.moments), team_in_scene
-    table = report(encoders, tqdm(pairs, desc="score", unit="pair"), team_of)
+    table = report(encoders, tqdm(pairs, desc="score", unit="pair"), team_of, given.least)
     for name, row in table.items():
         print(name, *(f"{figure} {value:.3f}" for figure, value in row.items()))
     if given.json:

@@ -152,15 +152,15 @@ def load_imagenet(net: EncoderNet, path: Path) -> None:
     take_plain(net.features[0])
 
 
-@torch.no_grad()
 def take_plain(stem: nn.Sequential) -> None:
     """Let a first layer that expects ImageNet's mean and deviation removed do that itself.
 
     Exact but where the filter reaches over the picture's edge, which it now takes for black.
     """
     kernel, norm = stem[0].weight, stem[1]
-    kernel /= torch.tensor(DEVIATION)[:, None, None]
-    norm.running_mean += (kernel * torch.tensor(MEAN)[:, None, None]).sum((1, 2, 3))
+    with torch.no_grad():
+        kernel /= torch.tensor(DEVIATION)[:, None, None]
+        norm.running_mean += (kernel * torch.tensor(MEAN)[:, None, None]).sum((1, 2, 3))
 
 
 def of_head(name: str) -> bool:

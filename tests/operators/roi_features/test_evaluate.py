@@ -34,6 +34,7 @@ def judged(kinds: list[int], likely: list[int]) -> dict[str, float]:
             )
         ],
         list(CLASSES),
+        0.5,
     )
 
 
@@ -47,7 +48,7 @@ def test_precision_and_recall_of_a_class_are_against_false_candidates() -> None:
 
 
 def test_an_encoder_that_names_no_classes_has_no_figures_of_them() -> None:
-    assert told_apart([look([1], [[1.0]])], []) == {}
+    assert told_apart([look([1], [[1.0]])], [], 0.5) == {}
 
 
 def test_a_person_is_found_again_where_nobody_is_more_like_them() -> None:
