@@ -92,6 +92,13 @@ class Operator(Generic[S, Out]):
         """Figures for the run's report, asked for once at the end."""
         return {}
 
+    def headline(self) -> str:
+        """A figure of now for the line that `fovea run` shows, a few words; asked every second.
+
+        Called by another thread than the handlers: read, change nothing.
+        """
+        return ""
+
     @classmethod
     def advise(cls, settings: S, upstream: Mapping[str, Any]) -> Iterable[str]:
         """Sentences for `fovea check`: what these settings mean, warnings; nothing is opened.

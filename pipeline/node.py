@@ -33,6 +33,7 @@ from pipeline.source import SourceHost
 from pipeline.wiring import Assignment, Wiring
 
 ASIDE_NICENESS = 5  # of processes that no sensor command waits for
+HEADLINE_S = 1.0  # between two looks at what operators have to tell
 FAREWELL_S = 3.0  # after this the process ends whatever an operator does
 log = logging.getLogger(__name__)
 
@@ -48,6 +49,7 @@ class Process:
         self._hosts: list[Host] = []
         self._operators: list[Operator[Any, Any]] = []
         self._session: Session | None = None
+        self._headlines: dict[str, str] = {}
         self._wiring: Wiring | None = None
         self.go = threading.Event()
         self.failed = False
@@ -109,7 +111,16 @@ class Process:
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join()
+            while thread.is_alive():
+                thread.join(HEADLINE_S)
+                self._tell_headlines()
+
+    def _tell_headlines(self) -> None:
+        for node, operator in zip(self._nodes, self._operators, strict=True):
+            words = operator.headline()
+            if words != self._headlines.get(node.name, ""):
+                self._headlines[node.name] = words
+                self.say("headline", node=node.name, words=words)
 
     def _guard(self, host: Host) -> None:
         try:

@@ -129,6 +129,8 @@ def _lines(report: Report) -> list[Text]:
     if coverage := report.get("roi_coverage"):
         shares = ", ".join(f"{n} {_share(v)}" for n, v in coverage.items())
         lines.append(f"ROI coverage of the true boxes: {shares}")
+    if overlap := report.get("iou"):
+        lines.append(f"IoU with the truth: {overlap['mean']:.3f} over {overlap['frames']} frames")
     if report["restarts"]:
         counts = ", ".join(f"{name} {count}" for name, count in report["restarts"].items())
         lines.append(f"restarts: {counts}")

@@ -76,6 +76,7 @@ def status_line(plan: Plan, supervisor: Supervisor, elapsed_s: float) -> str:
         f"loop {loop['p50']:.1f} / {loop['p99']:.1f} ms p50 / p99",
         f"dropped {dropped}",
         f"restarts {sum(supervisor.restarts.values())}",
+        *(words for words in supervisor.headlines.values() if words),
     ]
     return "  ".join([*parts, *(["broken: " + ", ".join(broken)] if broken else [])])
 

@@ -67,6 +67,7 @@ class Supervisor:
             for name, nodes in plan.processes().items()
         }
         self.summaries: dict[str, dict[str, Any]] = {}
+        self.headlines: dict[str, str] = {}  # what nodes have to tell while they run
         self.restarts: dict[str, int] = {}
         self._finished: set[str] = set()
         self._sampled_s = 0.0
@@ -224,6 +225,8 @@ class Supervisor:
                 self._finished.add(str(event["node"]))
             elif kind == "summary":
                 self.summaries.setdefault(str(event["node"]), {}).update(event["figures"])
+            elif kind == "headline":
+                self.headlines[str(event["node"])] = str(event["words"])
             elif kind == "failed":
                 self._note_failure(slot, event)
 

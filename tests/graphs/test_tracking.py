@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import pytest
 from pipeline.graph import load
 from pipeline.inline import InlineRunner
 from pipeline.overlay import Overlay
+from pipeline.running import status_line
+from pipeline.supervisor import Supervisor
 
 ROOT = Path(__file__).resolve().parents[2]
 GRAPH = ROOT / "graphs" / "tracking.yaml"
@@ -45,7 +48,21 @@ def test_pursuit_keeps_the_ball_of_the_procedural_scene_in_view() -> None:
 
     assert len(frames) == 90
     assert report["roi_coverage"]["ball"] > 0.6
+    assert report["iou"]["mean"] > 0.3
     assert report["pixels"]["used"] == pytest.approx(report["pixels"]["budget"], rel=0.01)
+
+
+def test_a_running_graph_tells_its_overlap_with_the_truth() -> None:
+    with Supervisor(load(GRAPH)) as supervisor:
+        supervisor.start()
+        until_s = time.monotonic() + 60
+        while not supervisor.headlines.get("score") and time.monotonic() < until_s:
+            supervisor.tick()
+        line = status_line(supervisor.plan, supervisor, 1.0)
+        supervisor.stop()
+
+    assert supervisor.headlines["score"].startswith("IoU 0.")
+    assert supervisor.headlines["score"] in line
 
 
 def test_the_graph_runs_on_real_footage_in_real_time(tmp_path: Path, snmot: Path) -> None:
