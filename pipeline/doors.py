@@ -17,6 +17,7 @@ from pathlib import Path
 
 LARGEST_BYTES = 1 << 18  # above what a socket's buffer admits as one packet
 MOST_ROUNDS = 256
+_AT_ONCE = int(socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
 _EDGE = struct.Struct("<I")  # a link's first packet says which edge it is
 
 
@@ -140,7 +141,7 @@ class Links:
             if only is not None and edge not in only:
                 continue
             try:
-                link.send(payload, socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
+                link.send(payload, _AT_ONCE)
             except BlockingIOError:
                 full.append(edge)
             except OSError:

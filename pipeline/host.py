@@ -71,15 +71,7 @@ class Host:
         """Handle what arrives until told to stop; an operator's exception passes through."""
         self.alive("waiting")
         while not self.stopping.is_set():
-            work = self._wait()
-            self.answer_questions()
-            if work is None:
-                continue
-            try:
-                self._handle(work)
-            except PoolExhausted:
-                if not self.stopping.is_set():
-                    raise
+            self.step()
 
     def ask(self, question: bytes, reply: Callable[[bytes], None]) -> None:
         """Have a question about the settings answered between two calls of handlers."""
@@ -119,6 +111,18 @@ class Host:
         self._doors.wait(patience_s)
         with self._lock:
             return self._inbox.take(time.monotonic_ns())
+
+    def step(self) -> None:
+        """One wait and one call, of which nothing is held while the next is waited for."""
+        work = self._wait()
+        self.answer_questions()
+        if work is None:
+            return
+        try:
+            self._handle(work)
+        except PoolExhausted:
+            if not self.stopping.is_set():
+                raise
 
     def _wait(self) -> Work | None:
         greeted = self.greet()
