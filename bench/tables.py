@@ -4,29 +4,39 @@ Studies, each written by itself and gone on with where it stopped: all strategie
 held-out procedural clips and, with --soccernet, on real footage that nothing was trained on; late
 and rare plans, with and without prediction; the loop with one part after the other replaced by the
 truth; with --ablation NAME=FILE, policies that were not told everything; the time each part takes.
+`tables.md` and `tables.json` hold all studies that lie in the folder, each also beside them with a
+plot of its own. `--quick` tries everything on little: its figures say nothing.
 """
 
 import json
 import statistics
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import click
+import cv2
 
 from bench.machine import facts
 from bench.options import Bench
 from bench.tracking.budgets import acquisition
 from bench.tracking.clip import ClipName, read
-from bench.tracking.evaluate import GRAPH, command
+from bench.tracking.evaluate import (
+    GRAPH,
+    command,
+    policy_changes,
+    policy_files,
+    tracker_changes,
+)
 from bench.tracking.replaced import PARTS
-from bench.tracking.stages import Camera, Stages
+from bench.tracking.stages import NEEDED, Camera, Stages
 from drivers.simulated.readout import Window
 from pipeline.boxes import centres, roi_window
 
 PAPER_MS = {"saliency": 55.0, "roi_features": 6.2, "association": 0.5, "policy": 3.0}
+TOGETHER = ("detections+association",)  # what the policy would know from perfect eyes
 TIMED_FRAMES, TIMED_SEED = 60, 70_000
 NAMES = {
     "budgets": "Strategies at equal pixel budgets, held-out procedural clips",
@@ -34,56 +44,80 @@ NAMES = {
     "late": "Late and rare plans (delay in frames, Ta), with and without prediction, at 1/8",
     "limits": "What limits the rest: one part after the other replaced by the truth, at 1/8",
     "ablation": "Inputs of the policy left out, at 1/8",
+    "run-time": "Time of each part, one thread",
 }
 
 
 def studies(
-    clips: int, soccernet: str, ablations: tuple[str, ...], policy: tuple[str, ...]
+    clips: int,
+    soccernet: str,
+    ablations: tuple[str, ...],
+    policies: tuple[str, ...],
+    *,
+    quick: bool = False,
 ) -> dict[str, list[str]]:
     """Options of `fovea eval tracking` by study."""
-    drawn = ["--data", "procedural", "--clips", str(clips)]
-    few = ["--data", "procedural", "--clips", str(max(1, clips // 3)), "--budgets", "1/8"]
-    own = [word for given in policy for word in ("--policy", given)]
-    late = ["--strategies", "foveated", "--delay", "0,2,13,60", "--replan", "1,4,8"]
-    parts = [word for part in PARTS for word in ("--replace", part)]
-    found = {"budgets": [*drawn, *own]}
+    own = _policy(policies)
+    many = [*_drawn(1 if quick else clips), *(["--frames", "1-24"] if quick else [])]
+    few = [*_drawn(max(1, clips // 3)), "--budgets", "1/8"]
+    if quick:
+        few = [*many, "--budgets", "1/8"]
+    late = ["--strategies", "foveated", "--delay", "0,2,13", "--replan", "1,4,8"]
+    parts = [word for part in (*PARTS, *TOGETHER) for word in ("--replace", part)]
+    found = {"budgets": [*many, *own]}
     if soccernet:
-        found["soccernet"] = ["--data", soccernet, *own]
+        found["soccernet"] = ["--data", soccernet, *own, *(many[4:] if quick else [])]
     found["late"] = [*few, *late, "--prediction", "both", *own]
     found["limits"] = [*few, "--strategies", "foveated,oracle,full", *parts, *own]
     if ablations:
-        named = [word for given in ablations for word in ("--policy", given)]
-        whole = ["--policy", f"whole={policy[0]}"] if policy else []
-        pursue = ["--policy", "pursue=pursue"]
         wanted = ["--strategies", "foveated,centred,round_robin,full"]
-        found["ablation"] = [*few, *wanted, *whole, *named, *pursue]
+        whole = tuple(f"whole={given.rpartition('=')[2]}" for given in policies[:1])
+        found["ablation"] = [*few, *wanted, *_policy((*whole, *ablations, "pursue=pursue"))]
     return found
 
 
-def run_time() -> dict[str, dict[str, float]]:
-    """Milliseconds per call of each part on one thread, over a clip: p50, p99, objects told."""
-    clip = read(ClipName(seed=TIMED_SEED), (1, TIMED_FRAMES))
+def _drawn(clips: int) -> list[str]:
+    return ["--data", "procedural", "--clips", str(clips)]
+
+
+def _policy(given: Sequence[str]) -> list[str]:
+    return [word for each in given for word in ("--policy", each)]
+
+
+def run_time(changes: Sequence[str], frames: int = TIMED_FRAMES) -> dict[str, dict[str, float]]:
+    """Milliseconds per call of each part on one thread: p50 and p99; and how many objects.
+
+    The encoder is given the whole picture, so that it describes every object, not the few in a ROI.
+    """
+    clip = read(ClipName(seed=TIMED_SEED), (1, frames))
     camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
+    everything = Camera(clip, acquisition("full", Fraction(1), clip.size_px))
+    truth = clip.truths[0]
+    ball = truth.boxes[truth.labels.index("ball")]
+    box = tuple(float(side) for side in ball)
+    window: Window = roi_window(centres(ball), camera.how.geometry)
     spent: dict[str, list[float]] = {}
-    objects: list[int] = []
-    with Stages(GRAPH) as stages:
-        stages.begin(camera.header(0), "downsample", "saliency", "association", "roi_features")
-        window: Window = roi_window(centres(clip.truths[0].boxes[0]), camera.how.geometry)
-        for frame in range(TIMED_FRAMES):
-            small = stages.tell("downsample", frame=camera.context(frame))
+    objects: list[float] = []
+    cv2.setNumThreads(1)
+    with Stages(GRAPH, changes) as stages:
+        aim: dict[str, Any] = {"prompt_box": box, "target": ""}
+        stages.begin(camera.header(0), *NEEDED, policy=aim, tracker={"init_box": box})
+        for frame in range(frames):
+            context, roi = camera.context(frame), camera.roi(frame, window)
+            small = _timed(stages, spent, "downsample", frame=context)
             found = _timed(stages, spent, "saliency", frame=small)
             tracks = _timed(stages, spent, "association", detections=found)
             objects.append(len(tracks.ids))
             scanpath = _timed(stages, spent, "policy", tracks=tracks)
-            schedule = stages.tell("dispatch", scanpath=scanpath)
-            roi = camera.roi(frame, window)
-            looks = _timed(stages, spent, "roi_features", roi=roi, tracks=tracks)
+            _timed(stages, spent, "dispatch", scanpath=scanpath)
+            whole = everything.context(frame)
+            looks = _timed(stages, spent, "roi_features", roi=whole, tracks=tracks)
             stages.tell("policy", features=looks)
-            if schedule is not None:
-                left, top, right, bottom = (int(side) for side in schedule.windows[0])
-                window = (left, top, right, bottom)
-    table = {name: _spread(values) for name, values in spent.items()}
-    return {**table, "objects": _spread([float(count) for count in objects])}
+            _timed(stages, spent, "tracker", context=context, roi=roi)
+    return {
+        **{name: _spread(values) for name, values in spent.items()},
+        "objects": _spread(objects),
+    }
 
 
 def _timed(stages: Stages, spent: dict[str, list[float]], name: str, **messages: Any) -> Any:
@@ -109,13 +143,24 @@ def run_time_markdown(table: Mapping[str, Mapping[str, float]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def together(out: Path) -> None:
+    """Write tables.md and tables.json of every study that lies in the folder."""
+    known = [name for name in NAMES if (out / f"{name}.json").exists()]
+    whole = {name: json.loads((out / f"{name}.json").read_text()) for name in known}
+    (out / "tables.json").write_text(json.dumps(whole, indent=1) + "\n")
+    texts = [f"## {NAMES[name]}\n\n{(out / f'{name}.md').read_text()}" for name in known]
+    (out / "tables.md").write_text("\n".join(texts))
+
+
 @click.command(cls=Bench, help=(__doc__ or "").split("\n", 1)[0])
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="a folder")
 @click.option("--clips", default=30, show_default=True, help="held-out procedural clips")
 @click.option("--soccernet", default="", help="a sequence's folder, or a folder of them")
 @click.option("--policy", multiple=True, help="as fovea eval tracking has it; the graph's own")
 @click.option("--ablation", multiple=True, help="NAME=FILE.onnx of operators.policy.train --use")
-@click.option("--only", multiple=True, type=click.Choice([*NAMES, "run-time"]))
+@click.option("--tracker", default="auto", show_default=True, help="as fovea eval tracking has it")
+@click.option("--only", multiple=True, type=click.Choice(list(NAMES)))
+@click.option("--quick", is_flag=True, help="one short clip: whether everything works")
 @click.option("--jobs", default=2, show_default=True)
 def main(
     out: Path,
@@ -123,25 +168,28 @@ def main(
     soccernet: str,
     policy: tuple[str, ...],
     ablation: tuple[str, ...],
+    tracker: str,
     only: tuple[str, ...],
+    quick: bool,
     jobs: int,
 ) -> None:
     """See the module."""
     out.mkdir(parents=True, exist_ok=True)
-    texts = []
-    for name, words in studies(clips, soccernet, ablation, policy).items():
+    for name, words in studies(clips, soccernet, ablation, policy, quick=quick).items():
         if only and name not in only:
             continue
         click.echo(f"{NAMES[name]}:", err=True)
         files = ["--report", out / f"{name}.json", "--markdown", out / f"{name}.md"]
         files += ["--work", out / "work", "--jobs", jobs, "--plot", out / f"{name}.png"]
-        command.main([*words, *(str(word) for word in files)], standalone_mode=False)
-        texts.append(f"## {NAMES[name]}\n\n{(out / f'{name}.md').read_text()}")
+        words = [*words, "--tracker", tracker, *(str(word) for word in files)]
+        command.main(words, standalone_mode=False)
+        together(out)
     if not only or "run-time" in only:
-        table = run_time()
+        changes = policy_changes(policy_files(policy[:1]).popitem()[1])
+        table = run_time((*changes, *tracker_changes(tracker)))
         (out / "run-time.json").write_text(json.dumps({**facts(), "ms": table}, indent=1) + "\n")
-        texts.append(f"## Time of each part, one thread\n\n{run_time_markdown(table)}")
-    (out / "tables.md").write_text("\n".join(texts))
+        (out / "run-time.md").write_text(run_time_markdown(table))
+        together(out)
 
 
 if __name__ == "__main__":

@@ -56,11 +56,6 @@ def cases(
             found.append(plain)
             continue
         for (label, path), rule, parts in product(policies.items(), rules, replaced):
-            policy: tuple[str, ...] = ()
-            if path:
-                policy = (f"policy.weights={path}", "policy.strategy=learned")
-            if path == "pursue":
-                policy = ("policy.strategy=pursue",)
             found.append(
                 Case(
                     strategy=strategy,
@@ -68,7 +63,7 @@ def cases(
                     name=named(label, rule, parts, many=len(rules) > 1),
                     rules=rule,
                     replaced=parts,
-                    changes=(*changes, *policy),
+                    changes=(*changes, *policy_changes(path)),
                 )
             )
     return found
@@ -92,6 +87,13 @@ def policy_files(given: Sequence[str]) -> dict[str, str]:
             raise SettingsError(f"policy: expected an ONNX file or pursue, got {path}")
         found[name if equals else ("" if len(given) == 1 else Path(path).stem)] = path
     return found or {"": ""}
+
+
+def policy_changes(path: str) -> tuple[str, ...]:
+    """Changes to the graph for a policy by file, for pursue, or for what the graph says ("")."""
+    if path == "pursue":
+        return ("policy.strategy=pursue",)
+    return (f"policy.weights={path}", "policy.strategy=learned") if path else ()
 
 
 def interval(text: str) -> tuple[int, int]:
@@ -163,6 +165,9 @@ def _evaluate(**given: Any) -> None:
         **facts(),
         "graph": Path(protocol.graph).name,
         "changes": sorted({change for case in wanted for change in case.changes}),
+        "weighting": "frames: every frame of every start with truth counts once",
+        "longest": Rules.longest,
+        "players": protocol.players,
         "clips": [str(clip) for clip in clips],
         "frames": list(protocol.frames),
         "every": protocol.every,
@@ -220,7 +225,7 @@ def asked(
         rules=rules_of(given),
         replaced=replaced,
         policies=policy_files(given["policy"]),
-        changes=(*given["changes"], *tracker(given["tracker"])),
+        changes=(*given["changes"], *tracker_changes(given["tracker"])),
     )
     return wanted, protocol, clips, budgets
 
@@ -235,7 +240,7 @@ def rules_of(given: dict[str, Any]) -> list[Rules]:
     ]
 
 
-def tracker(choice: str) -> tuple[str, ...]:
+def tracker_changes(choice: str) -> tuple[str, ...]:
     """Changes to the graph for `--tracker`; auto is settled here, for it decides the figures."""
     if choice.endswith(".onnx"):
         return ("tracker.method=vittrack", f"tracker.weights={choice}")

@@ -34,7 +34,7 @@ NOT_HELD = "ball, free or still"
 
 
 def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
-    """One row per clip, target, strategy and budget, and one over all clips; see the README."""
+    """One row per clip, target, strategy and budget, and one over all clips."""
     found: list[Row] = []
     clips = sorted({unit["clip"] for unit in units})
     groups = [*([(c, [c]) for c in clips] if len(clips) > 1 else []), ("all", clips)]
@@ -73,6 +73,8 @@ def paired(units: Sequence[Unit], *, of: str, seed: int) -> list[Row]:
             continue
         for (other_target, other, other_budget), theirs in blocks.items():
             if other_target != target or other == of or other_budget not in (budget, "1"):
+                continue
+            if not own.keys() & theirs.keys():
                 continue
             middle, low, high = difference(own, theirs, seed=seed)
             found.append(
@@ -164,12 +166,16 @@ def markdown(report: Mapping[str, Any]) -> str:
             str(row["frames"]),
         ]
         lines.append("| " + " | ".join(cells) + " |")
-    lines += ["", "| target | budget | difference to | IoU | 95 % |", "|---|---|---|---|---|"]
+    lines += [
+        "",
+        "| target | budget | strategy | against | IoU | 95 % |",
+        "|---|---|---|---|---|---|",
+    ]
     for row in report["paired"]:
         low, high = row["ci95"]
         lines.append(
-            f"| {row['target']} | {row['budget']} | {row['against']} | {row['difference']:+.3f} "
-            f"| {low:+.3f} – {high:+.3f} |"
+            f"| {row['target']} | {row['budget']} | {row['strategy']} | {row['against']} "
+            f"| {row['difference']:+.3f} | {low:+.3f} – {high:+.3f} |"
         )
     return "\n".join(lines) + "\n"
 

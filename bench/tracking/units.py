@@ -1,10 +1,11 @@
 """The work of an evaluation, cut into units that are written as they are done: cases x clips."""
 
 import json
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Mapping, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from fractions import Fraction
+from functools import cache
 from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
@@ -20,6 +21,10 @@ from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import Target, starts, targets
 from pipeline.messages import Tracks
+
+LOOK_S = 1.0  # between looks at what is done
+PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
+NETWORKS = Path(__file__).parents[2] / "operators"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,48 +64,62 @@ def measured(
 ) -> list[Unit]:
     """All units, from the folder where they are known, from work where they are not."""
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [
-        clip for clip in clips if not all(_path(folder, clip, c, protocol).exists() for c in cases)
-    ]
+    places = {clip: [_path(folder, clip, case, protocol) for case in cases] for clip in clips}
     with (
         ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
-        tqdm(total=len(clips), initial=len(clips) - len(missing), desc="clips", unit="clip") as bar,
+        tqdm(total=len(clips) * len(cases), desc="units", unit="unit", smoothing=0) as bar,
     ):
-        waiting = [pool.submit(_measure, clip, tuple(cases), protocol, folder) for clip in missing]
-        for job in as_completed(waiting):
-            job.result()
-            bar.update()
-    units: list[Unit] = []
-    for clip in clips:
-        for case in cases:
-            units += json.loads(_path(folder, clip, case, protocol).read_text())
-    return units
+        bar.initial = _finished(places)
+        waiting = {
+            pool.submit(_measure, clip, tuple(cases), protocol, tuple(paths))
+            for clip, paths in places.items()
+            if not all(path.exists() for path in paths)
+        }
+        try:
+            while waiting:
+                done, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
+                for job in done:
+                    job.result()
+                bar.n = _finished(places)
+                bar.refresh()
+        except BaseException:
+            pool.shutdown(cancel_futures=True)  # what runs now is finished, the rest not begun
+            raise
+    return [unit for paths in places.values() for path in paths for unit in _units(path)]
 
 
-def _measure(clip_name: ClipName, cases: Sequence[Case], protocol: Protocol, folder: Path) -> None:
+def _finished(places: Mapping[ClipName, Sequence[Path]]) -> int:
+    return sum(path.exists() for paths in places.values() for path in paths)
+
+
+def _units(path: Path) -> list[Unit]:
+    found: list[Unit] = json.loads(path.read_text())
+    return found
+
+
+def _measure(
+    clip_name: ClipName, cases: Sequence[Case], protocol: Protocol, paths: Sequence[Path]
+) -> None:
     """All cases of one clip, each written when it is done."""
     cv2.setNumThreads(1)
     clip = read(clip_name, protocol.frames)
     seed = protocol.seed + max(clip_name.seed, 0)
     subjects = targets(clip.truths, protocol.kinds, players=protocol.players, seed=seed)
-    seen: dict[tuple[Any, ...], list[Tracks]] = {}
+    seen: dict[tuple[tuple[int, int], bool], list[Tracks]] = {}  # by context, true detections
     for changes in sorted({case.changes for case in cases}):
         with Stages(Path(protocol.graph), changes) as stages:
-            for case in cases:
-                path = _path(folder, clip_name, case, protocol)
+            for case, path in zip(cases, paths, strict=True):
                 if case.changes != changes or path.exists():
                     continue
                 how = acquisition(case.strategy, Fraction(case.budget), clip.size_px)
                 camera = Camera(clip, how)
                 replaced = Replaced(parts=frozenset(case.replaced), truths=clip.truths)
-                tracks: Sequence[Tracks] = ()
-                if case.strategy in ("foveated", "round_robin"):
-                    key = (how.sampling.context_px, "detections" in replaced.parts)
-                    if key not in seen:
-                        seen[key] = watched(camera, stages, len(clip.truths), replaced)
-                    tracks = seen[key]
+                key = (how.sampling.context_px, "detections" in replaced.parts)
+                if case.strategy in PLANNED and key not in seen:
+                    seen[key] = watched(camera, stages, len(clip.truths), replaced)
                 done = [
-                    _followed(camera, stages, tracks, t, case, protocol, replaced) for t in subjects
+                    _followed(camera, stages, seen.get(key, ()), t, case, protocol, replaced)
+                    for t in subjects
                 ]
                 for unit in done:
                     unit |= {"clip": str(clip_name), "case": case.name, "budget": case.budget}
@@ -137,12 +156,20 @@ def _followed(
 def _path(folder: Path, clip: ClipName, case: Case, protocol: Protocol) -> Path:
     """Where a unit is kept; another protocol, another case, another file."""
     told = json.dumps(
-        [asdict(case), asdict(protocol), asdict(clip), *_weights(case)], sort_keys=True
+        [asdict(case), asdict(protocol), asdict(clip), *_digests(case, protocol)], sort_keys=True
     )
     return folder / f"{clip}-{sha256(told.encode()).hexdigest()[:16]}.json"
 
 
-def _weights(case: Case) -> list[str]:
-    """Digests of files that the case names, so that other weights are other units."""
+@cache
+def _digest(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()
+
+
+def _digests(case: Case, protocol: Protocol) -> list[str]:
+    """Of the files a case reads, so that other weights and another graph are other units."""
     values = [change.partition("=")[2] for change in case.changes]
-    return [sha256(Path(v).read_bytes()).hexdigest() for v in values if v.endswith(".onnx")]
+    files = [Path(value) for value in values if value.endswith(".onnx")]
+    if case.strategy in PLANNED:
+        files += [Path(protocol.graph), *sorted(NETWORKS.glob("*/*.onnx"))]
+    return [_digest(path) for path in files]

@@ -219,6 +219,20 @@ def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str)
     assert "Traceback" not in result.output
 
 
+def test_frames_that_a_sequence_does_not_have_are_refused_from_within_the_work(
+    tmp_path: Path,
+) -> None:
+    gt = "\n".join(f"{frame},1,10,10,8,8,1,-1,-1,-1" for frame in (1, 2, 3))
+    game = "[Sequence]\nnum_tracklets=1\ntrackletID_1= ball;1\n"
+    folder = write_sequence(tmp_path / "clip", gt=gt, gameinfo=game)
+    words = ["--data", str(folder), "--frames", "1-9999", "--work", str(tmp_path / "work")]
+
+    result = CliRunner().invoke(command, [*words, "--tracker", "correlation", "--jobs", "1"])
+
+    assert result.exit_code == 2
+    assert "frames: clip has 1 to" in result.output
+
+
 def test_options_are_read_as_they_are_meant() -> None:
     assert interval("251-375") == (251, 375)
     assert policy_files(["pursue"]) == {"": "pursue"}

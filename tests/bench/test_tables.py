@@ -1,0 +1,56 @@
+"""The tables: every study is one the evaluation takes, and what a folder holds is put together."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bench.tables import NAMES, run_time, run_time_markdown, studies, together
+from bench.tracking.evaluate import asked, command
+from bench.tracking.replaced import PARTS
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Path) -> None:
+    weights = tmp_path / "policy.onnx"
+    weights.touch()
+    found = studies(30, "", (f"no-roi={weights}",), (f"{weights}",), quick=quick)
+
+    rows = {}
+    for name, words in found.items():
+        with command.make_context(name, [*words, "--tracker", "correlation"]) as context:
+            cases, _, clips, _ = asked(context.params)
+        assert len(clips) == (1 if quick else {"budgets": 30}.get(name, 10))
+        rows[name] = [case.name for case in cases]
+
+    assert set(found) == set(NAMES) - {"soccernet", "run-time"}
+    assert len(rows["late"]) == len(set(rows["late"])) == 3 * 3 * 2
+    assert {f"foveated + true {part}" for part in PARTS} < set(rows["limits"])
+    assert {"foveated whole", "foveated no-roi", "foveated pursue"} < set(rows["ablation"])
+
+
+def test_real_footage_is_a_study_where_it_is_given() -> None:
+    found = studies(30, "FOLDER", (), ())
+
+    assert found["soccernet"][:2] == ["--data", "FOLDER"]
+
+
+def test_tables_hold_every_study_that_lies_in_the_folder(tmp_path: Path) -> None:
+    for name in ("budgets", "run-time"):
+        (tmp_path / f"{name}.json").write_text('{"rows": []}')
+        (tmp_path / f"{name}.md").write_text(f"| {name} |\n")
+
+    together(tmp_path)
+
+    assert set(json.loads((tmp_path / "tables.json").read_text())) == {"budgets", "run-time"}
+    text = (tmp_path / "tables.md").read_text()
+    assert text.index(NAMES["budgets"]) < text.index("| budgets |") < text.index("| run-time |")
+
+
+def test_every_part_is_timed_with_all_objects_described() -> None:
+    table = run_time(("policy.strategy=pursue", "tracker.method=correlation"), frames=4)
+
+    assert table["objects"]["p50"] > 5
+    for name in ("downsample", "saliency", "association", "policy", "roi_features", "tracker"):
+        assert 0 < table[name]["p50"] <= table[name]["p99"]
+    assert f"| saliency | {table['saliency']['p50']} |" in run_time_markdown(table)
