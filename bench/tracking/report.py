@@ -114,12 +114,14 @@ def gathered(units: Iterable[Unit], *, kept_only: bool) -> dict[Key, dict[str, B
     }
 
 
-def split(kind: str, episode: Mapping[str, Any], kept_only: bool) -> dict[str, list[float]]:
-    """The overlaps of one start's frames, under each name that they count for."""
+def split(
+    kind: str, episode: Mapping[str, Any], kept_only: bool, figure: str = "iou"
+) -> dict[str, list[float]]:
+    """A figure of one start's frames, under each name that they count for."""
     frames = [
         (value, state)
         for value, kept, state in zip(
-            episode["iou"], episode["kept"], episode["state"], strict=True
+            episode[figure], episode["kept"], episode["state"], strict=True
         )
         if value is not None and (kept or not kept_only)
     ]
@@ -133,13 +135,13 @@ def split(kind: str, episode: Mapping[str, Any], kept_only: bool) -> dict[str, l
 
 def shown(units: Iterable[Unit], key: Key) -> float | None:
     """Mean share of the target inside the ROI, None for strategies without."""
+    target, strategy, budget = key
     values = [
         value
         for unit in units
-        if (unit["kind"], unit["case"], unit["budget"]) == key
+        if (unit["case"], unit["budget"]) == (strategy, budget)
         for episode in unit["episodes"]
-        for value in episode["shown"]
-        if value is not None
+        for value in split(unit["kind"], episode, True, "shown").get(target, ())
     ]
     return sum(values) / len(values) if values else None
 
