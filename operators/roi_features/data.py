@@ -1,8 +1,8 @@
 """Crops to learn appearance from: procedural scenes at full resolution -> squares of 96 pixels.
 
 Of each moment: people and the ball, boxes disturbed as a detector in the small context disturbs
-them, and what a detector might take for one: boots, hands and heads of people, whatever is small
-and white (marks and crossings of lines, socks, letters, bits of crowd, the goal), empty grass.
+them, and what a detector takes for a ball: boots, bright sleeves, socks and numbers of people,
+whatever is small and white (marks and crossings of lines, letters, bits of crowd, the goal), grass.
 """
 
 from collections.abc import Iterable, Iterator
@@ -35,7 +35,7 @@ ROLES = {
     "assistant referee": "referee",
     "ball": "ball",
 }
-PEOPLE, BALLS, OTHERS = 8, 3, 8  # crops of a moment, at most
+PEOPLE, BALLS, OTHERS = 8, 3, 12  # crops of a moment, at most
 NOBODY = -1
 Boxes = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -142,21 +142,30 @@ def false_candidates(picture: Picture, truth: Truth, count: int, rng: np.random.
     standing_out = outstanding(picture, rng)
     people = truth.boxes[[label != "ball" for label in truth.labels]]
     while len(found) < count:
-        small = rng.random() < 0.7
-        side = rng.uniform(10, 26) if small else rng.uniform(60, 200)
+        small = rng.random() < 0.75
+        side = np.exp(rng.uniform(*np.log((10, 40)))) if small else rng.uniform(60, 200)
         shape = np.array([side, side if small else side * rng.uniform(1.8, 2.6)])
         place = rng.random(2) * (width, height)
         draw = rng.random()
-        if small and draw < 0.4 and len(people):
-            left, top, right, bottom = people[rng.integers(len(people))]
-            share = rng.choice([0.96, 0.96, 0.06, 0.5])  # boots twice, head, hands
-            place = np.array([rng.uniform(left, right), top + share * (bottom - top)])
+        if small and draw < 0.5 and len(people):
+            place = on_person(picture, people[rng.integers(len(people))], rng)
         elif small and draw < 0.85:
             place = standing_out[rng.integers(len(standing_out))] + rng.normal(size=2) * side / 8
         box = np.concatenate([place - shape / 2, place + shape / 2])
         if free(box, truth, small):
             found.append(box)
     return np.array(found, np.float32)
+
+
+def on_person(picture: Picture, box: Boxes, rng: np.random.Generator) -> NDArray[np.float64]:
+    """A place on somebody: at their boots, or as bright as some others, or any."""
+    left, top, right, bottom = box
+    if rng.random() < 0.3:
+        return np.array([rng.uniform(left, right), bottom - 0.04 * (bottom - top)])
+    places = rng.uniform((left, top), (right, bottom), (int(rng.choice([1, 6])), 2))
+    limits = np.array(picture.shape[1::-1]) - 1
+    columns, rows = np.clip(places, 0, limits).astype(int).T
+    return np.asarray(places[picture[rows, columns].min(1).argmax()], np.float64)
 
 
 def outstanding(picture: Picture, rng: np.random.Generator) -> NDArray[np.float64]:

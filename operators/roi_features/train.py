@@ -33,7 +33,7 @@ TRAIN_SEEDS = 20_000  # no other part of the project uses them
 CHECKPOINT_S = 45.0
 TEMPERATURE = 0.1
 # crops of one scene in a batch: that many people, twice each, the ball, and false candidates
-PEOPLE, BALLS, OF_SCENE = 7, 2, 21
+PEOPLE, BALLS, OF_SCENE = 7, 3, 24
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class TrainSettings:
     moments: int = 10
     span: int = 900  # frames of each scene over which its moments are spread
     steps: int = 2000
-    batch: int = 126
+    batch: int = 120
     rate: float = 2e-3
     warmup: int = 100
     decay: float = 0.02

@@ -19,6 +19,7 @@ from operators.roi_features.data import (
     false_candidates,
     load,
     moment,
+    on_person,
     outstanding,
 )
 from operators.roi_features.model import CLASSES
@@ -60,6 +61,18 @@ def test_false_candidates_seek_what_is_small_and_white() -> None:
     places = outstanding(picture, np.random.default_rng(3))
 
     assert (abs(places - (704, 404)) < 5).all()
+
+
+def test_of_a_person_the_bright_parts_are_taken_most_often() -> None:
+    picture = np.zeros((540, 960, 3), np.uint8)
+    picture[210:240, 200:240] = 250  # a tenth of the body
+    rng = np.random.default_rng(3)
+
+    places = np.array([on_person(picture, np.array([200, 200, 240, 400]), rng) for _ in range(300)])
+
+    bright = (places[:, 1] >= 210) & (places[:, 1] < 240)
+    assert 0.2 < bright.mean() < 0.5
+    assert 0.2 < (places[:, 1] == 392).mean() < 0.4  # boots
 
 
 def test_a_plain_picture_has_no_place_that_stands_out_and_any_is_taken() -> None:

@@ -39,7 +39,7 @@ def crops_of(scenes: int, seed: int) -> Crops:
 
 def settings_in(folder: Path, **more: object) -> TrainSettings:
     """A training of few and small steps."""
-    return replace(TrainSettings(data=folder, out=folder, batch=42, steps=10), **more)  # type: ignore[arg-type]
+    return replace(TrainSettings(data=folder, out=folder, batch=48, steps=10), **more)  # type: ignore[arg-type]
 
 
 def vectors(*angles_deg: float) -> torch.Tensor:
@@ -70,9 +70,9 @@ def test_identity_knows_neither_false_candidates_nor_people_of_other_scenes() ->
 def test_a_batch_shows_people_twice_and_every_class() -> None:
     crops = crops_of(scenes=5, seed=1)
 
-    rows = batch_rows(crops, 63, np.random.default_rng(1))
+    rows = batch_rows(crops, 72, np.random.default_rng(1))
 
-    assert len(rows) == 63
+    assert len(rows) == 72
     assert set(crops.kinds[rows]) == set(range(len(CLASSES)))
     for scene in set(crops.scenes[rows]):
         persons = crops.persons[rows][crops.scenes[rows] == scene]
