@@ -59,9 +59,10 @@ def studies(
     """Options of `fovea eval tracking` by study."""
     own = _policy(policies)
     many = [*_drawn(1 if quick else clips), *(["--frames", "1-24"] if quick else [])]
-    few = [*_drawn(max(1, clips // 3)), "--budgets", "1/8"]
+    at_eighth = ["--budgets", "1/8", "--sees", "roi"]
+    few = [*_drawn(max(1, clips // 3)), *at_eighth]
     if quick:
-        few = [*many, "--budgets", "1/8"]
+        few = [*many, *at_eighth]
     late = ["--strategies", "foveated", "--delay", "0,2,13", "--replan", "1,4,8"]
     parts = [word for part in (*PARTS, *TOGETHER) for word in ("--replace", part)]
     found = {"budgets": [*many, *own]}

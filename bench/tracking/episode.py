@@ -25,6 +25,7 @@ class Rules:
     delay: int = 0  # frames by which a plan comes late
     replan: int = 1  # Ta
     prediction: bool = True  # False: boxes are foreseen where they are
+    context: bool = True  # False: the tracker sees the ROI alone
     aimed: bool = True  # the first ROI is on the target; False: in the middle
 
 
@@ -47,8 +48,13 @@ def run(
     start: int,
     rules: Rules,
     replaced: Replaced,
+    looked: Sequence[Window] = (),
 ) -> Outcome:
-    """Initialise the tracker from the truth in frame `start` and follow."""
+    """Initialise the tracker from the truth in frame `start` and follow.
+
+    `looked`: where the ROI was in each exposure, when that is known: it does not depend on what the
+    tracker sees.
+    """
     how = camera.how
     step = how.sampling.interval
     last = min(start + rules.longest, len(target.visible) - 1)
@@ -58,7 +64,9 @@ def run(
     found = Outcome(start=start, iou=[], kept=[], shown=[])
     if not exposed:
         return found
-    gaze = Gaze(camera, stages, tracks, target, start, rules, replaced)
+    gaze: Gaze | Repeated = Repeated(looked, start)
+    if not looked:
+        gaze = Gaze(camera, stages, tracks, target, start, rules, replaced)
     first = target.boxes[exposed[0]]
     if not first.any():
         return found
@@ -74,7 +82,10 @@ def run(
         if kept:
             camera.count()
             window = gaze.window(frame)
-            context, roi = camera.context(frame, frame - step + 1), camera.roi(frame, window)
+            roi = camera.roi(frame, window)
+            context = camera.nothing(frame)
+            if rules.context or not how.looks:
+                context = camera.context(frame, frame - step + 1)
             percept: Percept = stages.tell("tracker", context=context, roi=roi)
             box = percept.boxes[0]
             if how.looks:
@@ -152,6 +163,20 @@ class Gaze:
 
     def _on(self, box: NDArray[np.float32]) -> Window:
         return roi_window(centres(np.asarray(box, np.float32)), self._geometry)
+
+
+class Repeated:
+    """Where the ROI was in each frame of an episode that has been run before."""
+
+    def __init__(self, looked: Sequence[Window], start: int) -> None:
+        self._looked, self._start = looked, start
+
+    def window(self, frame: int) -> Window:
+        """As it was then."""
+        return self._looked[frame - self._start]
+
+    def after(self, frame: int, roi: Frame) -> None:
+        """Nothing is planned."""
 
 
 def still(tracks: Tracks) -> Tracks:

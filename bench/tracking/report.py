@@ -8,6 +8,7 @@ from typing import Any
 from bench.tracking.intervals import Block, block_of, difference, mean
 from bench.tracking.targets import HELD
 from bench.tracking.units import Unit
+from drivers.simulated.strategies import WITH_ROI
 
 Row = dict[str, Any]
 Key = tuple[str, str, str]  # target, strategy, budget
@@ -30,6 +31,7 @@ PAPER: Mapping[Key, float] = {
     ("player", "temporal", "1/8"): 0.402,
     ("player", "foveated", "1/8"): 0.513,
 }
+ROI_ALONE = ", ROI alone"  # ends the name of a row whose tracker does not see the context
 NOT_HELD = "ball, free or still"
 
 
@@ -58,8 +60,9 @@ def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
                 row["iou_all_frames"] = _round(every.iou)
             if (share := shown(chosen, key)) is not None:
                 row["roi_coverage"] = _round(share)
-            if name == "all" and key in PAPER:
-                row["paper"] = PAPER[key]
+            paper = PAPER.get((target, strategy.removesuffix(ROI_ALONE), budget))
+            if name == "all" and paper is not None:
+                row["paper"] = paper
             found.append(row)
     return found
 
@@ -73,6 +76,9 @@ def paired(units: Sequence[Unit], *, of: str, seed: int) -> list[Row]:
             continue
         for (other_target, other, other_budget), theirs in blocks.items():
             if other_target != target or other == of or other_budget not in (budget, "1"):
+                continue
+            roi = other.startswith(WITH_ROI)
+            if roi and of.endswith(ROI_ALONE) != other.endswith(ROI_ALONE):
                 continue
             if not own.keys() & theirs.keys():
                 continue

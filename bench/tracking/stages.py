@@ -109,11 +109,15 @@ class Camera:
             self._contexts[frame] = known
         return known
 
+    def nothing(self, frame: int) -> Frame:
+        """A picture without pixels."""
+        pixels = np.empty((0, 0, 3), np.uint8)
+        return Frame(header=self.header(frame), pixels=pixels, window=EMPTY)
+
     def roi(self, frame: int, window: Window) -> Frame:
         """The ROI at `frame`, valid until the next one; empty for strategies without."""
         if not self.how.looks:
-            none = np.empty((0, 0, 3), np.uint8)
-            return Frame(header=self.header(frame), pixels=none, window=EMPTY)
+            return self.nothing(frame)
         self._readout.read(self._clip.pictures[frame], window, self._roi, seq=frame, port=1)
         return Frame(header=self.header(frame), pixels=self._roi, window=window)
 

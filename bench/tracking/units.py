@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from functools import cache
 from hashlib import sha256
@@ -20,6 +20,7 @@ from bench.tracking.episode import Rules, run
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import Target, starts, targets
+from drivers.simulated.readout import Window
 from pipeline.messages import Tracks
 
 LOOK_S = 1.0  # between looks at what is done
@@ -51,6 +52,7 @@ class Protocol:
     seed: int = 0
 
 
+Gazes = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure
 Unit = dict[str, Any]  # clip, case, target, kind, episodes: [{start, iou, kept, shown, state}]
 
 
@@ -106,6 +108,7 @@ def _measure(
     seed = protocol.seed + max(clip_name.seed, 0)
     subjects = targets(clip.truths, protocol.kinds, players=protocol.players, seed=seed)
     seen: dict[tuple[tuple[int, int], bool], list[Tracks]] = {}  # by context, true detections
+    looked: dict[Case, Gazes] = {}
     for changes in sorted({case.changes for case in cases}):
         with Stages(Path(protocol.graph), changes) as stages:
             for case, path in zip(cases, paths, strict=True):
@@ -117,8 +120,9 @@ def _measure(
                 key = (how.sampling.context_px, "detections" in replaced.parts)
                 if case.strategy in PLANNED and key not in seen:
                     seen[key] = watched(camera, stages, len(clip.truths), replaced)
+                gaze = looked.setdefault(_same_gaze(case), {})
                 done = [
-                    _followed(camera, stages, seen.get(key, ()), t, case, protocol, replaced)
+                    _followed(camera, stages, seen.get(key, ()), t, case, protocol, replaced, gaze)
                     for t in subjects
                 ]
                 for unit in done:
@@ -136,10 +140,13 @@ def _followed(
     case: Case,
     protocol: Protocol,
     replaced: Replaced,
+    gaze: Gazes,
 ) -> Unit:
     episodes = []
     for start in starts(target, protocol.every):
-        outcome = run(camera, stages, tracks, target, start, case.rules, replaced)
+        looked = gaze.get((target.id, start), ())
+        outcome = run(camera, stages, tracks, target, start, case.rules, replaced, looked)
+        gaze[target.id, start] = outcome.windows
         if outcome.iou:
             episodes.append(
                 {
@@ -151,6 +158,11 @@ def _followed(
                 }
             )
     return {"target": target.id, "kind": target.kind, "episodes": episodes}
+
+
+def _same_gaze(case: Case) -> Case:
+    """What cases have in common whose ROI is at the same places."""
+    return replace(case, name="", rules=replace(case.rules, context=True))
 
 
 def _path(folder: Path, clip: ClipName, case: Case, protocol: Protocol) -> Path:

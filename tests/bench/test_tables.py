@@ -8,6 +8,7 @@ import pytest
 from bench.tables import NAMES, run_time, run_time_markdown, studies, together
 from bench.tracking.evaluate import asked, command
 from bench.tracking.replaced import PARTS
+from bench.tracking.report import ROI_ALONE
 
 
 @pytest.mark.parametrize("quick", [False, True])
@@ -21,7 +22,7 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
         with command.make_context(name, [*words, "--tracker", "correlation"]) as context:
             cases, _, clips, _ = asked(context.params)
         assert len(clips) == (1 if quick else {"budgets": 30}.get(name, 10))
-        rows[name] = [case.name for case in cases]
+        rows[name] = [case.name.removesuffix(ROI_ALONE) for case in cases]
 
     assert set(found) == set(NAMES) - {"soccernet", "run-time"}
     assert len(rows["late"]) == len(set(rows["late"])) == 3 * 3 * 2

@@ -17,6 +17,7 @@ from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
 from drivers.source import Truth
+from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, SettingsError
 from pipeline.graph import load
 from pipeline.inline import InlineRunner
@@ -184,6 +185,37 @@ def test_a_perfect_tracker_is_as_good_as_what_the_roi_shows(clip: Clip) -> None:
     assert np.nanmin(outcome.iou) == pytest.approx(1)
 
 
+def test_a_tracker_that_sees_the_roi_alone_holds_its_box_while_the_target_is_outside(
+    clip: Clip,
+) -> None:
+    players = [
+        t for t in targets(clip.truths, ["player"], players=99, seed=0) if t.visible.min() > 0.9
+    ]
+    aside = max(players, key=lambda t: abs(float(centres(t.boxes[0])[0]) - HD[0] / 2))
+    camera = Camera(clip, acquisition("centred", Fraction(1, 16), clip.size_px))
+
+    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+        alone, both = (
+            run(camera, stages, (), aside, 0, Rules(context=context), Replaced())
+            for context in (False, True)
+        )
+
+    held = [float(iou(aside.boxes[:1], box[None])[0, 0]) for box in aside.boxes[1:]]
+    assert max(alone.shown) == 0
+    assert alone.iou == pytest.approx(held)
+    assert np.mean(both.iou) > np.mean(held)
+
+
+def test_where_the_roi_was_can_be_told_again(clip: Clip) -> None:
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
+    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+        first = run(camera, stages, (), ball, 2, Rules(), Replaced())
+        again = run(camera, stages, (), ball, 2, Rules(), Replaced(), first.windows)
+
+    assert (again.windows, again.iou) == (first.windows, first.iou)
+
+
 def test_data_of_the_wrong_shape_is_refused_in_one_sentence(tmp_path: Path) -> None:
     write_sequence(tmp_path / "clip", gameinfo="[Sequence]\nnum_tracklets=0\n")
 
@@ -260,6 +292,9 @@ def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Pa
     assert [unit.stat().st_mtime_ns for unit in after[1:]] == written[1:]
     wanted = {"clip", "target", "strategy", "budget", "iou", "ci95", "frames", "starts"}
     assert all(wanted <= set(row) for row in report["rows"])
-    assert {row["against"] for row in report["paired"]} == {"centred", "temporal"}
+    assert {(row["strategy"], row["against"]) for row in report["paired"]} == {
+        *(("foveated", against) for against in ("centred", "temporal")),
+        *(("foveated, ROI alone", against) for against in ("centred, ROI alone", "temporal")),
+    }
     assert "| ball | 1/8 | foveated |" in (tmp_path / "table.md").read_text()
     assert (tmp_path / "plot.png").stat().st_size > 10_000
