@@ -22,7 +22,7 @@ from pipeline.envelope import HELLO, MESSAGE, NOTHING, Envelope
 from pipeline.errors import MessageError, PoolExhausted
 from pipeline.ledger import EdgeAccount
 from pipeline.messages import Header, Message
-from pipeline.pool import Lease, PoolReader, PoolWriter, SlotRef
+from pipeline.pool import DONE, KEPT, SPARE, Lease, PoolReader, PoolWriter, SlotRef
 
 INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
 INSIST_S = 5.0  # longer than a frozen reader lives
@@ -52,11 +52,14 @@ class Reader:
         account = self.account
         return not self.lossless or account.in_flight < self.depth or not account.live
 
-    def has_seen(self, ordinal: int, newest: int) -> bool:
-        """Whether the message may be overwritten for all this reader cares."""
-        if self.account.seen >= ordinal or not self.account.live:
-            return True
-        return not self.lossless and newest >= ordinal + 2
+    def claim(self, ordinal: int, newest: int) -> int:
+        """What it still wants of a message: KEPT, SPARE or DONE."""
+        account = self.account
+        if not account.live:
+            return SPARE if account.reader_epoch else DONE
+        if account.seen >= ordinal:
+            return DONE
+        return SPARE if not self.lossless and newest >= ordinal + 2 else KEPT
 
 
 class OutPort:
@@ -64,7 +67,7 @@ class OutPort:
 
     def __init__(
         self, message: type[Message], links: Links, taps: Sender, remote: Sender,
-        readers: Sequence[Reader], pool: Callable[[Callable[[int], bool]], PoolWriter], epoch: int,
+        readers: Sequence[Reader], pool: Callable[[Callable[[int], int]], PoolWriter], epoch: int,
     ) -> None:  # fmt: skip
         self._message, self._links = message, links
         self._taps, self._remote = taps, remote
@@ -72,7 +75,7 @@ class OutPort:
         self._epoch = epoch
         self._ordinal = max((r.account.sent for r in readers), default=0)
         self._mark = codec.fingerprint(message)
-        self._pool = pool(self._free)
+        self._pool = pool(self._claim)
         self._leases: list[Lease] = []
 
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
@@ -187,12 +190,17 @@ class OutPort:
                     return lease
         if not big:
             return None
-        lease = self._pool.lease(sum(a.nbytes + 64 for a in big))
+        nbytes = sum(a.nbytes + 64 for a in big)
+        lease = self._pool.lease(nbytes)
         self._leases.append(lease)
         return lease
 
-    def _free(self, ordinal: int) -> bool:
-        return all(reader.has_seen(ordinal, self._ordinal) for reader in self.readers)
+    def _claim(self, ordinal: int) -> int:
+        """Of all readers; taps keep no account, so what they might want goes last."""
+        claim = SPARE if self._taps.matching() else DONE
+        for reader in self.readers:
+            claim = min(claim, reader.claim(ordinal, self._ordinal))
+        return claim
 
 
 class InPort:

@@ -109,7 +109,7 @@ class Wiring:
             self._session.sender(key, urgent=urgent),
             self._session.sender(key + BYTES_SUFFIX, urgent=urgent, patient=patient),
             readers,
-            lambda free: PoolWriter(self._memory, stem, slots(edges), free),
+            lambda claim: PoolWriter(self._memory, stem, slots(edges), claim),
             job.epochs[node.name],
         )
 

@@ -50,7 +50,7 @@ class Scene:
         self.doors.expect(0, port.receive)
         self.out = OutPort(
             Frame, self.links, Wire(), Wire(), [Reader(account, True, 4)],  # type: ignore[arg-type]
-            lambda free: PoolWriter(MEMORY, self.stem, 3, free), 1,
+            lambda claim: PoolWriter(MEMORY, self.stem, 3, claim), 1,
         )  # fmt: skip
         self.out.hello()
         self.host.attend()

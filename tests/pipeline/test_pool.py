@@ -14,7 +14,16 @@ import numpy as np
 import pytest
 
 from pipeline import MessageError, PoolExhausted, RunError
-from pipeline.pool import Lease, PoolReader, PoolWriter, SlotRef, remove_pools
+from pipeline.pool import (
+    DONE,
+    KEPT,
+    SPARE,
+    Lease,
+    PoolReader,
+    PoolWriter,
+    SlotRef,
+    remove_pools,
+)
 
 MEMORY = Path("/dev/shm")
 
@@ -26,8 +35,8 @@ def stem() -> Iterator[str]:
     remove_pools(MEMORY, name)
 
 
-def writer(stem: str, slots: int = 3, *, free: bool = True) -> PoolWriter:
-    return PoolWriter(MEMORY, stem, slots, lambda _ordinal: free)
+def writer(stem: str, slots: int = 3, *, claim: int = DONE) -> PoolWriter:
+    return PoolWriter(MEMORY, stem, slots, lambda _ordinal: claim)
 
 
 def fill(pool: PoolWriter, value: int, ordinal: int = 1, nbytes: int = 8192) -> SlotRef:
@@ -90,12 +99,51 @@ def test_a_reused_slot_is_noticed_by_its_generation(stem: str) -> None:
 
 
 def test_a_published_slot_waits_for_readers_on_their_way(stem: str) -> None:
-    pool = writer(stem, 2, free=False)
+    pool = writer(stem, 2, claim=KEPT)
     fill(pool, 1, 1)
     fill(pool, 2, 2)
 
     with pytest.raises(PoolExhausted):
         pool.lease(8192)
+
+
+def test_the_slot_written_last_is_taken_again_as_soon_as_it_is_done(stem: str) -> None:
+    pool = writer(stem, claim=DONE)
+
+    assert len({fill(pool, value, value).slot for value in range(6)}) == 1
+
+
+def test_of_slots_to_spare_the_oldest_goes_first(stem: str) -> None:
+    pool = writer(stem, claim=SPARE)
+
+    slots = [fill(pool, value, value).slot for value in range(6)]
+
+    assert set(slots[:3]) == {0, 1, 2}
+    assert slots[3:] == slots[:3]
+
+
+def test_a_slot_leased_ahead_is_the_next_one_and_holds_nothing_up(stem: str) -> None:
+    pool = writer(stem, 2, claim=KEPT)
+    fill(pool, 1, 1)
+    pool.prepare()
+    pool.prepare()
+
+    assert fill(pool, 2, 2).slot == 1
+
+    pool.prepare()  # none is free: that is no error yet
+    with pytest.raises(PoolExhausted):
+        pool.lease(8192)
+
+
+def test_a_slot_leased_ahead_that_is_too_small_is_left_for_a_bigger_file(stem: str) -> None:
+    pool, reader = writer(stem), PoolReader(MEMORY, stem)
+    fill(pool, 1)
+    pool.prepare()
+
+    view = reader.take(fill(pool, 7, nbytes=1 << 20))
+
+    assert view is not None
+    assert view.min() == 7
 
 
 def test_a_restarted_writer_goes_on_in_the_same_file(stem: str) -> None:

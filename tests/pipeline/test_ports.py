@@ -57,7 +57,7 @@ class Edge:
         readers = [Reader(self.account, self.lossless, self.depth)]
         return OutPort(
             Frame, self.wire, Wire(), self.remote, readers,  # type: ignore[arg-type]
-            lambda free: PoolWriter(MEMORY, self.stem, 3, free), epoch,
+            lambda claim: PoolWriter(MEMORY, self.stem, 3, claim), epoch,
         )  # fmt: skip
 
     def reader(self, epoch: int, *, tap: bool = False) -> InPort:
@@ -181,7 +181,7 @@ def test_a_message_of_another_schema_is_refused_and_counted(edge: Edge) -> None:
         header=header(0), boxes=np.zeros((0, 4), np.float32), ids=np.zeros(0, np.int32),
         scores=np.zeros(0, np.float32),
     )  # fmt: skip
-    other = OutPort(Percept, edge.wire, Wire(), Wire(), edge.out.readers, lambda _free: None, 1)  # type: ignore[arg-type,return-value]
+    other = OutPort(Percept, edge.wire, Wire(), Wire(), edge.out.readers, lambda _claim: None, 1)  # type: ignore[arg-type,return-value]
     other.send(percept, percept.header)
 
     edge.carry()
