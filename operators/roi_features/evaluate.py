@@ -21,7 +21,7 @@ from drivers.source import FrameSource
 from operators.roi_features.data import FULL_PX, NOBODY, RATE_HZ, Candidates, candidates, whole
 from operators.roi_features.model import CLASSES
 from operators.roi_features.roi_features import Encoder, RoiEncoderSettings, verdicts
-from pipeline import SettingsError
+from pipeline.errors import FoveaError, SettingsError
 
 SEEDS = {"validation": range(55_000, 55_020), "test": range(65_000, 65_030)}
 SPAN, GAP = 900, 50  # frames: of each scene; between two looks at the same person
@@ -194,15 +194,18 @@ def main() -> None:
     parser.add_argument("--least", type=float, default=0.5, help="from which on it is genuine")
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args()
-    encoders = {
-        name or "shipped": Encoder(SETTINGS.get(name, RoiEncoderSettings(weights=name)))
-        for name in given.weights
-    }
-    if given.data:
-        pairs, team_of = of_sequence(given.data, given.stride, given.frames), teams_of(given.data)
-    else:
-        pairs, team_of = of_scenes(SEEDS[given.on][: given.scenes], given.moments), team_in_scene
-    table = report(encoders, tqdm(pairs, desc="score", unit="pair"), team_of, given.least)
+    try:
+        encoders = {
+            name or "shipped": Encoder(SETTINGS.get(name, RoiEncoderSettings(weights=name)))
+            for name in given.weights
+        }
+        pairs = of_scenes(SEEDS[given.on][: given.scenes], given.moments)
+        if given.data:
+            pairs = of_sequence(given.data, given.stride, given.frames)
+        team_of = teams_of(given.data) if given.data else team_in_scene
+        table = report(encoders, tqdm(pairs, desc="score", unit="pair"), team_of, given.least)
+    except FoveaError as error:
+        parser.error(str(error))
     for name, row in table.items():
         print(name, *(f"{figure} {value:.3f}" for figure, value in row.items()))
     if given.json:

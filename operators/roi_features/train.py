@@ -4,6 +4,9 @@ Two objectives, for the two things the loop asks of it. *What is it?*, false can
 ball in the context is four pixels, and so is a boot; at full resolution the two can be told apart.
 *Who is it?*, by a supervised contrast (Khosla et al. 2020) among those of one scene: a policy that
 was shown somebody must know them again, and of eleven alike only number, skin, hair and build tell.
+
+With `--head-of CHECKPOINT` the features stay what they are, so that policies trained on them stay
+valid, and only the verdict on candidates is learned anew.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -25,9 +28,16 @@ from torch.nn import functional as F
 from tqdm import tqdm
 
 from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, render
-from operators.roi_features.model import CLASSES, EncoderNet, load_imagenet
+from operators.roi_features.model import (
+    CLASSES,
+    EncoderNet,
+    load_checkpoint,
+    load_imagenet,
+    read_state,
+)
 from operators.training.onnx_files import fused, write
 from operators.training.photometric import degrade, recolour
+from pipeline.errors import FoveaError, SettingsError
 
 TRAIN_SEEDS = 20_000  # no other part of the project uses them
 CHECKPOINT_S = 45.0
@@ -55,6 +65,19 @@ class TrainSettings:
     threads: int = 2
     minutes: float = 30.0
     init: Path | None = None  # ImageNet weights to begin with
+    head_of: Path | None = None  # checkpoint whose features are kept
+
+    def __post_init__(self) -> None:
+        if self.batch < OF_SCENE:
+            raise SettingsError(f"batch: must be at least {OF_SCENE}, got {self.batch}")
+        if self.scenes < self.batch // OF_SCENE:
+            raise SettingsError(
+                f"scenes: a batch of {self.batch} needs at least {self.batch // OF_SCENE}, "
+                f"got {self.scenes}"
+            )
+        for name in ("moments", "steps", "threads"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
 
 
 def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -113,7 +136,7 @@ def losses(net: EncoderNet, given: dict[str, Tensor], weight: float) -> dict[str
     features, kinds = net(given["pictures"])
     what = F.cross_entropy(kinds, given["kinds"], label_smoothing=0.02)
     who = identity_loss(features, given["persons"], given["scenes"])
-    return {"what": what, "who": weight * who}
+    return {"what": what, "who": weight * who}  # of kept features it is only told
 
 
 def learning_rate(step: int, s: TrainSettings) -> float:
@@ -133,9 +156,14 @@ class Run:
         self.net = EncoderNet()
         if settings.init is not None:
             load_imagenet(self.net, settings.init)
+        if settings.head_of is not None:
+            load_checkpoint(self.net, settings.head_of)
+            self.net.features.requires_grad_(False)
         self.net = self.net.to(memory_format=torch.channels_last)
         self.optimiser = torch.optim.AdamW(
-            self.net.parameters(), lr=settings.rate, weight_decay=settings.decay
+            [p for p in self.net.parameters() if p.requires_grad],
+            lr=settings.rate,
+            weight_decay=settings.decay,
         )
         self.step, self.elapsed_s = 0, 0.0
 
@@ -155,10 +183,16 @@ class Run:
         """Go on where a checkpoint stopped, if there is one."""
         if not self.path.exists():
             return
-        state = torch.load(self.path, weights_only=True)
+        state = read_state(self.path)
         self.net.load_state_dict(state["net"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.step, self.elapsed_s = state["step"], state["elapsed_s"]
+
+    def prepare(self) -> None:
+        """Learn from here on; what is kept keeps its averages too."""
+        self.net.train()
+        if self.settings.head_of is not None:
+            self.net.features.eval()
 
 
 def train(settings: TrainSettings) -> EncoderNet:
@@ -169,7 +203,7 @@ def train(settings: TrainSettings) -> EncoderNet:
     crops = load(render(seeds, settings.moments, settings.span, settings.data, settings.threads))
     run = Run(settings)
     run.resume()
-    run.net.train()
+    run.prepare()
     began, saved = time.monotonic() - run.elapsed_s, time.monotonic()
     with (
         (settings.out / "log.csv").open("a", newline="") as file,
@@ -241,12 +275,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, required=True, help="rendered crops, made if missing")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint, log, roi_encoder.onnx")
-    parser.add_argument("--init", type=Path, help="ImageNet weights of torchvision to begin with")
+    parser.add_argument("--init", type=Path, help="ImageNet weights to begin with")
+    parser.add_argument("--head-of", type=Path, help="a checkpoint.pt: keep its features")
     for name, made in TrainSettings.__dataclass_fields__.items():
         if isinstance(made.default, int | float):
             parser.add_argument(f"--{name}", type=type(made.default), default=made.default)
-    settings = TrainSettings(**vars(parser.parse_args()))
-    export(train(settings), settings.out / "roi_encoder.onnx")
+    given = vars(parser.parse_args())
+    try:
+        settings = TrainSettings(**given)
+        export(train(settings), settings.out / "roi_encoder.onnx")
+    except FoveaError as error:
+        parser.error(str(error))
     print(json.dumps({"wrote": str(settings.out / "roi_encoder.onnx")}))
 
 

@@ -20,6 +20,7 @@ from operators.roi_features.train import (
     identity_loss,
     learning_rate,
 )
+from pipeline import SettingsError, WeightsError
 
 
 def crops_of(scenes: int, seed: int) -> Crops:
@@ -125,3 +126,37 @@ def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
 
     assert resumed.step == 1
     assert advance(resumed, crops) == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_new_head_leaves_the_features_as_they_are(tmp_path: Path) -> None:
+    crops = crops_of(scenes=4, seed=6)
+    first = Run(settings_in(tmp_path))
+    first.save()
+
+    head = Run(settings_in(tmp_path, head_of=first.path, warmup=1))
+    head.prepare()
+    advance(head, crops)
+
+    before, after = first.net.state_dict(), head.net.state_dict()
+    changed_ones = {name for name in before if not torch.equal(before[name], after[name])}
+    assert changed_ones == {"kind.weight", "kind.bias"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"batch": 8}, "batch: must be at least 24, got 8"),
+        ({"scenes": 1}, "scenes: a batch of 48 needs at least 2, got 1"),
+        ({"steps": 0}, "steps: must be at least 1, got 0"),
+    ],
+)
+def test_a_training_that_cannot_be_is_refused(settings: dict[str, object], complaint: str) -> None:
+    with pytest.raises(SettingsError, match=complaint):
+        settings_in(Path(), **settings)
+
+
+def test_features_of_another_network_are_refused(tmp_path: Path) -> None:
+    torch.save({"net": {"weight": torch.zeros(3)}}, tmp_path / "c.pt")
+
+    with pytest.raises(WeightsError, match=r"c\.pt: expected a checkpoint of this encoder"):
+        Run(settings_in(tmp_path, head_of=tmp_path / "c.pt"))
