@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from functools import cache
 from hashlib import sha256
 from multiprocessing import get_context
 from pathlib import Path
@@ -66,7 +65,8 @@ def measured(
 ) -> list[Unit]:
     """All units, from the folder where they are known, from work where they are not."""
     folder.mkdir(parents=True, exist_ok=True)
-    places = {clip: [_path(folder, clip, case, protocol) for case in cases] for clip in clips}
+    keys = [key(case, protocol) for case in cases]
+    places = {clip: [_place(folder, clip, key) for key in keys] for clip in clips}
     with (
         ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
         tqdm(total=len(clips) * len(cases), desc="units", unit="unit", smoothing=0) as bar,
@@ -117,12 +117,14 @@ def _measure(
                 how = acquisition(case.strategy, Fraction(case.budget), clip.size_px)
                 camera = Camera(clip, how)
                 replaced = Replaced(parts=frozenset(case.replaced), truths=clip.truths)
-                key = (how.sampling.context_px, "detections" in replaced.parts)
-                if case.strategy in PLANNED and key not in seen:
-                    seen[key] = watched(camera, stages, len(clip.truths), replaced)
+                context = (how.sampling.context_px, "detections" in replaced.parts)
+                if case.strategy in PLANNED and context not in seen:
+                    seen[context] = watched(camera, stages, len(clip.truths), replaced)
                 gaze = looked.setdefault(_same_gaze(case), {})
                 done = [
-                    _followed(camera, stages, seen.get(key, ()), t, case, protocol, replaced, gaze)
+                    _followed(
+                        camera, stages, seen.get(context, ()), t, case, protocol, replaced, gaze
+                    )
                     for t in subjects
                 ]
                 for unit in done:
@@ -165,23 +167,20 @@ def _same_gaze(case: Case) -> Case:
     return replace(case, name="", rules=replace(case.rules, context=True))
 
 
-def _path(folder: Path, clip: ClipName, case: Case, protocol: Protocol) -> Path:
-    """Where a unit is kept; another protocol, another case, another file."""
-    told = json.dumps(
-        [asdict(case), asdict(protocol), asdict(clip), *_digests(case, protocol)], sort_keys=True
-    )
-    return folder / f"{clip}-{sha256(told.encode()).hexdigest()[:16]}.json"
-
-
-@cache
-def _digest(path: Path) -> str:
-    return sha256(path.read_bytes()).hexdigest()
-
-
-def _digests(case: Case, protocol: Protocol) -> list[str]:
-    """Of the files a case reads, so that other weights and another graph are other units."""
+def key(case: Case, protocol: Protocol) -> str:
+    """Tells units of a clip apart; another case, another protocol, other weights, another key."""
     values = [change.partition("=")[2] for change in case.changes]
     files = [Path(value) for value in values if value.endswith(".onnx")]
     if case.strategy in PLANNED:
-        files += [Path(protocol.graph), *sorted(NETWORKS.glob("*/*.onnx"))]
-    return [_digest(path) for path in files]
+        learned = case.strategy == "foveated" and "policy.strategy=pursue" not in case.changes
+        shipped = sorted(NETWORKS.glob("*/*.onnx"))
+        files += [path for path in shipped if learned or path.parent.name != "policy"]
+        files.append(Path(protocol.graph))
+    digests = [sha256(path.read_bytes()).hexdigest() for path in files]
+    return json.dumps([asdict(case), asdict(protocol), *digests], sort_keys=True)
+
+
+def _place(folder: Path, clip: ClipName, key: str) -> Path:
+    """Where a unit is kept."""
+    told = sha256(f"{key} {clip.seed} {clip.folder}".encode()).hexdigest()
+    return folder / f"{clip}-{told[:16]}.json"

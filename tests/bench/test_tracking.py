@@ -16,6 +16,7 @@ from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
+from bench.tracking.units import Case, Protocol, key
 from drivers.source import Truth
 from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, SettingsError
@@ -269,6 +270,21 @@ def test_options_are_read_as_they_are_meant() -> None:
     assert interval("251-375") == (251, 375)
     assert policy_files(["pursue"]) == {"": "pursue"}
     assert policy_files(["a=pursue", "b=pursue"]) == {"a": "pursue", "b": "pursue"}
+
+
+def test_a_unit_is_another_with_other_weights_and_the_same_with_the_same(tmp_path: Path) -> None:
+    weights = tmp_path / "policy.onnx"
+    keys = []
+    for content in (b"a", b"b", b"a"):
+        weights.write_bytes(content)
+        changes = (f"policy.weights={weights}", "policy.strategy=learned")
+        case = Case(
+            strategy="foveated", budget="1/8", name="foveated", rules=Rules(), changes=changes
+        )
+        protocol = Protocol(graph=str(GRAPH), frames=(1, 9), kinds=("ball",))
+        keys.append(key(case, protocol))
+
+    assert keys[0] == keys[2] != keys[1]
 
 
 def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
