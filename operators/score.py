@@ -1,7 +1,7 @@
 """Compare what a consumer saw with the truth, where the source knows it: Percept, Percept -> IoU.
 
 Who is being followed is settled by overlap when the consumer starts, and again when it starts anew
-on another object; a class named in the settings is settled by itself.
+on another object; until then nothing counts. A class named in the settings is settled by itself.
 """
 
 from collections.abc import Mapping
@@ -16,6 +16,7 @@ from pipeline.errors import SettingsError
 from pipeline.messages import Header, Percept
 
 NOBODY = -1
+SAME_IOU = 0.3  # from here on somebody is followed: what is beside them overlaps a little, too
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +75,7 @@ class Score(Operator[ScoreSettings, None]):
             rows = np.flatnonzero(np.array(truth.texts) == self.settings.label)
             return int(rows[0]) if len(rows) else -1
         if self._followed == NOBODY or percept.ids[0] != self._object_id:
-            if not overlap.max() > 0:
+            if overlap.max() < SAME_IOU:
                 return -1
             self._followed = int(truth.ids[overlap.argmax()])
             self._object_id = int(percept.ids[0])
