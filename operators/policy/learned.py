@@ -38,7 +38,7 @@ class Gaze:
 class Rules:
     """What a graph sets of it."""
 
-    patience: int = 24
+    patience: int = 64  # frames for which the place of a target out of sight stays a candidate
     least_genuine: float = 0.2
     roi_channels: int = 576
 

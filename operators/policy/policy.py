@@ -51,7 +51,8 @@ class PolicySettings:
     horizon: int = 16  # Tp, frames planned
     dwell: int = 4  # round robin: frames per object
     confirm: int = 3  # pursue: sightings before the gaze moves to a candidate
-    patience: int = 24  # frames to wait at the last place before searching (pursue), or giving up
+    patience: int = 24  # pursue: frames to wait at the last place before searching
+    place_patience: int = 64  # learned: frames for which the last place stays worth a look
     observed: int = 4  # To, frames of looks that are remembered
     threads: int = 1
     held_by: tuple[str, ...] = ("player", "goalkeeper", "referee", "person")
@@ -60,7 +61,7 @@ class PolicySettings:
         for name in ("horizon", "dwell", "confirm", "observed", "threads"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        for name in ("patience", "seed"):
+        for name in ("patience", "place_patience", "seed"):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
         if not 0 <= self.least_genuine <= 1:
@@ -172,7 +173,9 @@ class Policy(Operator[PolicySettings, Scanpath]):
         if wrong:
             return no_proposal()
         rules = Rules(
-            patience=s.patience, least_genuine=s.least_genuine, roi_channels=chooser.roi_channels
+            patience=s.place_patience,
+            least_genuine=s.least_genuine,
+            roi_channels=chooser.roi_channels,
         )
         gaze, candidates, told = observe(state.gaze, self._wish, tracks, state.memory, rules)
         self._complain("prompt", unmet(gaze.prompt, self._wish, tracks))

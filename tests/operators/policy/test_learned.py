@@ -231,7 +231,7 @@ def test_what_is_no_other_target_leaves_the_prompt_where_it_is(weights: Path) ->
 
 
 def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None:
-    values = {"strategy": "learned", "weights": str(weights), "patience": 1}
+    values = {"strategy": "learned", "weights": str(weights), "place_patience": 1}
     prompted = values | {"prompt_box": (100, 100, 120, 120)}
 
     empty = [world(k, 0) for k in range(4)]
