@@ -28,6 +28,7 @@ from bench.tracking.clip import FULL_PX, ClipName, names
 from bench.tracking.episode import Rules
 from bench.tracking.replaced import PARTS, Replaced
 from bench.tracking.report import ROI_ALONE
+from bench.tracking.stages import Stages
 from bench.tracking.targets import KINDS
 from bench.tracking.units import Case, Protocol, measured
 from drivers.simulated.strategies import WITH_ROI
@@ -71,7 +72,8 @@ def cases(
                 found.append(case)
             continue
         sees = {rule.context for rule in rules} if strategy in WITH_ROI else {True}
-        for rule in (Rules(context=context) for context in sorted(sees, reverse=True)):
+        longest = rules[0].longest
+        for rule in (Rules(context=c, longest=longest) for c in sorted(sees, reverse=True)):
             name = strategy + told(rule, late=False)
             found.append(
                 Case(strategy=strategy, budget=share, name=name, rules=rule, changes=changes)
@@ -142,6 +144,7 @@ def numbers(name: str, text: str) -> tuple[int, ...]:
 @click.option("--targets", default="ball,referee,player")
 @click.option("--players", default=1, help="players of a clip, drawn by the seed")
 @click.option("--every", default=8, help="frames between starts")
+@click.option("--longest", default=Rules.longest, help="frames for which a start is followed")
 @click.option("--graph", default=str(GRAPH), help="the loop")
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--tracker", default="auto", help="auto, vittrack, correlation, or an ONNX file")
@@ -177,7 +180,7 @@ def _evaluate(**given: Any) -> None:
         "graph": Path(protocol.graph).name,
         "changes": sorted({change for case in wanted for change in case.changes}),
         "weighting": "frames: every frame of every start with truth counts once",
-        "longest": Rules.longest,
+        "longest": given["longest"],
         "players": protocol.players,
         "clips": [str(clip) for clip in clips],
         "frames": list(protocol.frames),
@@ -238,6 +241,16 @@ def asked(
         policies=policy_files(given["policy"]),
         changes=(*given["changes"], *tracker_changes(given["tracker"])),
     )
+    for case in wanted:
+        if not case.rules.delay:
+            continue
+        reach = Stages(Path(protocol.graph), case.changes).horizon
+        if case.rules.delay >= reach:
+            raise SettingsError(
+                f"delay: plans reach {reach} frames, those {case.rules.delay} frames late are over "
+                "before they hold; set association.horizon and policy.horizon, and name a policy "
+                "that was trained for them"
+            )
     return wanted, protocol, clips, budgets
 
 
@@ -246,8 +259,11 @@ def rules_of(given: dict[str, Any]) -> list[Rules]:
     sees = {"both": (True,), "roi": (False,), "each": (True, False)}[given["sees"]]
     predictions = {"kalman": (True,), "hold": (False,), "both": (True, False)}[given["prediction"]]
     delays, replans = (numbers(name, given[name]) for name in ("delay", "replan"))
+    longest = given["longest"]
+    if longest < 1:
+        raise SettingsError(f"longest: must be at least 1 frame, got {longest}")
     return [
-        Rules(delay=d, replan=ta, prediction=p, context=c)
+        Rules(delay=d, replan=ta, prediction=p, context=c, longest=longest)
         for d, ta, p, c in product(delays, replans, predictions, sees)
     ]
 

@@ -45,6 +45,11 @@ class Stages:
             cls = load_operator(node.operator)
             self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))
 
+    @property
+    def horizon(self) -> int:
+        """Tp: how many frames a plan reaches."""
+        return int(self._parts["policy"].settings.horizon)
+
     def __enter__(self) -> "Stages":
         try:
             for part in self._parts.values():

@@ -30,6 +30,14 @@ Window = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True)
+class Late:
+    """How late and how seldom plans come in half of the episodes; in the others neither."""
+
+    delays: tuple[int, ...] = (1, 2, 4)  # frames
+    replans: tuple[int, ...] = (4, 8)  # Ta
+
+
+@dataclass(frozen=True, kw_only=True)
 class Task:
     """One episode: whom to look at in which clip, from which frame on, and how."""
 
@@ -183,13 +191,13 @@ def teacher(episodes: Sequence[Episode], noise: float, rng: np.random.Generator)
 
 
 def tasks(
-    recordings: Sequence[Recording], count: int, *, frames: int, seed: int, plain: bool = False
+    recordings: Sequence[Recording], count: int, *, frames: int, seed: int, late: Late | None
 ) -> list[Task]:
     """`count` episodes: half of them follow the ball, the others the main referee or a player.
 
     Nobody starts on a target that cannot be seen. Most prompts are boxes; some of those for the
-    ball or the referee name the class alone. Plans may come late and may be made seldom. `plain`
-    ones are prompted by a box and planned in time with every frame.
+    ball or the referee name the class alone. Plans come as late and as seldom as `late` says; with
+    None all are prompted by a box and planned in time with every frame.
     """
     rng = np.random.default_rng([seed, 5])
     found: list[Task] = []
@@ -206,7 +214,7 @@ def tasks(
         if not len(starts):
             continue
         start = int(rng.choice(starts))
-        if plain:
+        if late is None:
             found.append(Task(clip=clip, start=start, target=target))
             continue
         by_class = label in CLASSES and rng.random() < 0.3
@@ -216,8 +224,8 @@ def tasks(
                 start=start,
                 target=target,
                 prompt="class" if by_class else "box",
-                replan=int(rng.choice([1, 4, 8], p=[0.5, 0.25, 0.25])),
-                delay=int(rng.choice([0, 1, 2, 4], p=[0.5, 0.2, 0.2, 0.1])),
+                replan=1 if rng.random() < 0.5 else int(rng.choice(late.replans)),
+                delay=0 if rng.random() < 0.5 else int(rng.choice(late.delays)),
             )
         )
     return found

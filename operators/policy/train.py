@@ -17,7 +17,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from tqdm import tqdm
 from operators.policy.data import TRAIN_SEEDS, VALIDATION_SEEDS, Recording, record
 from operators.policy.learned import Rules, Selection, softmax
 from operators.policy.model import INPUTS, PARTS, PolicyNet, export
-from operators.policy.rollout import Choose, Episode, Sample, roll, tasks, teacher
+from operators.policy.rollout import Choose, Episode, Late, Sample, roll, tasks, teacher
 from operators.policy.tokens import MOST_OBJECTS, Array, Objects, batched
 
 CHECKPOINT_S = 45.0
@@ -57,6 +57,7 @@ class TrainSettings:
     imitation: float = 0.5  # weight of the cross-entropy beside the expected utility
     episodes: int = 240  # a round
     length: int = 48  # frames of an episode
+    late: Late = field(default_factory=Late)
     seed: int = 1
     threads: int = 2
     use: tuple[str, ...] = PARTS
@@ -191,7 +192,8 @@ class Clips:
 
     def episodes(self, count: int, *, seed: int, plain: bool = False) -> list[Episode]:
         """Fresh episodes; `plain` ones are prompted by a box, replan always and come in time."""
-        found = tasks(self.recordings, count, frames=self.settings.length, seed=seed, plain=plain)
+        late = None if plain else self.settings.late
+        found = tasks(self.recordings, count, frames=self.settings.length, seed=seed, late=late)
         return [Episode(self.recordings[t.clip], t, self.rules) for t in found]
 
 
@@ -328,18 +330,38 @@ def plot(log: Path, picture: Path) -> None:
     pyplot.close(figure)
 
 
+def _told(frames: Sequence[int]) -> str:
+    return ",".join(str(each) for each in frames)
+
+
+def _frames(option: str, text: str) -> tuple[int, ...]:
+    try:
+        found = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if not found or min(found) < 1:
+        raise click.UsageError(f"{option}: expected frames such as 1,2,4, got {text!r}")
+    return found
+
+
 @click.command(help=(__doc__ or "").split("\n", 1)[0])
 @click.option("--data", type=Path, required=True, help="recorded clips, made where missing")
 @click.option("--out", type=Path, required=True, help="checkpoint, log, plot, policy.onnx")
 @click.option("--use", default=",".join(PARTS), show_default=True, help="inputs; for ablations")
+@click.option("--delays", default=_told(Late.delays), show_default=True, help="frames, when late")
+@click.option("--replans", default=_told(Late.replans), show_default=True, help="Ta, when seldom")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE", help="of recording")
-def command(data: Path, out: Path, use: str, changes: tuple[str, ...], **numbers: float) -> None:
+def command(
+    data: Path, out: Path, use: str, delays: str, replans: str, changes: tuple[str, ...],
+    **numbers: float,
+) -> None:  # fmt: skip
     """See the module."""
     parts = tuple(part for part in use.split(",") if part)
     for part in parts:
         if part not in PARTS:
             raise click.UsageError(f"--use: expected some of {', '.join(PARTS)}, got {part}")
-    settings = TrainSettings(data=data, out=out, use=parts, changes=changes, **numbers)  # type: ignore[arg-type]
+    late = Late(delays=_frames("--delays", delays), replans=_frames("--replans", replans))
+    settings = TrainSettings(data=data, out=out, use=parts, late=late, changes=changes, **numbers)  # type: ignore[arg-type]
     export(train(settings), settings.out / "policy.onnx")
 
 

@@ -238,6 +238,8 @@ def test_data_of_the_wrong_shape_is_refused_in_one_sentence(tmp_path: Path) -> N
         (["--strategies", "magic"], "strategies: expected foveated, centred"),
         (["--targets", "coach"], "targets: expected ball"),
         (["--policy", "none.onnx"], "policy: expected an ONNX file or pursue, got none.onnx"),
+        (["--longest", "0"], "longest: must be at least 1 frame"),
+        (["--delay", "60"], "delay: plans reach 16 frames"),
         (["--delay", "soon"], "delay: expected whole numbers"),
         (["--replace", "luck"], "replace: expected detections"),
         (["--tracker", "magic"], "tracker: expected auto"),

@@ -7,7 +7,7 @@ import pytest
 
 from operators.policy.data import Recording, arrays
 from operators.policy.learned import Rules
-from operators.policy.rollout import Episode, Task, roll, tasks, teacher, within
+from operators.policy.rollout import Episode, Late, Task, roll, tasks, teacher, within
 from operators.policy.utility import gains
 from pipeline import Geometry, Percept, RoiFeatures, Tracks
 from pipeline.boxes import centres, roi_window
@@ -115,15 +115,15 @@ def test_tasks_follow_whom_they_can_see_and_are_the_same_for_the_same_seed(
 ) -> None:
     clips = [recording(tmp_path)]
 
-    found = tasks(clips, 200, frames=20, seed=seed)
+    found = tasks(clips, 200, frames=20, seed=seed, late=Late())
 
-    assert found == tasks(clips, 200, frames=20, seed=seed)
-    assert found != tasks(clips, 200, frames=20, seed=seed + 1)
+    assert found == tasks(clips, 200, frames=20, seed=seed, late=Late())
+    assert found != tasks(clips, 200, frames=20, seed=seed + 1, late=Late())
     share = np.mean([task.target == 101 for task in found])
     assert 0.4 < share < 0.6
     assert {task.prompt for task in found if task.target == 102} == {"box"}
     assert {task.prompt for task in found if task.target == 101} == {"box", "class"}
-    plain = tasks(clips, 50, frames=20, seed=seed, plain=True)
+    plain = tasks(clips, 50, frames=20, seed=seed, late=None)
     assert {(t.prompt, t.replan, t.delay) for t in plain} == {("box", 1, 0)}
 
 

@@ -128,10 +128,20 @@ def test_a_round_is_the_same_for_the_same_roller(tmp_path: Path, clips: list[Rec
     assert replace(given, seed=2) != given
 
 
-def test_an_input_that_is_none_is_refused(tmp_path: Path) -> None:
-    words = ["--data", str(tmp_path), "--out", str(tmp_path), "--use", "roi,smell"]
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--use", "roi,smell", "expected some of roi, global, motion, got smell"),
+        ("--delays", "soon", "--delays: expected frames such as 1,2,4, got 'soon'"),
+        ("--replans", "0", "--replans: expected frames such as 1,2,4, got '0'"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(
+    tmp_path: Path, option: str, value: str, said: str
+) -> None:
+    words = ["--data", str(tmp_path), "--out", str(tmp_path), option, value]
 
     result = CliRunner().invoke(command, words)
 
     assert result.exit_code == 2
-    assert "expected some of roi, global, motion, got smell" in result.output
+    assert said in result.output
