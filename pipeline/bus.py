@@ -7,7 +7,7 @@ multicast is sent, and Zenoh's own shared memory is off: frames travel through `
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,12 +35,17 @@ class Sender(Protocol):
 class Session:
     """A peer of the graph's bus. Close it before the process ends, or Zenoh keeps it alive."""
 
-    def __init__(self, folder: Path, name: str, *, hub: str = "hub") -> None:
+    def __init__(
+        self, folder: Path, name: str, *, hub: str = "hub", patience_s: float = 10.0
+    ) -> None:
+        """`patience_s`: how long a frozen peer may keep this one from opening or closing a link."""
         own = f"unixsock-stream/{folder / name}.sock"
         links = {"listen": {"endpoints": [own]}}
         if name != hub:
             links["connect"] = {"endpoints": [f"unixsock-stream/{folder / hub}.sock"]}
-        self._session = _open({**links, **_COMMON}, f"{folder}: no bus there")
+        unicast = {"open_timeout": int(patience_s * 1000)}
+        transport = {"transport": {**_TRANSPORT, "unicast": unicast}}
+        self._session = _open({**links, **_COMMON, **transport}, f"{folder}: no bus there")
 
     def sender(self, key: str, *, urgent: bool = False, patient: bool = False) -> Sender:
         """A publisher; `urgent` ones (sensor commands) overtake everything else.
@@ -97,6 +102,21 @@ class Session:
             time.sleep(AGAIN_S)
         return None
 
+    def ask_all(
+        self, keys: str, timeout_s: float, enough: Callable[[Mapping[str, bytes]], bool]
+    ) -> dict[str, bytes]:
+        """Everybody's answers under a wildcard, by key; until `enough` is true or time is up."""
+        found: dict[str, bytes] = {}
+        deadline = time.monotonic() + timeout_s
+        while (left_s := deadline - time.monotonic()) > 0:
+            for reply in self._session.get(keys, timeout=left_s):
+                if reply.ok is not None:
+                    found[str(reply.ok.key_expr)] = reply.ok.payload.to_bytes()
+                if enough(found):
+                    return found
+            time.sleep(AGAIN_S)
+        return found
+
     def close(self) -> None:
         """Leave the bus."""
         self._session.close()  # type: ignore[no-untyped-call]
@@ -125,12 +145,12 @@ _COMMON: dict[str, object] = {
         "multicast": {"enabled": False},
         "gossip": {"enabled": True, "autoconnect": {"peer": ["router", "peer"]}},
     },
-    "transport": {
-        "shared_memory": {"enabled": False},
-        # an express message takes a batch of its own; two, the default, overflow while the
-        # transport's thread waits a few milliseconds for a core
-        "link": {"tx": {"queue": {"size": {"data": 16, "real_time": 16}}}},
-    },
+}
+_TRANSPORT: dict[str, object] = {
+    "shared_memory": {"enabled": False},
+    # an express message takes a batch of its own; two, the default, overflow while the
+    # transport's thread waits a few milliseconds for a core
+    "link": {"tx": {"queue": {"size": {"data": 16, "real_time": 16}}}},
 }
 
 

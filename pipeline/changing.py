@@ -1,7 +1,6 @@
 """`fovea set`: asks a node of a running graph to change its live settings, or what they are."""
 
 import json
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,16 +8,10 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.bus import Session
+from pipeline.asking import ask_node
 from pipeline.errors import RunError
 from pipeline.live import CONFIG, Answer, read_answer, write_question
 from pipeline.overlay import read_change
-from pipeline.rundir import base
-from pipeline.settings import suggest
-from pipeline.watching import find
-from pipeline.wiring import key_of
-
-PATIENCE_S = 5.0  # a node answers between two frames; one that hangs does not
 
 
 @click.command("set")
@@ -42,22 +35,7 @@ def set_command(graph: str, changes: tuple[str, ...]) -> None:
 
 def ask(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
     """A node's answer; raises `RunError` when there is no such node, or none that answers."""
-    name, facts = find(graph)
-    nodes = [n["name"] for n in facts["nodes"]]
-    if node not in nodes:
-        raise RunError(f"{name}: no node {node}{suggest(node, nodes)}")
-    own = f"set-{os.getpid()}"
-    session = Session(base() / name, own)
-    try:
-        answer = session.ask(key_of(name, node, CONFIG), write_question(changes), PATIENCE_S)
-    finally:
-        session.close()
-        (base() / name / f"{own}.sock").unlink(missing_ok=True)
-    if answer is None:
-        raise RunError(
-            f"{name}: {node} gave no answer for {PATIENCE_S:.0f} s; see `fovea logs {node}`"
-        )
-    return read_answer(answer)
+    return read_answer(ask_node(graph, node, CONFIG, write_question(changes)))
 
 
 def table(answer: Answer) -> Table:

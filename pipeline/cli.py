@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 
 from pipeline import running, watching
+from pipeline.asking import health_command, schema_command, tell_command
 from pipeline.changing import set_command
 from pipeline.drawing import mermaid
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
@@ -186,6 +187,9 @@ def _load(
 
 commands.add_command(weights_commands)
 commands.add_command(set_command)
+commands.add_command(health_command)
+commands.add_command(schema_command)
+commands.add_command(tell_command)
 commands.add_command(task_command("train", "Train the networks of a task."))
 commands.add_command(task_command("eval", "Measure a task: figures, tables, plots."))
 

@@ -55,10 +55,12 @@ class Operator(Generic[S, Out]):
     `__init__` only stores; `open` acquires, in the process that uses it; `close` releases after
     any outcome. Operators with named outputs answer with a mapping of output name to message.
 
-    `live` names the settings that may change while it runs (`fovea set`).
+    `live` names the settings that may change while it runs (`fovea set`), `commands` the methods
+    `do_<command>` that it may be told to call (`fovea tell`).
     """
 
     live: ClassVar[tuple[str, ...]] = ()
+    commands: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, settings: S, *, loan: Loan | None = None) -> None:
         self.settings = settings

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import settings as checked
+from pipeline.commands import commands_of
 from pipeline.contract import Input, Operator, inputs_of, joined, live_of, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
 from pipeline.overlay import Overlay
@@ -95,6 +96,7 @@ class _Part:
             raise GraphError(f"{where}.settings: expected a mapping, got {values!r}")
         self._build(cls, values, where)
         live_of(self.operator)
+        commands_of(self.operator)
         return values
 
     def _build(self, cls: type[Any], values: dict[str, Any], where: str) -> None:

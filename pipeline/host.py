@@ -20,13 +20,13 @@ from pipeline.doors import Doors
 from pipeline.errors import PoolExhausted, RunError
 from pipeline.inbox import Inbox, Work
 from pipeline.ledger import EdgeAccount, NodeAccount
-from pipeline.live import Live
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.ports import Arrival, OutPort
 
 IDLE_S = 0.2  # the heartbeat of a host that has nothing to do
 GREET_S = 0.02  # while a reader has not heard us yet
 CREDIT_S = 0.0005
+MOST_ASKED = 64  # questions that may wait for a handler to return
 WAIT_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: asking takes time too
 
 
@@ -36,14 +36,14 @@ class Host:
     def __init__(
         self, name: str, operator: Operator[Any, Any], inputs: Mapping[str, Input],
         edges: Mapping[str, EdgeAccount], outs: Mapping[str, OutPort], account: NodeAccount,
-        doors: Doors, live: Live, *, lockstep: bool, epoch: int,
+        doors: Doors, *, lockstep: bool, epoch: int,
     ) -> None:  # fmt: skip
         self.name, self.operator, self.outs = name, operator, dict(outs)
         self._edges, self.account, self._epoch = dict(edges), account, epoch
         self.lockstep = lockstep
         self._lock = threading.Lock()
-        self._doors, self._live = doors, live
-        self._questions: SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = SimpleQueue()
+        self._doors = doors
+        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._inbox = Inbox(inputs, self.settle, lockstep=lockstep)
         self._together = frozenset(joined(type(operator)))
         self._arrived_wait_ns = self._waiter = 0
@@ -73,15 +73,18 @@ class Host:
         while not self.stopping.is_set():
             self.step()
 
-    def ask(self, question: bytes, reply: Callable[[bytes], None]) -> None:
-        """Have a question about the settings answered between two calls of handlers."""
-        self._questions.put((question, reply))
+    def between(self, act: Callable[[], None]) -> bool:
+        """Have something done between two calls of handlers; False when too much waits already."""
+        if self._asked.qsize() >= MOST_ASKED:
+            return False
+        self._asked.put(act)
         self._doors.wake()
+        return True
 
-    def answer_questions(self) -> None:
-        """Answer what was asked; to be called by the thread that calls the handlers."""
-        while not self._questions.empty():
-            self._live.answer(*self._questions.get())
+    def do_asked(self) -> None:
+        """Do what was asked for; to be called by the thread that calls the handlers."""
+        while not self._asked.empty():
+            self._asked.get()()
 
     def stop(self) -> None:
         """Let `run` return after the message in hand."""
@@ -115,7 +118,7 @@ class Host:
     def step(self) -> None:
         """One wait and one call, of which nothing is held while the next is waited for."""
         work = self._wait()
-        self.answer_questions()
+        self.do_asked()
         if work is None:
             return
         try:

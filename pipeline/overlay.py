@@ -78,10 +78,19 @@ def read_change(change: str) -> tuple[str, str, Any]:
     node, dot, setting = target.partition(".")
     if not (equals and dot and node and setting):
         raise GraphError(f"{change}: expected node.setting=value")
+    return node, setting, read_value(text)
+
+
+def read_value(text: str) -> Any:
+    """What a YAML file would mean by it; raises `GraphError`.
+
+    >>> read_value("[1, 2]"), read_value("off"), read_value("")
+    ([1, 2], 'off', '')
+    """
     try:
-        return node, setting, YAML(typ="safe").load(text) if text else ""
+        return YAML(typ="safe").load(text) if text else ""
     except YAMLError as error:
-        raise GraphError(f"{change}: not a value: {error}") from error
+        raise GraphError(f"{text}: not a value: {error}") from error
 
 
 def _lay_change(nodes: Any, change: str, path: Path) -> None:

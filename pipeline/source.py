@@ -44,7 +44,7 @@ class SourceHost(Host):
         try:
             while not self._ending.is_set() and (not self._limit or exposures < self._limit):
                 self.greet()
-                self.answer_questions()
+                self.do_asked()
                 if self.lockstep and not self._await_answer():
                     break
                 if not self._expose(source):
@@ -54,7 +54,7 @@ class SourceHost(Host):
             self.on_finished()
             while not self.stopping.wait(0.2):
                 self.account.heartbeat_ns = time.monotonic_ns()
-                self.answer_questions()
+                self.do_asked()
         finally:
             self.stopping.set()
             commands.join()

@@ -16,6 +16,7 @@ from typing import Any
 from pipeline.bus import Session
 from pipeline.child import Child, Events, Sample, close_pipes, spawn
 from pipeline.errors import RunError
+from pipeline.health import complaint
 from pipeline.ledger import Ledger
 from pipeline.plan import Node, Plan, is_source
 from pipeline.rundir import MEMORY, RunFolder
@@ -23,7 +24,6 @@ from pipeline.wiring import Assignment
 
 TICK_S = 0.02
 SAMPLE_S = 1.0
-FROZEN_S = 3.0  # no heartbeat for this long: the process does not run at all
 START_S = 60.0
 MOST_SAMPLES = 7200
 SPARE_S = 2.0  # a younger spare is still importing
@@ -251,8 +251,8 @@ class Supervisor:
         elif slot.child.ready and not slot.child.going and self._may_go(slot):
             slot.child.going, slot.going_since_s = True, now_s
             slot.child.tell("go")
-        elif slot.child.ready and (complaint := self._stalled(slot)):
-            log.error("%s: %s; killed", slot.name, complaint)
+        elif slot.child.ready and (why := self._stalled(slot)):
+            log.error("%s: %s; killed", slot.name, why)
             slot.child.kill(with_traceback=True)
 
     def _may_go(self, slot: _Slot) -> bool:
@@ -295,15 +295,8 @@ class Supervisor:
 
     def _stalled(self, slot: _Slot) -> str:
         now_ns = time.monotonic_ns()
-        for node in slot.nodes:
-            account = self.ledger.nodes[node.index]
-            busy_s = (now_ns - account.busy_since_ns) / 1e9
-            silent_s = (now_ns - account.heartbeat_ns) / 1e9
-            if account.condition == "busy" and busy_s > node.stall_s:
-                return f"{node.name} has worked on frame {account.last_seq} for {busy_s:.1f} s"
-            if account.condition in ("waiting", "credit") and silent_s > FROZEN_S:
-                return f"{node.name} gave no sign of life for {silent_s:.1f} s"
-        return ""
+        found = (complaint(n, self.ledger.nodes[n.index], now_ns) for n in slot.nodes)
+        return next(filter(None, found), "")
 
     def _sample(self) -> None:
         for slot in self._slots.values():

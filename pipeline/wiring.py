@@ -5,12 +5,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from pipeline.answers import Answers
 from pipeline.bus import Session
 from pipeline.contract import Input, Operator, Source, outputs_of
 from pipeline.doors import Doors, Links
 from pipeline.host import Host
 from pipeline.ledger import Ledger
-from pipeline.live import CONFIG, Live, kept
+from pipeline.live import Live, kept
 from pipeline.plan import Edge, Node, Plan, inputs_for, slots
 from pipeline.pool import PoolReader, PoolWriter
 from pipeline.ports import BYTES_SUFFIX, InPort, OutPort, Reader
@@ -73,7 +74,6 @@ class Wiring:
             "outs": outs,
             "doors": doors,
             "account": self._ledger.nodes[node.index],
-            "live": Live(node.name, operator, job.settings(node), job.kept_in(node)),
             "lockstep": plan.clock == "lockstep",
             "epoch": job.epochs[node.name],
         }
@@ -84,7 +84,9 @@ class Wiring:
             if isinstance(operator, Source)
             else Host(node.name, operator, **common)
         )
-        self._stops.append(self._session.answer(key_of(plan.name, node.name, CONFIG), host.ask))
+        live = Live(node.name, operator, job.settings(node), job.kept_in(node))
+        answers = Answers(plan, node, operator, host, live, self._ledger)
+        self._stops += answers.serve(self._session, partial(key_of, plan.name, node.name))
         for edge in edges.values():
             self._listen(host, edge, common["inputs"][edge.input], doors)
         return host

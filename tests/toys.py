@@ -111,6 +111,7 @@ class Pass(Operator[WorkSettings, Frame]):
     """The same picture again."""
 
     live = ("every", "hold")
+    commands = ("recall", "break_down")
     frame = Input(Frame, keep="latest")
 
     def open(self) -> None:
@@ -123,6 +124,14 @@ class Pass(Operator[WorkSettings, Frame]):
         if settings.hold < 0:
             raise ValueError("told to break")
         self.settings = settings
+
+    def do_recall(self, last: int = 1, *, doubled: bool = False) -> dict[str, list[int]]:
+        if last < 1:
+            raise SettingsError(f"work.recall.last: must be at least 1, got {last}")
+        return {"held": [frame.header.seq * (1 + doubled) for frame in self.held[-last:]]}
+
+    def do_break_down(self) -> None:
+        raise ValueError("told to break")
 
     def on_frame(self, frame: Frame) -> Frame | None:
         settings = self.settings

@@ -58,6 +58,7 @@ class Association(Operator[AssociationSettings, Tracks]):
     Raises `MessageError` when frames run backwards or the number of feature channels changes.
     """
 
+    commands = ("forget",)
     detections = Input(Detections, keep="every")
 
     def open(self) -> None:
@@ -69,6 +70,13 @@ class Association(Operator[AssociationSettings, Tracks]):
     def on_stream(self, header: Header) -> None:
         """Objects of another stream are other objects."""
         self._table = empty(self.settings.observed, 0)
+
+    def do_forget(self) -> dict[str, int]:
+        """Give up every object, as if the scene began; ids are not given again."""
+        forgotten, table = len(self._table.ids), self._table
+        nobody = empty(self.settings.observed, table.features.shape[2], table.names)
+        self._table = replace(nobody, seq=table.seq, next_id=table.next_id)
+        return {"forgotten": forgotten}
 
     def state(self) -> Table:
         """Everything known about the objects."""

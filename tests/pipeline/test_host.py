@@ -9,9 +9,8 @@ import pytest
 
 from pipeline import Frame, Input, Operator
 from pipeline.doors import Doors, Links
-from pipeline.host import Host
+from pipeline.host import MOST_ASKED, Host
 from pipeline.ledger import Ledger, private_ledger
-from pipeline.live import Live
 from pipeline.pool import PoolReader, PoolWriter, remove_pools
 from pipeline.ports import InPort, OutPort, Reader
 from pipeline.testing import header
@@ -41,10 +40,9 @@ class Scene:
         self.look.pool = self.pool
         self.doors = Doors(folder / "look.door")
         self.links = Links([(0, folder / "look.door")])
-        live = Live("look", self.look, {}, None)
         self.host = Host(
             "look", self.look, {"frame": Look.frame}, {"frame": account}, {},
-            self.ledger.nodes[0], self.doors, live, lockstep=False, epoch=1,
+            self.ledger.nodes[0], self.doors, lockstep=False, epoch=1,
         )  # fmt: skip
         port = InPort(Frame, account, self.pool, 1, lambda a: self.host.deliver("frame", a))
         self.doors.expect(0, port.receive)
@@ -82,10 +80,16 @@ def test_a_picture_is_given_back_as_soon_as_it_is_handled(scene: Scene) -> None:
 
 
 def test_a_question_is_answered_between_two_calls(scene: Scene) -> None:
-    answers: list[bytes] = []
-    scene.host.ask(b"", answers.append)
+    answers: list[str] = []
+    scene.host.between(lambda: answers.append("so it is"))
     assert answers == []
 
     scene.host.step()
 
-    assert len(answers) == 1
+    assert answers == ["so it is"]
+
+
+def test_questions_do_not_pile_up_behind_a_handler_that_hangs(scene: Scene) -> None:
+    taken = [scene.host.between(lambda: None) for _ in range(MOST_ASKED + 2)]
+
+    assert taken == [True] * MOST_ASKED + [False, False]
