@@ -5,7 +5,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-slow check clean
+.PHONY: demo test test-slow check train clean
+
+# where `make train` works, and what it is told beside the defaults
+RUNS ?= runs
+DETECTOR ?=
+ENCODER ?=
+POLICY ?=
 
 demo: $(VENV)/.installed
 	$(BIN)/fovea run graphs/tracking.yaml --duration-s 20 --save demo.rrd
@@ -24,6 +30,16 @@ check: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest --doctest-modules --doctest-ignore-import-errors pipeline drivers operators bench
 
+# All networks from nothing, one after the other; goes on where it was interrupted. With g++ the
+# detector's training is compiled first.
+train: $(VENV)/.installed-train
+	$(BIN)/python -m operators.saliency.train --data $(RUNS)/detector/data --out $(RUNS)/detector \
+		$(if $(shell command -v g++),--compiled) $(DETECTOR)
+	$(BIN)/python -m operators.roi_features.train --data $(RUNS)/encoder/data --out $(RUNS)/encoder $(ENCODER)
+	$(BIN)/fovea train tracking --data $(RUNS)/policy/data --out $(RUNS)/policy $(POLICY) \
+		--set saliency.weights=$(RUNS)/detector/detector.onnx \
+		--set roi_features.weights=$(RUNS)/encoder/roi_encoder.onnx
+
 clean:
 	rm -rf $(VENV) build *.egg-info demo.rrd
 
@@ -36,6 +52,11 @@ $(VENV)/bin/python:
 $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 	@echo "installing into $(VENV): about a minute and 1.3 GB, once"
 	@$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.installed-train: pyproject.toml $(VENV)/.installed
+	@echo "installing what training needs: torch"
+	@$(PIP) --editable '.[train]'
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.installed

@@ -9,35 +9,23 @@ plot of its own. `--quick` tries everything on little: its figures say nothing.
 """
 
 import json
-import statistics
-import time
-from collections.abc import Mapping, Sequence
-from fractions import Fraction
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import click
-import cv2
 
 from bench.machine import facts
 from bench.options import Bench
-from bench.tracking.budgets import acquisition
-from bench.tracking.clip import ClipName, read
+from bench.run_time import by_objects, by_objects_markdown, markdown, run_time
 from bench.tracking.evaluate import (
-    GRAPH,
     command,
     policy_changes,
     policy_files,
     tracker_changes,
 )
 from bench.tracking.replaced import PARTS
-from bench.tracking.stages import NEEDED, Camera, Stages
-from drivers.simulated.readout import Window
-from pipeline.boxes import centres, roi_window
 
-PAPER_MS = {"saliency": 55.0, "roi_features": 6.2, "association": 0.5, "policy": 3.0}
 TOGETHER = ("detections+association",)  # what the policy would know from perfect eyes
-TIMED_FRAMES, TIMED_SEED = 60, 70_000
 NAMES = {
     "budgets": "Strategies at equal pixel budgets, held-out procedural clips",
     "soccernet": "The same, zero-shot on real footage",
@@ -85,65 +73,6 @@ def _policy(given: Sequence[str]) -> list[str]:
     return [word for each in given for word in ("--policy", each)]
 
 
-def run_time(changes: Sequence[str], frames: int = TIMED_FRAMES) -> dict[str, dict[str, float]]:
-    """Milliseconds per call of each part on one thread: p50 and p99; and how many objects.
-
-    The encoder is given the whole picture, so that it describes every object, not the few in a ROI.
-    """
-    clip = read(ClipName(seed=TIMED_SEED), (1, frames))
-    camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
-    everything = Camera(clip, acquisition("full", Fraction(1), clip.size_px))
-    truth = clip.truths[0]
-    ball = truth.boxes[truth.labels.index("ball")]
-    box = tuple(float(side) for side in ball)
-    window: Window = roi_window(centres(ball), camera.how.geometry)
-    spent: dict[str, list[float]] = {}
-    objects: list[float] = []
-    cv2.setNumThreads(1)
-    with Stages(GRAPH, changes) as stages:
-        aim: dict[str, Any] = {"prompt_box": box, "target": ""}
-        stages.begin(camera.header(0), *NEEDED, policy=aim, tracker={"init_box": box})
-        for frame in range(frames):
-            context, roi = camera.context(frame), camera.roi(frame, window)
-            small = _timed(stages, spent, "downsample", frame=context)
-            found = _timed(stages, spent, "saliency", frame=small)
-            tracks = _timed(stages, spent, "association", detections=found)
-            objects.append(len(tracks.ids))
-            scanpath = _timed(stages, spent, "policy", tracks=tracks)
-            _timed(stages, spent, "dispatch", scanpath=scanpath)
-            whole = everything.context(frame)
-            looks = _timed(stages, spent, "roi_features", roi=whole, tracks=tracks)
-            stages.tell("policy", features=looks)
-            _timed(stages, spent, "tracker", context=context, roi=roi)
-    return {
-        **{name: _spread(values) for name, values in spent.items()},
-        "objects": _spread(objects),
-    }
-
-
-def _timed(stages: Stages, spent: dict[str, list[float]], name: str, **messages: Any) -> Any:
-    began_ns = time.perf_counter_ns()
-    answer = stages.tell(name, **messages)
-    spent.setdefault(name, []).append((time.perf_counter_ns() - began_ns) / 1e6)
-    return answer
-
-
-def _spread(values: list[float]) -> dict[str, float]:
-    return {
-        "p50": round(statistics.median(values), 2),
-        "p99": round(statistics.quantiles(values, n=100)[-1], 2),
-    }
-
-
-def run_time_markdown(table: Mapping[str, Mapping[str, float]]) -> str:
-    """The run-time table, the paper's figure beside ours."""
-    lines = ["| part | ms p50 | ms p99 | the paper, i7-7700HQ |", "|---|---|---|---|"]
-    for name, figures in table.items():
-        paper = PAPER_MS.get(name, "")
-        lines.append(f"| {name} | {figures['p50']} | {figures['p99']} | {paper} |")
-    return "\n".join(lines) + "\n"
-
-
 def together(out: Path) -> None:
     """Write tables.md and tables.json of every study that lies in the folder."""
     known = [name for name in NAMES if (out / f"{name}.json").exists()]
@@ -187,9 +116,11 @@ def main(
         together(out)
     if not only or "run-time" in only:
         changes = policy_changes(policy_files(policy[:1]).popitem()[1])
-        table = run_time((*changes, *tracker_changes(tracker)))
-        (out / "run-time.json").write_text(json.dumps({**facts(), "ms": table}, indent=1) + "\n")
-        (out / "run-time.md").write_text(run_time_markdown(table))
+        parts = run_time((*changes, *tracker_changes(tracker)))
+        crowds = by_objects(changes)
+        told = {**facts(), "ms": parts, "ms_by_objects": crowds}
+        (out / "run-time.json").write_text(json.dumps(told, indent=1) + "\n")
+        (out / "run-time.md").write_text(f"{markdown(parts)}\n{by_objects_markdown(crowds)}")
         together(out)
 
 

@@ -45,9 +45,9 @@ class TrainSettings:
 
     data: Path
     out: Path
-    clips: int = 160
-    validation: int = 24
-    frames: int = 96
+    clips: int = 150
+    validation: int = 20
+    frames: int = 80
     iterations: int = 3000
     batch: int = 128
     rate: float = 1e-4

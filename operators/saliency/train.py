@@ -185,27 +185,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="rendered scenes")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint and log")
-    parser.add_argument("--export", type=Path, help="write detector.onnx here and end")
+    parser.add_argument("--export", type=Path, help="write detector.onnx here, train nothing")
     parser.add_argument("--init", type=Path, help="checkpoint whose weights to begin with")
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
-    numbers = {"scenes": 400, "moments": 24, "span": 900, "steps": 8000, "batch": 16}
+    numbers = {"scenes": 320, "moments": 12, "span": 900, "steps": 4800, "batch": 16}
     numbers |= {"warmup": 300, "seed": 1, "threads": 2}
     for name, default in numbers.items():
         parser.add_argument(f"--{name}", type=int, default=default)
-    for name, value in {"rate": 2e-3, "decay": 0.02, "minutes": 75.0}.items():
+    for name, value in {"rate": 2e-3, "decay": 0.02, "minutes": 120.0}.items():
         parser.add_argument(f"--{name}", type=float, default=value)
     given = vars(parser.parse_args())
     target = given.pop("export")
     settings = TrainSettings(**(given | {"data": tuple(given["data"])}))
-    if target is not None:
-        run = Run(settings)
-        run.resume()
-        export(run.mean, target / "detector.onnx")
-        print(json.dumps({"step": run.step, "elapsed_s": run.elapsed_s}))
-        return
-    seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
-    render(seeds, settings.moments, settings.span, settings.data[0], settings.threads)
-    train(settings)
+    if target is None:
+        seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
+        render(seeds, settings.moments, settings.span, settings.data[0], settings.threads)
+        train(settings)
+    run = Run(settings)
+    run.resume()
+    export(run.mean, (target or settings.out) / "detector.onnx")
+    print(json.dumps({"step": run.step, "elapsed_s": run.elapsed_s}))
 
 
 if __name__ == "__main__":

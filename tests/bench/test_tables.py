@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.tables import NAMES, run_time, run_time_markdown, studies, together
+from bench.tables import NAMES, studies, together
 from bench.tracking.evaluate import asked, command
 from bench.tracking.replaced import PARTS
 from bench.tracking.report import ROI_ALONE
@@ -46,12 +46,3 @@ def test_tables_hold_every_study_that_lies_in_the_folder(tmp_path: Path) -> None
     assert set(json.loads((tmp_path / "tables.json").read_text())) == {"budgets", "run-time"}
     text = (tmp_path / "tables.md").read_text()
     assert text.index(NAMES["budgets"]) < text.index("| budgets |") < text.index("| run-time |")
-
-
-def test_every_part_is_timed_with_all_objects_described() -> None:
-    table = run_time(("policy.strategy=pursue", "tracker.method=correlation"), frames=4)
-
-    assert table["objects"]["p50"] > 5
-    for name in ("downsample", "saliency", "association", "policy", "roi_features", "tracker"):
-        assert 0 < table[name]["p50"] <= table[name]["p99"]
-    assert f"| saliency | {table['saliency']['p50']} |" in run_time_markdown(table)

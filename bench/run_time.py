@@ -1,0 +1,132 @@
+"""What each part of the loop takes on one thread; encoder and policy by the number of objects."""
+
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import cv2
+import numpy as np
+
+from bench.tracking.budgets import acquisition
+from bench.tracking.clip import ClipName, read
+from bench.tracking.evaluate import GRAPH
+from bench.tracking.stages import NEEDED, Camera, Stages
+from drivers.simulated.readout import Window
+from pipeline.boxes import centres, roi_window
+from pipeline.messages import Frame, Tracks, altered
+
+PAPER_MS = {"saliency": 55.0, "roi_features": 6.2, "association": 0.5, "policy": 3.0}
+FRAMES, SEED = 60, 70_000
+COUNTS = (1, 5, 10, 15, 20, 25)  # objects
+Figures = dict[str, dict[str, float]]
+
+
+def run_time(changes: Sequence[str], frames: int = FRAMES) -> Figures:
+    """Milliseconds per call of each part on one thread: p50 and p99; and how many objects.
+
+    The encoder is given the whole picture, so that it describes every object, not the few in a ROI.
+    """
+    clip = read(ClipName(seed=SEED), (1, frames))
+    camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
+    everything = Camera(clip, acquisition("full", Fraction(1), clip.size_px))
+    truth = clip.truths[0]
+    ball = truth.boxes[truth.labels.index("ball")]
+    box = tuple(float(side) for side in ball)
+    window: Window = roi_window(centres(ball), camera.how.geometry)
+    spent: dict[str, list[float]] = {}
+    objects: list[float] = []
+    cv2.setNumThreads(1)
+    with Stages(GRAPH, changes) as stages:
+        aim: dict[str, Any] = {"prompt_box": box, "target": ""}
+        stages.begin(camera.header(0), *NEEDED, policy=aim, tracker={"init_box": box})
+        for frame in range(frames):
+            context, roi = camera.context(frame), camera.roi(frame, window)
+            small = _timed(stages, spent, "downsample", frame=context)
+            found = _timed(stages, spent, "saliency", frame=small)
+            tracks = _timed(stages, spent, "association", detections=found)
+            objects.append(len(tracks.ids))
+            scanpath = _timed(stages, spent, "policy", tracks=tracks)
+            _timed(stages, spent, "dispatch", scanpath=scanpath)
+            whole = everything.context(frame)
+            looks = _timed(stages, spent, "roi_features", roi=whole, tracks=tracks)
+            stages.tell("policy", features=looks)
+            _timed(stages, spent, "tracker", context=context, roi=roi)
+    return {
+        **{name: _spread(values) for name, values in spent.items()},
+        "objects": _spread(objects),
+    }
+
+
+def by_objects(changes: Sequence[str], frames: int = FRAMES) -> Figures:
+    """Milliseconds of encoder and policy together, p50 and p99, by the number of objects.
+
+    All of them are inside what the encoder is given; in the loop only those inside the ROI are.
+    """
+    clip = read(ClipName(seed=SEED), (1, 2))
+    camera = Camera(clip, acquisition("full", Fraction(1), clip.size_px))
+    pictured = camera.context(0)
+    cv2.setNumThreads(1)
+    found: Figures = {}
+    with Stages(GRAPH, changes) as stages:
+        stages.begin(camera.header(0), *NEEDED)
+        for frame in range(2):
+            small = stages.tell("downsample", frame=camera.context(frame))
+            tracks = stages.tell("association", detections=stages.tell("saliency", frame=small))
+        for count in COUNTS:
+            stages.begin(camera.header(0), "policy")
+            spent: list[float] = []
+            for seq in range(frames):
+                crowd = crowded(tracks, count, seq)
+                began_ns = time.perf_counter_ns()
+                whole = Frame(header=crowd.header, pixels=pictured.pixels, window=pictured.window)
+                looks = stages.tell("roi_features", roi=whole, tracks=crowd)
+                stages.tell("policy", features=looks)
+                stages.tell("policy", tracks=crowd)
+                spent.append((time.perf_counter_ns() - began_ns) / 1e6)
+            found[str(count)] = _spread(spent)
+    return found
+
+
+def crowded(tracks: Tracks, count: int, seq: int) -> Tracks:
+    """`count` objects in frame `seq`, each like one of those that are really there."""
+    rows = np.arange(count) % len(tracks.ids)
+    names = ("labels", "scores", "boxes", "visible", "features", "predicted")
+    return altered(
+        tracks,
+        header=replace(tracks.header, seq=seq),
+        ids=np.arange(count, dtype=np.int32),
+        **{name: getattr(tracks, name)[rows] for name in names},
+    )
+
+
+def _timed(stages: Stages, spent: dict[str, list[float]], name: str, **messages: Any) -> Any:
+    began_ns = time.perf_counter_ns()
+    answer = stages.tell(name, **messages)
+    spent.setdefault(name, []).append((time.perf_counter_ns() - began_ns) / 1e6)
+    return answer
+
+
+def _spread(values: list[float]) -> dict[str, float]:
+    return {
+        "p50": round(statistics.median(values), 2),
+        "p99": round(statistics.quantiles(values, n=100)[-1], 2),
+    }
+
+
+def markdown(table: Mapping[str, Mapping[str, float]]) -> str:
+    """The run-time table, the paper's figure beside ours."""
+    lines = ["| part | ms p50 | ms p99 | the paper, i7-7700HQ |", "|---|---|---|---|"]
+    for name, figures in table.items():
+        paper = PAPER_MS.get(name, "")
+        lines.append(f"| {name} | {figures['p50']} | {figures['p99']} | {paper} |")
+    return "\n".join(lines) + "\n"
+
+
+def by_objects_markdown(table: Mapping[str, Mapping[str, float]]) -> str:
+    """Encoder and policy together by the number of objects."""
+    lines = ["| objects | encoder and policy, ms p50 | ms p99 |", "|---|---|---|"]
+    lines += [f"| {n} | {figures['p50']} | {figures['p99']} |" for n, figures in table.items()]
+    return "\n".join(lines) + "\n"
