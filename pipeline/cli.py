@@ -14,6 +14,7 @@ from rich.logging import RichHandler
 from pipeline import running, watching
 from pipeline.asking import health_command, schema_command, tell_command
 from pipeline.changing import set_command
+from pipeline.doctor import doctor_command
 from pipeline.drawing import mermaid
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.graph import load
@@ -187,6 +188,7 @@ def _load(
 
 commands.add_command(weights_commands)
 commands.add_command(set_command)
+commands.add_command(doctor_command)
 commands.add_command(health_command)
 commands.add_command(schema_command)
 commands.add_command(tell_command)

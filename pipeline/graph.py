@@ -6,6 +6,7 @@ the node that makes frames, `node.setting=value` changes one value.
 """
 
 import difflib
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
@@ -20,8 +21,8 @@ from pipeline.plan import Edge, Node, Plan, Restart, load_operator
 from pipeline.yaml_lines import YamlFile, plain
 
 GRAPH_KEYS = ("name", "clock", "nodes")
-NODE_KEYS = ("operator", "inputs", "settings", "group", "host", "threads", "stall_s", "restart",
-             "manual")  # fmt: skip
+NODE_KEYS = ("operator", "inputs", "settings", "group", "host", "threads", "stall_s", "start_s",
+             "memory_mb", "restart", "manual")  # fmt: skip
 EDGE_KEYS = ("from", "keep", "depth", "wait_ms", "max_age_ms", "stale", "transport")
 
 
@@ -82,7 +83,9 @@ class _Part:
             group=self._typed("group", str, ""),
             host=self._typed("host", str, ""),
             threads=self._typed("threads", int, 1),
-            stall_s=float(self._typed("stall_s", (int, float), 10.0)),
+            stall_s=self._positive("stall_s", 10.0),
+            start_s=self._positive("start_s", 60.0),
+            memory_mb=self._positive("memory_mb", 0.0),
             restart=self._restart(),
         )
 
@@ -123,6 +126,12 @@ class _Part:
         value = self.entry.get(key, default)
         if not isinstance(value, kinds) or isinstance(value, bool):
             self.file.fail(self.entry, key, f"{self.name}.{key}: got {value!r}")
+        return value
+
+    def _positive(self, key: str, default: float) -> float:
+        value = float(self._typed(key, (int, float), default))
+        if key in self.entry and not 0 < value < math.inf:
+            self.file.fail(self.entry, key, f"{self.name}.{key}: must be positive, got {value:g}")
         return value
 
     def _check_handlers(self) -> None:

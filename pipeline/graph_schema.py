@@ -46,6 +46,8 @@ def _node(node: Node | None = None) -> dict[str, Any]:
         "host": {"type": "string"},
         "threads": {"type": "integer", "minimum": 1},
         "stall_s": {"type": "number", "exclusiveMinimum": 0},
+        "start_s": {"type": "number", "exclusiveMinimum": 0},
+        "memory_mb": {"type": "number", "exclusiveMinimum": 0},
         "restart": {"anyOf": [{"enum": ["never", "on-failure", "always"]}, json_schema(Restart)]},
         "manual": {"type": "boolean"},
     }

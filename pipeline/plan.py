@@ -69,6 +69,8 @@ class Node:
     host: str = ""
     threads: int = 1
     stall_s: float = 10.0  # an input taken and not finished for this long is a stall
+    start_s: float = 60.0  # it may take this long to open
+    memory_mb: float = 0.0  # of its own; more is a leak, and it starts again; 0: no limit
     restart: Restart = field(default_factory=Restart)
 
     @property

@@ -89,6 +89,18 @@ def running() -> dict[str, dict[str, Any]]:
     return found
 
 
+def leftovers() -> list[str]:
+    """Graphs of this user whose supervisor was killed and left something beside its logs."""
+    found = []
+    for folder in sorted(base().iterdir()):
+        lock = _locked(folder)
+        if lock is not None:
+            os.close(lock)
+            if (folder / "run.json").exists() or _remains(folder):
+                found.append(folder.name)
+    return found
+
+
 def sweep() -> None:
     """Remove what killed supervisors left behind."""
     for folder in base().iterdir():

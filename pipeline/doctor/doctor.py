@@ -1,0 +1,70 @@
+"""`fovea doctor [GRAPH]`: a line for everything that was looked at; 1 when something is wrong."""
+
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.text import Text
+
+from pipeline.doctor.finding import Finding
+from pipeline.doctor.installation import examine_installation
+from pipeline.doctor.machine import examine_machine
+from pipeline.doctor.needs import examine_graph
+from pipeline.overlay import Overlay
+from pipeline.rundir import sweep
+
+STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
+
+
+@click.command("doctor")
+@click.argument("graph", required=False, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--source", type=click.Path(path_type=Path), help="Where frames come from.")
+@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
+@click.option("--no-trial", is_flag=True, help="Send no frame through the graph.")
+@click.option("--sweep", "clean", is_flag=True, help="First remove what killed runs left.")
+@click.option("--json", "as_json", is_flag=True, help="One object per finding.")
+def doctor_command(
+    graph: Path | None, source: Path | None, changes: tuple[str, ...], no_trial: bool,
+    clean: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Say what is wrong with this installation, or with a graph on it, and what to do."""
+    if clean:
+        sweep()
+    overlay = Overlay(source=source, changes=changes)
+    found = list(told(examine(graph, overlay, trial=not no_trial), quiet=as_json))
+    if as_json:
+        click.echo(json.dumps([asdict(finding) for finding in found], indent=1))
+    if any(finding.verdict == "wrong" for finding in found):
+        sys.exit(1)
+
+
+def examine(graph: Path | None, overlay: Overlay, *, trial: bool) -> Iterator[Finding]:
+    """All findings, the machine's first."""
+    yield from examine_machine()
+    yield from examine_installation()
+    if graph is not None:
+        yield from examine_graph(graph, overlay, trial=trial)
+
+
+def told(findings: Iterable[Finding], *, quiet: bool) -> Iterator[Finding]:
+    """The same findings, each printed when it is there."""
+    console = Console(soft_wrap=True, highlight=False)
+    for finding in findings:
+        if not quiet:
+            console.print(line(finding))
+        yield finding
+
+
+def line(finding: Finding) -> Text:
+    """A finding as the terminal shows it.
+
+    >>> line(Finding(what="disk", verdict="wrong", why="full", todo="make room")).plain
+    'wrong    disk            full -> make room'
+    """
+    verdict = (f"{finding.verdict:<9}", STYLES[finding.verdict])
+    todo = f" -> {finding.todo}" if finding.todo else ""
+    return Text.assemble(verdict, f"{finding.what:<16}{finding.why}", (todo, "bold"))

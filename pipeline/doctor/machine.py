@@ -1,0 +1,167 @@
+"""The machine: shared memory, kernel locks, open files, cores, their governor, the clocks."""
+
+import ctypes
+import fcntl
+import os
+import resource
+import struct
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+
+from pipeline.doctor.finding import Finding, ok, warning, wrong
+from pipeline.rundir import MEMORY
+
+LEAST_SHARED_MB = 64.0  # an eighth of what a container gives by default is hardly a graph
+LEAST_DISK_MB = 100.0
+LEAST_FILES = 256
+COARSEST_NS = 1000  # of the monotonic clock
+SYS = Path("/sys/devices/system")
+GOOD_CLOCKS = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page", "xen")
+TMPFS_MAGIC, RAMFS_MAGIC = 0x01021994, 0x858458F6
+UNSYNCHRONISED = 5  # what adjtimex answers while nothing disciplines the wall clock
+
+
+def examine_machine(*, memory: Path = MEMORY, system: Path = SYS) -> Iterator[Finding]:
+    """Everything about this machine that a graph depends on."""
+    yield shared_memory(memory)
+    yield leases(memory)
+    yield disk(Path(tempfile.gettempdir()))
+    yield open_files(resource.getrlimit(resource.RLIMIT_NOFILE), LEAST_FILES)
+    yield cores(available_cores())
+    yield governor(system)
+    yield clock_source(system)
+    yield wall_clock(_adjtimex())
+
+
+def shared_memory(folder: Path) -> Finding:
+    """Whether frames find room; how much a graph needs is another question."""
+    what = "shared memory"
+    try:
+        room = os.statvfs(folder)
+    except OSError as error:
+        return wrong(what, f"{folder}: {error.strerror}", f"mount a tmpfs on {folder}")
+    size_mb, free_mb = (blocks * room.f_frsize / 1e6 for blocks in (room.f_blocks, room.f_bavail))
+    found = f"{folder}: {free_mb:.0f} MB of {size_mb:.0f} MB free"
+    more = f"mount -o remount,size=1G {folder}, or give the container --shm-size=1g"
+    if not os.access(folder, os.W_OK):
+        return wrong(what, f"{folder}: not writable by this user", f"chmod 1777 {folder}")
+    if free_mb < 1:
+        return wrong(what, found, f"remove what fills it, or {more}")
+    if free_mb < LEAST_SHARED_MB:
+        return warning(what, found, more)
+    if not _in_memory(folder):
+        return warning(what, f"{found}, but on a disk", f"mount a tmpfs on {folder}")
+    return ok(what, found)
+
+
+def leases(folder: Path) -> Finding:
+    """Whether the kernel locks that lease frames work there."""
+    what = "frame leases"
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            request = struct.pack("hhqqi", fcntl.F_WRLCK, os.SEEK_SET, 0, 1, 0)
+            fcntl.fcntl(file.fileno(), fcntl.F_OFD_SETLK, request)
+    except OSError as error:
+        todo = "use Linux 3.15 or newer, not gVisor"
+        return wrong(what, f"open-file-description locks: {error.strerror}", todo)
+    return ok(what, "open-file-description locks work")
+
+
+def disk(folder: Path) -> Finding:
+    """Whether logs and sockets find room."""
+    free_mb = psutil.disk_usage(str(folder)).free / 1e6
+    found = f"{folder}: {free_mb:.0f} MB free for logs"
+    if free_mb < 1:
+        return wrong("disk", found, "make room, or set TMPDIR to a folder that has some")
+    if free_mb < LEAST_DISK_MB:
+        return warning("disk", found, "make room, or set TMPDIR to a folder that has some")
+    return ok("disk", found)
+
+
+def open_files(limits: tuple[int, int], needed: int) -> Finding:
+    """Whether sockets and pools of one process find a number."""
+    soft, hard = limits
+    found = f"{soft} allowed, about {needed} needed by the busiest process"
+    if soft == resource.RLIM_INFINITY or soft >= 2 * needed:
+        return ok("open files", found)
+    todo = f"ulimit -n {4096 if hard in (-1,) or hard >= 4096 else hard}"
+    return (warning if soft >= needed else wrong)("open files", found, todo)
+
+
+def available_cores(group: Path = Path("/sys/fs/cgroup/cpu.max")) -> float:
+    """Cores this process may use, by affinity and by the quota of its control group."""
+    cores = float(len(os.sched_getaffinity(0)))
+    try:
+        quota, period = group.read_text().split()
+        return min(cores, int(quota) / int(period))
+    except (OSError, ValueError):
+        return cores
+
+
+def cores(count: float) -> Finding:
+    """A node and the transport beside it want to run at once."""
+    found = f"{count:g} to use"
+    if count < 2:
+        todo = "give it two, or expect latencies of whole scheduling rounds"
+        return warning("cores", found, todo)
+    return ok("cores", found)
+
+
+def governor(system: Path) -> Finding:
+    """Whether cores sleep so deep that waking them shows in the latency."""
+    files = sorted(system.glob("cpu/cpu[0-9]*/cpufreq/scaling_governor"))
+    found = sorted({file.read_text().strip() for file in files})
+    if not found:
+        return ok("governor", "none to be seen: the host decides (a virtual machine?)")
+    if found == ["performance"]:
+        return ok("governor", "performance")
+    todo = "cpupower frequency-set -g performance (and compare `fovea top` before and after)"
+    return warning("governor", ", ".join(found), todo)
+
+
+def clock_source(system: Path) -> Finding:
+    """Whether asking for the time is cheap and fine enough to stamp every message."""
+    resolution_ns = time.get_clock_info("monotonic").resolution * 1e9
+    try:
+        name = (system / "clocksource/clocksource0/current_clocksource").read_text().strip()
+    except OSError:
+        name = "unknown"
+    found = f"monotonic, {resolution_ns:.0f} ns, from {name}"
+    if resolution_ns > COARSEST_NS or name not in (*GOOD_CLOCKS, "unknown"):
+        return warning("clock", found, "boot with clocksource=tsc, if the processor's is stable")
+    return ok("clock", found)
+
+
+def wall_clock(state: int | None) -> Finding:
+    """Nothing on one host asks for it; between hosts offsets are measured."""
+    if state is None:
+        return ok("wall clock", "its state is not to be known here; no stamp depends on it")
+    if state == UNSYNCHRONISED:
+        return ok("wall clock", "nothing disciplines it (no NTP); no stamp depends on it")
+    return ok("wall clock", "disciplined by NTP or PTP")
+
+
+def _in_memory(folder: Path) -> bool:
+    """Whether the folder lies on a tmpfs, by the file system's magic number."""
+
+    class _Statfs(ctypes.Structure):
+        _fields_ = [("f_type", ctypes.c_long), ("rest", ctypes.c_byte * 512)]
+
+    found = _Statfs()
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.statfs(os.fsencode(folder), ctypes.byref(found)) != 0:
+        return True  # cannot be known: no reason to warn
+    return found.f_type in (TMPFS_MAGIC, RAMFS_MAGIC)
+
+
+def _adjtimex() -> int | None:
+    """The kernel's word on the wall clock, without changing it; None where it gives none."""
+    try:
+        state = int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512)))
+    except (OSError, AttributeError):
+        return None
+    return state if state >= 0 else None

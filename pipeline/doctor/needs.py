@@ -1,0 +1,139 @@
+"""What a graph needs of this machine, found by sending one frame through it in this process."""
+
+import os
+import resource
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+from pipeline.contract import outputs_of
+from pipeline.doctor.finding import Finding, ok, warning, wrong
+from pipeline.doctor.machine import available_cores, open_files
+from pipeline.errors import FoveaError, WeightsError
+from pipeline.graph import load
+from pipeline.inline import InlineRunner
+from pipeline.ledger import EDGE_BYTES, NODE_BYTES
+from pipeline.messages import Message
+from pipeline.overlay import Overlay
+from pipeline.plan import Plan, load_operator, slots
+from pipeline.pool_file import PAGE_BYTES
+from pipeline.ports import INLINE_BYTES
+from pipeline.rundir import MEMORY, running
+
+CROWDED = 4  # processes per core from which waiting for one shows
+BASE_FILES = 48  # of the interpreter, the transport and the logs
+NODE_MB = 60.0  # an interpreter with numpy, before any model
+
+
+def examine_graph(path: Path, overlay: Overlay, *, trial: bool = True) -> Iterator[Finding]:
+    """Everything about one graph; a graph that cannot be loaded is the only finding."""
+    try:
+        plan = load(path, overlay)
+    except FoveaError as error:
+        yield wrong("graph", str(error), "correct the file")
+        return
+    processes = plan.processes()
+    yield ok("graph", f"{plan.name}: {len(plan.nodes)} nodes in {len(processes)} processes")
+    yield crowd(len(processes), available_cores())
+    yield open_files(resource.getrlimit(resource.RLIMIT_NOFILE), busiest_files(plan))
+    yield memory(plan, psutil.virtual_memory().available / 1e6)
+    if plan.name in running():
+        yield ok("trial", f"{plan.name} runs now: see `fovea health {plan.name}`")
+    elif trial:
+        yield from tried(plan)
+
+
+def tried(plan: Plan) -> Iterator[Finding]:
+    """One frame through every operator: do models load, do pictures come, how big are they?"""
+    try:
+        with _quiet():
+            sizes = message_bytes(plan)
+    except WeightsError as error:
+        yield wrong("trial", str(error), "fovea weights list")
+    except FoveaError as error:
+        yield wrong("trial", str(error), "fovea check, then the settings of that node")
+    except Exception as error:
+        why = f"an operator broke over the first frame: {type(error).__name__}: {error}"
+        yield wrong("trial", why, "fovea run --inline --frames 1 shows where")
+    else:
+        yield ok("trial", f"one frame went through all {len(plan.nodes)} nodes")
+        free = os.statvfs(MEMORY)
+        yield pools(pool_bytes(plan, sizes), free.f_bavail * free.f_frsize)
+
+
+def message_bytes(plan: Plan) -> dict[str, int]:
+    """Bytes of big arrays in the first message of every output, by `node.output`."""
+    sizes: dict[str, int] = {}
+
+    def look(name: str, message: Message) -> None:
+        arrays = [v for v in vars(message).values() if isinstance(v, np.ndarray)]
+        sizes[name] = sum(a.nbytes for a in arrays if a.nbytes > INLINE_BYTES)
+
+    with InlineRunner(plan, watch=look) as runner:
+        for _seq in runner.run(1):
+            pass
+    return sizes
+
+
+def pool_bytes(plan: Plan, sizes: Mapping[str, int]) -> int:
+    """Shared memory of the accounts and of every pool, readers' shares included."""
+    total = len(plan.edges) * EDGE_BYTES + len(plan.nodes) * NODE_BYTES
+    for node in plan.nodes:
+        for output in outputs_of(load_operator(node.operator)):
+            size = sizes.get(f"{node.name}.{output}", 0)
+            if size:
+                slot = -(-size // PAGE_BYTES) * PAGE_BYTES
+                total += PAGE_BYTES + slots(plan.readers(node.name, output)) * slot
+    return total
+
+
+def pools(needed: int, free: int) -> Finding:
+    """Whether the frame pools find room."""
+    found = f"{needed / 1e6:.0f} MB for the frame pools, {free / 1e6:.0f} MB free in {MEMORY}"
+    if needed > free:
+        size_mb = -(-needed // (1 << 20)) * 2
+        todo = f"mount -o remount,size={size_mb}M {MEMORY}, or less depth on edges with pictures"
+        return wrong("pools", found, todo)
+    if 2 * needed > free:
+        return warning("pools", found, "a swap needs a second pool for a moment: give it twice")
+    return ok("pools", found)
+
+
+def crowd(processes: int, cores: float) -> Finding:
+    """Whether processes wait for one another's cores."""
+    found = f"{processes} processes on {cores:g} cores"
+    if processes > CROWDED * cores:
+        return warning("crowd", found, "group nodes that are quick (`group:`), or more cores")
+    return ok("crowd", found)
+
+
+def busiest_files(plan: Plan) -> int:
+    """About the open files of the busiest process: a link to every other, doors and pools."""
+    ports = max(sum(e.source == n.name or e.target == n.name for e in plan.edges)
+                for n in plan.nodes)  # fmt: skip
+    return BASE_FILES + 4 * len(plan.processes()) + 6 * ports
+
+
+def memory(plan: Plan, free_mb: float) -> Finding:
+    """Whether what the nodes may use is there."""
+    allowed = [n.memory_mb or NODE_MB for n in plan.nodes]
+    found = f"{sum(allowed):.0f} MB for {len(allowed)} nodes, {free_mb:.0f} MB available"
+    if sum(allowed) > free_mb:
+        return warning("memory", found, "lower `memory_mb`, end other programs, or add memory")
+    return ok("memory", found)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What operators and libraries print during the trial is not part of the diagnosis."""
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)

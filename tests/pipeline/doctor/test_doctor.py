@@ -1,0 +1,194 @@
+"""The doctor finds what is wrong, says what to do, and finds nothing where all is well."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from packaging.requirements import Requirement
+
+from pipeline.doctor.finding import Finding
+from pipeline.doctor.installation import (
+    bus,
+    orphaned,
+    python,
+    remains,
+    requirements,
+    unclaimed,
+    versions,
+)  # fmt: skip
+from pipeline.doctor.machine import (
+    available_cores,
+    clock_source,
+    examine_machine,
+    governor,
+    leases,
+    open_files,
+    shared_memory,
+)  # fmt: skip
+from pipeline.doctor.needs import crowd, examine_graph, message_bytes, pool_bytes, pools
+from pipeline.overlay import Overlay
+from pipeline.rundir import MEMORY, leftovers, running, sweep
+from pipeline.supervisor import Supervisor
+from tests.pipeline.namespaces import with_small_mounts
+from tests.pipeline.test_runtime import CHAIN, KILLED, LOOP, go, handled, plan_of, wait_for
+
+
+def verdicts(findings: list[Finding]) -> dict[str, str]:
+    return {finding.what: finding.verdict for finding in findings}
+
+
+def test_every_complaint_says_what_to_do(tmp_path: Path) -> None:
+    findings = [*examine_machine(), *examine_machine(memory=tmp_path / "none", system=tmp_path)]
+
+    assert verdicts(findings)["shared memory"] == "wrong"
+    assert all(finding.todo for finding in findings if finding.verdict != "ok")
+
+
+def test_shared_memory_on_a_disk_is_told_of(tmp_path: Path) -> None:
+    assert shared_memory(MEMORY).verdict == "ok"
+    assert "on a disk" in shared_memory(Path(__file__).parent).why
+    assert shared_memory(tmp_path / "none").verdict == "wrong"
+    assert leases(MEMORY).verdict == "ok"
+
+
+@pytest.mark.parametrize(
+    ("limits", "verdict"),
+    [((1024, 4096), "ok"), ((300, 4096), "warning"), ((200, 200), "wrong"),
+     ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), "ok")],
+)  # fmt: skip
+def test_open_files_must_suffice(limits: tuple[int, int], verdict: str) -> None:
+    finding = open_files(limits, 250)
+
+    assert finding.verdict == verdict
+    if limits == (200, 200):
+        assert finding.todo == "ulimit -n 200"
+
+
+def test_a_control_group_may_allow_less_than_there_are_cores(tmp_path: Path) -> None:
+    quota = tmp_path / "cpu.max"
+    quota.write_text("50000 100000\n")
+
+    assert available_cores(quota) == 0.5
+    assert available_cores(tmp_path / "none") == len(os.sched_getaffinity(0))
+    assert crowd(8, 0.5).verdict == "warning"
+    assert crowd(8, 2).verdict == "ok"
+
+
+def test_a_sleepy_governor_and_a_slow_clock_are_told_of(tmp_path: Path) -> None:
+    for place, word in (
+        ("cpu/cpu0/cpufreq/scaling_governor", "powersave"),
+        ("clocksource/clocksource0/current_clocksource", "hpet"),
+    ):
+        file = tmp_path / place
+        file.parent.mkdir(parents=True)
+        file.write_text(f"{word}\n")
+
+    assert governor(tmp_path).verdict == "warning"
+    assert "hpet" in clock_source(tmp_path).why
+    assert clock_source(tmp_path).verdict == "warning"
+
+
+def test_packages_are_held_against_what_the_project_asks_for(tmp_path: Path) -> None:
+    project = tmp_path / "pyproject.toml"
+    project.write_text('[project]\ndependencies = ["numpy>=99", "psutil>=1", "fovea-nowhere"]\n')
+
+    found = list(versions(requirements(project)))
+
+    assert [(f.what, f.verdict) for f in found] == [
+        ("package", "wrong"), ("package", "wrong"), ("packages", "ok"),
+    ]  # fmt: skip
+    assert found[0].why.startswith("numpy: expected >=99, got ")
+    assert found[1].todo == "pip install 'fovea-nowhere'"
+
+
+def test_what_this_project_asks_for_is_installed() -> None:
+    asked = requirements(Path("nowhere"))
+
+    assert Requirement("numpy>=2.2,<3") in asked
+    assert [f.verdict for f in versions(asked)] == ["ok"]
+    assert (python((3, 10)).verdict, python((3, 11)).verdict) == ("wrong", "ok")
+    assert bus().verdict == "ok"
+
+
+def test_the_pools_of_a_graph_are_as_big_as_foreseen(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, CHAIN)
+    foreseen = pool_bytes(plan, message_bytes(plan))
+    sizes = []
+
+    def measure(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
+        prefix = running()[plan.name]["prefix"]
+        sizes.append(sum(path.stat().st_size for path in MEMORY.glob(f"{prefix}*")))
+
+    go(plan, 30, measure)
+
+    assert sizes == [foreseen]
+    assert pools(foreseen, 3 * foreseen).verdict == "ok"
+    assert pools(foreseen, foreseen + 1).verdict == "warning"
+    assert pools(foreseen, foreseen - 1).verdict == "wrong"
+
+
+def test_a_graph_that_cannot_run_is_told_of_without_running_it(tmp_path: Path) -> None:
+    path = tmp_path / "graph.yaml"
+    path.write_text(f"name: sick\n{LOOP}")
+
+    broken = list(examine_graph(path, Overlay(changes=("ticker.fail_at=0",))))
+    unknown = list(examine_graph(path, Overlay(changes=("ticker.fail=0",))))
+    bug = list(examine_graph(path, Overlay(changes=("work.crash_at=0",))))
+
+    assert (broken[-1].what, broken[-1].verdict) == ("trial", "wrong")
+    assert broken[-1].why == "picture 0: torn"
+    assert [f.verdict for f in unknown] == ["wrong"]
+    assert "did you mean 'fail_at'" in unknown[0].why
+    assert "ValueError: told to crash" in bug[-1].why
+
+
+def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP)
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
+    supervisor = subprocess.Popen(command, stdout=subprocess.PIPE)
+    assert supervisor.stdout is not None
+    supervisor.stdout.readline()
+    facts = running()[plan.name]
+    frozen = psutil.Process(facts["pids"]["pair"])
+    frozen.send_signal(signal.SIGSTOP)  # it cannot notice that its supervisor dies
+    supervisor.kill()
+    supervisor.wait()
+    supervisor.stdout.close()
+    for path in MEMORY.glob(f"{facts['prefix']}*"):
+        os.utime(path, (time.time() - 3600,) * 2)
+
+    told = "\n".join(f.why for f in remains())
+    prefixes = {str(f["prefix"]) for f in running().values()}
+
+    assert plan.name in told
+    assert frozen.pid in [p.pid for p in orphaned(prefixes)]
+    assert [p for p in unclaimed(prefixes) if p.name.startswith(facts["prefix"])]
+    sweep()
+    assert plan.name not in leftovers()
+    assert not [p for p in unclaimed(prefixes) if p.name.startswith(facts["prefix"])]
+    assert not frozen.is_running() or frozen.status() == psutil.STATUS_ZOMBIE
+
+
+def test_where_shared_memory_is_too_small_the_doctor_says_how_much_is_needed(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "graph.yaml"
+    path.write_text(f"name: big\n{LOOP}")
+
+    words = ("-m", "pipeline.cli", "doctor", str(path), "--json", "--set", "ticker.side_px=1000")
+    done = with_small_mounts({MEMORY: "16m"}, *words)
+
+    found = {f["what"]: f for f in json.loads(done.stdout)}
+    assert done.returncode == 1
+    assert found["shared memory"]["verdict"] == "warning"
+    assert found["pools"]["verdict"] == "wrong"
+    assert "MB for the frame pools, 17 MB free" in found["pools"]["why"]
+    assert "remount,size=" in found["pools"]["todo"]
