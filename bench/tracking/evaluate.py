@@ -38,6 +38,7 @@ from pipeline.weights import find
 ALL = ("full", "oracle", "foveated", "centred", "round_robin", "spatial", "temporal", "exposure")
 GRAPH = Path(__file__).parents[2] / "graphs" / "tracking.yaml"
 SCENE_FRAMES = 96
+FOLLOWS = "auto, vittrack, correlation, or an ONNX file of ViTTrack or MixFormerV2"
 SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi), or a row of each"
 
 
@@ -147,7 +148,11 @@ def numbers(name: str, text: str) -> tuple[int, ...]:
 @click.option("--longest", default=Rules.longest, help="frames for which a start is followed")
 @click.option("--graph", default=str(GRAPH), help="the loop")
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
-@click.option("--tracker", default="auto", help="auto, vittrack, correlation, or an ONNX file")
+@click.option(
+    "--tracker",
+    default="auto",
+    help=FOLLOWS,
+)
 @click.option("--sees", default="each", type=click.Choice(["both", "roi", "each"]), help=SEES)
 @click.option("--policy", multiple=True, help="[NAME=]FILE.onnx, or pursue; more give more rows")
 @click.option("--delay", default="0", help="frames by which plans come late, e.g. 0,2,13")
@@ -271,7 +276,7 @@ def rules_of(given: dict[str, Any]) -> list[Rules]:
 def tracker_changes(choice: str) -> tuple[str, ...]:
     """Changes to the graph for `--tracker`; auto is settled here, for it decides the figures."""
     if choice.endswith(".onnx"):
-        return ("tracker.method=vittrack", f"tracker.weights={choice}")
+        return ("tracker.method=auto", f"tracker.weights={choice}")
     if choice not in ("auto", "vittrack", "correlation"):
         raise SettingsError(
             f"tracker: expected auto, vittrack, correlation or an ONNX file, got {choice}"

@@ -15,6 +15,8 @@ from pipeline.errors import MessageError
 
 Picture = NDArray[np.uint8]
 Rect = tuple[float, float, float, float]  # xyxy, sensor pixels
+MEAN = np.array([0.485, 0.456, 0.406], np.float32) * 255  # of ImageNet, as both trackers have it
+DEVIATION = np.array([0.229, 0.224, 0.225], np.float32) * 255
 MARGIN_PX = 2  # picture pixels around a cut, for the interpolation at its edge
 
 
@@ -43,6 +45,18 @@ class Streams:
         if inside[2] > inside[0] and inside[3] > inside[1]:
             draw(self.roi, square, out)
         return out
+
+
+def size_of(box: NDArray[np.float32]) -> float:
+    """Root of the area of a box (4,), at least 2 pixels."""
+    width, height = box[2:] - box[:2]
+    return float(max(np.sqrt(max(width * height, 0)), 2))
+
+
+def normalise(look: Picture, out: NDArray[np.float32]) -> None:
+    """RGB (h, w, 3) of 8 bit into a network input (1, 3, h, w) in place."""
+    np.subtract(look.transpose(2, 0, 1), MEAN[:, None, None], out=out[0])
+    out[0] /= DEVIATION[:, None, None]
 
 
 def common(a: Rect, b: tuple[float, float, float, float]) -> Rect:

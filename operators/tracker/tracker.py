@@ -1,6 +1,7 @@
 """Follow one object through context and ROI: Frame, Frame (and a Scanpath) -> Percept.
 
-The consumer of the paper's tracking task: a search-template tracker in place of MixFormerV2.
+The consumer of the paper's tracking task: a search-template tracker, ViTTrack in place of
+MixFormerV2, or MixFormerV2 itself for those who have its weights.
 """
 
 from dataclasses import dataclass, field
@@ -12,9 +13,11 @@ from numpy.typing import NDArray
 
 from operators.tracker.correlation import Correlation
 from operators.tracker.look import Picture, Streams
+from operators.tracker.mixformer import MixFormer
 from operators.tracker.vittrack import VitTrack
 from pipeline import Frame, Header, Input, Operator, Percept, Scanpath, SettingsError
 from pipeline.errors import WeightsError
+from pipeline.inference import Network
 from pipeline.weights import find
 
 NOBODY = -1  # the id of an object that is no track
@@ -24,8 +27,8 @@ NOBODY = -1  # the id of an object that is no track
 class TrackerSettings:
     """What a graph may set. auto: the network when its weights are there, else correlation."""
 
-    method: Literal["auto", "vittrack", "correlation"] = "auto"
-    weights: str = ""  # path of vitTracker.onnx; empty: as `fovea weights pull` left it
+    method: Literal["auto", "vittrack", "mixformer", "correlation"] = "auto"
+    weights: str = ""  # an ONNX file; empty: vitTracker.onnx as `fovea weights pull` left it
     init_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor px, first frame
     lost_score: float = -1.0  # below it the object counts as lost; negative: the method's own
     lost_after: int = 5  # lost frames in succession before the scanpath's object is taken instead
@@ -162,12 +165,15 @@ def chosen(method: str, weights: str, threads: int) -> Follower:
     """The method asked for; raises `WeightsError` when it needs weights that are not there."""
     if method == "correlation":
         return Correlation()
+    if method == "mixformer" and not weights:
+        raise WeightsError("tracker.weights: expected MixFormerV2 as an ONNX file, got nothing")
     path = Path(weights) if weights else find("vittrack")
     if path is None or not path.is_file():
         if method == "auto" and not weights:
             return Correlation()
         raise WeightsError(
-            f"tracker.weights: expected vitTracker.onnx, got {path or 'nothing'}; "
+            f"tracker.weights: expected an ONNX file, got {path or 'nothing'}; "
             "try `fovea weights pull vittrack`, or set method: correlation"
         )
-    return VitTrack(path, threads=threads)
+    mixed = method == "mixformer" or (method == "auto" and "img_search" in Network(path).inputs)
+    return MixFormer(path, threads=threads) if mixed else VitTrack(path, threads=threads)

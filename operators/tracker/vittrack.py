@@ -10,15 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.tracker.look import Picture, Streams
+from operators.tracker.look import Picture, Streams, normalise, size_of
 from pipeline.boxes import centres, from_centres
 from pipeline.errors import WeightsError
 from pipeline.inference import Network
 
 TEMPLATE_PX, SEARCH_PX, CELLS = 128, 256, 16
 TEMPLATE_FACTOR, SEARCH_FACTOR = 2, 4  # side of a look in box sizes
-MEAN = np.array([0.485, 0.456, 0.406], np.float32) * 255
-DEVIATION = np.array([0.229, 0.224, 0.225], np.float32) * 255
 Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
 
 
@@ -60,18 +58,6 @@ class VitTrack:
         found, score = decode(maps["output1"], maps["output2"], maps["output3"], self._window)
         corner = centres(box) - side / 2
         return (found * side + np.tile(corner, 2)).astype(np.float32), score
-
-
-def size_of(box: Box) -> float:
-    """Root of the area, at least 2 pixels."""
-    width, height = box[2:] - box[:2]
-    return float(max(np.sqrt(max(width * height, 0)), 2))
-
-
-def normalise(look: Picture, out: NDArray[np.float32]) -> None:
-    """RGB (h, w, 3) of 8 bit into a network input (1, 3, h, w) in place."""
-    np.subtract(look.transpose(2, 0, 1), MEAN[:, None, None], out=out[0])
-    out[0] /= DEVIATION[:, None, None]
 
 
 def decode(

@@ -105,7 +105,7 @@ def test_a_new_stream_starts_again_on_the_box_that_was_set():
 
 
 def test_weights_that_are_not_there_are_named():
-    with pytest.raises(WeightsError, match=r"expected vitTracker.onnx, got .*nowhere.onnx"):
+    with pytest.raises(WeightsError, match=r"expected an ONNX file, got .*nowhere.onnx"):
         drive(Tracker, [], {"method": "vittrack", "weights": "nowhere.onnx"})
 
 

@@ -1,0 +1,104 @@
+"""The paper's tracker by network (MixFormerV2 exported to ONNX): look -> box and score.
+
+The network compares two templates, one from the start and one renewed now and then, with a search
+picture and answers one box. Names and sizes of inputs are those of the exports in circulation
+(`img_t`, `img_ot`, `img_search` -> `pred_boxes`, `pred_scores`), factors those of the authors'
+settings. No weights of it lie in this repository; it is tested with networks whose answers are
+known.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.tracker.look import Picture, Streams, normalise, size_of
+from pipeline.boxes import centres, from_centres
+from pipeline.errors import WeightsError
+from pipeline.inference import Network
+
+INPUTS = ("img_t", "img_ot", "img_search")
+OUTPUTS = ("pred_boxes", "pred_scores")
+TEMPLATE_FACTOR = 2.0  # side of a look in box sizes
+SEARCH_FACTOR = 4.5
+RENEW_EVERY = 200  # frames; the surest look since then becomes the second template
+RENEW_SCORE = 0.5
+Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
+
+
+class MixFormer:
+    """Follows one object; the first template stays, the second is renewed."""
+
+    patience_score = 0.2
+
+    def __init__(self, weights: Path, *, threads: int) -> None:
+        self._network = Network(weights, threads=threads)
+        got = self._network.inputs, self._network.outputs
+        if set(got[0]) != set(INPUTS) or set(got[1]) != set(OUTPUTS):
+            raise WeightsError(
+                f"{weights}: expected {', '.join(INPUTS)} -> {', '.join(OUTPUTS)}, got "
+                f"{', '.join(got[0])} -> {', '.join(got[1])}"
+            )
+        sides = {name: _side_px(weights, name, self._network.inputs[name]) for name in INPUTS}
+        self._feeds = {
+            name: np.zeros((1, 3, side, side), np.float32) for name, side in sides.items()
+        }
+        self._template_px, self._search_px = sides["img_t"], sides["img_search"]
+        self._begin()
+
+    def _begin(self) -> None:
+        self._age, self._best, self._candidate = 0, RENEW_SCORE, np.zeros(0, np.uint8)
+
+    def start(self, streams: Streams, box: Box) -> Picture:
+        """Take both templates; returns the look they were taken from, for `resume`."""
+        look = self._template(streams, box).copy()
+        self.resume(look)
+        return look
+
+    def resume(self, template: Picture) -> None:
+        """Go on with the template of another instance."""
+        normalise(template, self._feeds["img_t"])
+        normalise(template, self._feeds["img_ot"])
+        self._begin()
+
+    def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
+        """Where the object is now, given where it was, and how sure that is (0..1)."""
+        side = SEARCH_FACTOR * size_of(box)
+        normalise(streams.look(centres(box), side, self._search_px), self._feeds["img_search"])
+        answers = self._network(self._feeds)
+        # several boxes vote; each is centre and size in units of the look's side
+        found = answers["pred_boxes"].reshape(-1, 4).mean(0)
+        score = probability(float(answers["pred_scores"].reshape(-1)[0]))
+        corner = centres(box) - side / 2
+        now = from_centres(found[:2] * side + corner, found[2:] * side).astype(np.float32)
+        self._renew(streams, now, score)
+        return now, score
+
+    def _renew(self, streams: Streams, box: Box, score: float) -> None:
+        self._age += 1
+        if score > self._best:
+            self._best, self._candidate = score, self._template(streams, box).copy()
+        if self._age >= RENEW_EVERY:
+            if self._candidate.size:
+                normalise(self._candidate, self._feeds["img_ot"])
+            self._begin()
+
+    def _template(self, streams: Streams, box: Box) -> Picture:
+        return streams.look(centres(box), TEMPLATE_FACTOR * size_of(box), self._template_px)
+
+
+def probability(score: float) -> float:
+    """Some exports end in a sigmoid, others in its argument.
+
+    >>> probability(0.75), round(probability(-2.0), 3)
+    (0.75, 0.119)
+    """
+    return score if 0 <= score <= 1 else float(1 / (1 + np.exp(-score)))
+
+
+def _side_px(weights: Path, name: str, shape: list[int | str]) -> int:
+    if len(shape) != 4 or shape[:2] != [1, 3] or shape[2] != shape[3]:
+        raise WeightsError(f"{weights}: expected an input {name} of 1x3xSxS, got {shape}")
+    if not isinstance(shape[2], int):
+        raise WeightsError(f"{weights}: expected a fixed size of {name}, got {shape}")
+    return shape[2]

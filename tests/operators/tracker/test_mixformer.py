@@ -1,0 +1,111 @@
+"""The network tracker of the paper, by networks whose answers are known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from operators.tracker import Tracker, mixformer
+from operators.tracker.look import Streams
+from operators.tracker.mixformer import MixFormer
+from pipeline import Frame
+from pipeline.boxes import centres
+from pipeline.errors import WeightsError
+from pipeline.testing import drive, header
+from tests.operators.tracker.made_up import FIELD, World
+
+pytest.importorskip("onnx", reason="needs the train extra")
+from onnx import TensorProto, helper, numpy_helper, save_model
+
+VOTES = np.array([[0.5, 0.5, 0.2, 0.2], [0.6, 0.5, 0.2, 0.4]], np.float32)  # cx, cy, w, h
+
+
+def network(path: Path, *, names: tuple[str, ...] = mixformer.INPUTS, side: int = 32) -> Path:
+    """Answers `VOTES`, and as its score the mean of the second template."""
+    inputs = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, (1, 3, px, px))
+        for name, px in zip(names, (side, side, 2 * side), strict=True)
+    ]
+    outputs = [
+        helper.make_tensor_value_info("pred_boxes", TensorProto.FLOAT, VOTES.shape),
+        helper.make_tensor_value_info("pred_scores", TensorProto.FLOAT, (1,)),
+    ]
+    means = [f"{name}_mean" for name in names]
+    nodes = [
+        helper.make_node("ReduceMean", [name], [mean], keepdims=0)
+        for name, mean in zip(names, means, strict=True)
+    ]
+    nodes += [  # every input must count for something, or the run-time takes it away
+        helper.make_node("Sum", means, ["sum"]),
+        helper.make_node("Mul", ["sum", "zero"], ["nothing"]),
+        helper.make_node("Add", ["nothing", "votes"], ["pred_boxes"]),
+        helper.make_node("Reshape", [means[1], "one"], ["pred_scores"]),
+    ]
+    constants = {"zero": np.zeros((), np.float32), "votes": VOTES, "one": np.array([1])}
+    weights = [numpy_helper.from_array(array, name) for name, array in constants.items()]
+    graph = helper.make_graph(nodes, "votes", inputs, outputs, weights)
+    opsets = [helper.make_opsetid("", 17)]
+    save_model(helper.make_model(graph, opset_imports=opsets, ir_version=9), path)
+    return path
+
+
+def grey(level: int) -> Streams:
+    pixels = np.full((1080, 1920, 3), level, np.uint8)
+    frame = Frame(header=header(), pixels=pixels, window=FIELD)
+    return Streams(context=frame, roi=frame)
+
+
+def test_the_mean_of_its_boxes_is_told_in_sensor_pixels(tmp_path: Path) -> None:
+    subject = MixFormer(network(tmp_path / "m.onnx"), threads=1)
+    box = np.array([380, 280, 420, 320], np.float32)
+    subject.start(grey(128), box)
+
+    found, score = subject.follow(grey(128), box)
+
+    side = 4.5 * 40
+    assert np.allclose(centres(found), [400 + 0.05 * side, 300])
+    assert np.allclose(found[2:] - found[:2], [0.2 * side, 0.3 * side])
+    assert 0 < score < 1
+
+
+def test_the_surest_look_becomes_the_second_template_in_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mixformer, "RENEW_EVERY", 3)
+    subject = MixFormer(network(tmp_path / "m.onnx"), threads=1)
+    box = np.array([380, 280, 420, 320], np.float32)
+    subject.start(grey(150), box)
+
+    scores = [subject.follow(grey(140), box)[1] for _ in range(4)]
+
+    assert scores[0] == scores[1] == scores[2] > mixformer.RENEW_SCORE
+    assert scores[3] < scores[0]  # a darker template
+
+
+def test_who_resumes_has_the_template_of_the_one_before(tmp_path: Path) -> None:
+    weights, box = network(tmp_path / "m.onnx"), np.array([380, 280, 420, 320], np.float32)
+    first, second = (MixFormer(weights, threads=1) for _ in range(2))
+    second.resume(first.start(grey(150), box))
+
+    assert first.follow(grey(0), box)[1] == second.follow(grey(0), box)[1]
+
+
+def test_the_tracker_knows_the_network_by_its_inputs(tmp_path: Path) -> None:
+    world, weights = World(seed=3), network(tmp_path / "m.onnx")
+    settings = {"weights": str(weights), "init_box": tuple(world.box(0).tolist())}
+
+    percepts = drive(Tracker, [world.frames(k) for k in range(2)], settings)
+
+    side = 4.5 * 40
+    assert np.allclose(
+        percepts[1].boxes[0, 2:] - percepts[1].boxes[0, :2], [0.2 * side, 0.3 * side]
+    )
+
+
+def test_networks_of_another_kind_are_refused(tmp_path: Path) -> None:
+    other = network(tmp_path / "other.onnx", names=("a", "b", "c"))
+
+    with pytest.raises(WeightsError, match=r"expected img_t, img_ot, img_search -> .* got a, b, c"):
+        drive(Tracker, [], {"method": "mixformer", "weights": str(other)})
+    with pytest.raises(WeightsError, match="expected MixFormerV2 as an ONNX file, got nothing"):
+        drive(Tracker, [], {"method": "mixformer"})
