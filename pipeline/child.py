@@ -73,6 +73,10 @@ class Child:
         """Say `go`, `finish` or `stop`."""
         self._write(word)
 
+    def order(self, do: str, **more: Any) -> None:
+        """Have something done to one node (`pipeline.node.Process.do`)."""
+        self._write(json.dumps({"do": do, **more}))
+
     def kill(self, *, with_traceback: bool = False) -> None:
         """End it at once; first have it write where it stands, when asked."""
         if self.ended() is None and with_traceback:
@@ -114,6 +118,15 @@ class Child:
                 event = json.loads(line)
                 if isinstance(event, dict):
                     events.put((self.name, self.pid, event))
+
+
+def ending(status: int) -> str:
+    """How a process ended, in words.
+
+    >>> ending(-9), ending(1)
+    ('signal SIGKILL', 'exit status 1')
+    """
+    return f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
 
 
 def close_pipes(popen: "subprocess.Popen[bytes]") -> None:

@@ -19,6 +19,8 @@ LARGEST_BYTES = 1 << 18  # above what a socket's buffer admits as one packet
 MOST_ROUNDS = 256
 _AT_ONCE = int(socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
 _EDGE = struct.Struct("<I")  # a link's first packet says which edge it is
+_UNKNOWN = -1
+Target = tuple[int, Path]  # edge and address of a door
 
 
 class Doors:
@@ -36,7 +38,8 @@ class Doors:
         self._poll.register(self._listener, select.EPOLLIN)
         self._poll.register(self._bell, select.EPOLLIN)
         self._receivers: dict[int, Callable[[bytes], None]] = {}
-        self._links: dict[int, tuple[socket.socket, Callable[[bytes], None] | None]] = {}
+        self._links: dict[int, tuple[socket.socket, int]] = {}  # by handle: socket, edge
+        self._lines: dict[int, list[int]] = {}  # by edge: handles, the oldest link first
         self._buffer = memoryview(bytearray(LARGEST_BYTES))
 
     def expect(self, edge: int, receive: Callable[[bytes], None]) -> None:
@@ -77,34 +80,52 @@ class Doors:
         with contextlib.suppress(BlockingIOError, ConnectionError):
             link, _ = self._listener.accept()
             link.setblocking(False)
-            self._links[link.fileno()] = (link, None)
+            self._links[link.fileno()] = (link, _UNKNOWN)
             self._poll.register(link, select.EPOLLIN)
 
     def _read(self, handle: int) -> None:
-        """One packet; what is left makes the socket ready again."""
-        link, receive = self._links[handle]
+        """One packet; what is left makes the socket ready again.
+
+        Where a writer has had a successor, what the older one sent is read before.
+        """
+        for older in list(self._lines.get(self._links[handle][1], ())):
+            if older == handle:
+                break
+            while self._read_one(older):
+                pass
+        self._read_one(handle)
+
+    def _read_one(self, handle: int) -> bool:
+        """Whether there was a packet."""
+        link, edge = self._links[handle]
         try:
             size = link.recv_into(self._buffer)
         except BlockingIOError:
-            return
+            return False
         except OSError:
             size = 0
         if not size:
             self._drop(handle)
-        elif receive is not None:
-            receive(bytes(self._buffer[:size]))
+            return False
+        packet = bytes(self._buffer[:size])
+        if edge == _UNKNOWN:
+            self._introduce(handle, link, packet)
         else:
-            self._introduce(handle, link, bytes(self._buffer[:size]))
+            self._receivers[edge](packet)
+        return True
 
     def _introduce(self, handle: int, link: socket.socket, packet: bytes) -> None:
-        known = len(packet) == _EDGE.size and self._receivers.get(_EDGE.unpack(packet)[0])
-        if known:
-            self._links[handle] = (link, known)
+        edge = _EDGE.unpack(packet)[0] if len(packet) == _EDGE.size else _UNKNOWN
+        if edge in self._receivers:
+            self._links[handle] = (link, edge)
+            self._lines.setdefault(edge, []).append(handle)
         else:
             self._drop(handle)
 
     def _drop(self, handle: int) -> None:
-        link, _ = self._links.pop(handle)
+        link, edge = self._links.pop(handle)
+        if edge != _UNKNOWN:
+            self._lines[edge].remove(handle)
         self._poll.unregister(handle)
         link.close()
 
@@ -112,43 +133,55 @@ class Doors:
 class Links:
     """The writing side of one output: a link to every reader on this host."""
 
-    def __init__(self, readers: Sequence[tuple[int, Path]]) -> None:
-        self._readers = tuple(readers)  # edge, address
-        self._links: dict[int, socket.socket] = {}
+    def __init__(self, readers: Sequence[Target] = ()) -> None:
+        self._links: dict[Target, socket.socket] = {}
+        self.aim(readers)
+
+    def aim(self, readers: Sequence[Target], beside: Sequence[Target] = ()) -> None:
+        """From now on packets go to these; `beside` are those that nobody is held up for."""
+        self._readers, self._beside = (*readers, *beside), frozenset(beside)
+        for target in self._links.keys() - set(self._readers):
+            self._links.pop(target).close()
 
     def connect(self) -> bool:
         """Link up with readers that have opened their door since; True when one had."""
         if len(self._links) == len(self._readers):
             return False
         before = len(self._links)
-        for edge, address in self._readers:
-            if edge in self._links:
-                continue
-            link = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            link.setblocking(False)
-            try:
-                link.connect(str(address))
-                link.send(_EDGE.pack(edge))
-                self._links[edge] = link
-            except OSError:
-                link.close()
+        for target in self._readers:
+            if target not in self._links and (link := connected(*target)):
+                self._links[target] = link
         return len(self._links) > before
 
-    def send(self, payload: bytes, only: Collection[int] | None = None) -> list[int]:
-        """Hand a packet to the readers that are there; never waits. The edges without room."""
+    def send(self, payload: bytes, only: Collection[Target] | None = None) -> list[Target]:
+        """Hand a packet to the readers that are there; never waits. Those without room."""
         full = []
-        for edge, link in list(self._links.items()):
-            if only is not None and edge not in only:
+        for target, link in list(self._links.items()):
+            if only is not None and target not in only:
                 continue
             try:
                 link.send(payload, _AT_ONCE)
             except BlockingIOError:
-                full.append(edge)
+                if target not in self._beside:
+                    full.append(target)
             except OSError:
-                self._links.pop(edge).close()
+                self._links.pop(target).close()
         return full
 
     def close(self) -> None:
         """Give back every socket."""
         while self._links:
             self._links.popitem()[1].close()
+
+
+def connected(edge: int, address: Path) -> socket.socket | None:
+    """A link to a door, already introduced; None while nobody opens."""
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    link.setblocking(False)
+    try:
+        link.connect(str(address))
+        link.send(_EDGE.pack(edge))
+    except OSError:
+        link.close()
+        return None
+    return link

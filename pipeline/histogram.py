@@ -23,6 +23,10 @@ class Histogram:
         """Count one duration; below a microsecond counts as one."""
         self.counts[min(BUCKETS - 1, int(math.log(max(duration_ns, 1000) / 1000) / _GROWTH))] += 1
 
+    def since(self, earlier: NDArray[np.uint32]) -> "Histogram":
+        """What was counted since a copy of `counts` was taken."""
+        return Histogram(self.counts - earlier)
+
     @property
     def total(self) -> int:
         """How many durations were counted."""

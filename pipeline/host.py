@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -19,6 +19,7 @@ from pipeline.corewait import CoreWait
 from pipeline.doors import Doors
 from pipeline.errors import PoolExhausted, RunError
 from pipeline.inbox import Inbox, Work
+from pipeline.inport import InPort
 from pipeline.ledger import EdgeAccount, NodeAccount
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.ports import Arrival, OutPort
@@ -30,6 +31,20 @@ MOST_ASKED = 64  # questions that may wait for a handler to return
 WAIT_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: asking takes time too
 
 
+class Rests(Protocol):
+    """What may let a host rest, because another instance works in its place (`pipeline.relay`)."""
+
+    at_rest: bool
+
+    def rest(self, doors: Doors) -> None:
+        """Wait for a moment."""
+        ...
+
+    def look(self) -> None:
+        """See whether the time has come to rest."""
+        ...
+
+
 class Host:
     """One operator with its inbox and its outputs."""
 
@@ -39,12 +54,14 @@ class Host:
         doors: Doors, *, lockstep: bool, epoch: int,
     ) -> None:  # fmt: skip
         self.name, self.operator, self.outs = name, operator, dict(outs)
-        self._edges, self.account, self._epoch = dict(edges), account, epoch
+        self.edges, self.account, self.epoch = dict(edges), account, epoch
         self.lockstep = lockstep
         self._lock = threading.Lock()
         self._doors = doors
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._inbox = Inbox(inputs, self.settle, lockstep=lockstep)
+        self.ports: dict[str, InPort] = {}
+        self.relay: Rests | None = None
+        self.inbox = Inbox(inputs, self.settle, lockstep=lockstep)
         self._together = frozenset(joined(type(operator)))
         self._arrived_wait_ns = self._waiter = 0
         self._handlers: dict[tuple[str, ...], Callable[..., Any]] = {}
@@ -52,9 +69,11 @@ class Host:
         self.stopping = threading.Event()
         operator._loan = self._loan
 
-    def settle(self, name: str, fate: str) -> None:
+    def settle(self, name: str, fate: str, ordinal: int) -> None:
         """Account for the end of a message on one of this node's edges."""
-        self._edges[name].settle(fate)
+        self.edges[name].settle(fate)
+        if name in self.ports:
+            self.ports[name].finished(ordinal)
 
     def deliver(self, name: str, arrival: Arrival) -> None:
         """Called while this host waits at its doors, or by a transport's thread."""
@@ -63,7 +82,7 @@ class Host:
             waited = self.corewait.since_last_ns()
         with self._lock:
             self._arrived_wait_ns += 0 if phase else waited
-            self._inbox.offer(name, arrival, time.monotonic_ns())
+            self.inbox.offer(name, arrival, time.monotonic_ns())
         if threading.get_ident() != self._waiter:
             self._doors.wake()
 
@@ -73,9 +92,9 @@ class Host:
         while not self.stopping.is_set():
             self.step()
 
-    def between(self, act: Callable[[], None]) -> bool:
+    def between(self, act: Callable[[], None], *, must: bool = False) -> bool:
         """Have something done between two calls of handlers; False when too much waits already."""
-        if self._asked.qsize() >= MOST_ASKED:
+        if self._asked.qsize() >= MOST_ASKED and not must:
             return False
         self._asked.put(act)
         self._doors.wake()
@@ -85,6 +104,8 @@ class Host:
         """Do what was asked for; to be called by the thread that calls the handlers."""
         while not self._asked.empty():
             self._asked.get()()
+        if self.relay is not None:
+            self.relay.look()
 
     def stop(self) -> None:
         """Let `run` return after the message in hand."""
@@ -104,28 +125,33 @@ class Host:
     def next_work(self, patience_s: float) -> Work | None:
         """What to do next; None when nothing came within the patience."""
         with self._lock:
-            work = self._inbox.take(time.monotonic_ns())
+            work = self.inbox.take(time.monotonic_ns())
             if work is not None:
                 return work
-            due = self._inbox.due_ns()
+            due = self.inbox.due_ns()
         if due is not None:
             patience_s = min(patience_s, max(0.0, (due - time.monotonic_ns()) / 1e9))
         self._waiter = threading.get_ident()
         self._doors.wait(patience_s)
         with self._lock:
-            return self._inbox.take(time.monotonic_ns())
+            return self.inbox.take(time.monotonic_ns())
 
     def step(self) -> None:
         """One wait and one call, of which nothing is held while the next is waited for."""
+        if self.relay is not None and self.relay.at_rest:
+            self.relay.rest(self._doors)
+            self.do_asked()
+            return
         work = self._wait()
-        self.do_asked()
         if work is None:
+            self.do_asked()
             return
         try:
             self._handle(work)
         except PoolExhausted:
             if not self.stopping.is_set():
                 raise
+        self.do_asked()
 
     def _wait(self) -> Work | None:
         greeted = self.greet()
@@ -151,12 +177,12 @@ class Host:
                 stage=self.name, received_ns=begun, done_ns=ended, handler_ns=ended - begun,
                 wait_ns=waited,
             )  # fmt: skip
-            self.publish(answers, stamped(_critical(work), epoch=self._epoch, span=span))
+            self.publish(answers, stamped(_critical(work), epoch=self.epoch, span=span))
         if not (work.header.seq + 1) % WAIT_EVERY:
             self.corewait.since_last_ns()  # what was waited until now is not the next message's
-        for name in work.arrived:
-            self._edges[name].age.add(begun - work.header.stamp_ns)
-            self.settle(name, "delivered")
+        for name, ordinal in work.arrived.items():
+            self.edges[name].age.add(begun - work.header.stamp_ns)
+            self.settle(name, "delivered", ordinal)
         self.account.histograms["handler"].add(ended - begun)
         if work.header.trace:
             self.account.histograms["hop"].add(begun - work.header.trace[-1].done_ns)

@@ -13,7 +13,7 @@ from pipeline.contract import Input
 from pipeline.messages import Header, Message
 from pipeline.ports import Arrival
 
-Settle = Callable[[str, str], None]  # input name, fate: "delivered" or the name of a drop
+Settle = Callable[[str, str, int], None]  # input, fate ("delivered" or a drop's name), ordinal
 
 
 class Work(NamedTuple):
@@ -21,9 +21,18 @@ class Work(NamedTuple):
 
     header: Header
     messages: Mapping[str, Message | None]  # by input name, in the handler's order
-    arrived: tuple[str, ...]  # the inputs whose arrivals are to be settled
+    arrived: Mapping[str, int]  # whose arrivals are to be settled: input -> ordinal
     answer: bool
     new_stream: bool = False
+
+
+class Marks(NamedTuple):
+    """How far an inbox has come."""
+
+    stream: str
+    retired: list[str]
+    handled: int  # the newest seq a handler was called for
+    last: dict[str, int]  # the newest seq by input
 
 
 class _Set:
@@ -60,7 +69,9 @@ class Inbox:
     def offer(self, name: str, arrival: Arrival, now_ns: int) -> None:
         """Take an arrival in."""
         header = arrival.header
-        if header.stream != self._stream and not self._change_stream(name, header.stream):
+        if header.stream != self._stream and not self._change_stream(
+            name, header.stream, arrival.ordinal
+        ):
             return
         if name not in self._joined:
             self._offer_side(name, arrival)
@@ -68,12 +79,14 @@ class Inbox:
         seq = header.seq
         self._last[name] = seq
         if seq <= self._handled:
-            self._settle(name, "unmatched")
+            self._settle(name, "unmatched", arrival.ordinal)
         else:
             waiting = self._sets.get(seq)
             if waiting is None:
                 waiting = self._sets[seq] = _Set()
             arrivals = waiting.arrivals
+            if name in arrivals:  # its writer died before it knew that it had sent this
+                self._settle(name, "unmatched", arrivals[name].ordinal)
             arrivals[name] = arrival
             if waiting.complete_ns is None and arrivals.keys() >= self._needed:
                 waiting.complete_ns = now_ns
@@ -100,9 +113,9 @@ class Inbox:
         self._handled = seq
         header = next(iter(waiting.arrivals.values())).header
         if self._stale_ns and now_ns - header.stamp_ns > self._stale_ns:
-            for name in waiting.arrivals:
-                self._settle(name, "stale")
-            return Work(header, {}, (), answer=False, new_stream=self._once_fresh())
+            for name, arrival in waiting.arrivals.items():
+                self._settle(name, "stale", arrival.ordinal)
+            return Work(header, {}, {}, answer=False, new_stream=self._once_fresh())
         return self._work(header, waiting.arrivals)
 
     def due_ns(self) -> int | None:
@@ -112,6 +125,36 @@ class Inbox:
         ]
         return min(times) if times and not self._lockstep else None
 
+    @property
+    def capacity(self) -> int:
+        """How many arrivals of one input may wait here."""
+        return self._depth
+
+    def marks(self) -> "Marks":
+        """How far it has come, for whoever goes on; what waits here is not part of it."""
+        last = dict(self._last)
+        for seq, waiting in self._sets.items():
+            for name in waiting.arrivals:
+                last[name] = min(last[name], seq - 1)
+        return Marks(self._stream, list(self._retired), self._handled, last)
+
+    def go_on_from(self, marks: "Marks") -> None:
+        """Go on where another inbox stopped; what waits there has to be offered again."""
+        self._stream, self._handled, self._last = marks.stream, marks.handled, dict(marks.last)
+        self._retired.extend(marks.retired)
+        self._fresh = False
+
+    def forget(self, done: Callable[[str, int], bool]) -> None:
+        """Drop the arrivals (input, ordinal) that somebody else has settled meanwhile."""
+        for seq, waiting in list(self._sets.items()):
+            for name in [n for n, a in waiting.arrivals.items() if done(n, a.ordinal)]:
+                del waiting.arrivals[name]
+            if not waiting.arrivals:
+                del self._sets[seq]
+        left = [entry for entry in self._side if not done(entry[0], entry[1].ordinal)]
+        self._side.clear()
+        self._side.extend(left)
+
     def __len__(self) -> int:
         return len(self._sets) + len(self._side)
 
@@ -120,16 +163,17 @@ class Inbox:
         messages = {n: arrivals[n].message if n in arrivals else None for n in names}
         needed = self._required if names == self._joined else names
         answer = not [n for n in needed if messages[n] is None]
-        return Work(header, messages, tuple(arrivals), answer, self._once_fresh())
+        arrived = {name: arrival.ordinal for name, arrival in arrivals.items()}
+        return Work(header, messages, arrived, answer, self._once_fresh())
 
     def _once_fresh(self) -> bool:
         fresh, self._fresh = self._fresh, False
         return fresh
 
-    def _change_stream(self, name: str, stream: str) -> bool:
+    def _change_stream(self, name: str, stream: str, ordinal: int) -> bool:
         """Forget the old stream; False when the new one was retired before."""
         if stream in self._retired:
-            self._settle(name, "unmatched")
+            self._settle(name, "unmatched", ordinal)
             return False
         if self._stream:
             self._retired.append(self._stream)
@@ -137,14 +181,15 @@ class Inbox:
         self._last.clear()
         self._give_up(lambda _seq: True)
         while self._side:
-            self._settle(self._side.popleft()[0], "unmatched")
+            name, arrival = self._side.popleft()
+            self._settle(name, "unmatched", arrival.ordinal)
         return True
 
     def _offer_side(self, name: str, arrival: Arrival) -> None:
         if self._inputs[name].keep == "latest" and not self._lockstep:
             for older in [entry for entry in self._side if entry[0] == name]:
                 self._side.remove(older)
-                self._settle(name, "superseded")
+                self._settle(name, "superseded", older[1].ordinal)
         self._side.append((name, arrival))
 
     def _side_may_go(self) -> bool:
@@ -170,8 +215,8 @@ class Inbox:
             self._drop(seq, "unmatched")
 
     def _drop(self, seq: int, reason: str) -> None:
-        for name in self._sets.pop(seq).arrivals:
-            self._settle(name, reason)
+        for name, arrival in self._sets.pop(seq).arrivals.items():
+            self._settle(name, reason, arrival.ordinal)
 
 
 def _limit_ns(inputs: Iterable[Input]) -> int:

@@ -41,7 +41,7 @@ class _Part:
         accounts = {name: ledger.edges[e.index] for name, e in self.edges.items()}
         self.inbox = Inbox(
             inputs_for(plan, node),
-            lambda name, fate: accounts[name].settle(fate),
+            lambda name, fate, _ordinal: accounts[name].settle(fate),
             lockstep=True,
         )
 

@@ -53,6 +53,8 @@ class EdgeAccount(ctypes.Structure):
     # the supervisor
     reader_epoch: int
     writer_epoch: int
+    door: int  # which instance of the reader packets go to, 0: none
+    next_door: int  # and which other one listens while the reader is being swapped
 
     age: Histogram
     _ends: memoryview
@@ -61,7 +63,7 @@ class EdgeAccount(ctypes.Structure):
         (name, ctypes.c_uint64)
         for name in (
             "sent", "overrun", "broken", "seen", "delivered", *DROPS, "lost_in_crash",
-            "attached_epoch", "strays", "reader_epoch", "writer_epoch",
+            "attached_epoch", "strays", "reader_epoch", "writer_epoch", "door", "next_door",
         )
     ]  # fmt: skip
 
@@ -96,7 +98,7 @@ class EdgeAccount(ctypes.Structure):
     def live(self) -> bool:
         """A reader is there and has heard this writer: it counts for back-pressure."""
         reader = self.reader_epoch
-        return reader != 0 and self.attached_epoch == reader
+        return reader != 0 and self.attached_epoch >= reader
 
     def report(self) -> dict[str, Any]:
         """The account as the run's report shows it."""

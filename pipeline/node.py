@@ -17,6 +17,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -28,7 +29,9 @@ from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.host import Host
 from pipeline.ledger import Ledger
+from pipeline.place import check_fit
 from pipeline.plan import Node, load_operator
+from pipeline.relay import read_cut
 from pipeline.source import SourceHost
 from pipeline.wiring import Assignment, Wiring
 
@@ -51,6 +54,7 @@ class Process:
         self._session: Session | None = None
         self._headlines: dict[str, str] = {}
         self._wiring: Wiring | None = None
+        self._saying = threading.Lock()
         self.go = threading.Event()
         self.failed = False
 
@@ -59,14 +63,18 @@ class Process:
         began_s = time.monotonic()
         try:
             for node in self._nodes:
-                account = self._ledger.nodes[node.index]
-                account.epoch = self._job.epochs[node.name]
-                account.enter("starting")
+                if not self._job.standby:
+                    account = self._ledger.nodes[node.index]
+                    account.epoch = self._job.epochs[node.name]
+                    account.enter("starting")
+                if place := self._job.places.get(node.name):
+                    check_fit(self._job.plan, node, place)
                 self._operators.append(self._make(node))
                 self._operators[-1].open()
             loaded_s = time.monotonic()
-            self._session = Session(Path(self._job.run_folder), self._job.process)
-            self._wiring = Wiring(self._job, self._session, self._ledger)
+            instance = f"{self._job.process}.{max(self._job.epochs.values())}"
+            self._session = Session(Path(self._job.run_folder), instance)
+            self._wiring = Wiring(self._job, self._session, self._ledger, self.say)
             self._hosts = [
                 self._wiring.host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
             ]
@@ -93,8 +101,26 @@ class Process:
 
     def say(self, event: str, **more: Any) -> None:
         """Tell the supervisor."""
-        self._events.write(json.dumps({"event": event, **more}) + "\n")
-        self._events.flush()
+        line = json.dumps({"event": event, **more}) + "\n"
+        with self._saying:
+            self._events.write(line)
+            self._events.flush()
+
+    def do(self, order: Mapping[str, Any]) -> None:
+        """What the supervisor wants of one node, done between two calls of its handlers."""
+        kind, node = order.get("do"), str(order.get("node"))
+        host = next((h for h in self._hosts if h.name == node), None)
+        relay = self._wiring.relays.get(node) if self._wiring else None
+        if host is None or relay is None:
+            log.error("%s: cannot %s %s", self._job.process, kind, node)
+        elif kind == "cut":
+            host.between(partial(relay.want, read_cut(order["cut"])), must=True)
+        elif kind == "uncut":
+            host.between(partial(relay.want, None), must=True)
+        elif kind == "resume":
+            host.between(partial(relay.resume, int(order["epoch"])), must=True)
+        elif kind == "settle":
+            host.between(relay.settle_down, must=True)
 
     def _make(self, node: Node) -> Operator[Any, Any]:
         cls = load_operator(node.operator)
@@ -147,8 +173,11 @@ class Process:
                 operator.close()
             except Exception as error:
                 self._report(error)
-            self._ledger.nodes[node.index].enter("stopped")
+        if not self._job.standby and not self._hosts:
+            for node in self._nodes:
+                self._ledger.nodes[node.index].enter("stopped")
         for host in self._hosts:
+            host.account.enter("stopped")
             if isinstance(host, SourceHost):
                 self.say("summary", node=host.name, figures=host.figures())
         if self._wiring is not None:
@@ -204,6 +233,8 @@ def _obey(process: Process) -> None:
             process.finish()
         elif word == "stop":
             break
+        elif word.startswith("{"):
+            process.do(json.loads(word))
     process.stop()
     threading.Event().wait(FAREWELL_S)
     os._exit(2)

@@ -152,6 +152,21 @@ class PoolWriter:
             self._recent.remove(lease.slot)
             self._recent.insert(0, lease.slot)
 
+    def let_go(self) -> None:
+        """While another process writes here: give back every slot that no reader wants."""
+        if self._ahead is not None:
+            self.abandon(self._ahead)
+            self._ahead = None
+        for slot, ordinal in list(self._held.items()):
+            if self._file is not None and self._claim(ordinal) != KEPT:
+                del self._held[slot]
+                self._file.lock(fcntl.F_UNLCK, slot)
+
+    def refresh(self) -> None:
+        """Another process may have outgrown the file meanwhile."""
+        if self._file is not None and not self._file.path.exists():
+            self._file = None
+
     def abandon(self, lease: Lease) -> None:
         """The slot is not going to be sent."""
         lease.pool.lock(fcntl.F_UNLCK, lease.slot)

@@ -1,4 +1,4 @@
-"""The ends of an edge: messages out to descriptors, descriptors in to messages.
+"""The writing end of an edge: messages to descriptors.
 
 Big arrays go through the frame pool, small ones inside the descriptor. Readers of the graph on this
 host get it by the short way (`pipeline.doors`), taps on the output's Zenoh key; subscribers that do
@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,16 +18,15 @@ from numpy.typing import DTypeLike, NDArray
 
 from pipeline import codec
 from pipeline.bus import Sender
-from pipeline.doors import Links
+from pipeline.doors import Links, Target
 from pipeline.envelope import HELLO, MESSAGE, NOTHING, Envelope
 from pipeline.errors import MessageError, PoolExhausted
 from pipeline.ledger import EdgeAccount
 from pipeline.messages import Header, Message
-from pipeline.pool import DONE, KEPT, SPARE, Lease, PoolReader, PoolWriter, SlotRef
+from pipeline.pool import DONE, KEPT, SPARE, Lease, PoolWriter, SlotRef
 
 INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
 INSIST_S = 5.0  # longer than a frozen reader lives
-TAP_SLOTS = 2  # what a viewer may pin before it copies
 BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
 
 
@@ -46,6 +46,11 @@ class Reader:
     lossless: bool
     depth: int
     edge: int = 0
+    address: Callable[[int], Path] | None = None  # of its door by instance; None: goes by bytes
+
+    def door(self, instance: int) -> list[Target]:
+        """Where an instance of it listens, if it does."""
+        return [(self.edge, self.address(instance))] if self.address and instance else []
 
     def has_credit(self) -> bool:
         """Whether one more message finds room; readers that are gone do not count."""
@@ -77,6 +82,20 @@ class OutPort:
         self._mark = codec.fingerprint(message)
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
+        self._doors = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
+
+    def begin(self, epoch: int) -> None:
+        """Speak for the node from now on, where whoever spoke before stopped."""
+        self._epoch = epoch
+        self._ordinal = max((r.account.sent for r in self.readers), default=0)
+        self._doors = [(0, 0)] * len(self.readers)
+        self._links.aim(())  # a reader takes what comes on its newest link last
+        self._pool.refresh()
+        self.hello()
+
+    def let_go(self) -> None:
+        """While somebody else speaks: give back the slots that no reader wants any more."""
+        self._pool.let_go()
 
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         """Memory in the pool for an array of the next message; raises `PoolExhausted`."""
@@ -104,6 +123,9 @@ class OutPort:
     def hello(self) -> bool:
         """Greet readers that have not heard this instance; True when all that live have."""
         waiting = [r for r in self.readers if r.account.reader_epoch and not r.account.live]
+        doors = [(r.account.door, r.account.next_door) for r in self.readers]
+        if doors != self._doors:
+            self._aim(doors)
         if self._links.connect() or waiting:
             self._send(self._wrap(HELLO, None, None), ())
         return not waiting
@@ -153,6 +175,15 @@ class OutPort:
             if not reader.has_credit():
                 reader.account.broken = 1
 
+    def _aim(self, doors: list[tuple[int, int]]) -> None:
+        first: list[Target] = []
+        beside: list[Target] = []
+        for reader, (door, next_door) in zip(self.readers, doors, strict=True):
+            first += reader.door(door)
+            beside += reader.door(next_door)
+        self._links.aim(first, beside)
+        self._doors = doors
+
     def _count(self) -> None:
         """Before it is sent: killed in between, the message counts as lost, never as sent twice."""
         self._ordinal += 1
@@ -169,11 +200,11 @@ class OutPort:
             whole = [self._wrap(MESSAGE, None, codec.pack(message)) for message in inline]
             self._remote.send(whole[0] if whole else payload)
 
-    def _insist(self, payload: bytes, full: list[int]) -> None:
+    def _insist(self, payload: bytes, full: list[Target]) -> None:
         """Lossless readers get it even when their socket is full of big small messages."""
         deadline = time.monotonic() + INSIST_S
         lossless = {r.edge for r in self.readers if r.lossless}
-        while (full := [e for e in full if e in lossless]) and time.monotonic() < deadline:
+        while (full := [t for t in full if t[0] in lossless]) and time.monotonic() < deadline:
             time.sleep(0.0005)
             full = self._links.send(payload, full)
 
@@ -203,78 +234,6 @@ class OutPort:
         return claim
 
 
-class InPort:
-    """One input of a node: accounts for everything that arrives, hands on what is good.
-
-    `receive` is called by one thread at a time.
-    """
-
-    def __init__(
-        self, message: type[Message], account: EdgeAccount, pool: PoolReader, epoch: int,
-        deliver: Callable[[Arrival], None], *, tap: bool = False,
-    ) -> None:  # fmt: skip
-        self._schema, self._account, self._pool = codec.schema(message), account, pool
-        self._epoch, self._deliver, self._tap = epoch, deliver, tap
-        self._sender_epoch, self._mark = -1, self._schema.fingerprint
-        # what the predecessor had taken and not finished died with it
-        account.lost_in_crash += max(0, account.seen - account.accounted)
-
-    def receive(self, payload: bytes) -> None:
-        """Take one descriptor; never raises."""
-        account = self._account
-        try:
-            envelope = Envelope.parse(payload)
-        except MessageError:
-            account.strays += 1  # without a number it is nobody's message
-            return
-        fresh = account.attached_epoch != self._epoch or envelope.epoch != self._sender_epoch
-        missing = envelope.ordinal - account.seen - (envelope.kind != HELLO)
-        if missing < 0:
-            account.strays += 1
-            return
-        arrival, fate = self._open(envelope)
-        account.seen = envelope.ordinal
-        if missing:
-            account.settle("lost_in_crash" if fresh else "gap", missing)
-        if fresh:
-            self._sender_epoch = envelope.epoch
-            account.attached_epoch = self._epoch
-        if arrival is not None:
-            self._deliver(arrival)
-        elif fate:
-            account.settle(fate)
-
-    def _open(self, envelope: Envelope) -> tuple[Arrival | None, str]:
-        """The arrival, or None and which drop it counts as (none for a greeting)."""
-        if envelope.kind == HELLO:
-            return None, ""
-        if envelope.epoch < self._account.writer_epoch:
-            return None, "fenced"
-        if envelope.mark != self._mark:
-            return None, "refused"
-        try:
-            if envelope.kind == NOTHING:
-                header = codec.unpack(Header, envelope.body)
-                return Arrival(header, None, envelope.ordinal), ""
-            fetch = codec.nowhere
-            if envelope.slot is not None:
-                raw = self._pool.take(envelope.slot)
-                if raw is None:
-                    return None, "overwritten"
-                fetch = partial(_cut, self._affordable(raw))
-            message = self._schema.read(envelope.body, fetch)
-        except MessageError:
-            return None, "refused"
-        return Arrival(message.header, message, envelope.ordinal), ""
-
-    def _affordable(self, raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What a tap would pin beyond its share is copied."""
-        if self._tap and self._pool.pinned > TAP_SLOTS:
-            raw = raw.copy()
-            raw.flags.writeable = False
-        return raw
-
-
 def _place(lease: Lease | None, array: NDArray[Any]) -> bytes | int:
     """Where an array of a message goes: it may lie in the slot already."""
     if lease is None or array.nbytes <= INLINE_BYTES:
@@ -288,9 +247,3 @@ def _place(lease: Lease | None, array: NDArray[Any]) -> bytes | int:
         offset = lease.offset_of(copy)
     assert offset is not None
     return offset
-
-
-def _cut(raw: NDArray[np.uint8], offset: int, nbytes: int) -> NDArray[np.uint8]:
-    if offset + nbytes > raw.nbytes:
-        raise MessageError(f"an array ends at {offset + nbytes} of {raw.nbytes} bytes")
-    return raw[offset : offset + nbytes]

@@ -97,7 +97,7 @@ class SourceHost(Host):
             stage=self.name, received_ns=header.stamp_ns, done_ns=ended, handler_ns=ended - ready,
             wait_ns=0,
         )  # fmt: skip
-        leaving = stamped(header, epoch=self._epoch, span=span)
+        leaving = stamped(header, epoch=self.epoch, span=span)
         if self.lockstep:
             self.await_credit()
         self.send_all(frames, leaving)
@@ -135,8 +135,8 @@ class SourceHost(Host):
             accepted = time.monotonic_ns()
             fold(self.commands, message)
             self._count_loop(message.header, accepted, accepted - begun, waited)
-        self._edges[name].age.add(begun - work.header.stamp_ns)
-        self.settle(name, "delivered")
+        self.edges[name].age.add(begun - work.header.stamp_ns)
+        self.settle(name, "delivered", work.arrived[name])
 
     def _count_loop(self, header: Header, now_ns: int, handler_ns: int, waited_ns: int) -> None:
         latency = now_ns - header.stamp_ns

@@ -5,48 +5,32 @@ Only this process writes who reads and who speaks for a node now (`reader_epoch`
 
 import logging
 import queue
-import signal
 import subprocess
 import time
-from collections import deque
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from pipeline.bus import Session
-from pipeline.child import Child, Events, Sample, close_pipes, spawn
+from pipeline.child import Child, Events, Sample, ending, spawn
+from pipeline.desk import COMMAND, Desk
 from pipeline.errors import RunError
 from pipeline.health import complaint
-from pipeline.ledger import Ledger
-from pipeline.plan import Node, Plan, is_source
+from pipeline.ledger import EdgeAccount, Ledger
+from pipeline.place import place_of
+from pipeline.plan import Plan, is_source
 from pipeline.rundir import MEMORY, RunFolder
+from pipeline.slot import Slot
+from pipeline.spare import Spare
 from pipeline.wiring import Assignment
 
 TICK_S = 0.02
 SAMPLE_S = 1.0
 START_S = 60.0
-MOST_SAMPLES = 7200
-SPARE_S = 2.0  # a younger spare is still importing
 HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
 DRAIN_S = 5.0
 STOP_S = 4.0
 log = logging.getLogger(__name__)
-
-
-@dataclass
-class _Slot:
-    """A process of the plan and its present incarnation."""
-
-    name: str
-    nodes: tuple[Node, ...]
-    child: Child | None = None
-    epoch: int = 0
-    next_start_s: float = 0.0
-    going_since_s: float = 0.0
-    quick_deaths: int = 0  # in a row, each before it had run for a while
-    deaths: deque[float] = field(default_factory=lambda: deque(maxlen=64))
-    samples: deque[Sample] = field(default_factory=lambda: deque(maxlen=MOST_SAMPLES))
-    sources: frozenset[str] = frozenset()
 
 
 class Supervisor:
@@ -60,10 +44,11 @@ class Supervisor:
         )
         self._hub = Session(self._run.folder, "hub")
         self._events: Events = queue.SimpleQueue()
-        self._spare: subprocess.Popen[bytes] | None = None
-        self._spare_since_s = 0.0
-        self._slots = {
-            name: _Slot(name, nodes, sources=frozenset(n.name for n in nodes if is_source(n)))
+        self._spare = Spare(self._spawn)
+        self.desk = Desk(self)
+        self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.desk.ask)
+        self.slots = {
+            name: Slot(name, nodes, sources=frozenset(n.name for n in nodes if is_source(n)))
             for name, nodes in plan.processes().items()
         }
         self.summaries: dict[str, dict[str, Any]] = {}
@@ -83,24 +68,25 @@ class Supervisor:
 
     def start(self) -> None:
         """Start every process, consumers first; frames flow once all are ready."""
-        for slot in reversed(self._slots.values()):
-            self._start(slot)
-        self._note()
+        for slot in reversed(self.slots.values()):
+            self.begin(slot)
+        self.note()
         deadline = time.monotonic() + START_S
         while not self._all_going():
             self.tick()
             if self.failure:
                 raise RunError(self.failure)
             if time.monotonic() > deadline:
-                late = [s.name for s in self._slots.values() if not (s.child and s.child.ready)]
+                late = [s.name for s in self.slots.values() if not (s.child and s.child.ready)]
                 raise RunError(f"not ready after {START_S:.0f} s: {', '.join(late) or 'an edge'}")
         self.started_s = time.monotonic()
 
     def tick(self) -> None:
         """Look after everything once, then rest for a moment."""
         self._hear()
+        self.desk.attend()
         now_s = time.monotonic()
-        for slot in self._slots.values():
+        for slot in self.slots.values():
             self._look_after(slot, now_s)
         if now_s - self._sampled_s >= SAMPLE_S:
             self._sampled_s = now_s
@@ -111,12 +97,12 @@ class Supervisor:
     @property
     def finished(self) -> bool:
         """Every source has made its last frame, or the run has failed."""
-        wanted = set().union(*(slot.sources for slot in self._slots.values()))
+        wanted = set().union(*(slot.sources for slot in self.slots.values()))
         return bool(self.failure) or (bool(wanted) and wanted <= self._finished)
 
     def finish(self) -> None:
         """Let the sources end and what is under way arrive; bounded in time."""
-        for slot in self._slots.values():
+        for slot in self.slots.values():
             if slot.sources and slot.child:
                 slot.child.tell("finish")
         deadline = time.monotonic() + DRAIN_S
@@ -126,14 +112,15 @@ class Supervisor:
     def stop(self) -> None:
         """Stop every process, collect what they have to say."""
         self._sample()
-        self._dismiss_spare()
-        children = [slot.child for slot in self._slots.values() if slot.child]
+        self._spare.dismiss()
+        children = [slot.child for slot in self.slots.values() if slot.child]
+        children += self.desk.give_up()
         for child in children:
             child.tell("stop")
         deadline = time.monotonic() + STOP_S
         for child in children:
             child.reap(max(0.1, deadline - time.monotonic()))
-        for slot in self._slots.values():
+        for slot in self.slots.values():
             slot.child = None
         self._hear()
 
@@ -145,71 +132,97 @@ class Supervisor:
 
     def samples(self, process: str) -> list[Sample]:
         """What a process used, about once a second, the last two hours."""
-        return list(self._slots[process].samples)
+        return list(self.slots[process].samples)
 
     def load_s(self, process: str) -> float:
         """How long the present process took to open its operators, 0 until it is ready."""
-        child = self._slots[process].child
+        child = self.slots[process].child
         return child.load_s if child else 0.0
 
     def pid(self, process: str) -> int:
         """Its present process id, 0 while there is none."""
-        child = self._slots[process].child
+        child = self.slots[process].child
         return child.pid if child else 0
 
     def _all_going(self) -> bool:
-        return all(slot.child and slot.child.going for slot in self._slots.values())
+        return all(slot.child and slot.child.going for slot in self.slots.values())
 
-    def _start(self, slot: _Slot) -> None:
+    def begin(self, slot: Slot, *, plan: Plan | None = None, checked: bool = False) -> None:
+        """Start a process as its next incarnation; `checked`: of a plan that is still to prove."""
         slot.epoch += 1
         for node in slot.nodes:
             self.ledger.nodes[node.index].enter("starting")
-            for edge in self.plan.edges:
-                account = self.ledger.edges[edge.index]
-                if edge.source == node.name:
-                    account.writer_epoch = slot.epoch
-                if edge.target == node.name:
-                    account.reader_epoch = slot.epoch
-        job = Assignment(
-            plan=self.plan,
+        for account in self.accounts(slot, outgoing=True):
+            account.writer_epoch = slot.epoch
+        for account in self.accounts(slot):
+            account.reader_epoch = account.door = slot.epoch
+            account.next_door = 0
+        job = self.job(slot, plan or self.plan, slot.epoch, checked=checked)
+        slot.child = self.launch(job, fresh=checked)
+
+    def job(
+        self, slot: Slot, plan: Plan, epoch: int, *, standby: bool = False, checked: bool = False
+    ) -> Assignment:
+        """What a process of that slot has to do; `checked`: it must fit the edges that run now."""
+        mine = [n for n in self.plan.nodes if n.process == slot.name]
+        return Assignment(
+            plan=plan,
             process=slot.name,
             run_folder=str(self._run.folder),
             memory_folder=str(MEMORY),
             prefix=self._run.prefix,
-            epochs={node.name: slot.epoch for node in slot.nodes},
+            epochs={node.name: epoch for node in mine},
             frames=self._frames,
+            standby=standby,
+            places={n.name: place_of(self.plan, n) for n in mine} if checked else {},
         )
-        slot.child = Child(self._take_spare() or self._spawn(()), job, self._events)
+
+    def accounts(self, slot: Slot, *, outgoing: bool = False) -> list[EdgeAccount]:
+        """Of the edges into a process, or out of it."""
+        names = {node.name for node in slot.nodes}
+        return [
+            self.ledger.edges[edge.index]
+            for edge in self.plan.edges
+            if (edge.source if outgoing else edge.target) in names
+        ]
+
+    def vacate(self, slot: Slot) -> None:
+        """Nobody works there now: writers do not wait for it."""
+        assert slot.child is not None
+        slot.child.reap(0.1)
+        slot.child = None
+        for account in self.accounts(slot):
+            account.reader_epoch = account.door = account.next_door = 0
+        for node in slot.nodes:
+            self.ledger.nodes[node.index].enter("absent")
+            for stale in self._run.folder.glob(f"{node.name}.*.door"):
+                stale.unlink(missing_ok=True)
+
+    def live_file(self, node: str) -> Path:
+        """Where a node keeps the settings that it was told while it ran."""
+        return self._run.folder / f"{node}.live"
+
+    def change_plan(self, plan: Plan) -> None:
+        """The plan that runs now has other operators or settings in the same places."""
+        self.plan = plan
+        for name, nodes in plan.processes().items():
+            slot = self.slots[name]
+            slot.nodes = nodes
+            slot.sources = frozenset(n.name for n in nodes if is_source(n))
+        self._spare.dismiss()  # it may have imported what has changed on disk
+        self.note()
+
+    def launch(self, job: Assignment, *, fresh: bool = False) -> Child:
+        """A process for an assignment; a fresh one when it has to import what is on disk now."""
+        popen = None if fresh else self._spare.take()
+        return Child(popen or self._spawn(()), job, self._events)
 
     def _spawn(self, modules: Collection[str]) -> "subprocess.Popen[bytes]":
         return spawn(self._run.prefix, self._run.folder, modules)
 
     def _keep_a_spare(self) -> None:
-        """Have a process ready that has imported every operator: a restart is then a load."""
-        if self._spare is not None and self._spare.poll() is not None:
-            close_pipes(self._spare)
-            self._spare = None
-        if self._spare is None and self.plan.clock == "realtime" and self._all_going():
-            modules = {node.operator.partition(":")[0] for node in self.plan.nodes}
-            self._spare = self._spawn(sorted(modules))
-            self._spare_since_s = time.monotonic()
-
-    def _take_spare(self) -> "subprocess.Popen[bytes] | None":
-        """The spare, if it is through with its imports by all likelihood."""
-        if self._spare is None or time.monotonic() - self._spare_since_s < SPARE_S:
-            return None
-        spare, self._spare = self._spare, None
-        return spare
-
-    def _dismiss_spare(self) -> None:
-        if self._spare is not None:
-            close_pipes(self._spare)
-            try:
-                self._spare.wait(STOP_S)
-            except subprocess.TimeoutExpired:
-                self._spare.kill()
-                self._spare.wait()
-            self._spare = None
+        if self.plan.clock == "realtime" and self._all_going():
+            self._spare.keep({node.operator.partition(":")[0] for node in self.plan.nodes})
 
     def _hear(self) -> None:
         while True:
@@ -217,8 +230,10 @@ class Supervisor:
                 process, pid, event = self._events.get_nowait()
             except queue.Empty:
                 return
-            slot = self._slots[process]
+            slot = self.slots[process]
             kind = event.get("event")
+            if self.desk.hear(pid, event):
+                continue
             if kind == "ready" and slot.child and slot.child.pid == pid:
                 slot.child.ready, slot.child.load_s = True, float(event.get("load_s", 0))
             elif kind == "finished":
@@ -230,7 +245,7 @@ class Supervisor:
             elif kind == "failed":
                 self._note_failure(slot, event)
 
-    def _note_failure(self, slot: _Slot, event: dict[str, Any]) -> None:
+    def _note_failure(self, slot: Slot, event: dict[str, Any]) -> None:
         """What starting it again cannot mend ends the run: a graph that never began, a source."""
         unborn = slot.epoch == 1 and not (slot.child and slot.child.ready)
         if event.get("expected") and (unborn or slot.sources) and not self.failure:
@@ -238,43 +253,43 @@ class Supervisor:
         elif not self.failure:
             log.error("%s: %s", slot.name, event.get("error"))
 
-    def _look_after(self, slot: _Slot, now_s: float) -> None:
+    def _look_after(self, slot: Slot, now_s: float) -> None:
+        if self.desk.owns(slot):
+            return
         if slot.child is None:
             if slot.next_start_s and now_s >= slot.next_start_s:
                 slot.next_start_s = 0.0
-                self._start(slot)
-                self._note()
+                self.begin(slot)
+                self.note()
             return
         status = slot.child.ended()
         if status is not None:
             self._bury(slot, status, now_s)
-        elif slot.child.ready and not slot.child.going and self._may_go(slot):
-            slot.child.going, slot.going_since_s = True, now_s
-            slot.child.tell("go")
-        elif slot.child.ready and (why := self._stalled(slot)):
+        elif slot.child.ready and not slot.child.going:
+            self.let_go(slot)
+        elif slot.child.ready and (why := self.stalled(slot)):
             log.error("%s: %s; killed", slot.name, why)
             slot.child.kill(with_traceback=True)
 
-    def _may_go(self, slot: _Slot) -> bool:
+    def let_go(self, slot: Slot) -> None:
+        """Let a process that is ready begin, if it may."""
+        if slot.child is not None and self._may_go(slot):
+            slot.child.going, slot.going_since_s = True, time.monotonic()
+            slot.child.tell("go")
+
+    def _may_go(self, slot: Slot) -> bool:
         """Sources begin when every reader has heard them; the others at once."""
         if not slot.sources:
             return True
-        if slot.epoch == 1 and not all(s.child and s.child.ready for s in self._slots.values()):
+        if slot.epoch == 1 and not all(s.child and s.child.ready for s in self.slots.values()):
             return False
         mine = [e for e in self.plan.edges if slot.epoch == 1 or e.source in slot.sources]
         accounts = [self.ledger.edges[e.index] for e in mine]
         return all(account.live or not account.reader_epoch for account in accounts)
 
-    def _bury(self, slot: _Slot, status: int, now_s: float) -> None:
-        assert slot.child is not None
-        slot.child.reap(0.1)
-        slot.child = None
-        for edge in self.plan.edges:
-            if edge.target in {node.name for node in slot.nodes}:
-                self.ledger.edges[edge.index].reader_epoch = 0
-        for node in slot.nodes:
-            self.ledger.nodes[node.index].enter("absent")
-        how = f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+    def _bury(self, slot: Slot, status: int, now_s: float) -> None:
+        self.vacate(slot)
+        how = ending(status)
         if not self.failure:
             log.warning("%s ended by %s, see `fovea logs %s`", slot.name, how, slot.name)
         rule = slot.nodes[0].restart
@@ -293,18 +308,18 @@ class Supervisor:
             slot.next_start_s = now_s + min(5.0, rule.backoff_s * 2 ** min(slot.quick_deaths, 8))
             self.restarts[slot.name] = self.restarts.get(slot.name, 0) + 1
 
-    def _stalled(self, slot: _Slot) -> str:
+    def stalled(self, slot: Slot) -> str:
         now_ns = time.monotonic_ns()
         found = (complaint(n, self.ledger.nodes[n.index], now_ns) for n in slot.nodes)
         return next(filter(None, found), "")
 
     def _sample(self) -> None:
-        for slot in self._slots.values():
+        for slot in self.slots.values():
             sample = slot.child.sample() if slot.child else None
             if sample:
                 slot.samples.append(sample)
 
-    def _note(self) -> None:
+    def note(self) -> None:
         self._run.note(
             {
                 "graph": self.plan.name,
@@ -314,6 +329,6 @@ class Supervisor:
                     for n in self.plan.nodes
                 ],
                 "edges": [{"from": e.origin, "to": e.end} for e in self.plan.edges],
-                "pids": {s.name: s.child.pid for s in self._slots.values() if s.child},
+                "pids": {s.name: s.child.pid for s in self.slots.values() if s.child},
             }
         )

@@ -21,11 +21,12 @@ from rich.table import Table
 from pipeline.bus import Session
 from pipeline.contract import outputs_of
 from pipeline.errors import RunError
+from pipeline.inport import InPort
 from pipeline.ledger import Ledger, private_ledger
 from pipeline.messages import Message
 from pipeline.plan import load_operator
 from pipeline.pool import PoolReader
-from pipeline.ports import Arrival, InPort
+from pipeline.ports import Arrival
 from pipeline.rundir import MEMORY, base, running
 from pipeline.settings import suggest
 from pipeline.wiring import key_of

@@ -1,6 +1,7 @@
 """Connects the operators of a process: a plan's nodes and edges to hosts, ports, doors and keys."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,14 @@ from pipeline.bus import Session
 from pipeline.contract import Input, Operator, Source, outputs_of
 from pipeline.doors import Doors, Links
 from pipeline.host import Host
+from pipeline.inport import InPort
 from pipeline.ledger import Ledger
 from pipeline.live import Live, kept
+from pipeline.place import Place
 from pipeline.plan import Edge, Node, Plan, inputs_for, slots
 from pipeline.pool import PoolReader, PoolWriter
-from pipeline.ports import BYTES_SUFFIX, InPort, OutPort, Reader
+from pipeline.ports import BYTES_SUFFIX, OutPort, Reader
+from pipeline.relay import BATON, Relay, Say
 from pipeline.source import SourceHost
 
 
@@ -29,6 +33,8 @@ class Assignment:
     prefix: str  # of every file of this run in the memory folder
     epochs: dict[str, int]  # by node
     frames: int = 0
+    standby: bool = False  # another instance works until this one is told to take over
+    places: dict[str, Place] = field(default_factory=dict)  # to be checked before it starts
 
     def kept_in(self, node: Node) -> Path:
         """The file of settings that were changed while the node ran."""
@@ -38,16 +44,21 @@ class Assignment:
         """What the graph says, and what a predecessor was told since."""
         return {**node.settings, **kept(self.kept_in(node))}
 
+    def door(self, node: str, instance: int) -> Path:
+        """Where an instance of a node receives."""
+        return Path(self.run_folder) / f"{node}.{instance}.door"
+
 
 class Wiring:
     """What a process holds of its graph; `close` gives everything back."""
 
-    def __init__(self, job: Assignment, session: Session, ledger: Ledger) -> None:
-        self._job, self._session, self._ledger = job, session, ledger
+    def __init__(self, job: Assignment, session: Session, ledger: Ledger, say: Say) -> None:
+        self._job, self._session, self._ledger, self._say = job, session, ledger, say
         self._memory = Path(job.memory_folder)
         self._doors: list[Doors] = []
         self._links: list[Links] = []
         self._stops: list[Any] = []
+        self.relays: dict[str, Relay] = {}
 
     def close(self) -> None:
         """Stop listening and close every socket."""
@@ -62,7 +73,7 @@ class Wiring:
         """The host of an operator, its doors open and its ports connected."""
         job, plan = self._job, self._job.plan
         edges = plan.inputs(node.name)
-        doors = Doors(self._address(node.name))
+        doors = Doors(job.door(node.name, job.epochs[node.name]))
         self._doors.append(doors)
         outs = {
             name: self._out_port(node, name, message)
@@ -86,24 +97,37 @@ class Wiring:
         )
         live = Live(node.name, operator, job.settings(node), job.kept_in(node))
         answers = Answers(plan, node, operator, host, live, self._ledger)
-        self._stops += answers.serve(self._session, partial(key_of, plan.name, node.name))
+        key = partial(key_of, plan.name, node.name)
+        voice = _Voice(lambda: answers.serve(self._session, key))
+        self._stops.append(voice.lower)
         for edge in edges.values():
             self._listen(host, edge, common["inputs"][edge.input], doors)
+        if swappable(plan, node) and not isinstance(operator, Source):
+            relay = Relay(
+                host, memory=self._memory, stem=f"{job.prefix}{node.name}", say=self._say,
+                voice=voice, standby=job.standby,
+            )  # fmt: skip
+            host.relay = self.relays[node.name] = relay
+            doors.expect(BATON, relay.receive)
+        if not job.standby:
+            voice.raise_()
         return host
 
     def _out_port(self, node: Node, output: str, message: type[Any]) -> OutPort:
         job = self._job
         edges = job.plan.readers(node.name, output)
         readers = [
-            Reader(self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index)
+            Reader(
+                self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index,
+                partial(job.door, e.target) if e.transport == "pool" else None,
+            )
             for e in edges
-        ]
+        ]  # fmt: skip
         key = key_of(job.plan.name, node.name, output)
         urgent = any(e.command for e in edges)
         patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
         stem = f"{job.prefix}{node.name}.{output}"
-        near = [(e.index, self._address(e.target)) for e in edges if e.transport == "pool"]
-        links = Links(near)
+        links = Links()
         self._links.append(links)
         return OutPort(
             message,
@@ -124,15 +148,42 @@ class Wiring:
             job.epochs[edge.target],
             partial(host.deliver, edge.input),
             tap=edge.tap,
+            holding=job.standby,
         )
+        host.ports[edge.input] = port
         if edge.transport == "pool":
             doors.expect(edge.index, port.receive)
             return
         key = key_of(job.plan.name, edge.source, edge.output) + BYTES_SUFFIX
         self._stops.append(self._session.listen(key, port.receive))
 
-    def _address(self, node: str) -> Path:
-        return Path(self._job.run_folder) / f"{node}.door"
+
+class _Voice:
+    """Answers questions to a node, while it is raised."""
+
+    def __init__(self, serve: Callable[[], list[Callable[[], None]]]) -> None:
+        self._serve = serve
+        self._stops: list[Callable[[], None]] = []
+
+    def raise_(self) -> None:
+        """Answer from now on."""
+        self._stops = self._serve()
+
+    def lower(self) -> None:
+        """Answer no more."""
+        while self._stops:
+            self._stops.pop()()
+
+
+def swappable(plan: Plan, node: Node) -> bool:
+    """Whether a successor may stand by: not in a shared process, nor where bytes are sent instead.
+
+    Only the short way between processes keeps the order across a change of the sender.
+    """
+    alone = sum(1 for n in plan.nodes if n.process == node.process) == 1
+    return alone and not any(
+        e.transport == "bytes" for e in plan.edges if node.name in (e.source, e.target)
+    )
 
 
 def key_of(graph: str, node: str, output: str) -> str:

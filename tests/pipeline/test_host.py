@@ -10,9 +10,10 @@ import pytest
 from pipeline import Frame, Input, Operator
 from pipeline.doors import Doors, Links
 from pipeline.host import MOST_ASKED, Host
+from pipeline.inport import InPort
 from pipeline.ledger import Ledger, private_ledger
 from pipeline.pool import PoolReader, PoolWriter, remove_pools
-from pipeline.ports import InPort, OutPort, Reader
+from pipeline.ports import OutPort, Reader
 from pipeline.testing import header
 from tests.pipeline.test_ports import MEMORY, Wire
 from tests.toys import WorkSettings

@@ -26,7 +26,7 @@ class Desk:
     def __init__(self, *, lockstep: bool = False, **inputs: Input) -> None:
         self.fates: list[tuple[str, str]] = []
         self.inbox = Inbox(
-            inputs, lambda name, fate: self.fates.append((name, fate)), lockstep=lockstep
+            inputs, lambda name, fate, _: self.fates.append((name, fate)), lockstep=lockstep
         )
 
     def put(self, name: str, seq: int, **kind: object) -> None:
@@ -178,12 +178,12 @@ def test_every_arrival_is_settled_once_and_memory_is_bounded(
         desk.put(name, streams[name].pop(0))
         if data.draw(st.booleans()) and (work := desk.inbox.take(0)):
             handled.append(work.header.seq)
-            settled.update(work.arrived)
+            settled.update(list(work.arrived))
         assert len(desk.inbox) <= bound
 
     while work := desk.inbox.take(0):
         handled.append(work.header.seq)
-        settled.update(work.arrived)
+        settled.update(list(work.arrived))
     settled.update(name for name, _fate in desk.fates)
 
     waiting = Counter(order) - settled

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from pipeline import Frame, Header, MessageError, Percept, PoolExhausted
 from pipeline.codec import to_bytes
 from pipeline.envelope import Envelope
+from pipeline.inport import InPort
 from pipeline.ledger import EdgeAccount, private_ledger
 from pipeline.pool import PoolReader, PoolWriter, remove_pools
-from pipeline.ports import Arrival, InPort, OutPort, Reader
+from pipeline.ports import Arrival, OutPort, Reader
 from pipeline.testing import header, picture
 
 MEMORY = Path("/dev/shm")
