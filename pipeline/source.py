@@ -53,6 +53,7 @@ class SourceHost(Host):
             self.account.enter("finished")
             self.on_finished()
             while not self.stopping.wait(0.2):
+                self.greet()
                 self.account.heartbeat_ns = time.monotonic_ns()
                 self.do_asked()
         finally:

@@ -67,6 +67,7 @@ class Swap:
         self._other: Child | None = None  # the one of the two that does not work
         self._said: dict[int, dict[str, dict[str, Any]]] = {}  # pid -> event -> what
         self._owned = False
+        self._gone: set[int] = set()  # pids of who was told to stop
         self._steps = self._swap_hot() if self._hot else self._swap_cold()
 
     @property
@@ -82,7 +83,7 @@ class Swap:
         kind = str(event.get("event"))
         mine = [c for c in (self._other, self._slot.child) if c and c.pid == pid]
         if not mine:
-            return False
+            return pid in self._gone
         self._said.setdefault(pid, {})[kind] = event
         if mine[0] is self._other and kind == "ready":
             mine[0].ready, mine[0].load_s = True, float(event.get("load_s", 0))
@@ -232,6 +233,7 @@ class Swap:
     def _replace(self, plan: Plan) -> Iterator[None]:
         child = self._working()
         self._stopped_s = time.monotonic()
+        self._gone.add(child.pid)
         child.tell("stop")
         yield from self._until(lambda: child.ended() is not None, ANSWER_S, "", must=False)
         child.kill()

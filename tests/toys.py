@@ -7,6 +7,7 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline import (
     DriverError,
@@ -221,3 +222,56 @@ class Count(Operator[WorkSettings, None]):
 
     def summary(self) -> Mapping[str, Any]:
         return {"seen": self.seen[-5000:], "torn": self.torn}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TallyState:
+    """What a tally has counted."""
+
+    count: int
+    marks: NDArray[np.int32]  # (n,) the last numbers
+
+
+class Tally(Operator[WorkSettings, Percept]):
+    """Answers every picture with how many there were; its state outlives it."""
+
+    frame = Input(Frame, keep="every")
+
+    def open(self) -> None:
+        self.tally = TallyState(count=0, marks=np.zeros(0, np.int32))
+
+    def state(self) -> TallyState:
+        return self.tally
+
+    def restore(self, state: TallyState) -> None:
+        self.tally = state
+
+    def on_frame(self, frame: Frame) -> Percept:
+        seq = frame.header.seq
+        if seq >= self.settings.crash_at >= 0:
+            raise ValueError("told to crash")
+        time.sleep(self.settings.sleep_s)
+        count = self.tally.count + 1
+        self.tally = TallyState(count=count, marks=np.array([seq], np.int32))
+        return Percept(
+            header=frame.header,
+            boxes=np.zeros((0, 4), np.float32),
+            ids=np.zeros(0, np.int32),
+            scores=np.zeros(0, np.float32),
+            action=np.array([count], np.float32),
+        )
+
+
+class Recall(Operator[WorkSettings, None]):
+    """Remembers what a tally said, by frame."""
+
+    percept = Input(Percept, keep="every")
+
+    def open(self) -> None:
+        self.said: list[tuple[int, int]] = []
+
+    def on_percept(self, percept: Percept) -> None:
+        self.said.append((percept.header.seq, int(percept.action[0])))
+
+    def summary(self) -> Mapping[str, Any]:
+        return {"said": self.said}

@@ -1,14 +1,20 @@
 """A part is replaced while its graph runs: nothing is lost, nothing comes twice."""
 
 import json
+import os
+import signal
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from pipeline import RunError
 from pipeline.supervisor import Supervisor
 from pipeline.swap import SwapOrder
 from tests.pipeline.test_runtime import (
+    LOOP,
     assert_accounts_add_up,
     edge,
     go,
@@ -31,9 +37,24 @@ nodes:
 """
 
 
-def swapping(results: list[dict[str, Any]], *orders: SwapOrder) -> Callable[[Supervisor], None]:
+TALLY = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {rate_hz: 60, side_px: 120}
+  work:
+    operator: tests.toys:Tally
+    inputs: {frame: {from: ticker.context, depth: 60}}
+  recall:
+    operator: tests.toys:Recall
+    inputs: {percept: {from: work, depth: 60}}
+"""
+Results = list[dict[str, Any]]
+
+
+def swapping(results: Results, *orders: SwapOrder) -> Callable[[Supervisor], None]:
     def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        wait_for(supervisor, lambda: handled(supervisor, orders[0].node) > 3)
         for count, order in enumerate(orders, len(results) + 1):
             supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
             wait_for(supervisor, partial(lambda wanted: len(results) >= wanted, count), 30)
@@ -42,15 +63,145 @@ def swapping(results: list[dict[str, Any]], *orders: SwapOrder) -> Callable[[Sup
 
 
 def test_no_frame_is_lost_and_none_comes_twice(tmp_path: Path) -> None:
-    results: list[dict[str, Any]] = []
-    orders = [SwapOrder(node="work", probation=5) for _ in range(3)]
+    results: Results = []
+    orders = [SwapOrder(node="work", probation=5) for _ in range(2)]
 
-    report = go(plan_of(tmp_path, CHAIN), 400, swapping(results, *orders))
+    report = go(plan_of(tmp_path, CHAIN), 250, swapping(results, *orders))
+
+    assert [r["refused"] for r in results] == ["", ""]
+    assert report["summaries"]["count"] == {"seen": list(range(250)), "torn": 0}
+    assert_accounts_add_up(report)
+    assert edge(report, "work.frame")["delivered"] == 250
+    assert edge(report, "count.frame")["delivered"] == 250
+    assert report["restarts"] == {}
+
+
+def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_path: Path) -> None:
+    results: Results = []
+
+    report = go(plan_of(tmp_path, TALLY), 160, swapping(results, SwapOrder(node="work", at=100)))
+
+    assert results[0]["state"] == "carried over"
+    assert results[0]["seq"] == 99
+    assert report["summaries"]["recall"]["said"] == [[n, n + 1] for n in range(160)]
+
+
+def test_a_part_that_fails_its_probation_gives_way_to_the_old_one(tmp_path: Path) -> None:
+    results: Results = []
+    failures = {
+        "ValueError: told to crash; the old part goes on": {"crash_at": 0},
+        "ms a frame, expected at most 20.0 ms": {"sleep_s": 0.03},
+        "finished no frame for 2": {"sleep_s": 60.0},
+    }
+    orders = [SwapOrder(node="work", changes=change) for change in failures.values()]
+
+    report = go(
+        plan_of(tmp_path, TALLY, changes=("ticker.rate_hz=25",)), 170, swapping(results, *orders)
+    )
+
+    for said, result in zip(failures, results, strict=True):
+        assert said in result["refused"]
+        assert result["rolled_back"]
+    assert [seq for seq, _ in report["summaries"]["recall"]["said"]] == list(range(170))
+    assert edge(report, "work.frame")["delivered"] == 170
+    assert_accounts_add_up(report)
+    assert report["restarts"] == {}
+
+
+def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
+    results: Results = []
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        old = supervisor.pid("work")
+        supervisor.desk.take(
+            SwapOrder(node="work", probation=1000), lambda a: results.append(json.loads(a))
+        )
+        wait_for(supervisor, lambda: supervisor.pid("work") != old)
+        after = handled(supervisor, "work")
+        wait_for(supervisor, lambda: handled(supervisor, "work") > after + 5)
+        os.kill(supervisor.pid("work"), signal.SIGKILL)
+        wait_for(supervisor, lambda: bool(results))
+        assert supervisor.pid("work") == old
+
+    report = go(plan_of(tmp_path, CHAIN), 200, during)
+
+    assert "ended by signal SIGKILL" in results[0]["refused"]
+    assert report["summaries"]["count"] == {"seen": list(range(200)), "torn": 0}
+    assert edge(report, "work.frame")["delivered"] == 200
+
+
+def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> None:
+    results: Results = []
+    refusals = {
+        "has no attribute 'Pass2'": {"operator": "tests.toys:Pass2"},
+        "work.inputs.frame: tests.toys:Steer has no such input; there is percept": {
+            "operator": "tests.toys:Steer"
+        },
+        "work: expected Frame, tests.toys:Tally sends Percept": {"operator": "tests.toys:Tally"},
+        "expected an operator that answers frames, tests.toys:Ticker makes them": {
+            "operator": "tests.toys:Ticker", "defaults": True
+        },
+        "work.every: must be at least 1, got 0": {"changes": {"every": 0}},
+        "work.evry: no such setting, did you mean 'every'?": {"changes": {"evry": 1}},
+    }  # fmt: skip
+    orders = [SwapOrder(node="work", **words) for words in refusals.values()]  # type: ignore[arg-type]
+
+    report = go(plan_of(tmp_path, CHAIN), 250, swapping(results, *orders))
+
+    for said, result in zip(refusals, results, strict=True):
+        assert said in result["refused"]
+        assert "rolled_back" not in result
+    assert report["summaries"]["count"]["seen"] == list(range(250))
+    assert_accounts_add_up(report)
+
+
+def test_a_node_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
+    with Supervisor(plan_of(tmp_path, CHAIN)) as supervisor:
+        with pytest.raises(RunError, match="no node wrk, did you mean 'work'"):
+            supervisor.desk.take(SwapOrder(node="wrk"), lambda _: None)
+        with pytest.raises(RunError, match="work: does not run just now"):
+            supervisor.desk.take(SwapOrder(node="work"), lambda _: None)
+
+
+def test_joined_inputs_and_latest_edges_keep_their_accounts(tmp_path: Path) -> None:
+    results: Results = []
+    orders = [SwapOrder(node=node, probation=10) for node in ("pair", "steer", "work")]
+
+    report = go(plan_of(tmp_path, LOOP), 300, swapping(results, *orders))
 
     assert [r["refused"] for r in results] == ["", "", ""]
-    assert report["summaries"]["count"] == {"seen": list(range(400)), "torn": 0}
     assert_accounts_add_up(report)
-    assert edge(report, "work.frame")["delivered"] == 400
-    assert edge(report, "count.frame")["delivered"] == 400
-    assert report["restarts"] == {}
-    assert max(r["gap_ms"] for r in results) < 500
+    assert edge(report, "steer.percept")["dropped"] == {}
+    assert edge(report, "steer.percept")["lost_in_crash"] == 0
+
+
+def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
+    results: Results = []
+    plans = [plan_of(tmp_path, LOOP, clock="lockstep") for _ in range(2)]
+
+    plain = go(plans[0], 1500)
+    swapped = go(plans[1], 1500, swapping(results, SwapOrder(node="pair", probation=5)))
+
+    assert results[0]["refused"] == ""
+    assert 3 < results[0]["seq"] < 1499
+    assert swapped["schedule_sha256"] == plain["schedule_sha256"]
+
+
+def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: Path) -> None:
+    results: Results = []
+    text = LOOP.replace("  work:\n", "  work:\n    group: hand\n")
+    text = text.replace("  pair:\n", "  pair:\n    group: hand\n")
+    orders = [
+        SwapOrder(node="work", changes={"every": 2}, probation=5),
+        SwapOrder(node="work", changes={"crash_after": 3}),
+        SwapOrder(node="ticker", changes={"rate_hz": 90}, probation=5),
+    ]
+
+    report = go(plan_of(tmp_path, text), 250, swapping(results, *orders))
+
+    assert results[0]["refused"] == results[2]["refused"] == ""
+    assert all(0 < r["gap_ms"] < 20_000 for r in results)
+    assert "told not to live for long; the old part was started again" in results[1]["refused"]
+    assert_accounts_add_up(report)
+    assert report["failure"] == ""
