@@ -53,10 +53,15 @@ class Live:
                     f"{self._node}.{name}: cannot change while the node runs; "
                     f"{', '.join(live) or 'none of its settings'} can"
                 )
+        before = self._operator.settings
         self._operator.on_settings(fresh)
+        try:
+            if self._file is not None:
+                keep(self._file, {name: values[name] for name in live if name in values})
+        except OSError as error:  # what a crash would undo is better not begun
+            self._operator.on_settings(before)
+            raise SettingsError(f"{self._node}: cannot be kept: {error}") from error
         self._values = values
-        if self._file is not None:
-            keep(self._file, {name: values[name] for name in live if name in values})
 
     def describe(self, refused: str = "") -> Answer:
         """The effective values."""
@@ -99,8 +104,12 @@ def read_answer(answer: bytes) -> Answer:
 def keep(file: Path, values: Mapping[str, Any]) -> None:
     """Write values down in one step: whoever is killed meanwhile leaves the old ones or the new."""
     part = file.with_name(f"{file.name}.part")
-    part.write_text(json.dumps(dict(values)))
-    part.replace(file)
+    try:
+        part.write_text(json.dumps(dict(values)))
+        part.replace(file)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
 
 
 def kept(file: Path) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from pipeline.pool import remove_pools
 
 MEMORY = Path("/dev/shm")
 KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
+CLAIM_S = 0.5  # who looks whether a graph runs has its lock for a moment
 
 
 def base() -> Path:
@@ -48,10 +49,9 @@ class RunFolder:
 
     @staticmethod
     def claim(graph: str) -> "RunFolder":
-        """Own the graph's name; raises `RunError` when it runs already."""
+        """Own the graph's name; raises `RunError` when it runs already, or there is no room."""
         folder = base() / graph
-        folder.mkdir(mode=0o700, exist_ok=True)
-        lock = _locked(folder)
+        lock = _claimed(folder)
         if lock is None:
             raise RunError(f"{graph}: already running, see `fovea ps`")
         sweep()
@@ -61,10 +61,14 @@ class RunFolder:
         return RunFolder(folder, prefix, lock)
 
     def note(self, facts: dict[str, Any]) -> None:
-        """Write down what others may want to know about this run."""
+        """Write down what others may want to know about this run; raises `RunError` when full."""
         part = self.folder / "run.json.part"
-        part.write_text(json.dumps({"prefix": self.prefix, "pid": os.getpid(), **facts}))
-        part.rename(self.folder / "run.json")
+        try:
+            part.write_text(json.dumps({"prefix": self.prefix, "pid": os.getpid(), **facts}))
+            part.rename(self.folder / "run.json")
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            raise RunError(f"{part.parent}: cannot write run.json: {error.strerror}") from error
 
     def release(self) -> None:
         """Remove sockets and memory; the logs stay for reading."""
@@ -78,7 +82,7 @@ def running() -> dict[str, dict[str, Any]]:
     """What is noted of every graph of this user that runs now, by name."""
     found = {}
     for folder in sorted(base().iterdir()):
-        lock = _locked(folder)
+        lock = _locked(folder, fcntl.LOCK_SH)  # so that two who look see the same
         if lock is not None:
             os.close(lock)
             continue
@@ -93,7 +97,7 @@ def leftovers() -> list[str]:
     """Graphs of this user whose supervisor was killed and left something beside its logs."""
     found = []
     for folder in sorted(base().iterdir()):
-        lock = _locked(folder)
+        lock = _locked(folder, fcntl.LOCK_SH)  # so that two who look see the same
         if lock is not None:
             os.close(lock)
             if (folder / "run.json").exists() or _remains(folder):
@@ -112,17 +116,37 @@ def sweep() -> None:
             os.close(lock)
 
 
-def _locked(folder: Path) -> int | None:
+def _claimed(folder: Path) -> int | None:
+    """The lock, also when somebody who only looks has it for a moment, or sweeps it away."""
+    deadline = time.monotonic() + CLAIM_S
+    while True:
+        try:
+            folder.mkdir(mode=0o700, exist_ok=True)
+            lock = _locked(folder, create=True)
+        except OSError as error:
+            raise RunError(f"{folder}: cannot be made: {error.strerror}") from error
+        if lock is not None or time.monotonic() > deadline:
+            return lock
+        time.sleep(0.02)
+
+
+def _locked(folder: Path, kind: int = fcntl.LOCK_EX, *, create: bool = False) -> int | None:
+    """The lock of a folder, or None when another has it; raises `OSError` only to `create`."""
+    path = folder / "lock"
     try:
-        handle = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        handle = os.open(path, os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0), 0o600)
     except OSError:
+        if create and folder.is_dir():
+            raise
         return None
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        return None
-    return handle
+        fcntl.flock(handle, kind | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(handle), path.stat()):
+            return handle
+    except (BlockingIOError, FileNotFoundError):
+        pass  # somebody has it, or it was swept away between the two lines
+    os.close(handle)
+    return None
 
 
 def _remove_remains(folder: Path) -> None:

@@ -68,6 +68,15 @@ def test_what_changed_is_kept_in_the_file_and_what_was_refused_is_not(tmp_path: 
     assert kept(file) == {"every": 3}
 
 
+def test_what_cannot_be_kept_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+    operator, live = work(tmp_path / "gone" / "work.live")
+
+    with pytest.raises(SettingsError, match=r"work: cannot be kept: .*No such file"):
+        live.change({"every": 3})
+
+    assert operator.settings == WorkSettings()
+
+
 @given(st.binary(min_size=1, max_size=60))
 def test_noise_is_answered_and_changes_nothing_that_must_not_change(noise: bytes) -> None:
     operator, live = work()

@@ -1,7 +1,10 @@
 """The folders of running graphs: one owner, and old logs do not pile up."""
 
+import fcntl
 import os
 import secrets
+import shutil
+import threading
 import time
 
 import pytest
@@ -32,6 +35,25 @@ def test_logs_of_last_week_stay_and_older_ones_go() -> None:
 
     assert (fresh / "work.log").exists()
     assert not stale.exists()
+
+
+@pytest.mark.parametrize("swept", [False, True])
+def test_who_looks_or_sweeps_keeps_nobody_from_starting(*, swept: bool) -> None:
+    folder = base() / f"test-{secrets.token_hex(3)}"
+    RunFolder.claim(folder.name).release()
+    lock = os.open(folder / "lock", os.O_RDWR)
+    fcntl.flock(lock, fcntl.LOCK_EX if swept else fcntl.LOCK_SH)
+
+    def let_go() -> None:
+        if swept:
+            shutil.rmtree(folder)
+        os.close(lock)
+
+    threading.Timer(0.1, let_go).start()
+    owned = RunFolder.claim(folder.name)
+
+    assert os.path.samestat(os.fstat(owned._lock), (folder / "lock").stat())
+    owned.release()
 
 
 def test_the_folder_is_private() -> None:
