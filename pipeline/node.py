@@ -29,6 +29,7 @@ from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.host import Host
 from pipeline.ledger import Ledger
+from pipeline.logfile import log_to
 from pipeline.place import check_fit
 from pipeline.plan import Node, load_operator
 from pipeline.relay import read_cut
@@ -195,7 +196,7 @@ def main() -> None:
     if not line:
         os._exit(0)  # a spare that was not needed
     job = TypeAdapter(Assignment).validate_json(line)
-    _log_to(Path(job.run_folder) / f"{job.process}.log", fresh=max(job.epochs.values()) == 1)
+    log_to(Path(job.run_folder) / f"{job.process}.log", fresh=max(job.epochs.values()) == 1)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     faulthandler.register(signal.SIGUSR1)  # the supervisor asks before it kills a stalled node
     sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
@@ -214,14 +215,6 @@ def _import_ahead(modules: Iterable[str]) -> None:
     for module in modules:
         with contextlib.suppress(Exception):
             importlib.import_module(module)
-
-
-def _log_to(path: Path, *, fresh: bool) -> None:
-    flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | (os.O_TRUNC if fresh else 0)
-    handle = os.open(path, flags, 0o600)
-    for stream in (1, 2):
-        os.dup2(handle, stream)
-    os.close(handle)
 
 
 def _obey(process: Process) -> None:

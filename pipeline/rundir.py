@@ -9,6 +9,7 @@ removes what it left in memory and ends what it left running.
 
 import fcntl
 import json
+import logging
 import os
 import secrets
 import shutil
@@ -27,6 +28,7 @@ from pipeline.pool import remove_pools
 MEMORY = Path("/dev/shm")
 KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
 CLAIM_S = 0.5  # who looks whether a graph runs has its lock for a moment
+log = logging.getLogger(__name__)
 
 
 def base() -> Path:
@@ -61,14 +63,20 @@ class RunFolder:
         return RunFolder(folder, prefix, lock)
 
     def note(self, facts: dict[str, Any]) -> None:
-        """Write down what others may want to know about this run; raises `RunError` when full."""
-        part = self.folder / "run.json.part"
+        """Write down what others may want to know about this run.
+
+        Raises `RunError` when that cannot be; later on what was written down before must do.
+        """
+        path, part = self.folder / "run.json", self.folder / "run.json.part"
         try:
             part.write_text(json.dumps({"prefix": self.prefix, "pid": os.getpid(), **facts}))
-            part.rename(self.folder / "run.json")
+            part.rename(path)
         except OSError as error:
             part.unlink(missing_ok=True)
-            raise RunError(f"{part.parent}: cannot write run.json: {error.strerror}") from error
+            sentence = f"{path}: cannot be written: {error.strerror}"
+            if not path.exists():
+                raise RunError(sentence) from error
+            log.warning("%s; process ids there are old", sentence)
 
     def release(self) -> None:
         """Remove sockets and memory; the logs stay for reading."""

@@ -24,7 +24,7 @@ def _permitted() -> bool:
 
 
 def with_small_mounts(
-    sizes: Mapping[Path | str, str], *words: str, timeout_s: float = 60
+    sizes: Mapping[Path | str, str], *words: str, timeout_s: float = 60, **environment: str
 ) -> "subprocess.CompletedProcess[str]":
     """Run Python with `words`, a tmpfs of so many bytes on each folder; skips where forbidden."""
     if not _permitted():
@@ -34,4 +34,5 @@ def with_small_mounts(
     return subprocess.run(
         ["unshare", "-m", "sh", "-c", script, "sh", sys.executable, *words],
         capture_output=True, text=True, timeout=timeout_s, check=False, cwd=ROOT,
+        env={**os.environ, **environment},
     )  # fmt: skip
