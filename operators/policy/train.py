@@ -256,6 +256,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
                     saved = time.monotonic()
             run.roller = {name: value.clone() for name, value in run.net.state_dict().items()}
             run.save()
+            del pool  # the next one is as large
             say(f"round {number}: {json.dumps(coverage(run.net, check, count=48, seed=7))}")
     facts = {
         "clips_s": round(clips_s),
