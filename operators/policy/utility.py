@@ -3,7 +3,9 @@
 The paper trains "end-to-end with frozen task-specific perception models" and gives no loss. For
 tracking the frozen tracker gains where the ROI shows the target and the surroundings it searches:
 U[i, t] is the share of them inside the window that dispatch would command for candidate i at step
-t. So a neighbour of a hidden ball is worth as much as the ball itself: its window shows both.
+t. So a neighbour of a hidden ball is worth nearly as much as the ball itself: its window shows
+both. Nearly: what lies in the middle of the window stays inside when it moves otherwise than
+foreseen, so the gain falls with the square of the target's distance from it.
 """
 
 import numpy as np
@@ -12,7 +14,8 @@ from numpy.typing import NDArray
 from pipeline import Geometry
 from pipeline.boxes import centres, from_centres
 
-SURROUNDINGS = 2.0  # side of what must be seen in sides of the target's box: the tracker's template
+SURROUNDINGS = 4.0  # side of what must be seen in sides of the target's box: the tracker's search
+CENTRING = 0.5  # share of the gain that is lost at the window's edge
 
 
 def windows(boxes: NDArray[np.float32], geometry: Geometry) -> NDArray[np.float32]:
@@ -33,7 +36,9 @@ def gains(
     """
     size = truth[:, 2:] - truth[:, :2]
     field = np.array([geometry.width_px, geometry.height_px] * 2, np.float32)
-    wanted = np.clip(from_centres(centres(truth), size * SURROUNDINGS), 0, field)
+    window = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
+    around = np.minimum(size * SURROUNDINGS, window)
+    wanted = np.clip(from_centres(centres(truth), around), 0, field)
     shown = windows(predicted, geometry)
     low = np.maximum(shown[..., :2], wanted[None, :, :2])
     high = np.minimum(shown[..., 2:], wanted[None, :, 2:])
@@ -41,4 +46,6 @@ def gains(
     whole = (wanted[:, 2:] - wanted[:, :2]).prod(-1)
     there = (size > 0).all(-1) & (whole > 0)
     share = common / np.where(there, whole, 1)
-    return np.where(there, share, 0).astype(np.float32)
+    off = np.abs(centres(shown) - centres(truth)) / (window / 2)
+    gain = share * (1 - CENTRING * np.minimum(off.max(-1), 1) ** 2)
+    return np.where(there, gain, 0).astype(np.float32)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators.policy.utility import gains, windows
+from operators.policy.utility import CENTRING, gains, windows
 from pipeline import Geometry
 from pipeline.boxes import centres, roi_window
 
@@ -20,20 +20,30 @@ def test_windows_are_those_that_dispatch_commands(x: float, y: float, side: floa
     assert windows(box, FIELD).tolist() == list(roi_window(centres(box), FIELD))
 
 
-def test_a_neighbour_whose_window_shows_the_target_is_worth_as_much() -> None:
+def test_a_neighbour_whose_window_shows_the_target_is_worth_nearly_as_much() -> None:
     ball = np.array([[900, 500, 916, 516]], np.float32)
     itself, near, far = ball, ball + 60, ball + 600
 
-    worth = gains(np.stack([itself, near, far]), ball, FIELD)
+    worth = gains(np.stack([itself, near, far]), ball, FIELD)[:, 0]
 
-    assert worth[:, 0].tolist() == [1, 1, 0]
+    assert worth[0] > 0.99
+    assert 0.8 < worth[1] < 0.95
+    assert worth[2] == 0
 
 
-def test_what_is_shown_in_part_is_worth_its_part() -> None:
+def test_what_is_shown_in_part_is_worth_at_most_its_part() -> None:
     ball = np.array([[900, 500, 916, 516]], np.float32)
     beside = ball + np.array([240, 0, 240, 0], np.float32)  # its window begins at the ball's middle
 
-    assert gains(beside[None], ball, FIELD)[0, 0] == pytest.approx(0.5)
+    assert gains(beside[None], ball, FIELD)[0, 0] == pytest.approx((1 - CENTRING) / 2, abs=0.01)
+
+
+def test_of_a_person_larger_than_the_roi_the_window_itself_is_wanted() -> None:
+    person = np.array([[900, 400, 1000, 700]], np.float32)
+
+    worth = gains(np.stack([person, person + 40]), person, FIELD)[:, 0]
+
+    assert worth[0] > 0.98 > 0.9 > worth[1]
 
 
 def test_nothing_is_gained_where_the_target_is_not_in_the_picture() -> None:
