@@ -191,7 +191,11 @@ def main() -> None:
     """Read an assignment, do it, leave with 0 or 1."""
     events = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # whatever an operator prints belongs into the log
-    _import_ahead(sys.argv[2:])
+    loader = threading.Thread(target=_import_ahead, args=(sys.argv[2:],))
+    loader.start()
+    loader.join()
+    events.write('{"event": "idle"}\n')
+    events.flush()
     line = sys.stdin.readline()
     if not line:
         os._exit(0)  # a spare that was not needed
@@ -211,7 +215,11 @@ def main() -> None:
 
 
 def _import_ahead(modules: Iterable[str]) -> None:
-    """Load what a restarted operator will need; who fails here will say so when it is used."""
+    """Load what a restarted operator will need; who fails here will say so when it is used.
+
+    On Linux niceness belongs to a thread: the graph that runs keeps its cores meanwhile.
+    """
+    os.nice(ASIDE_NICENESS)
     for module in modules:
         with contextlib.suppress(Exception):
             importlib.import_module(module)

@@ -209,13 +209,15 @@ class Supervisor:
             slot = self.slots[name]
             slot.nodes = nodes
             slot.sources = frozenset(n.name for n in nodes if is_source(n))
-        self._spare.dismiss()  # it may have imported what has changed on disk
         self.note()
 
     def launch(self, job: Assignment, *, fresh: bool = False) -> Child:
-        """A process for an assignment; a fresh one when it has to import what is on disk now."""
-        popen = None if fresh else self._spare.take()
-        return Child(popen or self._spawn(()), job, self._events)
+        """A process for an assignment; a `fresh` one has imported what is on disk now."""
+        if fresh:
+            self._spare.refresh()
+        mine = {n.operator.partition(":")[0] for n in job.plan.nodes if n.process == job.process}
+        popen = self._spare.take() or self._spawn(mine if fresh else ())
+        return Child(popen, job, self._events)
 
     def _spawn(self, modules: Collection[str]) -> "subprocess.Popen[bytes]":
         return spawn(self._run.prefix, self._run.folder, modules)

@@ -1,0 +1,204 @@
+"""What swapping costs: `python -m bench.swap [GRAPH] --count 1000 [--json FILE]`.
+
+Runs a graph of processes in real time and swaps its parts again and again, each for the same part
+in a new process, while the stream of sensor commands is watched from outside. Printed: frames lost
+and doubled on lossless edges, drops on the others, how long a part stood still, the longest time
+between two sensor commands (beside the longest without a swap), and by how much the others grew.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import psutil
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from bench.machine import facts
+from bench.options import JSON, Bench, on_graph
+from pipeline.bus import Session
+from pipeline.contract import outputs_of
+from pipeline.graph import load
+from pipeline.inport import InPort
+from pipeline.ledger import private_ledger
+from pipeline.overlay import Overlay
+from pipeline.plan import Plan, load_operator
+from pipeline.pool import PoolReader
+from pipeline.ports import Arrival
+from pipeline.report import compose
+from pipeline.rundir import MEMORY, base, running
+from pipeline.supervisor import Supervisor
+from pipeline.swap import SwapOrder
+from pipeline.wiring import key_of
+
+WARM_S = 10.0  # the baseline: no swap
+PATIENCE_S = 60.0
+
+
+class Commands:
+    """When each sensor command left, as a tap on its output hears it."""
+
+    def __init__(self, plan: Plan) -> None:
+        edge = next(e for e in plan.edges if e.command)
+        folder = base() / plan.name
+        message = outputs_of(load_operator(plan.node(edge.source).operator))[edge.output]
+        prefix = running()[plan.name]["prefix"]
+        pool = PoolReader(MEMORY, f"{prefix}{edge.source}.{edge.output}")
+        port = InPort(message, private_ledger(1, 0).edges[0], pool, 1, self._note, tap=True)
+        self.seqs: list[int] = []
+        self.times_s: list[float] = []
+        self._session = Session(folder, "bench-swap")
+        key = key_of(plan.name, edge.source, edge.output)
+        self._stop: Callable[[], None] = self._session.listen(key, port.receive)
+
+    def _note(self, arrival: Arrival) -> None:
+        if arrival.message is not None:
+            self.times_s.append(time.monotonic())
+            self.seqs.append(arrival.header.seq)
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._stop()
+        self._session.close()
+
+    def gaps_ms(self, first: int = 0) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """Times between successive commands from the one numbered `first` on."""
+        return np.diff(np.array(self.times_s[first:])) * 1000
+
+
+@click.command(cls=Bench)
+@on_graph
+@click.option("--node", "nodes", multiple=True, default=("saliency", "policy"), show_default=True)
+@click.option("--count", default=20, show_default=True, type=click.IntRange(1), help="Of each.")
+@click.option("--probation", default=5, show_default=True, type=click.IntRange(1), help="Frames.")
+@JSON
+def main(
+    graph: Path, source: Path | None, changes: tuple[str, ...], nodes: tuple[str, ...], count: int,
+    probation: int, path: Path | None,
+) -> None:  # fmt: skip
+    """Swap parts of a running graph so many times."""
+    plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
+    swaps: list[dict[str, Any]] = []
+    with Supervisor(plan) as supervisor:
+        supervisor.start()
+        commands = Commands(plan)
+        _rest(supervisor, WARM_S)
+        before, quiet = _memory(supervisor), len(commands.seqs)
+        for turn in track(range(count * len(nodes)), "swapping"):
+            node = nodes[turn % len(nodes)]
+            swaps.append(_swap(supervisor, SwapOrder(node=node, probation=probation)))
+        _rest(supervisor, 2.0)
+        after = _memory(supervisor)
+        commands.close()
+        supervisor.finish()
+        supervisor.stop()
+        report = compose(
+            supervisor.plan, supervisor.ledger, {}, {}, duration_s=1.0,
+            restarts=supervisor.restarts,
+        )  # fmt: skip
+    others = [p for p in before if p not in {plan.node(n).process for n in nodes}]
+    result = {
+        "bench": "swap", **facts(), "graph": str(graph), "nodes": nodes, "count": count,
+        "probation_frames": probation, **_losses(report["edges"], commands.seqs),
+        "gap_ms": {n: _spread([s["gap_ms"] for s in swaps if s["node"] == n]) for n in nodes},
+        "command_gap_ms": {
+            "without_swaps": _spread(commands.gaps_ms()[: quiet - 1]),
+            "while_swapping": _spread(commands.gaps_ms(quiet)),
+        },
+        "others": {p: {k: [before[p][k], after[p][k]] for k in before[p]} for p in others},
+        "restarts": report["restarts"], "edges": report["edges"], "swaps": swaps,
+    }  # fmt: skip
+    Console().print(*_tables(result))
+    if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(result, indent=1))
+
+
+def _swap(supervisor: Supervisor, order: SwapOrder) -> dict[str, Any]:
+    answers: list[dict[str, Any]] = []
+    supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+    began_s = time.monotonic()
+    while not answers:
+        if time.monotonic() - began_s > PATIENCE_S or supervisor.failure:
+            raise click.ClickException(f"{order.node} was not swapped: {supervisor.failure}")
+        supervisor.tick()
+    if answers[0]["refused"]:
+        raise click.ClickException(answers[0]["refused"])
+    return {**answers[0], "took_s": time.monotonic() - began_s}
+
+
+def _rest(supervisor: Supervisor, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        supervisor.tick()
+
+
+def _memory(supervisor: Supervisor) -> dict[str, dict[str, float]]:
+    """Resident and locked megabytes and open files by process."""
+    found = {}
+    for process in supervisor.plan.processes():
+        pid = supervisor.pid(process)
+        status = Path(f"/proc/{pid}/status").read_text()
+        locked_kb = next(int(li.split()[1]) for li in status.splitlines() if "VmLck" in li)
+        seen = psutil.Process(pid)
+        found[process] = {
+            "rss_mb": seen.memory_info().rss / 1e6,
+            "locked_mb": locked_kb / 1e3,
+            "open_files": seen.num_fds(),
+        }
+    return found
+
+
+def _losses(edges: list[dict[str, Any]], seqs: list[int]) -> dict[str, int]:
+    """Over the whole run; a doubled message is refused as unmatched by whoever reads it."""
+    lossless = [e for e in edges if e["keep"] == "every"]
+    return {
+        "frames": max(e["offered"] for e in edges),
+        "lost": sum(e["offered"] - e["delivered"] for e in lossless),
+        "doubled_commands": len(seqs) - len(set(seqs)),
+        "dropped_on_latest": sum(
+            sum(e["dropped"].values()) + e["lost_in_crash"] for e in edges if e["keep"] == "latest"
+        ),
+    }
+
+
+def _spread(values: Any) -> dict[str, float]:
+    known = np.array(values, np.float64)
+    if not len(known):
+        return {"p50": 0.0, "p99": 0.0, "max": 0.0}
+    return {
+        "p50": float(np.percentile(known, 50)),
+        "p99": float(np.percentile(known, 99)),
+        "max": float(known.max()),
+    }
+
+
+def _tables(result: dict[str, Any]) -> tuple[Table, Table]:
+    times = Table(title=f"{result['count']} swaps of each of {', '.join(result['nodes'])}")
+    for column in ("", "p50 ms", "p99 ms", "longest ms"):
+        times.add_column(column, justify="right")
+    rows = {f"{node} stood still": spread for node, spread in result["gap_ms"].items()}
+    rows |= {f"commands, {k}": spread for k, spread in result["command_gap_ms"].items()}
+    for name, spread in rows.items():
+        times.add_row(name, *(f"{spread[k]:.1f}" for k in ("p50", "p99", "max")))
+    times.caption = (
+        f"{result['frames']} frames; lossless edges: {result['lost']} lost; "
+        f"{result['doubled_commands']} commands doubled; {result['dropped_on_latest']} dropped "
+        f"where the latest counts; restarts {sum(result['restarts'].values())}"
+    )
+    memory = Table(title="the others, before -> after")
+    for column in ("process", "RSS MB", "locked MB", "open files"):
+        memory.add_column(column, justify="right")
+    for process, seen in result["others"].items():
+        pairs = [f"{a:.0f} -> {b:.0f}" for a, b in seen.values()]
+        memory.add_row(process, *pairs)
+    return times, memory
+
+
+if __name__ == "__main__":
+    main()
