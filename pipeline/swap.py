@@ -81,9 +81,11 @@ class Swap:
     def hear(self, pid: int, event: dict[str, Any]) -> bool:
         """Take note of an event; True when nobody else needs it."""
         kind = str(event.get("event"))
+        if pid in self._gone:
+            return True
         mine = [c for c in (self._other, self._slot.child) if c and c.pid == pid]
         if not mine:
-            return pid in self._gone
+            return False
         self._said.setdefault(pid, {})[kind] = event
         if mine[0] is self._other and kind == "ready":
             mine[0].ready, mine[0].load_s = True, float(event.get("load_s", 0))
@@ -130,6 +132,7 @@ class Swap:
             lambda: "standing" in self._heard(new), HEAR_S, "its inputs did not greet it", of=new
         )
         heard = self._heard(new)["standing"]["heard"]
+        self._facts["ready_seq"] = int(self._account().last_seq)
         cut = {"door": str(door), "heard": heard, "at": order.at}
         old.order("cut", node=self._node.name, cut=cut)
         yield from self._cut(old, new)
