@@ -49,7 +49,7 @@ class Inbox:
     """The joins and queues of one operator; not thread-safe."""
 
     def __init__(self, inputs: Mapping[str, Input], settle: Settle, *, lockstep: bool) -> None:
-        self._inputs, self._settle, self._lockstep = dict(inputs), settle, lockstep
+        self.inputs, self._settle, self._lockstep = dict(inputs), settle, lockstep
         self._joined = tuple(n for n, i in inputs.items() if i.join and not i.command)
         self._required = tuple(n for n in self._joined if not inputs[n].optional)
         self._needed = frozenset(self._required)
@@ -186,7 +186,7 @@ class Inbox:
         return True
 
     def _offer_side(self, name: str, arrival: Arrival) -> None:
-        if self._inputs[name].keep == "latest" and not self._lockstep:
+        if self.inputs[name].keep == "latest" and not self._lockstep:
             for older in [entry for entry in self._side if entry[0] == name]:
                 self._side.remove(older)
                 self._settle(name, "superseded", older[1].ordinal)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipeline import codec
 from pipeline.envelope import HELLO, NOTHING, Envelope
 from pipeline.errors import MessageError
-from pipeline.ledger import EdgeAccount
+from pipeline.ledger import EdgeAccount, private_ledger
 from pipeline.messages import Header, Message
 from pipeline.pool import PoolReader
 from pipeline.ports import Arrival
@@ -29,13 +29,15 @@ class InPort:
         self, message: type[Message], account: EdgeAccount, pool: PoolReader, epoch: int,
         deliver: Callable[[Arrival], None], *, tap: bool = False, holding: bool = False,
     ) -> None:  # fmt: skip
-        self._schema, self._account, self._pool = codec.schema(message), account, pool
+        self._message, self._account, self._pool = message, account, pool
+        self._schema = codec.schema(message)
         self._epoch, self._deliver, self._tap = epoch, deliver, tap
         self._sender_epoch, self._mark = -1, self._schema.fingerprint
         self._seen = max(account.seen, account.accounted)
         self._open: set[int] = set()  # delivered here and not finished
         self._careful = False
         self._tape: Tape | None = None
+        self.also: Callable[[Envelope], None] | None = None  # a shadow's, while holding
         if holding:
             self._tape = Tape()
         else:  # what the predecessor had taken and not finished died with it
@@ -58,6 +60,20 @@ class InPort:
             self._receive(envelope)
         else:
             self._tape.add(envelope)
+            if self.also is not None:
+                self.also(envelope)
+
+    def shadow(self, deliver: Callable[[Arrival], None]) -> "InPort":
+        """A port for a trial: it gets what this one holds and keeps its own accounts."""
+        port = InPort(
+            self._message, private_ledger(1, 0).edges[0], self._pool, self._epoch, deliver,
+            tap=True, holding=True,
+        )  # fmt: skip
+        assert port._tape is not None
+        assert self._tape is not None
+        port._tape.envelopes.extend(self._tape.envelopes)
+        self.also = port._receive
+        return port
 
     def finished(self, ordinal: int) -> None:
         """A message that was delivered here has met its end."""
@@ -73,6 +89,10 @@ class InPort:
         """Hold from now on; where the one that takes over has to begin."""
         self._tape, self._careful = Tape(self._seen), True
         self._tell_seen()
+        return self.here()
+
+    def here(self) -> EdgeCut:
+        """How far it has come."""
         return EdgeCut(self._seen, sorted(self._open), self._sender_epoch)
 
     def take_over(self, cut: EdgeCut) -> None:

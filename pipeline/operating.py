@@ -71,4 +71,18 @@ def swap_lines(result: Mapping[str, Any]) -> list[str]:
         *([f"state {result['state']}"] if "state" in result else []),
         f"{result['proven_frames']} frames of probation",
     ]
-    return [", ".join(words)]
+    return [", ".join(words), *_shadow_lines(result.get("shadow"))]
+
+
+def _shadow_lines(shadow: Mapping[str, Any] | None) -> list[str]:
+    if not shadow:
+        return []
+    apart = [
+        f"{name} in {d['frames']} by up to {d['most']:.3g}"
+        for name, d in shadow["differences"].items()
+    ]
+    line = (
+        f"shadow: {shadow['frames']} frames, {shadow['identical']} answered alike, "
+        f"{shadow['handler_ms']:.1f} ms each"
+    )
+    return [f"{line}; different: {', '.join(apart)}" if apart else line]

@@ -7,6 +7,7 @@ since. The old part keeps receiving until its successor has proven itself, and c
 """
 
 import dataclasses
+import queue
 import time
 import types
 import typing
@@ -23,12 +24,14 @@ from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.host import Host
 from pipeline.inbox import Marks
 from pipeline.ledger import NodeAccount, private_ledger
+from pipeline.shadow import Heard, Shadow
 from pipeline.tape import Counted, EdgeCut
 
 BATON = 0xFFFFFFFF  # the "edge" on which a successor is told to go on
 REST_S = 0.005
 MARGIN = 64  # descriptors kept beyond what the other instance can have waiting
 Say = Callable[..., None]
+Listen = Callable[[Heard], Callable[[], None]]  # to the working part's outputs; how to stop
 
 
 class Baton(msgspec.Struct, forbid_unknown_fields=True):
@@ -38,6 +41,7 @@ class Baton(msgspec.Struct, forbid_unknown_fields=True):
     marks: Marks
     stopped_ns: int  # monotonic
     state: str  # file in the memory folder, "" for none
+    shadow: int = 0  # frames to try before; the other works on
 
 
 _READ = msgspec.msgpack.Decoder(Baton)
@@ -49,6 +53,7 @@ class Cut(msgspec.Struct, forbid_unknown_fields=True):
     door: str  # of the successor
     heard: dict[str, int]  # by input: it lacks what came up to this ordinal
     at: int = 0
+    shadow: int = 0  # frames: do not stop, only say how far it is
 
 
 class Voice(Protocol):
@@ -67,10 +72,13 @@ class Relay:
     """One instance's side. Everything happens on the thread that calls its handlers."""
 
     def __init__(
-        self, host: Host, *, memory: Path, stem: str, say: Say, voice: Voice, standby: bool
-    ) -> None:
+        self, host: Host, *, memory: Path, stem: str, say: Say, voice: Voice, listen: Listen,
+        standby: bool,
+    ) -> None:  # fmt: skip
         self._host, self._memory, self._stem = host, memory, stem
-        self._say, self._voice = say, voice
+        self._say, self._voice, self._listen = say, voice, listen
+        self._shadow: Shadow | None = None
+        self._unlisten: Callable[[], None] = lambda: None
         self._account = host.account
         self.at_rest = self._standby = standby
         self._told = False
@@ -96,8 +104,14 @@ class Relay:
             heard = {name: port.tape.heard for name, port in ports.items() if port.tape}
             self._say("standing", node=self._host.name, heard=heard)
         doors.wait(REST_S)
+        if self._shadow is not None:
+            self._try(self._shadow)
         if self._baton:
-            self._take_over(_READ.decode(self._baton))
+            baton, self._baton = _READ.decode(self._baton), b""
+            if baton.shadow:
+                self._begin_trial(baton)
+            else:
+                self._take_over(baton)
 
     def receive(self, baton: bytes) -> None:
         """Called at the door: it is this instance's turn."""
@@ -148,6 +162,12 @@ class Relay:
         link = connected(BATON, Path(cut.door))
         if link is None:
             raise RunError(f"{host.name}: the successor has closed its door")
+        if cut.shadow:
+            with link:
+                edges = {name: port.here() for name, port in host.ports.items()}
+                baton = Baton(edges, host.inbox.marks(), 0, state, cut.shadow)
+                link.send(msgspec.msgpack.encode(baton))
+            return
         self._before = {name: Counted(account) for name, account in host.edges.items()}
         marks = host.inbox.marks()
         edges = {name: port.cut() for name, port in host.ports.items()}
@@ -160,7 +180,8 @@ class Relay:
         self._voice.lower()
 
     def _take_over(self, baton: Baton) -> None:
-        host, self._baton = self._host, b""
+        host = self._host
+        self._end_trial()
         for name, port in host.ports.items():
             if port.tape is None or port.tape.torn:
                 raise RunError(f"{host.name}: the successor fell behind on {name}")
@@ -174,6 +195,24 @@ class Relay:
             "taken", node=host.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state
         )
         self._speak()
+
+    def _begin_trial(self, baton: Baton) -> None:
+        """Answer the same frames as the working part, and send nothing."""
+        heard: Heard = queue.SimpleQueue()
+        self._read_state(baton.state)
+        self._unlisten = self._listen(heard)
+        self._shadow = Shadow(self._host, baton.marks, baton.edges, heard, baton.shadow)
+
+    def _try(self, shadow: Shadow) -> None:
+        shadow.step()
+        if shadow.done:
+            self._end_trial()
+
+    def _end_trial(self) -> None:
+        if self._shadow is not None:
+            self._say("shadowed", node=self._host.name, **self._shadow.end())
+            self._unlisten()
+            self._shadow = None
 
     def _begin(self, epoch: int) -> None:
         host = self._host

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 START_S = 60.0
 HEAR_S = 10.0  # for a node that works, to greet a successor
 CUT_S = 30.0
+SHADOW_S = 1.0  # per frame, at most
 ANSWER_S = 5.0
 STUCK_S = 2.0  # with messages waiting
 QUIET_S = 10.0  # without messages: then probation is over
@@ -112,6 +113,8 @@ class Swap:
         for account in self._crew.accounts(self._slot):
             account.next_door = 0
         self._owned = False
+        if refused and self._hot and self._slot.child is not None:
+            self._slot.child.order("uncut", node=self._node.name)
         self.result = {**self._facts, "refused": refused}
         words = ", ".join(f"{k} {v}" for k, v in self._facts.items())
         (log.error if refused else log.info)("swap: %s%s", words, f": {refused}" if refused else "")
@@ -134,6 +137,8 @@ class Swap:
         heard = self._heard(new)["standing"]["heard"]
         self._facts["ready_seq"] = int(self._account().last_seq)
         cut = {"door": str(door), "heard": heard, "at": order.at}
+        if order.shadow:
+            yield from self._try(old, new, {**cut, "at": 0, "shadow": order.shadow})
         old.order("cut", node=self._node.name, cut=cut)
         yield from self._cut(old, new)
         try:
@@ -151,6 +156,20 @@ class Swap:
         yield from self._drained(epoch)
         old.tell("stop")
         yield from self._until(lambda: old.ended() is not None, ANSWER_S, "", must=False)
+
+    def _try(self, old: Child, new: Child, cut: dict[str, Any]) -> Iterator[None]:
+        """Let the successor answer the same frames, and keep what came of it."""
+        old.order("cut", node=self._node.name, cut=cut)
+        limit_s = QUIET_S + SHADOW_S * cut["shadow"]
+        heard = self._heard(old)
+        yield from self._until(
+            lambda: "shadowed" in self._heard(new) or "uncut" in heard, limit_s,
+            "the shadow run did not end", of=new,
+        )  # fmt: skip
+        if "uncut" in heard:
+            raise RunError(f"{self._node.name}: {heard['uncut']['reason']}")
+        told = self._heard(new)["shadowed"]
+        self._facts["shadow"] = {k: v for k, v in told.items() if k not in ("event", "node")}
 
     def _cut(self, old: Child, new: Child) -> Iterator[None]:
         """Wait until the old part has stopped, or let it go on."""

@@ -12,13 +12,14 @@ from pipeline.contract import Input, Operator, Source, outputs_of
 from pipeline.doors import Doors, Links
 from pipeline.host import Host
 from pipeline.inport import InPort
-from pipeline.ledger import Ledger
+from pipeline.ledger import Ledger, private_ledger
 from pipeline.live import Live, kept
 from pipeline.place import Place
 from pipeline.plan import Edge, Node, Plan, inputs_for, slots
 from pipeline.pool import PoolReader, PoolWriter
-from pipeline.ports import BYTES_SUFFIX, OutPort, Reader
+from pipeline.ports import BYTES_SUFFIX, Arrival, OutPort, Reader
 from pipeline.relay import BATON, Relay, Say
+from pipeline.shadow import MOST_WAITING, Heard
 from pipeline.source import SourceHost
 
 
@@ -105,7 +106,7 @@ class Wiring:
         if swappable(plan, node) and not isinstance(operator, Source):
             relay = Relay(
                 host, memory=self._memory, stem=f"{job.prefix}{node.name}", say=self._say,
-                voice=voice, standby=job.standby,
+                voice=voice, listen=partial(self._tap, node, type(operator)), standby=job.standby,
             )  # fmt: skip
             host.relay = self.relays[node.name] = relay
             doors.expect(BATON, relay.receive)
@@ -139,6 +140,26 @@ class Wiring:
             job.epochs[node.name],
         )
 
+    def _tap(
+        self, node: Node, operator: type[Operator[Any, Any]], heard: Heard
+    ) -> Callable[[], None]:
+        """Hear what another instance of a node sends."""
+        stops = []
+        for name, message in outputs_of(operator).items():
+            pool = PoolReader(self._memory, f"{self._job.prefix}{node.name}.{name}")
+            port = InPort(
+                message, private_ledger(1, 0).edges[0], pool, 1, partial(_hear, heard, name),
+                tap=True,
+            )  # fmt: skip
+            key = key_of(self._job.plan.name, node.name, name)
+            stops.append(self._session.listen(key, port.receive))
+
+        def stop() -> None:
+            while stops:
+                stops.pop()()
+
+        return stop
+
     def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
         job = self._job
         port = InPort(
@@ -156,6 +177,11 @@ class Wiring:
             return
         key = key_of(job.plan.name, edge.source, edge.output) + BYTES_SUFFIX
         self._stops.append(self._session.listen(key, port.receive))
+
+
+def _hear(heard: Heard, name: str, arrival: Arrival) -> None:
+    if heard.qsize() < MOST_WAITING:
+        heard.put((name, arrival))
 
 
 class _Voice:

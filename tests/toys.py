@@ -102,6 +102,7 @@ class WorkSettings:
     hang_at: int = -1
     every: int = 1  # answers nothing for the others
     hold: int = 0  # keeps that many pictures
+    gain: int = 1  # of what a tally tells
 
     def __post_init__(self) -> None:
         if self.every < 1:
@@ -258,7 +259,7 @@ class Tally(Operator[WorkSettings, Percept]):
             boxes=np.zeros((0, 4), np.float32),
             ids=np.zeros(0, np.int32),
             scores=np.zeros(0, np.float32),
-            action=np.array([count], np.float32),
+            action=np.array([self.settings.gain * count], np.float32),
         )
 
 

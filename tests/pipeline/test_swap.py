@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import signal
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,7 +12,9 @@ from typing import Any
 
 import pytest
 
-from pipeline import RunError
+from pipeline import GraphError, RunError
+from pipeline.inline import InlineRunner
+from pipeline.operating import swap_lines, tell
 from pipeline.report import Report
 from pipeline.supervisor import Supervisor
 from pipeline.swap import SwapOrder
@@ -92,6 +96,27 @@ def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_pat
     late = results[0]["ready_seq"] > 145  # a busy machine: then there is nothing to wait for
     assert late or results[0]["seq"] == 149
     assert report["summaries"]["recall"]["said"] == [[n, n + 1] for n in range(exposed(report))]
+
+
+@pytest.mark.parametrize(("change", "alike"), [({}, 15), ({"gain": 2}, 0)])
+def test_a_shadow_run_tells_how_the_answers_differ(
+    tmp_path: Path, change: dict[str, Any], alike: int
+) -> None:
+    results: Results = []
+    order = SwapOrder(node="work", shadow=15, probation=5, changes=change)
+
+    report = go(plan_of(tmp_path, TALLY), 0, swapping(results, order))
+
+    shadow = results[0]["shadow"]
+    assert (shadow["frames"], shadow["identical"]) == (15, alike)
+    if change:
+        assert shadow["differences"]["action"]["frames"] == 15
+        assert shadow["differences"]["action"]["most"] >= 15
+    counts = [count for _, count in report["summaries"]["recall"]["said"]]
+    cut = results[0]["seq"] + 1
+    gain = change.get("gain", 1)
+    assert counts == [*range(1, cut + 1), *(gain * n for n in range(cut + 1, len(counts) + 1))]
+    assert_accounts_add_up(report)
 
 
 def test_a_part_that_fails_its_probation_gives_way_to_the_old_one(tmp_path: Path) -> None:
@@ -194,11 +219,14 @@ def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
         order = SwapOrder(node="pair", probation=5)
         supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
 
-    plain = go(plans[0], 1500)
-    swapped = go(plans[1], 1500, during)
+    with InlineRunner(plans[0]) as runner:
+        for _ in runner.run(800):
+            pass
+        plain = runner.report()
+    swapped = go(plans[1], 800, during)
 
     assert results[0]["refused"] == ""
-    assert 3 < results[0]["seq"] < 1499
+    assert 3 < results[0]["seq"] < 799
     assert swapped["schedule_sha256"] == plain["schedule_sha256"]
 
 
@@ -220,3 +248,28 @@ def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: P
     assert_accounts_add_up(report)
     assert report["failure"] == ""
     assert exposed(report) > 5  # it went on until it was told to finish
+
+
+def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, CHAIN)
+    told: list[str] = []
+
+    def operate() -> None:
+        told.extend(swap_lines(tell(plan.name, SwapOrder(node="work", probation=5))))
+        for order in (SwapOrder(node="wrk"), "noise"):
+            with pytest.raises(GraphError) as refusal:
+                tell(plan.name, order)  # type: ignore[arg-type]
+            told.append(str(refusal.value))
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        operator = threading.Thread(target=operate)
+        operator.start()
+        wait_for(supervisor, lambda: not operator.is_alive(), 30)
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert re.match(r"work: swapped after frame \d+, stood still for \d+\.\d ms", told[0])
+    assert told[1].endswith("no node wrk, did you mean 'work'?")
+    assert told[2].startswith("not an order")
