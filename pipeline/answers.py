@@ -29,7 +29,7 @@ class Answers:
         self, plan: Plan, node: Node, operator: Operator[Any, Any], host: Host, live: Live,
         ledger: Ledger,
     ) -> None:  # fmt: skip
-        self._plan, self._node, self._operator = plan, node, operator
+        self.plan, self._node, self._operator = plan, node, operator
         self._host, self._live, self._ledger = host, live, ledger
 
     def serve(self, session: Session, key: Callable[[str], str]) -> list[Callable[[], None]]:
@@ -47,7 +47,7 @@ class Answers:
 
     def _on_health(self, _question: bytes, reply: OnBytes) -> None:
         words = self._operator.headline()
-        reply(write_health(examine(self._plan, self._node, self._ledger, words)))
+        reply(write_health(examine(self.plan, self._node, self._ledger, words)))
 
     def _on_config(self, question: bytes, reply: OnBytes) -> None:
         if not self._host.between(lambda: self._live.answer(question, reply)):

@@ -19,7 +19,7 @@ from pipeline.drawing import mermaid
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.graph import load
 from pipeline.graph_schema import graph_schema
-from pipeline.operating import swap
+from pipeline.operating import add, remove, rewire, swap
 from pipeline.overlay import Overlay, manual_nodes
 from pipeline.plan import Plan
 from pipeline.report import tables
@@ -193,7 +193,8 @@ commands.add_command(doctor_command)
 commands.add_command(health_command)
 commands.add_command(schema_command)
 commands.add_command(tell_command)
-commands.add_command(swap)
+for order in (swap, add, remove, rewire):
+    commands.add_command(order)
 commands.add_command(task_command("train", "Train the networks of a task."))
 commands.add_command(task_command("eval", "Measure a task: figures, tables, plots."))
 

@@ -11,17 +11,19 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from pipeline import codec
+from pipeline.affair import Affair
 from pipeline.child import Child
 from pipeline.errors import FoveaError
 from pipeline.slot import Slot
 from pipeline.swap import Swap, SwapOrder
+from pipeline.topology import PlanOrder, Topology
 
 if TYPE_CHECKING:
     from pipeline.supervisor import Supervisor
 
 COMMAND = "@graph"  # the key below a graph's own that takes orders
 Reply = Callable[[bytes], None]
-Order = SwapOrder
+Order = SwapOrder | PlanOrder
 _ORDER = msgspec.json.Decoder(Order)
 log = logging.getLogger(__name__)
 
@@ -32,7 +34,7 @@ class Desk:
     def __init__(self, crew: "Supervisor") -> None:
         self._crew = crew
         self._asked: queue.SimpleQueue[tuple[bytes, Reply]] = queue.SimpleQueue()
-        self._affair: Swap | None = None
+        self._affair: Affair | None = None
         self._reply: Reply = _nobody
 
     def ask(self, order: bytes, reply: Reply) -> None:
@@ -59,7 +61,11 @@ class Desk:
         if self._affair is not None:
             reply(answer({"refused": f"{self._crew.plan.name}: another order is under way"}))
             return
-        self._affair, self._reply = Swap(self._crew, order), reply
+        if isinstance(order, SwapOrder):
+            self._affair = Swap(self._crew, order)
+        else:
+            self._affair = Topology(self._crew, order)
+        self._reply = reply
 
     def hear(self, pid: int, event: dict[str, Any]) -> bool:
         """Whether an event of a process concerns the order under way alone."""

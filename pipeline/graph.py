@@ -38,18 +38,23 @@ def load(path: Path, overlay: Overlay | None = None) -> Plan:
     if clock not in ("realtime", "lockstep"):
         file.fail(document, "clock", f"clock: expected realtime or lockstep, got {clock!r}")
     started = {
-        name: _Part(file, nodes, name)
+        name: nodes[name]
         for name in nodes
         if name in overlay.wanted or not file.mapping(nodes, name, "nodes").get("manual", False)
     }
-    edges = tuple(_edges(file, started, clock))
+    return assemble(file, str(document.get("name", path.stem)), clock, started)
+
+
+def assemble(file: YamlFile, name: str, clock: str, nodes: Mapping[str, Any]) -> Plan:
+    """The plan of these entries; raises `GraphError` or `SettingsError`."""
+    parts = {part: _Part(file, nodes, part) for part in nodes}
     plan = Plan(
-        name=str(document.get("name", path.stem)),
+        name=name,
         clock="lockstep" if clock == "lockstep" else "realtime",
-        nodes=tuple(part.node(i) for i, part in enumerate(started.values())),
-        edges=edges,
+        nodes=tuple(part.node(i) for i, part in enumerate(parts.values())),
+        edges=tuple(_edges(file, parts, clock)),
     )
-    _check_loops(plan, path)
+    _check_loops(plan, file.path)
     return plan
 
 

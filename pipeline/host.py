@@ -86,6 +86,14 @@ class Host:
         if threading.get_ident() != self._waiter:
             self._doors.wake()
 
+    def rewire(self, name: str, account: EdgeAccount, port: InPort) -> None:
+        """Let an input be another edge; to be called by the thread that calls the handlers."""
+        with self._lock:
+            self.inbox.abandon(name)
+            before = self.edges[name]
+            self.ports[name].divert(lambda _arrival: before.settle("unmatched"))
+            self.edges[name], self.ports[name] = account, port
+
     def run(self) -> None:
         """Handle what arrives until told to stop; an operator's exception passes through."""
         self.alive("waiting")

@@ -144,6 +144,19 @@ class Inbox:
         self._retired.extend(marks.retired)
         self._fresh = False
 
+    def abandon(self, name: str) -> None:
+        """An input comes from somewhere else now: what it had brought meets its end."""
+        for waiting in self._sets.values():
+            arrival = waiting.arrivals.pop(name, None)
+            if arrival is not None:
+                self._settle(name, "unmatched", arrival.ordinal)
+                waiting.complete_ns = None
+        self._sets = {seq: waiting for seq, waiting in self._sets.items() if waiting.arrivals}
+        for entry in [entry for entry in self._side if entry[0] == name]:
+            self._side.remove(entry)
+            self._settle(name, "unmatched", entry[1].ordinal)
+        self._last.pop(name, None)
+
     def forget(self, done: Callable[[str, int], bool]) -> None:
         """Drop the arrivals (input, ordinal) that somebody else has settled meanwhile."""
         for seq, waiting in list(self._sets.items()):

@@ -56,12 +56,17 @@ class InPort:
             if self._tape is None:
                 self._account.strays += 1  # without a number it is nobody's message
             return
+        envelope.ordinal -= self._account.base
         if self._tape is None:
             self._receive(envelope)
         else:
             self._tape.add(envelope)
             if self.also is not None:
                 self.also(envelope)
+
+    def divert(self, deliver: Callable[[Arrival], None]) -> None:
+        """Hand everything to somebody else from now on."""
+        self._deliver = deliver
 
     def shadow(self, deliver: Callable[[Arrival], None]) -> "InPort":
         """A port for a trial: it gets what this one holds and keeps its own accounts."""

@@ -9,6 +9,7 @@ needed, and nothing is lost when a process is killed: its successor goes on from
 import ctypes
 import mmap
 import os
+import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +34,8 @@ DROPS = (
 )
 HISTOGRAMS = ("handler", "loop", "overhead", "cpu_wait", "hop")
 
+_LAYOUT = struct.Struct("<QQ")  # the file ends with how many edges and nodes it has
+
 STATES = ("absent", "starting", "waiting", "busy", "credit", "finished", "stopped")
 _STATE_NUMBERS = {name: number for number, name in enumerate(STATES)}
 
@@ -55,6 +58,7 @@ class EdgeAccount(ctypes.Structure):
     writer_epoch: int
     door: int  # which instance of the reader packets go to, 0: none
     next_door: int  # and which other one listens while the reader is being swapped
+    base: int  # the writer's: how much its output had sent before this edge began
 
     age: Histogram
     _ends: memoryview
@@ -63,7 +67,7 @@ class EdgeAccount(ctypes.Structure):
         (name, ctypes.c_uint64)
         for name in (
             "sent", "overrun", "broken", "seen", "delivered", *DROPS, "lost_in_crash",
-            "attached_epoch", "strays", "reader_epoch", "writer_epoch", "door", "next_door",
+            "attached_epoch", "strays", "reader_epoch", "writer_epoch", "door", "next_door", "base",
         )
     ]  # fmt: skip
 
@@ -88,6 +92,11 @@ class EdgeAccount(ctypes.Structure):
     def accounted(self) -> int:
         """Messages of which the reader knows the end: delivered, dropped or lost."""
         return sum(self._ends)
+
+    def clear(self) -> None:
+        """Begin anew: an edge that was removed, or one that takes its place."""
+        ctypes.memset(ctypes.addressof(self), 0, ctypes.sizeof(self))
+        self.age.counts[:] = 0
 
     @property
     def in_flight(self) -> int:
@@ -141,6 +150,12 @@ class NodeAccount(ctypes.Structure):
         }
         return account
 
+    def clear(self) -> None:
+        """Begin anew, for another node."""
+        ctypes.memset(ctypes.addressof(self), 0, ctypes.sizeof(self))
+        for histogram in self.histograms.values():
+            histogram.counts[:] = 0
+
     @property
     def condition(self) -> str:
         """The state in words."""
@@ -162,22 +177,24 @@ class Ledger:
     @staticmethod
     def create(path: Path, edges: int, nodes: int) -> "Ledger":
         """Make the file; raises `RunError` when there is no room for it."""
-        size = edges * EDGE_BYTES + nodes * NODE_BYTES
+        size = edges * EDGE_BYTES + nodes * NODE_BYTES + _LAYOUT.size
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         try:
-            os.posix_fallocate(handle, 0, max(size, PAGE_BYTES))
+            os.posix_fallocate(handle, 0, size)
+            os.pwrite(handle, _LAYOUT.pack(edges, nodes), size - _LAYOUT.size)
         except OSError as error:
             path.unlink()
             raise RunError(f"{path.parent}: no room for {size} bytes of accounts") from error
         finally:
             os.close(handle)
-        return Ledger.open(path, edges, nodes)
+        return Ledger.open(path)
 
     @staticmethod
-    def open(path: Path, edges: int, nodes: int) -> "Ledger":
+    def open(path: Path) -> "Ledger":
         """Map an existing file."""
         with path.open("r+b") as file:
             memory = memoryview(mmap.mmap(file.fileno(), 0))
+        edges, nodes = _LAYOUT.unpack(memory[-_LAYOUT.size :])
         first = edges * EDGE_BYTES
         return Ledger(
             path,

@@ -31,7 +31,7 @@ from pipeline.host import Host
 from pipeline.ledger import Ledger
 from pipeline.logfile import log_to
 from pipeline.place import check_fit
-from pipeline.plan import Node, load_operator
+from pipeline.plan import Node, Plan, load_operator
 from pipeline.relay import read_cut
 from pipeline.source import SourceHost
 from pipeline.wiring import Assignment, Wiring
@@ -49,7 +49,7 @@ class Process:
         self._job, self._events = job, events
         self._nodes = [n for n in job.plan.nodes if n.process == job.process]
         path = Path(job.memory_folder) / f"{job.prefix}ledger"
-        self._ledger = Ledger.open(path, len(job.plan.edges), len(job.plan.nodes))
+        self._ledger = Ledger.open(path)
         self._hosts: list[Host] = []
         self._operators: list[Operator[Any, Any]] = []
         self._session: Session | None = None
@@ -111,6 +111,10 @@ class Process:
         """What the supervisor wants of one node, done between two calls of its handlers."""
         kind, node = order.get("do"), str(order.get("node"))
         host = next((h for h in self._hosts if h.name == node), None)
+        if host is not None and kind == "replan" and self._wiring is not None:
+            plan = TypeAdapter(Plan).validate_python(order["plan"])
+            host.between(partial(self._wiring.replan, node, plan), must=True)
+            return
         relay = self._wiring.relays.get(node) if self._wiring else None
         if host is None or relay is None:
             log.error("%s: cannot %s %s", self._job.process, kind, node)

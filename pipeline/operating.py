@@ -1,18 +1,23 @@
-"""`fovea swap`: orders to a running graph, and what came of them."""
+"""`fovea swap | add | remove | rewire`: orders to a running graph, and what came of them."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import click
 import msgspec
+from pydantic import TypeAdapter
 
 from pipeline.bus import Session
 from pipeline.desk import COMMAND, Order
+from pipeline.editing import rewired, with_nodes, without_node
 from pipeline.errors import GraphError, RunError
 from pipeline.overlay import read_change
+from pipeline.plan import Plan
 from pipeline.rundir import base
 from pipeline.swap import SwapOrder
+from pipeline.topology import PlanOrder
 from pipeline.watching import find
 
 PATIENCE_S = 300.0  # loading a model, a shadow run and probation take their time
@@ -37,6 +42,53 @@ def swap(graph: str, node: str, changes: tuple[str, ...], **order: Any) -> None:
     result = tell(graph, SwapOrder(node=node, changes=wanted, **order))
     for line in swap_lines(result):
         click.echo(line)
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("file", type=click.Path(path_type=Path))
+def add(graph: str, file: Path) -> None:
+    """Add the nodes of a FILE (`nodes:` as in a graph file) to a running graph."""
+    _replan(graph, lambda plan: with_nodes(plan, file))
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("node")
+def remove(graph: str, node: str) -> None:
+    """Remove a node that nobody reads from a running graph."""
+    _replan(graph, lambda plan: without_node(plan, node))
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("wire", metavar="NODE.INPUT=SOURCE[.OUTPUT]")
+def rewire(graph: str, wire: str) -> None:
+    """Let a node of a running graph read another output."""
+    _replan(graph, lambda plan: rewired(plan, wire))
+
+
+def _replan(graph: str, edit: Callable[[Plan], Plan]) -> None:
+    for line in topology_lines(replan(graph, edit)):
+        click.echo(line)
+
+
+def replan(graph: str, edit: Callable[[Plan], Plan]) -> dict[str, Any]:
+    """Have a running graph become what `edit` makes of its plan; raises `FoveaError`."""
+    _, facts = find(graph)
+    wanted = edit(TypeAdapter(Plan).validate_python(facts["plan"]))
+    plain = TypeAdapter(Plan).dump_python(wanted, mode="json")
+    return tell(graph, PlanOrder(plan=plain, revision=facts["revision"]))
+
+
+def topology_lines(result: Mapping[str, Any]) -> list[str]:
+    """What was changed, for a terminal.
+
+    >>> topology_lines({"added": ["eye"], "removed": [], "connected": ["a -> eye.x"], "cut": []})
+    ['added: eye', 'connected: a -> eye.x']
+    """
+    kinds = ("added", "removed", "connected", "cut")
+    return [f"{kind}: {', '.join(result[kind])}" for kind in kinds if result[kind]]
 
 
 def tell(graph: str, order: Order) -> dict[str, Any]:

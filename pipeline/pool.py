@@ -95,6 +95,7 @@ class PoolWriter:
         self._lent: set[int] = set()
         self._recent = list(range(slots))  # the slot written last comes first
         self._ahead: Lease | None = None
+        self._outgrown: list[PoolFile] = []
 
     def lease(self, nbytes: int) -> Lease:
         """A slot of at least `nbytes`; raises `PoolExhausted` when none is free right now."""
@@ -161,6 +162,16 @@ class PoolWriter:
             if self._file is not None and self._claim(ordinal) != KEPT:
                 del self._held[slot]
                 self._file.lock(fcntl.F_UNLCK, slot)
+
+    def resize(self, slots: int) -> None:
+        """More slots from the next message on; what was sent from the old file stays readable."""
+        if slots > self._slots and self._file is not None:
+            self._outgrown = [self._file, *self._outgrown[:1]]  # with the locks it holds
+            self._file, self._ahead = None, None
+            self._held.clear()
+            self._lent.clear()
+        self._slots = max(slots, self._slots)
+        self._recent = list(range(self._slots))
 
     def refresh(self) -> None:
         """Another process may have outgrown the file meanwhile."""

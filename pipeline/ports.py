@@ -62,7 +62,7 @@ class Reader:
         account = self.account
         if not account.live:
             return SPARE if account.reader_epoch else DONE
-        if account.seen >= ordinal:
+        if account.base + account.seen >= ordinal:
             return DONE
         return SPARE if not self.lossless and newest >= ordinal + 2 else KEPT
 
@@ -87,10 +87,21 @@ class OutPort:
     def begin(self, epoch: int) -> None:
         """Speak for the node from now on, where whoever spoke before stopped."""
         self._epoch = epoch
-        self._ordinal = max((r.account.sent for r in self.readers), default=0)
+        self._ordinal = max((r.account.base + r.account.sent for r in self.readers), default=0)
         self._doors = [(0, 0)] * len(self.readers)
         self._links.aim(())  # a reader takes what comes on its newest link last
         self._pool.refresh()
+        self.hello()
+
+    def change_readers(self, readers: Sequence[Reader], slots: int) -> None:
+        """Other edges begin here from the next message on; who stays notices nothing."""
+        known = {id(r.account) for r in self.readers}
+        for reader in readers:
+            if id(reader.account) not in known:
+                reader.account.base = self._ordinal
+        self.readers = tuple(readers)
+        self._aim([(r.account.door, r.account.next_door) for r in self.readers])
+        self._pool.resize(slots)
         self.hello()
 
     def let_go(self) -> None:

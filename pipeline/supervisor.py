@@ -11,6 +11,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from pipeline.bus import Session
 from pipeline.child import Child, Events, Sample, ending, spawn
 from pipeline.desk import COMMAND, Desk
@@ -30,6 +32,7 @@ START_S = 60.0
 HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
 DRAIN_S = 5.0
 STOP_S = 4.0
+ROOM_EDGES, ROOM_NODES = 16, 4  # in the ledger, for what is added while the graph runs
 log = logging.getLogger(__name__)
 
 
@@ -40,7 +43,9 @@ class Supervisor:
         self.plan, self._frames = plan, frames
         self._run = RunFolder.claim(plan.name)
         self.ledger = Ledger.create(
-            MEMORY / f"{self._run.prefix}ledger", len(plan.edges), len(plan.nodes)
+            MEMORY / f"{self._run.prefix}ledger",
+            len(plan.edges) + ROOM_EDGES,
+            len(plan.nodes) + ROOM_NODES,
         )
         self._hub = Session(self._run.folder, "hub")
         self._events: Events = queue.SimpleQueue()
@@ -54,6 +59,7 @@ class Supervisor:
         self.summaries: dict[str, dict[str, Any]] = {}
         self.headlines: dict[str, str] = {}  # what nodes have to tell while they run
         self.restarts: dict[str, int] = {}
+        self.revision = 0  # of the plan
         self._finished: set[str] = set()
         self._sampled_s = 0.0
         self.started_s = time.monotonic()
@@ -203,12 +209,15 @@ class Supervisor:
         return self._run.folder / f"{node}.live"
 
     def change_plan(self, plan: Plan) -> None:
-        """The plan that runs now has other operators or settings in the same places."""
-        self.plan = plan
+        """Another plan runs now; a process that left it must have ended."""
+        self.plan, self.revision = plan, self.revision + 1
         for name, nodes in plan.processes().items():
-            slot = self.slots[name]
+            slot = self.slots.setdefault(name, Slot(name, nodes))
             slot.nodes = nodes
             slot.sources = frozenset(n.name for n in nodes if is_source(n))
+        for name in self.slots.keys() - plan.processes().keys():
+            if self.slots[name].child is None:
+                del self.slots[name]
         self.note()
 
     def launch(self, job: Assignment, *, fresh: bool = False) -> Child:
@@ -232,16 +241,17 @@ class Supervisor:
                 process, pid, event = self._events.get_nowait()
             except queue.Empty:
                 return
-            slot = self.slots[process]
-            kind = event.get("event")
+            slot, kind = self.slots.get(process), event.get("event")
             if self.desk.hear(pid, event):
                 continue
-            if kind == "ready" and slot.child and slot.child.pid == pid:
+            if kind == "summary":
+                self.summaries.setdefault(str(event["node"]), {}).update(event["figures"])
+            elif slot is None:
+                continue  # of a node that was removed
+            elif kind == "ready" and slot.child and slot.child.pid == pid:
                 slot.child.ready, slot.child.load_s = True, float(event.get("load_s", 0))
             elif kind == "finished":
                 self._finished.add(str(event["node"]))
-            elif kind == "summary":
-                self.summaries.setdefault(str(event["node"]), {}).update(event["figures"])
             elif kind == "headline":
                 self.headlines[str(event["node"])] = str(event["words"])
             elif kind == "failed":
@@ -327,10 +337,19 @@ class Supervisor:
                 "graph": self.plan.name,
                 "clock": self.plan.clock,
                 "nodes": [
-                    {"name": n.name, "process": n.process, "operator": n.operator}
+                    {
+                        "name": n.name,
+                        "index": n.index,
+                        "process": n.process,
+                        "operator": n.operator,
+                    }
                     for n in self.plan.nodes
                 ],
-                "edges": [{"from": e.origin, "to": e.end} for e in self.plan.edges],
+                "edges": [
+                    {"from": e.origin, "to": e.end, "index": e.index} for e in self.plan.edges
+                ],
+                "plan": TypeAdapter(Plan).dump_python(self.plan, mode="json"),
+                "revision": self.revision,
                 "pids": {s.name: s.child.pid for s in self.slots.values() if s.child},
             }
         )

@@ -4,17 +4,17 @@ The supervisor's side; `pipeline.relay` is what the two instances do. A part tha
 process, or owns a device, cannot stand by: it is stopped, then the other started.
 """
 
-import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from pipeline.affair import Affair
 from pipeline.child import Child, ending
-from pipeline.errors import FoveaError, RunError
+from pipeline.errors import RunError
 from pipeline.ledger import NodeAccount
 from pipeline.live import keep, kept
 from pipeline.plan import Plan
@@ -35,7 +35,6 @@ QUIET_S = 10.0  # without messages: then probation is over
 DRAIN_S = 5.0
 SOONEST = 5  # frames after which a successor may be found too slow
 SLOWER, LEAST_BUDGET_MS = 3.0, 20.0  # than the old part, when no budget is given
-log = logging.getLogger(__name__)
 
 
 class SwapOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="swap"):
@@ -51,29 +50,26 @@ class SwapOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="s
     budget_ms: float = 0.0  # 0: three times the old part's median
 
 
-class Swap:
-    """One swap, driven by the supervisor's ticks. `result` is there when it is over."""
+class Swap(Affair):
+    """One swap."""
+
+    kind = "swap"
 
     def __init__(self, crew: "Supervisor", order: SwapOrder) -> None:
         names = [n.name for n in crew.plan.nodes]
         if order.node not in names:
             raise RunError(f"{crew.plan.name}: no node {order.node}{suggest(order.node, names)}")
-        self._crew, self._order = crew, order
-        self._node = crew.plan.node(order.node)
+        self._order, self._node = order, crew.plan.node(order.node)
         self._slot = crew.slots[self._node.process]
         if self._slot.child is None or not self._slot.child.going:
             raise RunError(f"{order.node}: does not run just now, try again")
-        self.result: dict[str, Any] | None = None
-        self._facts: dict[str, Any] = {"node": order.node, "hot": self._hot}
         self._other: Child | None = None  # the one of the two that does not work
-        self._said: dict[int, dict[str, dict[str, Any]]] = {}  # pid -> event -> what
         self._owned = False
         self._gone: set[int] = set()  # pids of who was told to stop
-        self._steps = self._swap_hot() if self._hot else self._swap_cold()
-
-    @property
-    def _hot(self) -> bool:
-        return swappable(self._crew.plan, self._node) and not self._slot.sources
+        self._hot = swappable(crew.plan, self._node) and not self._slot.sources
+        super().__init__(crew, self._swap_hot() if self._hot else self._swap_cold())
+        self.subject = order.node
+        self.facts |= {"node": order.node, "hot": self._hot}
 
     def owns(self, slot: Slot) -> bool:
         """Whether deaths in that slot are this swap's affair."""
@@ -87,19 +83,10 @@ class Swap:
         mine = [c for c in (self._other, self._slot.child) if c and c.pid == pid]
         if not mine:
             return False
-        self._said.setdefault(pid, {})[kind] = event
+        super().hear(pid, event)
         if mine[0] is self._other and kind == "ready":
             mine[0].ready, mine[0].load_s = True, float(event.get("load_s", 0))
         return mine[0] is self._other or (self._owned and kind == "failed")
-
-    def tick(self) -> None:
-        """Go one step on."""
-        try:
-            next(self._steps)
-        except StopIteration:
-            self._finish("")
-        except FoveaError as error:
-            self._finish(str(error))
 
     def give_up(self) -> list[Child]:
         """The run ends: the process that does not work, to be ended with the others."""
@@ -110,43 +97,47 @@ class Swap:
             self._other.kill()
             self._other.reap(0.5)
             self._other = None
-        for account in self._crew.accounts(self._slot):
+        for account in self.crew.accounts(self._slot):
             account.next_door = 0
         self._owned = False
         if refused and self._hot and self._slot.child is not None:
             self._slot.child.order("uncut", node=self._node.name)
-        self.result = {**self._facts, "refused": refused}
-        words = ", ".join(f"{k} {v}" for k, v in self._facts.items())
-        (log.error if refused else log.info)("swap: %s%s", words, f": {refused}" if refused else "")
+        super()._finish(refused)
 
     # hot: a successor stands by
 
     def _swap_hot(self) -> Iterator[None]:
-        crew, slot, order = self._crew, self._slot, self._order
+        crew, slot, order = self.crew, self._slot, self._order
         old, before, plan = self._working(), crew.plan, self._changed()
         epoch = slot.epoch + 1
         job = crew.job(slot, plan, epoch, standby=True, checked=True)
         new = self._other = crew.launch(job, fresh=True)
-        yield from self._until(lambda: new.ready, START_S, "it was not ready", of=new)
+        yield from self.until(lambda: new.ready, START_S, "it was not ready", of=new)
         door = job.door(self._node.name, epoch)
         for account in crew.accounts(slot):
             account.next_door = epoch
-        yield from self._until(
-            lambda: "standing" in self._heard(new), HEAR_S, "its inputs did not greet it", of=new
+        yield from self.until(
+            lambda: "standing" in self.heard(new),
+            HEAR_S,
+            "its inputs did not greet it",
+            of=new,
         )
-        heard = self._heard(new)["standing"]["heard"]
-        self._facts["ready_seq"] = int(self._account().last_seq)
+        heard = self.heard(new)["standing"]["heard"]
+        self.facts["ready_seq"] = int(self._account().last_seq)
         cut = {"door": str(door), "heard": heard, "at": order.at}
         if order.shadow:
             yield from self._try(old, new, {**cut, "at": 0, "shadow": order.shadow})
         old.order("cut", node=self._node.name, cut=cut)
         yield from self._cut(old, new)
         try:
-            yield from self._until(
-                lambda: "taken" in self._heard(new), ANSWER_S, "it did not take over", of=new
+            yield from self.until(
+                lambda: "taken" in self.heard(new),
+                ANSWER_S,
+                "it did not take over",
+                of=new,
             )
-            taken = self._heard(new)["taken"]
-            self._facts |= {k: taken[k] for k in ("seq", "gap_ms", "state")}
+            taken = self.heard(new)["taken"]
+            self.facts |= {k: taken[k] for k in ("seq", "gap_ms", "state")}
             self._switch(new, old, plan, epoch)
             yield from self._probation(new)
         except RunError as error:
@@ -155,25 +146,25 @@ class Swap:
         new.order("settle", node=self._node.name)
         yield from self._drained(epoch)
         old.tell("stop")
-        yield from self._until(lambda: old.ended() is not None, ANSWER_S, "", must=False)
+        yield from self.until(lambda: old.ended() is not None, ANSWER_S, "", must=False)
 
     def _try(self, old: Child, new: Child, cut: dict[str, Any]) -> Iterator[None]:
         """Let the successor answer the same frames, and keep what came of it."""
         old.order("cut", node=self._node.name, cut=cut)
         limit_s = QUIET_S + SHADOW_S * cut["shadow"]
-        heard = self._heard(old)
-        yield from self._until(
-            lambda: "shadowed" in self._heard(new) or "uncut" in heard, limit_s,
+        heard = self.heard(old)
+        yield from self.until(
+            lambda: "shadowed" in self.heard(new) or "uncut" in heard, limit_s,
             "the shadow run did not end", of=new,
         )  # fmt: skip
         if "uncut" in heard:
             raise RunError(f"{self._node.name}: {heard['uncut']['reason']}")
-        told = self._heard(new)["shadowed"]
-        self._facts["shadow"] = {k: v for k, v in told.items() if k not in ("event", "node")}
+        told = self.heard(new)["shadowed"]
+        self.facts["shadow"] = {k: v for k, v in told.items() if k not in ("event", "node")}
 
     def _cut(self, old: Child, new: Child) -> Iterator[None]:
         """Wait until the old part has stopped, or let it go on."""
-        heard, name = self._heard(old), self._node.name
+        heard, name = self.heard(old), self._node.name
         late_s = time.monotonic() + CUT_S
         self._owned = True
         while "cut" not in heard:
@@ -182,7 +173,7 @@ class Swap:
             if old.ended() is not None or new.ended() is not None or time.monotonic() > late_s:
                 self._owned = False
                 old.order("uncut", node=name)
-                yield from self._until(
+                yield from self.until(
                     lambda: "cut" in heard, 0.5 if old.ended() is None else 0.0, "", must=False
                 )
                 if "cut" in heard:
@@ -192,7 +183,7 @@ class Swap:
             yield
 
     def _switch(self, new: Child, old: Child, plan: Plan, epoch: int) -> None:
-        crew, slot = self._crew, self._slot
+        crew, slot = self.crew, self._slot
         for account in crew.accounts(slot):
             account.reader_epoch = epoch
             account.next_door, account.door = account.door, epoch
@@ -204,7 +195,7 @@ class Swap:
         crew.change_plan(plan)
 
     def _roll_back(self, new: Child, old: Child, before: Plan, epoch: int) -> Iterator[None]:
-        crew, slot, name = self._crew, self._slot, self._node.name
+        crew, slot, name = self.crew, self._slot, self._node.name
         new.kill()
         new.reap(1.0)
         switched = slot.child is new
@@ -216,10 +207,13 @@ class Swap:
             if self._changed_live:
                 keep(self._live_file(), self._changed_live)
         slot.epoch = epoch
-        self._facts["rolled_back"] = True
+        self.facts["rolled_back"] = True
         old.order("resume", node=name, epoch=epoch)
-        yield from self._until(
-            lambda: "resumed" in self._heard(old), ANSWER_S, "the old part did not go on", of=old
+        yield from self.until(
+            lambda: "resumed" in self.heard(old),
+            ANSWER_S,
+            "the old part did not go on",
+            of=old,
         )
         for account in crew.accounts(slot):
             account.reader_epoch = epoch
@@ -227,7 +221,7 @@ class Swap:
 
     def _drained(self, epoch: int) -> Iterator[None]:
         """Fence the other off, once what it had sent by right has arrived."""
-        accounts = self._crew.accounts(self._slot, outgoing=True)
+        accounts = self.crew.accounts(self._slot, outgoing=True)
         sent = [account.sent for account in accounts]
         late_s = time.monotonic() + DRAIN_S
         while time.monotonic() < late_s and any(
@@ -240,14 +234,14 @@ class Swap:
     # cold: stopped, then started
 
     def _swap_cold(self) -> Iterator[None]:
-        before, plan = self._crew.plan, self._changed()
+        before, plan = self.crew.plan, self._changed()
         self._owned = True
         yield from self._replace(plan)
         try:
             yield from self._start()
             yield from self._probation(self._working())
         except RunError as error:
-            self._facts["rolled_back"] = True
+            self.facts["rolled_back"] = True
             yield from self._replace(before)
             yield from self._start()
             raise RunError(f"{error}; the old part was started again") from error
@@ -257,18 +251,18 @@ class Swap:
         self._stopped_s = time.monotonic()
         self._gone.add(child.pid)
         child.tell("stop")
-        yield from self._until(lambda: child.ended() is not None, ANSWER_S, "", must=False)
+        yield from self.until(lambda: child.ended() is not None, ANSWER_S, "", must=False)
         child.kill()
-        self._crew.vacate(self._slot)
+        self.crew.vacate(self._slot)
         self._next_plan = plan
 
     def _start(self) -> Iterator[None]:
-        crew, slot = self._crew, self._slot
+        crew, slot = self.crew, self._slot
         job_plan = self._next_plan
         handled = self._account().handled
         crew.begin(slot, plan=job_plan, checked=True)
         child = self._working()
-        yield from self._until(lambda: child.ready, START_S, "it was not ready", of=child)
+        yield from self.until(lambda: child.ready, START_S, "it was not ready", of=child)
         crew.change_plan(job_plan)
 
         def works() -> bool:
@@ -276,14 +270,14 @@ class Swap:
                 crew.let_go(slot)
             return child.going and self._account().handled > handled
 
-        yield from self._until(works, QUIET_S, "", of=child, must=False)
-        self._facts["gap_ms"] = round(1000 * (time.monotonic() - self._stopped_s), 1)
+        yield from self.until(works, QUIET_S, "", of=child, must=False)
+        self.facts["gap_ms"] = round(1000 * (time.monotonic() - self._stopped_s), 1)
 
     # both
 
     def _changed(self) -> Plan:
         """The plan with the new operator and settings in the old place."""
-        crew, order, node = self._crew, self._order, self._node
+        crew, order, node = self.crew, self._order, self._node
         settings = {} if order.defaults else {**node.settings, **kept(self._live_file())}
         fresh = replace(
             node, operator=order.operator or node.operator, settings={**settings, **order.changes}
@@ -300,12 +294,13 @@ class Swap:
             LEAST_BUDGET_MS, SLOWER * account.histograms["handler"].percentile_ms(0.5)
         )
         moved_s, handled = time.monotonic(), first
-        while handled - first < wanted and not self._crew.finished:
+        while handled - first < wanted and not self.crew.finished:
             yield
             if (status := child.ended()) is not None:
-                said = self._heard(child).get("failed", {}).get("error", "")
+                yield from self.last_words(child)
+                said = self.heard(child).get("failed", {}).get("error", "")
                 raise RunError(f"{node}: the new part ended by {ending(status)} {said}".rstrip())
-            if complaint := self._crew.stalled(self._slot):
+            if complaint := self.crew.stalled(self._slot):
                 raise RunError(complaint)
             if account.handled != handled:
                 moved_s, handled = time.monotonic(), account.handled
@@ -317,37 +312,19 @@ class Swap:
                         f"{budget_ms:.1f} ms"
                     )
             still_s = time.monotonic() - moved_s
-            waiting = any(a.in_flight for a in self._crew.accounts(self._slot))
+            waiting = any(a.in_flight for a in self.crew.accounts(self._slot))
             if still_s > STUCK_S and waiting and account.condition != "credit":
                 raise RunError(f"{node}: the new part finished no frame for {still_s:.1f} s")
             if still_s > QUIET_S:
                 break
-        self._facts["proven_frames"] = int(account.handled - first)
-
-    def _until(
-        self, done: Callable[[], bool], limit_s: float, what: str, *, of: Child | None = None,
-        must: bool = True,
-    ) -> Iterator[None]:  # fmt: skip
-        late_s = time.monotonic() + limit_s
-        while not done():
-            if of is not None and (status := of.ended()) is not None:
-                said = self._heard(of).get("failed", {}).get("error")
-                raise RunError(said or f"{self._node.name}: it ended by {ending(status)}")
-            if time.monotonic() > late_s:
-                if must:
-                    raise RunError(f"{self._node.name}: {what} within {limit_s:.0f} s")
-                return
-            yield
+        self.facts["proven_frames"] = int(account.handled - first)
 
     def _working(self) -> Child:
         assert self._slot.child is not None
         return self._slot.child
 
-    def _heard(self, child: Child) -> dict[str, dict[str, Any]]:
-        return self._said.setdefault(child.pid, {})
-
     def _account(self) -> NodeAccount:
-        return self._crew.ledger.nodes[self._node.index]
+        return self.crew.ledger.nodes[self._node.index]
 
     def _live_file(self) -> Path:
-        return self._crew.live_file(self._node.name)
+        return self.crew.live_file(self._node.name)

@@ -170,7 +170,8 @@ def _top_tables(facts: dict[str, Any], ledger: Ledger, rates: list[float]) -> Gr
     edges = Table(title="edges")
     for column in ("edge", "Hz", "offered", "delivered", "dropped", "in flight", "lost", "age p50"):
         edges.add_column(column)
-    for names, account, hertz in zip(facts["edges"], ledger.edges, rates, strict=True):
+    for names in facts["edges"]:
+        account, hertz = ledger.edges[names["index"]], rates[names["index"]]
         shown = account.report()
         dropped = ", ".join(f"{n} {why}" for why, n in shown["dropped"].items())
         broken = " [red]broken[/]" if account.broken else ""
@@ -182,7 +183,8 @@ def _top_tables(facts: dict[str, Any], ledger: Ledger, rates: list[float]) -> Gr
     nodes = Table(title="nodes")
     for column in ("node", "state", "epoch", "handled", "last seq", "handler p50 / p99 ms"):
         nodes.add_column(column)
-    for facts_of, node in zip(facts["nodes"], ledger.nodes, strict=True):
+    for facts_of in facts["nodes"]:
+        node = ledger.nodes[facts_of["index"]]
         times = node.histograms["handler"].summary()
         nodes.add_row(
             facts_of["name"], node.condition, str(node.epoch), str(node.handled),
@@ -205,7 +207,7 @@ def find(graph: str) -> tuple[str, dict[str, Any]]:
 
 def _ledger(facts: dict[str, Any]) -> Ledger:
     path = MEMORY / f"{facts['prefix']}ledger"
-    return Ledger.open(path, len(facts["edges"]), len(facts["nodes"]))
+    return Ledger.open(path)
 
 
 def _log_path(graph: str, node: str) -> Path:

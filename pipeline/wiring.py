@@ -1,7 +1,7 @@
 """Connects the operators of a process: a plan's nodes and edges to hosts, ports, doors and keys."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -60,6 +60,7 @@ class Wiring:
         self._links: list[Links] = []
         self._stops: list[Any] = []
         self.relays: dict[str, Relay] = {}
+        self._running: dict[str, tuple[Host, Doors, Answers]] = {}
 
     def close(self) -> None:
         """Stop listening and close every socket."""
@@ -101,6 +102,7 @@ class Wiring:
         key = partial(key_of, plan.name, node.name)
         voice = _Voice(lambda: answers.serve(self._session, key))
         self._stops.append(voice.lower)
+        self._running[node.name] = (host, doors, answers)
         for edge in edges.values():
             self._listen(host, edge, common["inputs"][edge.input], doors)
         if swappable(plan, node) and not isinstance(operator, Source):
@@ -114,16 +116,35 @@ class Wiring:
             voice.raise_()
         return host
 
-    def _out_port(self, node: Node, output: str, message: type[Any]) -> OutPort:
-        job = self._job
-        edges = job.plan.readers(node.name, output)
-        readers = [
+    def replan(self, node: str, plan: Plan) -> None:
+        """Connect a running node as another plan has it; its operator and settings stay."""
+        self._job = replace(self._job, plan=plan)
+        host, doors, answers = self._running[node]
+        answers.plan = plan
+        declared = inputs_for(plan, plan.node(node))
+        for edge in plan.inputs(node).values():
+            if host.edges[edge.input] is not self._ledger.edges[edge.index]:
+                port = self._in_port(host, edge, declared[edge.input])
+                host.rewire(edge.input, self._ledger.edges[edge.index], port)
+                doors.expect(edge.index, port.receive)
+        for output, port_out in host.outs.items():
+            edges = plan.readers(node, output)
+            port_out.change_readers(self._readers(edges), slots(edges))
+        self._say("replanned", node=node)
+
+    def _readers(self, edges: tuple[Edge, ...]) -> list[Reader]:
+        return [
             Reader(
                 self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index,
-                partial(job.door, e.target) if e.transport == "pool" else None,
+                partial(self._job.door, e.target) if e.transport == "pool" else None,
             )
             for e in edges
         ]  # fmt: skip
+
+    def _out_port(self, node: Node, output: str, message: type[Any]) -> OutPort:
+        job = self._job
+        edges = job.plan.readers(node.name, output)
+        readers = self._readers(edges)
         key = key_of(job.plan.name, node.name, output)
         urgent = any(e.command for e in edges)
         patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
@@ -160,17 +181,20 @@ class Wiring:
 
         return stop
 
-    def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
-        job = self._job
-        port = InPort(
+    def _in_port(self, host: Host, edge: Edge, declared: Input, *, holding: bool = False) -> InPort:
+        return InPort(
             declared.message,
             self._ledger.edges[edge.index],
-            PoolReader(self._memory, f"{job.prefix}{edge.source}.{edge.output}"),
-            job.epochs[edge.target],
+            PoolReader(self._memory, f"{self._job.prefix}{edge.source}.{edge.output}"),
+            host.epoch,
             partial(host.deliver, edge.input),
             tap=edge.tap,
-            holding=job.standby,
+            holding=holding,
         )
+
+    def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
+        job = self._job
+        port = self._in_port(host, edge, declared, holding=job.standby)
         host.ports[edge.input] = port
         if edge.transport == "pool":
             doors.expect(edge.index, port.receive)

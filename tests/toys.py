@@ -276,3 +276,11 @@ class Recall(Operator[WorkSettings, None]):
 
     def summary(self) -> Mapping[str, Any]:
         return {"said": self.said}
+
+
+class Stillborn(Count):
+    """Cannot be opened."""
+
+    def open(self) -> None:
+        super().open()
+        raise DriverError("never meant to live")
