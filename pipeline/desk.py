@@ -77,7 +77,13 @@ class Desk:
 
     def give_up(self) -> list[Child]:
         """The run ends; the processes that it would not know of."""
-        return self._affair.give_up() if self._affair is not None else []
+        ended = answer({"refused": f"{self._crew.plan.name}: the run ended before that was done"})
+        while not self._asked.empty():
+            self._asked.get()[1](ended)
+        left = self._affair.give_up() if self._affair is not None else []
+        self._reply(ended)
+        self._affair, self._reply = None, _nobody
+        return left
 
 
 def answer(result: dict[str, Any]) -> bytes:

@@ -63,13 +63,14 @@ class Process:
         """Open everything, run until stopped, close everything."""
         began_s = time.monotonic()
         try:
+            self._check()
+            if self._job.trial:
+                return self.say("fits")
             for node in self._nodes:
                 if not self._job.standby:
                     account = self._ledger.nodes[node.index]
                     account.epoch = self._job.epochs[node.name]
                     account.enter("starting")
-                if place := self._job.places.get(node.name):
-                    check_fit(self._job.plan, node, place)
                 self._operators.append(self._make(node))
                 self._operators[-1].open()
             loaded_s = time.monotonic()
@@ -87,6 +88,13 @@ class Process:
             self._report(error)
         finally:
             self._close()
+
+    def _check(self) -> None:
+        """A part that is new in a running graph has to fit before anything is opened."""
+        for node in self._nodes:
+            if place := self._job.places.get(node.name):
+                check_fit(self._job.plan, node, place)
+                self._make(node)
 
     def stop(self) -> None:
         """Let every host return."""

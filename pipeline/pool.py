@@ -96,6 +96,7 @@ class PoolWriter:
         self._recent = list(range(slots))  # the slot written last comes first
         self._ahead: Lease | None = None
         self._outgrown: list[PoolFile] = []
+        self._kept = 0
 
     def lease(self, nbytes: int) -> Lease:
         """A slot of at least `nbytes`; raises `PoolExhausted` when none is free right now."""
@@ -147,6 +148,10 @@ class PoolWriter:
     def publish(self, lease: Lease, ordinal: int) -> None:
         """From now on readers may come; must be called before the descriptor leaves."""
         lease.pool.lock(fcntl.F_RDLCK, lease.slot)
+        if self._outgrown:
+            self._kept -= 1
+            if self._kept < 0:
+                self._outgrown.clear()
         if lease.pool is self._file:
             self._lent.discard(lease.slot)
             self._held[lease.slot] = ordinal
@@ -166,7 +171,8 @@ class PoolWriter:
     def resize(self, slots: int) -> None:
         """More slots from the next message on; what was sent from the old file stays readable."""
         if slots > self._slots and self._file is not None:
-            self._outgrown = [self._file, *self._outgrown[:1]]  # with the locks it holds
+            self._outgrown.append(self._file)  # with the locks it holds
+            self._kept = slots  # messages later every reader has had its chance
             self._file, self._ahead = None, None
             self._held.clear()
             self._lent.clear()

@@ -46,15 +46,15 @@ def processes(plan: Plan, frames: int, duration_s: float, console: Console) -> R
                     break
                 if elapsed_s - shown_s >= REFRESH_S and console.is_terminal:
                     shown_s = elapsed_s
-                    live.update(Text(status_line(plan, supervisor, elapsed_s)), refresh=True)
+                    live.update(Text(status_line(supervisor, elapsed_s)), refresh=True)
         elapsed_s = time.monotonic() - supervisor.started_s
         supervisor.finish()
         supervisor.stop()
         report = compose(
-            plan,
+            supervisor.plan,
             supervisor.ledger,
             supervisor.summaries,
-            {name: supervisor.samples(name) for name in plan.processes()},
+            {name: supervisor.samples(name) for name in supervisor.plan.processes()},
             duration_s=elapsed_s,
             restarts=supervisor.restarts,
         )
@@ -63,9 +63,9 @@ def processes(plan: Plan, frames: int, duration_s: float, console: Console) -> R
         return report
 
 
-def status_line(plan: Plan, supervisor: Supervisor, elapsed_s: float) -> str:
+def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
     """One line: how far, how fast, what was lost."""
-    ledger = supervisor.ledger
+    plan, ledger = supervisor.plan, supervisor.ledger
     source = ledger.nodes[next(sources(plan)).index]
     loop = source.histograms["loop"].summary()
     dropped = sum(sum(edge.report()["dropped"].values()) for edge in ledger.edges)

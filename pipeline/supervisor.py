@@ -167,7 +167,14 @@ class Supervisor:
         slot.child = self.launch(job, fresh=checked)
 
     def job(
-        self, slot: Slot, plan: Plan, epoch: int, *, standby: bool = False, checked: bool = False
+        self,
+        slot: Slot,
+        plan: Plan,
+        epoch: int,
+        *,
+        standby: bool = False,
+        checked: bool = False,
+        trial: bool = False,
     ) -> Assignment:
         """What a process of that slot has to do; `checked`: it must fit the edges that run now."""
         mine = [n for n in self.plan.nodes if n.process == slot.name]
@@ -179,8 +186,9 @@ class Supervisor:
             prefix=self._run.prefix,
             epochs={node.name: epoch for node in mine},
             frames=self._frames,
-            standby=standby,
-            places={n.name: place_of(self.plan, n) for n in mine} if checked else {},
+            standby=standby or trial,
+            trial=trial,
+            places={n.name: place_of(self.plan, n) for n in mine} if checked or trial else {},
         )
 
     def accounts(self, slot: Slot, *, outgoing: bool = False) -> list[EdgeAccount]:

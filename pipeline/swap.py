@@ -30,6 +30,7 @@ HEAR_S = 10.0  # for a node that works, to greet a successor
 CUT_S = 30.0
 SHADOW_S = 1.0  # per frame, at most
 ANSWER_S = 5.0
+REAP_S = 1.0
 STUCK_S = 2.0  # with messages waiting
 QUIET_S = 10.0  # without messages: then probation is over
 DRAIN_S = 5.0
@@ -235,6 +236,13 @@ class Swap(Affair):
 
     def _swap_cold(self) -> Iterator[None]:
         before, plan = self.crew.plan, self._changed()
+        job = self.crew.job(self._slot, plan, self._slot.epoch, trial=True)
+        trial = self._other = self.crew.launch(job, fresh=True)
+        yield from self.until(
+            lambda: "fits" in self.heard(trial), START_S, "it was not checked", of=trial
+        )
+        self._other = None
+        trial.reap(REAP_S)
         self._owned = True
         yield from self._replace(plan)
         try:

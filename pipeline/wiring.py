@@ -35,6 +35,7 @@ class Assignment:
     epochs: dict[str, int]  # by node
     frames: int = 0
     standby: bool = False  # another instance works until this one is told to take over
+    trial: bool = False  # only say whether operators and settings fit, and leave
     places: dict[str, Place] = field(default_factory=dict)  # to be checked before it starts
 
     def kept_in(self, node: Node) -> Path:

@@ -237,13 +237,17 @@ def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: P
     orders = [
         SwapOrder(node="work", changes={"every": 2}, probation=5),
         SwapOrder(node="work", changes={"crash_after": 3}),
+        SwapOrder(node="work", changes={"every": 0}),
         SwapOrder(node="ticker", changes={"rate_hz": 90}, probation=5),
     ]
 
     report = go(plan_of(tmp_path, text), 0, swapping(results, *orders))
 
-    assert results[0]["refused"] == results[2]["refused"] == ""
-    assert all(0 < r["gap_ms"] < 20_000 for r in results)
+    assert results[0]["refused"] == results[3]["refused"] == ""
+    assert all(0 < r["gap_ms"] < 20_000 for r in (results[0], results[3]))
+    assert results[2] == {
+        "node": "work", "hot": False, "refused": "work.every: must be at least 1, got 0"
+    }  # fmt: skip
     assert "told not to live for long; the old part was started again" in results[1]["refused"]
     assert_accounts_add_up(report)
     assert report["failure"] == ""
@@ -273,3 +277,14 @@ def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> Non
     assert re.match(r"work: swapped after frame \d+, stood still for \d+\.\d ms", told[0])
     assert told[1].endswith("no node wrk, did you mean 'work'?")
     assert told[2].startswith("not an order")
+
+
+def test_an_order_that_the_end_of_the_run_overtakes_is_answered(tmp_path: Path) -> None:
+    results: Results = []
+
+    with Supervisor(plan_of(tmp_path, CHAIN)) as supervisor:
+        supervisor.start()
+        supervisor.desk.take(SwapOrder(node="work"), lambda a: results.append(json.loads(a)))
+        supervisor.tick()
+
+    assert "the run ended before that was done" in results[0]["refused"]
