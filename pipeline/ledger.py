@@ -34,6 +34,7 @@ DROPS = (
 )
 HISTOGRAMS = ("handler", "loop", "overhead", "cpu_wait", "hop")
 
+ROOM_EDGES, ROOM_NODES = 16, 4  # for what is added while a graph runs
 _LAYOUT = struct.Struct("<QQ")  # the file ends with how many edges and nodes it has
 
 STATES = ("absent", "starting", "waiting", "busy", "credit", "finished", "stopped")
@@ -176,12 +177,14 @@ class Ledger:
 
     @staticmethod
     def create(path: Path, edges: int, nodes: int) -> "Ledger":
-        """Make the file; raises `RunError` when there is no room for it."""
-        size = edges * EDGE_BYTES + nodes * NODE_BYTES + _LAYOUT.size
+        """Make the file with room for more; raises `RunError` when there is no room for it."""
+        size = ledger_bytes(edges, nodes)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         try:
             os.posix_fallocate(handle, 0, size)
-            os.pwrite(handle, _LAYOUT.pack(edges, nodes), size - _LAYOUT.size)
+            os.pwrite(
+                handle, _LAYOUT.pack(edges + ROOM_EDGES, nodes + ROOM_NODES), size - _LAYOUT.size
+            )
         except OSError as error:
             path.unlink()
             raise RunError(f"{path.parent}: no room for {size} bytes of accounts") from error
@@ -205,6 +208,11 @@ class Ledger:
     def drained(self) -> bool:
         """Nothing is under way on any edge: every message has met its end."""
         return all(edge.sent == edge.accounted for edge in self.edges)
+
+
+def ledger_bytes(edges: int, nodes: int) -> int:
+    """How big the accounts of a graph are, room for more included."""
+    return (edges + ROOM_EDGES) * EDGE_BYTES + (nodes + ROOM_NODES) * NODE_BYTES + _LAYOUT.size
 
 
 def private_ledger(edges: int, nodes: int) -> Ledger:

@@ -32,7 +32,6 @@ START_S = 60.0
 HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
 DRAIN_S = 5.0
 STOP_S = 4.0
-ROOM_EDGES, ROOM_NODES = 16, 4  # in the ledger, for what is added while the graph runs
 log = logging.getLogger(__name__)
 
 
@@ -44,8 +43,8 @@ class Supervisor:
         self._run = RunFolder.claim(plan.name)
         self.ledger = Ledger.create(
             MEMORY / f"{self._run.prefix}ledger",
-            len(plan.edges) + ROOM_EDGES,
-            len(plan.nodes) + ROOM_NODES,
+            len(plan.edges),
+            len(plan.nodes),
         )
         self._hub = Session(self._run.folder, "hub")
         self._events: Events = queue.SimpleQueue()

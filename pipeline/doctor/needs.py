@@ -15,7 +15,7 @@ from pipeline.doctor.machine import available_cores, open_files
 from pipeline.errors import FoveaError, WeightsError
 from pipeline.graph import load
 from pipeline.inline import InlineRunner
-from pipeline.ledger import EDGE_BYTES, NODE_BYTES
+from pipeline.ledger import ledger_bytes
 from pipeline.messages import Message
 from pipeline.overlay import Overlay
 from pipeline.plan import Plan, load_operator, slots
@@ -80,7 +80,7 @@ def message_bytes(plan: Plan) -> dict[str, int]:
 
 def pool_bytes(plan: Plan, sizes: Mapping[str, int]) -> int:
     """Shared memory of the accounts and of every pool, readers' shares included."""
-    total = len(plan.edges) * EDGE_BYTES + len(plan.nodes) * NODE_BYTES
+    total = ledger_bytes(len(plan.edges), len(plan.nodes))
     for node in plan.nodes:
         for output in outputs_of(load_operator(node.operator)):
             size = sizes.get(f"{node.name}.{output}", 0)

@@ -83,7 +83,7 @@ def test_a_running_graph_tells_its_overlap_with_the_truth() -> None:
         until_s = time.monotonic() + 60
         while not supervisor.headlines.get("score") and time.monotonic() < until_s:
             supervisor.tick()
-        line = status_line(supervisor.plan, supervisor, 1.0)
+        line = status_line(supervisor, 1.0)
         supervisor.stop()
 
     assert supervisor.headlines["score"].startswith("IoU 0.")
