@@ -20,13 +20,13 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from bench.aftermath import Traces, rest, unbalanced
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
 from pipeline.graph import load
 from pipeline.overlay import Overlay
 from pipeline.plan import Node
 from pipeline.report import compose
-from pipeline.rundir import MEMORY
 from pipeline.supervisor import Supervisor
 
 ASKED_S = 1.0  # plus the time to load the model
@@ -43,28 +43,27 @@ def main(
 ) -> None:
     """Kill every operator of a graph so many times."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
-    before = set(os.listdir(MEMORY))
     kills: list[dict[str, Any]] = []
     with Supervisor(plan) as supervisor:
         supervisor.patience = count * len(plan.nodes) + 10
         supervisor.start()
-        _rest(supervisor, 2.0)
+        traces = Traces.of(plan.name)
+        rest(supervisor, 2.0)
         grown: dict[str, float] = {}
         for node in plan.nodes:
             memory = _memory(supervisor)
             for _ in track(range(count), f"killing {node.name}"):
                 kills.append({"node": node.name, **_kill(supervisor, node)})
-                _rest(supervisor, SETTLE_S)
+                rest(supervisor, SETTLE_S)
             after = _memory(supervisor)
             grown[node.name] = max(after[p] - memory[p] for p in memory if p != node.process)
         supervisor.finish()
         supervisor.stop()
         report = compose(plan, supervisor.ledger, {}, {}, duration_s=1.0)
-    left = [n for n in set(os.listdir(MEMORY)) - before if n.startswith("fovea-")]
     result = {
         "bench": "crash", **facts(), "graph": str(graph), "count": count,
-        "edges": report["edges"], "unbalanced": _unbalanced(report["edges"]),
-        "left_in_memory": left, "grown_mb": grown, "kills": kills,
+        "edges": report["edges"], "unbalanced": unbalanced(report["edges"]),
+        "left": traces.files(), "grown_mb": grown, "kills": kills,
         "recovery": {node.name: _summary(kills, node.name) for node in plan.nodes},
     }  # fmt: skip
     console = Console()
@@ -87,29 +86,12 @@ def _kill(supervisor: Supervisor, node: Node) -> dict[str, float]:
     return {"recovered_s": recovered_s, "load_s": supervisor.load_s(node.process)}
 
 
-def _rest(supervisor: Supervisor, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        supervisor.tick()
-
-
 def _memory(supervisor: Supervisor) -> dict[str, float]:
     """Resident megabytes by process."""
     return {
         process: psutil.Process(supervisor.pid(process)).memory_info().rss / 1e6
         for process in supervisor.plan.processes()
     }
-
-
-def _unbalanced(edges: list[dict[str, Any]]) -> list[str]:
-    """Edges whose account does not add up to what was offered."""
-    return [
-        f"{e['from']} -> {e['to']}"
-        for e in edges
-        if e["offered"]
-        != e["delivered"] + sum(e["dropped"].values()) + e["in_flight"] + e["lost_in_crash"]
-        or e["in_flight"]
-    ]
 
 
 def _summary(kills: list[dict[str, Any]], node: str) -> dict[str, float]:
@@ -131,8 +113,8 @@ def _table(result: dict[str, Any]) -> Table:
         grown = result["grown_mb"][node]
         table.add_row(node, *(f"{v:.2f}" for v in figures.values()), f"{grown:+.1f}")
     unbalanced = ", ".join(result["unbalanced"]) or "none"
-    left = ", ".join(result["left_in_memory"]) or "nothing"
-    table.caption = f"accounts that do not add up: {unbalanced}; left in memory: {left}"
+    left = ", ".join(result["left"]) or "nothing"
+    table.caption = f"accounts that do not add up: {unbalanced}; left behind: {left}"
     return table
 
 

@@ -33,6 +33,8 @@ class Sample:
     at_s: float
     cpu_s: float
     rss_mb: float
+    own_mb: float = 0.0  # what it shares with nobody: no pools, no libraries
+    stopped: bool = False  # by a signal; it does nothing at all
 
 
 def spawn(prefix: str, folder: Path, modules: Collection[str]) -> "subprocess.Popen[bytes]":
@@ -54,6 +56,7 @@ class Child:
     def __init__(self, popen: "subprocess.Popen[bytes]", job: Assignment, events: Events) -> None:
         self.name, self._popen = job.process, popen
         self.ready = self.going = False
+        self.began_s = time.monotonic()
         self.load_s = 0.0  # time it took to open its operators, models included
         self._process = psutil.Process(popen.pid)
         self._reader = threading.Thread(target=self._listen, args=(events,), daemon=True)
@@ -100,10 +103,12 @@ class Child:
         try:
             with self._process.oneshot():
                 times = self._process.cpu_times()
-                rss = self._process.memory_info().rss
+                memory = self._process.memory_info()
+                stopped = self._process.status() == psutil.STATUS_STOPPED
         except psutil.Error:
             return None
-        return Sample(time.monotonic(), times.user + times.system, rss / 1e6)
+        cpu_s, own_mb = times.user + times.system, (memory.rss - memory.shared) / 1e6
+        return Sample(time.monotonic(), cpu_s, memory.rss / 1e6, own_mb, stopped)
 
     def _write(self, line: str) -> None:
         assert self._popen.stdin is not None

@@ -19,6 +19,7 @@ class Slot:
     epoch: int = 0
     next_start_s: float = 0.0
     going_since_s: float = 0.0
+    last_words: str = ""  # why it ended, the last time that it was known
     quick_deaths: int = 0  # in a row, each before it had run for a while
     deaths: deque[float] = field(default_factory=lambda: deque(maxlen=64))
     samples: deque[Sample] = field(default_factory=lambda: deque(maxlen=MOST_SAMPLES))

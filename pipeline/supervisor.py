@@ -17,7 +17,7 @@ from pipeline.bus import Session
 from pipeline.child import Child, Events, Sample, ending, spawn
 from pipeline.desk import COMMAND, Desk
 from pipeline.errors import RunError
-from pipeline.health import complaint
+from pipeline.judge import Judge, late
 from pipeline.ledger import EdgeAccount, Ledger
 from pipeline.place import place_of
 from pipeline.plan import Plan, is_source
@@ -28,7 +28,6 @@ from pipeline.wiring import Assignment
 
 TICK_S = 0.02
 SAMPLE_S = 1.0
-START_S = 60.0
 HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
 DRAIN_S = 5.0
 STOP_S = 4.0
@@ -49,6 +48,7 @@ class Supervisor:
         self._hub = Session(self._run.folder, "hub")
         self._events: Events = queue.SimpleQueue()
         self._spare = Spare(self._spawn)
+        self._judge = Judge()
         self.desk = Desk(self)
         self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.desk.ask)
         self.slots = {
@@ -76,20 +76,23 @@ class Supervisor:
         for slot in reversed(self.slots.values()):
             self.begin(slot)
         self.note()
-        deadline = time.monotonic() + START_S
+        deadline = time.monotonic() + max(node.start_s for node in self.plan.nodes)
         while not self._all_going():
             self.tick()
             if self.failure:
                 raise RunError(self.failure)
+            for slot in self.slots.values():
+                if why := late(slot):
+                    raise RunError(f"{slot.name}: {why}, see `fovea logs {slot.name}`")
             if time.monotonic() > deadline:
-                late = [s.name for s in self.slots.values() if not (s.child and s.child.ready)]
-                raise RunError(f"not ready after {START_S:.0f} s: {', '.join(late) or 'an edge'}")
+                raise RunError("the readers of a source have not heard it in all that time")
         self.started_s = time.monotonic()
 
     def tick(self) -> None:
         """Look after everything once, then rest for a moment."""
         self._hear()
         self.desk.attend()
+        self._judge.look()
         now_s = time.monotonic()
         for slot in self.slots.values():
             self._look_after(slot, now_s)
@@ -270,7 +273,8 @@ class Supervisor:
         if event.get("expected") and (unborn or slot.sources) and not self.failure:
             self.failure = str(event["error"])
         elif not self.failure:
-            log.error("%s: %s", slot.name, event.get("error"))
+            slot.last_words = str(event.get("error"))
+            log.error("%s: %s", slot.name, slot.last_words)
 
     def _look_after(self, slot: Slot, now_s: float) -> None:
         if self.desk.owns(slot):
@@ -286,8 +290,9 @@ class Supervisor:
             self._bury(slot, status, now_s)
         elif slot.child.ready and not slot.child.going:
             self.let_go(slot)
-        elif slot.child.ready and (why := self.stalled(slot)):
+        elif why := self.stalled(slot):
             log.error("%s: %s; killed", slot.name, why)
+            slot.last_words = why
             slot.child.kill(with_traceback=True)
 
     def let_go(self, slot: Slot) -> None:
@@ -322,15 +327,15 @@ class Supervisor:
         elif rule.policy == "never" or (rule.policy == "on-failure" and status == 0):
             self._finished |= slot.sources
         elif recent > max(rule.most, self.patience):
-            self.failure = f"{slot.name} died {recent} times within {rule.window_s:.0f} s"
+            last = f": {slot.last_words}" if slot.last_words else ""
+            self.failure = f"{slot.name} died {recent} times within {rule.window_s:.0f} s{last}"
         else:
             slot.next_start_s = now_s + min(5.0, rule.backoff_s * 2 ** min(slot.quick_deaths, 8))
             self.restarts[slot.name] = self.restarts.get(slot.name, 0) + 1
 
     def stalled(self, slot: Slot) -> str:
-        now_ns = time.monotonic_ns()
-        found = (complaint(n, self.ledger.nodes[n.index], now_ns) for n in slot.nodes)
-        return next(filter(None, found), "")
+        """Why its process has to be killed, or nothing."""
+        return self._judge.complaint(slot, self.ledger)
 
     def _sample(self) -> None:
         for slot in self.slots.values():

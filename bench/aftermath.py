@@ -1,0 +1,60 @@
+"""What must be true after any number of faults: accounts add up, nothing and nobody is left."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from pipeline.rundir import MEMORY, base, running
+from pipeline.supervisor import Supervisor
+
+
+@dataclass(frozen=True)
+class Traces:
+    """What a run may leave behind, known while it runs."""
+
+    folder: Path
+    prefix: str
+
+    @staticmethod
+    def of(graph: str) -> "Traces":
+        """Of a graph that runs now."""
+        return Traces(base() / graph, str(running()[graph]["prefix"]))
+
+    def files(self) -> list[str]:
+        """Shared memory and sockets; to be asked for after the end. Logs are meant to stay."""
+        kept = {".log", ".old"}
+        mine = [p for p in self.folder.iterdir() if p.name != "lock" and p.suffix not in kept]
+        return sorted(p.name for p in [*MEMORY.glob(f"{self.prefix}*"), *mine])
+
+    def orphans(self) -> list[int]:
+        """Processes that live after the end."""
+        listed = psutil.process_iter(["cmdline"])
+        return [p.pid for p in listed if self.prefix in (p.info["cmdline"] or [])]
+
+
+def unbalanced(edges: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Edges whose account does not add up to what was offered.
+
+    >>> edge = {"from": "a", "to": "b", "offered": 5, "delivered": 3, "dropped": {"gap": 1},
+    ...         "in_flight": 0, "lost_in_crash": 1}
+    >>> unbalanced([edge]), unbalanced([edge | {"lost_in_crash": 0}])
+    ([], ['a -> b'])
+    """
+    return [
+        f"{e['from']} -> {e['to']}"
+        for e in edges
+        if e["offered"]
+        != e["delivered"] + sum(e["dropped"].values()) + e["in_flight"] + e["lost_in_crash"]
+        or e["in_flight"]
+    ]
+
+
+def rest(supervisor: Supervisor, seconds: float) -> None:
+    """Let the graph run for so long."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        supervisor.tick()

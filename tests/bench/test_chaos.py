@@ -1,0 +1,27 @@
+"""Bad luck, chosen by a seed: the graph gets over it, accounts add up, nothing is left."""
+
+import json
+import secrets
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from bench.chaos import KINDS, main
+from tests.pipeline.test_runtime import LOOP
+
+
+@pytest.mark.slow
+def test_a_graph_gets_over_every_kind_of_fault(tmp_path: Path) -> None:
+    graph, figures = tmp_path / "graph.yaml", tmp_path / "chaos.json"
+    graph.write_text(f"name: chaos-{secrets.token_hex(3)}\n{LOOP}")
+
+    words = [str(graph), "--minutes", "0.5", "--seed", "3", "--json", str(figures)]
+    done = CliRunner().invoke(main, words)
+
+    assert done.exit_code == 0, done.output
+    found = json.loads(figures.read_text())
+    assert len(found["faults"]) >= 3
+    assert set(found["recovery"]) == set(KINDS)
+    assert (found["unbalanced"], found["orphans"], found["left"]) == ([], [], [])
+    assert all(f["restarts"] for f in found["faults"] if f["kind"] != "nap")
