@@ -144,6 +144,18 @@ def test_a_new_stream_forgets_the_old_one():
     assert tracks.ids.tolist() == [1]
 
 
+def test_told_to_forget_it_begins_again_with_new_ids():
+    operator = Association(AssociationSettings(confirm=1))
+    operator.open()
+    before = [operator.on_detections(seen(k, (100, 100, 20, 0))) for k in range(3)][-1]
+
+    assert operator.do_forget() == {"forgotten": 1}
+    after = operator.on_detections(seen(3, (100, 100, 20, 0)))
+
+    assert before.ids.tolist() != after.ids.tolist()
+    assert len(after.ids) == 1
+
+
 def test_a_successor_with_the_state_goes_on_as_the_old_part_would_have():
     frames = [seen(k, (100 + 7 * k, 200, 30, 1), (900 - 9 * k, 400, 16, 0)) for k in range(12)]
     old, successor = Association(AssociationSettings()), Association(AssociationSettings())
