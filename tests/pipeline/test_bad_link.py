@@ -79,12 +79,11 @@ def test_a_stalled_link_never_makes_the_writer_wait_and_brings_no_old_news(far: 
 
     took_s = [far.send(PICTURE) for _ in range(150)]
     far.link.stalled.clear()
-    time.sleep(0.3)
-    far.send()
-    until(lambda: far.heard[-1][0] == far.sent - 1)
+    until(lambda: far.send() > 0 and far.heard[-1][0] > 150)
 
-    assert sum(took_s) < 5
-    assert len(far.heard) < 100  # what did not fit into the queues of the link was dropped
+    pictures = [number for number, _ in far.heard if 1 <= number <= 150]
+    assert sum(took_s) < 9  # who waited for the link would wait until it is given up, 10 s
+    assert len(pictures) < 100  # what did not fit into the queues of the link was dropped
 
 
 def test_a_link_that_breaks_comes_back_by_itself(far: Far) -> None:
