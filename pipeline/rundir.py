@@ -171,7 +171,9 @@ def _remove_remains(folder: Path) -> None:
 
 def _remains(folder: Path) -> list[Path]:
     """What a run leaves beside its logs: sockets, and settings that were changed meanwhile."""
-    return [path for kind in ("sock", "door", "live") for path in folder.glob(f"*.{kind}")]
+    return [
+        path for kind in ("sock", "sock.lock", "door", "live") for path in folder.glob(f"*.{kind}")
+    ]
 
 
 def _end_orphans(prefix: str) -> None:

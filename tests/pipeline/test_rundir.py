@@ -56,5 +56,15 @@ def test_who_looks_or_sweeps_keeps_nobody_from_starting(*, swept: bool) -> None:
     owned.release()
 
 
+def test_what_killed_nodes_leave_in_the_folder_is_removed_and_logs_are_not() -> None:
+    owned = RunFolder.claim(f"test-{secrets.token_hex(3)}")
+    for name in ("a.1.sock", "a.1.sock.lock", "a.1.door", "a.live", "a.log"):
+        (owned.folder / name).touch()
+
+    owned.release()
+
+    assert {path.name for path in owned.folder.iterdir()} == {"a.log", "lock"}
+
+
 def test_the_folder_is_private() -> None:
     assert base().stat().st_mode & 0o077 == 0
