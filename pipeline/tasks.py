@@ -40,7 +40,12 @@ def command_of(task: str, verb: str) -> click.Command:
     if verb not in known:
         got = ", ".join(known) or "nothing"
         raise GraphError(f"{path}: expected {verb}: module:command, got {got}")
-    found = imported(known[verb], GraphError, f"{path}: {verb}")
+    try:
+        found = imported(known[verb], GraphError, f"{path}: {verb}")
+    except GraphError as error:
+        if verb == "train" and isinstance(error.__cause__, ModuleNotFoundError):
+            raise GraphError(f"{error}; for training: pip install -e '.[train]'") from error
+        raise
     if not isinstance(found, click.Command):
         raise GraphError(f"{path}: {verb}: expected a click command, got {known[verb]}")
     return found

@@ -1,5 +1,6 @@
 """Tasks: a name or a file leads to a command, and what leads nowhere is said in one sentence."""
 
+import sys
 from pathlib import Path
 
 import click
@@ -17,8 +18,17 @@ def written(folder: Path, text: str) -> str:
 
 def test_a_shipped_task_is_found_by_name_and_has_both_commands() -> None:
     assert find("tracking").name == "tracking.yaml"
-    for verb in ("train", "eval"):
-        assert isinstance(command_of("tracking", verb), click.Command)
+    assert isinstance(command_of("tracking", "eval"), click.Command)
+    pytest.importorskip("torch", reason="the extra for training is not installed")
+    assert isinstance(command_of("tracking", "train"), click.Command)
+
+
+def test_training_without_its_extra_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "operators.policy.train", raising=False)
+
+    with pytest.raises(GraphError, match=r"train: .* cannot be imported: .*torch.*\.\[train\]"):
+        command_of("tracking", "train")
 
 
 def test_a_task_of_ones_own_is_named_by_its_path(tmp_path: Path) -> None:
