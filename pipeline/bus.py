@@ -1,8 +1,9 @@
 """Bytes between processes: the only file that knows Zenoh.
 
 Every node listens on a unix socket of its own in a private directory and connects to the hub (the
-supervisor's session); gossip then gives the peers direct links. Nothing listens on a network, no
-multicast is sent, and Zenoh's own shared memory is off: frames travel through `pipeline.pool`.
+supervisor's session); gossip then gives the peers direct links. Only a session `across` hosts
+listens on a network, no multicast is sent, and Zenoh's own shared memory is off: frames travel
+through `pipeline.pool`.
 """
 
 import json
@@ -14,6 +15,7 @@ from typing import Any, Protocol
 import zenoh
 
 from pipeline.errors import RunError
+from pipeline.network import Network
 
 OnBytes = Callable[[bytes], None]
 OnQuestion = Callable[[bytes, OnBytes], None]  # the question, and how to reply
@@ -46,6 +48,13 @@ class Session:
         unicast = {"open_timeout": int(patience_s * 1000)}
         transport = {"transport": {**_TRANSPORT, "unicast": unicast}}
         self._session = _open({**links, **_COMMON, **transport}, f"{folder}: no bus there")
+
+    @classmethod
+    def across(cls, network: Network) -> "Session":
+        """A session with other hosts; opens at once, whoever is there already."""
+        session = cls.__new__(cls)
+        session._session = _open(network.config(), ", ".join(network.listen) or "network")
+        return session
 
     def sender(self, key: str, *, urgent: bool = False, patient: bool = False) -> Sender:
         """A publisher; `urgent` ones (sensor commands) overtake everything else.
@@ -91,6 +100,32 @@ class Session:
             key, zenoh.handlers.Callback(receive, indirect=False)
         )
         return queryable.undeclare
+
+    def serve(self, keys: str, on_question: Callable[[str, bytes, OnBytes], None]) -> None:
+        """Call `on_question` with key, question and how to reply, for every key under a wildcard.
+
+        As for `answer`; without a reply within the asker's patience he hears nothing.
+        """
+
+        def receive(query: zenoh.Query) -> None:
+            key = str(query.key_expr)
+            question = query.payload.to_bytes() if query.payload is not None else b""
+
+            def reply(answer: bytes) -> None:
+                query.reply(key, answer)
+                query.drop()  # type: ignore[no-untyped-call] # the asker hears the answer when no other can come
+
+            on_question(key, question, reply)
+
+        self._session.declare_queryable(keys, zenoh.handlers.Callback(receive, indirect=False))
+
+    def hear(self, keys: str, on_bytes: Callable[[str, bytes], None]) -> None:
+        """Call `on_bytes` with key and payload of everything under a wildcard; as for `listen`."""
+
+        def receive(sample: zenoh.Sample) -> None:
+            on_bytes(str(sample.key_expr), sample.payload.to_bytes())
+
+        self._session.declare_subscriber(keys, zenoh.handlers.Callback(receive, indirect=False))
 
     def ask(self, key: str, question: bytes, timeout_s: float) -> bytes | None:
         """The answer to a question, or None when none came in time."""

@@ -16,13 +16,17 @@ from pipeline.asking import health_command, schema_command, tell_command
 from pipeline.changing import set_command
 from pipeline.doctor import doctor_command
 from pipeline.drawing import mermaid
-from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
+from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, WeightsError
+from pipeline.fleet import overview
+from pipeline.fleet.commands import fleet_commands
+from pipeline.fleet.deploy import remembered
 from pipeline.graph import load
 from pipeline.graph_schema import graph_schema
 from pipeline.operating import add, remove, rewire, swap
 from pipeline.overlay import Overlay, manual_nodes
 from pipeline.plan import Plan
 from pipeline.report import tables
+from pipeline.rundir import running as running_here
 from pipeline.tasks import task_command
 from pipeline.weights import weights_commands
 
@@ -130,9 +134,15 @@ def draw(graph: Path, **laid: Any) -> None:
 
 
 @commands.command()
-def ps() -> None:
-    """List the running graphs and their processes."""
+@click.option("--json", "as_json", is_flag=True, help="What the boxes say of deployed graphs.")
+def ps(as_json: bool) -> None:
+    """List the running graphs and their processes, on all boxes."""
+    if as_json:
+        click.echo(overview.fleet_json(remembered()))
+        return
     console.print(watching.process_table())
+    if known := remembered():
+        console.print(overview.fleet_table(known))
 
 
 @commands.command()
@@ -141,7 +151,11 @@ def ps() -> None:
 @click.option("--every-s", default=1.0, type=click.FloatRange(0.1), show_default=True)
 def top(graph: str | None, once: bool, every_s: float) -> None:
     """Watch rates, latencies, drops and back-pressure of a running graph."""
-    watching.top(graph or "", every_s, once=once, console=console)
+    deployed = None if _runs_here(graph or "") else overview.known_graph(graph or "")
+    if deployed:
+        overview.fleet_top(*deployed, every_s, once=once, console=console)
+    else:
+        watching.top(graph or "", every_s, once=once, console=console)
 
 
 @commands.command()
@@ -151,8 +165,15 @@ def top(graph: str | None, once: bool, every_s: float) -> None:
 @click.option("--lines", "-n", default=40, type=click.IntRange(0), show_default=True)
 def logs(node: str, graph: str, follow: bool, lines: int) -> None:
     """Show what a node wrote, also after it ended."""
-    for line in watching.log_lines(graph, node, lines, follow=follow):
-        click.echo(line)
+    try:
+        found = watching.log_lines(graph, node, lines, follow=follow)
+        for line in found:
+            click.echo(line)
+    except RunError:
+        if follow or not remembered():
+            raise
+        for line in overview.fleet_log(graph, node, lines):
+            click.echo(line)
 
 
 @commands.command()
@@ -174,6 +195,11 @@ def hz(output: str, graph: str, duration_s: float) -> None:
     click.echo(watching.rate(graph, output, duration_s))
 
 
+def _runs_here(graph: str) -> bool:
+    found = running_here()
+    return graph in found or (not graph and bool(found))
+
+
 def _load(
     graph: Path, *, save: Path | None = None, source: Path | None, changes: tuple[str, ...],
     clock: str | None, wanted: tuple[str, ...],
@@ -188,6 +214,8 @@ def _load(
 
 
 commands.add_command(weights_commands)
+for fleet_command in fleet_commands:
+    commands.add_command(fleet_command)
 commands.add_command(set_command)
 commands.add_command(doctor_command)
 commands.add_command(health_command)

@@ -7,12 +7,14 @@ the node that makes frames, `node.setting=value` changes one value.
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from pipeline import settings as checked
+from pipeline.clocks import MOST_HOSTS
 from pipeline.commands import commands_of
 from pipeline.contract import Input, Operator, inputs_of, joined, live_of, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
@@ -20,9 +22,10 @@ from pipeline.overlay import Overlay
 from pipeline.plan import Edge, Node, Plan, Restart, load_operator
 from pipeline.yaml_lines import YamlFile, plain
 
-GRAPH_KEYS = ("name", "clock", "nodes")
+GRAPH_KEYS = ("name", "clock", "hosts", "nodes")
 NODE_KEYS = ("operator", "inputs", "settings", "group", "host", "threads", "stall_s", "start_s",
              "memory_mb", "restart", "manual")  # fmt: skip
+LABEL = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,30}")
 EDGE_KEYS = ("from", "keep", "depth", "wait_ms", "max_age_ms", "stale", "transport")
 
 
@@ -42,10 +45,13 @@ def load(path: Path, overlay: Overlay | None = None) -> Plan:
         for name in nodes
         if name in overlay.wanted or not file.mapping(nodes, name, "nodes").get("manual", False)
     }
-    return assemble(file, str(document.get("name", path.stem)), clock, started)
+    hosts = _hosts(file, document)
+    return assemble(file, str(document.get("name", path.stem)), clock, started, hosts)
 
 
-def assemble(file: YamlFile, name: str, clock: str, nodes: Mapping[str, Any]) -> Plan:
+def assemble(
+    file: YamlFile, name: str, clock: str, nodes: Mapping[str, Any], hosts: tuple[str, ...] = ()
+) -> Plan:
     """The plan of these entries; raises `GraphError` or `SettingsError`."""
     parts = {part: _Part(file, nodes, part) for part in nodes}
     plan = Plan(
@@ -53,7 +59,9 @@ def assemble(file: YamlFile, name: str, clock: str, nodes: Mapping[str, Any]) ->
         clock="lockstep" if clock == "lockstep" else "realtime",
         nodes=tuple(part.node(i) for i, part in enumerate(parts.values())),
         edges=tuple(_edges(file, parts, clock)),
+        hosts=hosts,
     )
+    _check_places(file, parts, plan)
     _check_loops(plan, file.path)
     return plan
 
@@ -153,6 +161,37 @@ class _Part:
                     "operator",
                     f"{self.name}: {self.operator.__name__} has no {handler}",
                 )
+
+
+def _hosts(file: YamlFile, document: Any) -> tuple[str, ...]:
+    """The labels that nodes may name."""
+    labels = plain(document.get("hosts") or [])
+    if not isinstance(labels, list) or not all(
+        isinstance(label, str) and LABEL.fullmatch(label) for label in labels
+    ):
+        file.fail(
+            document, "hosts", f"hosts: expected labels of letters and digits, got {labels!r}"
+        )
+    if len(set(labels)) < len(labels) or len(labels) > MOST_HOSTS:
+        file.fail(document, "hosts", f"hosts: expected up to {MOST_HOSTS} different labels")
+    return tuple(labels)
+
+
+def _check_places(file: YamlFile, parts: Mapping[str, _Part], plan: Plan) -> None:
+    """Every node has a host that the graph knows, or none has one."""
+    hosts_of: dict[str, str] = {}
+    for node in plan.nodes:
+        entry = parts[node.name].entry
+        if node.host not in plan.hosts and (node.host or plan.hosts):
+            got = f"no host {node.host}" if node.host else "expected a host, got none"
+            hint = checked.suggest(node.host, plan.hosts) if plan.hosts else ""
+            say = hint or "; the graph names its boxes with `hosts: [label, …]`"
+            file.fail(entry, "host", f"{node.name}.host: {got}{say}")
+        if hosts_of.setdefault(node.process, node.host) != node.host:
+            file.fail(
+                entry, "host", f"{node.name}.host: group {node.process} is on "
+                f"{hosts_of[node.process]}, got {node.host}",
+            )  # fmt: skip
 
 
 def _edges(file: YamlFile, parts: Mapping[str, _Part], clock: str) -> Iterable[Edge]:

@@ -22,6 +22,7 @@ def graph_schema(plan: Plan | None = None) -> dict[str, Any]:
         "properties": {
             "name": {"type": "string"},
             "clock": {"enum": ["realtime", "lockstep"]},
+            "hosts": {"type": "array", "items": {"type": "string"}, "uniqueItems": True},
             "nodes": nodes,
         },
     }

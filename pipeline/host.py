@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from pipeline.clocks import Clocks
 from pipeline.contract import Input, Operator, handler_of, joined
 from pipeline.corewait import CoreWait
 from pipeline.doors import Doors
@@ -61,7 +62,8 @@ class Host:
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self.ports: dict[str, InPort] = {}
         self.relay: Rests | None = None
-        self.inbox = Inbox(inputs, self.settle, lockstep=lockstep)
+        self.clocks = Clocks()
+        self.inbox = Inbox(inputs, self.settle, lockstep=lockstep, age_ns=self._age_ns)
         self._together = frozenset(joined(type(operator)))
         self._arrived_wait_ns = self._waiter = 0
         self._handlers: dict[tuple[str, ...], Callable[..., Any]] = {}
@@ -181,19 +183,20 @@ class Host:
                 answers = self.answers(given)
         ended = time.monotonic_ns()
         if not side:
+            critical = _critical(work)
+            ahead = self.clocks.ahead_ns(critical.clock) or 0
             span = Span(
-                stage=self.name, received_ns=begun, done_ns=ended, handler_ns=ended - begun,
-                wait_ns=waited,
+                stage=self.name, received_ns=begun + ahead, done_ns=ended + ahead,
+                handler_ns=ended - begun, wait_ns=waited,
             )  # fmt: skip
-            self.publish(answers, stamped(_critical(work), epoch=self.epoch, span=span))
+            self.publish(answers, stamped(critical, epoch=self.epoch, span=span))
         if not (work.header.seq + 1) % WAIT_EVERY:
             self.corewait.since_last_ns()  # what was waited until now is not the next message's
         for name, ordinal in work.arrived.items():
-            self.edges[name].age.add(begun - work.header.stamp_ns)
+            self._count_age(name, work.header, begun)
             self.settle(name, "delivered", ordinal)
         self.account.histograms["handler"].add(ended - begun)
-        if work.header.trace:
-            self.account.histograms["hop"].add(begun - work.header.trace[-1].done_ns)
+        self._count_hop(work.header, begun)
         self.idle()
 
     def busy(self, now_ns: int, seq: int) -> None:
@@ -293,6 +296,19 @@ class Host:
         except PoolExhausted:
             memory: NDArray[Any] = self.patiently(lambda: port.loan(shape, dtype))
             return memory
+
+    def _age_ns(self, header: Header, now_ns: int) -> int | None:
+        return self.clocks.age_ns(header, now_ns)
+
+    def _count_age(self, name: str, header: Header, now_ns: int) -> None:
+        age = self.clocks.age_ns(header, now_ns)
+        if age is not None:
+            self.edges[name].age.add(age)
+
+    def _count_hop(self, header: Header, now_ns: int) -> None:
+        ahead = self.clocks.ahead_ns(header.clock)
+        if header.trace and ahead is not None:
+            self.account.histograms["hop"].add(now_ns + ahead - header.trace[-1].done_ns)
 
     def _handler(self, names: tuple[str, ...]) -> Callable[..., Any]:
         if names not in self._handlers:

@@ -9,11 +9,15 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
+from pipeline.clocks import Clocks
 from pipeline.contract import Input
 from pipeline.messages import Header, Message
 from pipeline.ports import Arrival
 
 Settle = Callable[[str, str, int], None]  # input, fate ("delivered" or a drop's name), ordinal
+
+
+AgeNs = Callable[[Header, int], int | None]  # of an exposure now; None where nobody knows
 
 
 class Work(NamedTuple):
@@ -48,8 +52,12 @@ class _Set:
 class Inbox:
     """The joins and queues of one operator; not thread-safe."""
 
-    def __init__(self, inputs: Mapping[str, Input], settle: Settle, *, lockstep: bool) -> None:
+    def __init__(
+        self, inputs: Mapping[str, Input], settle: Settle, *, lockstep: bool,
+        age_ns: AgeNs | None = None,
+    ) -> None:  # fmt: skip
         self.inputs, self._settle, self._lockstep = dict(inputs), settle, lockstep
+        self._age_ns = age_ns or Clocks().age_ns
         self._joined = tuple(n for n, i in inputs.items() if i.join and not i.command)
         self._required = tuple(n for n in self._joined if not inputs[n].optional)
         self._needed = frozenset(self._required)
@@ -112,7 +120,7 @@ class Inbox:
         waiting = self._sets.pop(seq)
         self._handled = seq
         header = next(iter(waiting.arrivals.values())).header
-        if self._stale_ns and now_ns - header.stamp_ns > self._stale_ns:
+        if self._stale_ns and (self._age_ns(header, now_ns) or 0) > self._stale_ns:
             for name, arrival in waiting.arrivals.items():
                 self._settle(name, "stale", arrival.ordinal)
             return Work(header, {}, {}, answer=False, new_stream=self._once_fresh())

@@ -54,7 +54,7 @@ Pixels = Annotated[NDArray[np.uint8] | NDArray[np.uint16], Shape((("h", "w"), ("
 
 @dataclass(frozen=True, kw_only=True)
 class Span:
-    """What one stage did with a message; times in nanoseconds of this host's monotonic clock."""
+    """What one stage did with a message; times in nanoseconds of the header's clock."""
 
     stage: str
     received_ns: int
@@ -85,7 +85,7 @@ class Header:
     stream: str  # new each time a sensor is opened
     seq: int  # index k of the exposure within the stream
     stamp_ns: int  # when the picture was ready, before it was read out
-    clock: str = "monotonic"
+    clock: str = "monotonic"  # of this host; between hosts, the label of the one that exposed
     geometry: Geometry = Geometry()
     epoch: int = 0  # instance of the node that sent this; set by the runtime
     trace: tuple[Span, ...] = ()  # stages passed so far; set by the runtime

@@ -53,6 +53,7 @@ class Process:
         self._hosts: list[Host] = []
         self._operators: list[Operator[Any, Any]] = []
         self._session: Session | None = None
+        self._border: Session | None = None
         self._headlines: dict[str, str] = {}
         self._wiring: Wiring | None = None
         self._saying = threading.Lock()
@@ -76,7 +77,9 @@ class Process:
             loaded_s = time.monotonic()
             instance = f"{self._job.process}.{max(self._job.epochs.values())}"
             self._session = Session(Path(self._job.run_folder), instance)
-            self._wiring = Wiring(self._job, self._session, self._ledger, self.say)
+            if self._job.network is not None:
+                self._border = Session.across(self._job.network)
+            self._wiring = Wiring(self._job, self._session, self._ledger, self.say, self._border)
             self._hosts = [
                 self._wiring.host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
             ]
@@ -195,8 +198,9 @@ class Process:
                 self.say("summary", node=host.name, figures=host.figures())
         if self._wiring is not None:
             self._wiring.close()
-        if self._session is not None:
-            self._session.close()
+        for session in (self._session, self._border):
+            if session is not None:
+                session.close()
 
 
 def main() -> None:

@@ -87,6 +87,16 @@ class Plan:
     clock: Clock
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
+    hosts: tuple[str, ...] = ()  # labels of the boxes it is laid out for
+    here: str = ""  # the label whose nodes this supervisor runs; empty: all of them
+
+    def is_here(self, node: Node) -> bool:
+        """Whether this supervisor runs it."""
+        return not self.here or node.host == self.here
+
+    def crosses(self, edge: Edge) -> bool:
+        """Whether its two ends are on different hosts in this run."""
+        return bool(self.here) and self.node(edge.source).host != self.node(edge.target).host
 
     def node(self, name: str) -> Node:
         """The node of that name."""
@@ -112,11 +122,12 @@ class Plan:
         return frozenset(found)
 
     def processes(self) -> dict[str, tuple[Node, ...]]:
-        """Nodes by process, in dependency order of each process's first node."""
+        """The nodes here by process, in dependency order of each process's first node."""
         found: dict[str, list[Node]] = {}
         for name in self.order():
             node = self.node(name)
-            found.setdefault(node.process, []).append(node)
+            if self.is_here(node):
+                found.setdefault(node.process, []).append(node)
         return {name: tuple(nodes) for name, nodes in found.items()}
 
     def order(self) -> tuple[str, ...]:

@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from pipeline.clocks import ALONE
 from pipeline.contract import Source, handler_of
 from pipeline.errors import PoolExhausted
 from pipeline.host import IDLE_S, WAIT_EVERY, Host
 from pipeline.inbox import Work
-from pipeline.messages import Header, Message, Span, stamped
+from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.ports import OutPort
 
 DRAIN_S = 0.0001
@@ -99,6 +100,8 @@ class SourceHost(Host):
             wait_ns=0,
         )  # fmt: skip
         leaving = stamped(header, epoch=self.epoch, span=span)
+        if self.clocks.own != ALONE:  # the other hosts have to know whose time it is
+            leaving = altered(leaving, clock=self.clocks.own)
         if self.lockstep:
             self.await_credit()
         self.send_all(frames, leaving)
@@ -136,7 +139,7 @@ class SourceHost(Host):
             accepted = time.monotonic_ns()
             fold(self.commands, message)
             self._count_loop(message.header, accepted, accepted - begun, waited)
-        self.edges[name].age.add(begun - work.header.stamp_ns)
+        self._count_age(name, work.header, begun)
         self.settle(name, "delivered", work.arrived[name])
 
     def _count_loop(self, header: Header, now_ns: int, handler_ns: int, waited_ns: int) -> None:

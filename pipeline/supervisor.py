@@ -19,6 +19,7 @@ from pipeline.desk import COMMAND, Desk
 from pipeline.errors import RunError
 from pipeline.judge import Judge, late
 from pipeline.ledger import EdgeAccount, Ledger
+from pipeline.network import Network
 from pipeline.place import place_of
 from pipeline.plan import Plan, is_source
 from pipeline.rundir import MEMORY, RunFolder
@@ -37,9 +38,13 @@ log = logging.getLogger(__name__)
 class Supervisor:
     """Runs a plan in the foreground. Use it as a context: leaving it stops and removes all."""
 
-    def __init__(self, plan: Plan, *, frames: int = 0) -> None:
-        self.plan, self._frames = plan, frames
-        self._run = RunFolder.claim(plan.name)
+    def __init__(
+        self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0
+    ) -> None:
+        """`folder`: where it runs, else the graph's name; epochs begin after the first one."""
+        self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
+        self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
+        self._run = RunFolder.claim(folder or plan.name)
         self.ledger = Ledger.create(
             MEMORY / f"{self._run.prefix}ledger",
             len(plan.edges),
@@ -52,7 +57,12 @@ class Supervisor:
         self.desk = Desk(self)
         self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.desk.ask)
         self.slots = {
-            name: Slot(name, nodes, sources=frozenset(n.name for n in nodes if is_source(n)))
+            name: Slot(
+                name,
+                nodes,
+                epoch=first_epoch,
+                sources=frozenset(n.name for n in nodes if is_source(n)),
+            )
             for name, nodes in plan.processes().items()
         }
         self.summaries: dict[str, dict[str, Any]] = {}
@@ -73,11 +83,9 @@ class Supervisor:
 
     def start(self) -> None:
         """Start every process, consumers first; frames flow once all are ready."""
-        for slot in reversed(self.slots.values()):
-            self.begin(slot)
-        self.note()
+        self.begin_all()
         deadline = time.monotonic() + max(node.start_s for node in self.plan.nodes)
-        while not self._all_going():
+        while not self.all_going:
             self.tick()
             if self.failure:
                 raise RunError(self.failure)
@@ -87,6 +95,12 @@ class Supervisor:
             if time.monotonic() > deadline:
                 raise RunError("the readers of a source have not heard it in all that time")
         self.started_s = time.monotonic()
+
+    def begin_all(self) -> None:
+        """Start every process; the caller goes on with `tick`."""
+        for slot in reversed(self.slots.values()):
+            self.begin(slot)
+        self.note()
 
     def tick(self) -> None:
         """Look after everything once, then rest for a moment."""
@@ -152,7 +166,9 @@ class Supervisor:
         child = self.slots[process].child
         return child.pid if child else 0
 
-    def _all_going(self) -> bool:
+    @property
+    def all_going(self) -> bool:
+        """Every process works."""
         return all(slot.child and slot.child.going for slot in self.slots.values())
 
     def begin(self, slot: Slot, *, plan: Plan | None = None, checked: bool = False) -> None:
@@ -188,6 +204,7 @@ class Supervisor:
             prefix=self._run.prefix,
             epochs={node.name: epoch for node in mine},
             frames=self._frames,
+            network=self.networks.get(slot.name),
             standby=standby or trial,
             trial=trial,
             places={n.name: place_of(self.plan, n) for n in mine} if checked or trial else {},
@@ -242,8 +259,9 @@ class Supervisor:
         return spawn(self._run.prefix, self._run.folder, modules)
 
     def _keep_a_spare(self) -> None:
-        if self.plan.clock == "realtime" and self._all_going():
-            self._spare.keep({node.operator.partition(":")[0] for node in self.plan.nodes})
+        if self.plan.clock == "realtime" and self.all_going:
+            here = filter(self.plan.is_here, self.plan.nodes)
+            self._spare.keep({node.operator.partition(":")[0] for node in here})
 
     def _hear(self) -> None:
         while True:
@@ -269,7 +287,7 @@ class Supervisor:
 
     def _note_failure(self, slot: Slot, event: dict[str, Any]) -> None:
         """What starting it again cannot mend ends the run: a graph that never began, a source."""
-        unborn = slot.epoch == 1 and not (slot.child and slot.child.ready)
+        unborn = self._is_first(slot) and not (slot.child and slot.child.ready)
         if event.get("expected") and (unborn or slot.sources) and not self.failure:
             self.failure = str(event["error"])
         elif not self.failure:
@@ -301,13 +319,18 @@ class Supervisor:
             slot.child.going, slot.going_since_s = True, time.monotonic()
             slot.child.tell("go")
 
+    def _is_first(self, slot: Slot) -> bool:
+        return slot.epoch == self._first_epoch + 1
+
     def _may_go(self, slot: Slot) -> bool:
         """Sources begin when every reader has heard them; the others at once."""
         if not slot.sources:
             return True
-        if slot.epoch == 1 and not all(s.child and s.child.ready for s in self.slots.values()):
+        all_ready = all(s.child and s.child.ready for s in self.slots.values())
+        if self._is_first(slot) and not all_ready:
             return False
-        mine = [e for e in self.plan.edges if slot.epoch == 1 or e.source in slot.sources]
+        first = self._is_first(slot)
+        mine = [e for e in self.plan.edges if first or e.source in slot.sources]
         accounts = [self.ledger.edges[e.index] for e in mine]
         return all(account.live or not account.reader_epoch for account in accounts)
 

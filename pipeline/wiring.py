@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.answers import Answers
-from pipeline.bus import Session
+from pipeline.bus import Sender, Session
+from pipeline.clocks import Clocks
 from pipeline.contract import Input, Operator, Source, outputs_of
 from pipeline.doors import Doors, Links
 from pipeline.host import Host
 from pipeline.inport import InPort
 from pipeline.ledger import Ledger, private_ledger
 from pipeline.live import Live, kept
+from pipeline.network import Network
 from pipeline.place import Place
 from pipeline.plan import Edge, Node, Plan, inputs_for, slots
 from pipeline.pool import PoolReader, PoolWriter
@@ -21,6 +23,8 @@ from pipeline.ports import BYTES_SUFFIX, Arrival, OutPort, Reader
 from pipeline.relay import BATON, Relay, Say
 from pipeline.shadow import MOST_WAITING, Heard
 from pipeline.source import SourceHost
+
+CLOCKS = "clocks"  # the file in the run's folder that tells what other hosts' clocks show
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +38,7 @@ class Assignment:
     prefix: str  # of every file of this run in the memory folder
     epochs: dict[str, int]  # by node
     frames: int = 0
+    network: Network | None = None  # to the nodes on other hosts, where an edge leads there
     standby: bool = False  # another instance works until this one is told to take over
     trial: bool = False  # only say whether operators and settings fit, and leave
     places: dict[str, Place] = field(default_factory=dict)  # to be checked before it starts
@@ -54,8 +59,13 @@ class Assignment:
 class Wiring:
     """What a process holds of its graph; `close` gives everything back."""
 
-    def __init__(self, job: Assignment, session: Session, ledger: Ledger, say: Say) -> None:
+    def __init__(
+        self, job: Assignment, session: Session, ledger: Ledger, say: Say,
+        border: Session | None = None,
+    ) -> None:  # fmt: skip
         self._job, self._session, self._ledger, self._say = job, session, ledger, say
+        self._border = border  # the session with other hosts
+        self._clocks = clocks_of(job)
         self._memory = Path(job.memory_folder)
         self._doors: list[Doors] = []
         self._links: list[Links] = []
@@ -98,6 +108,7 @@ class Wiring:
             if isinstance(operator, Source)
             else Host(node.name, operator, **common)
         )
+        host.clocks = self._clocks
         live = Live(node.name, operator, job.settings(node), job.kept_in(node))
         answers = Answers(plan, node, operator, host, live, self._ledger)
         key = partial(key_of, plan.name, node.name)
@@ -156,7 +167,7 @@ class Wiring:
             message,
             links,
             self._session.sender(key, urgent=urgent),
-            self._session.sender(key + BYTES_SUFFIX, urgent=urgent, patient=patient),
+            self._remote(key + BYTES_SUFFIX, edges, urgent=urgent, patient=patient),
             readers,
             lambda claim: PoolWriter(self._memory, stem, slots(edges), claim),
             job.epochs[node.name],
@@ -201,7 +212,15 @@ class Wiring:
             doors.expect(edge.index, port.receive)
             return
         key = key_of(job.plan.name, edge.source, edge.output) + BYTES_SUFFIX
-        self._stops.append(self._session.listen(key, port.receive))
+        session = self._border if self._border and job.plan.crosses(edge) else self._session
+        self._stops.append(session.listen(key, port.receive))
+
+    def _remote(self, key: str, edges: tuple[Edge, ...], *, urgent: bool, patient: bool) -> Sender:
+        """Where whole messages go: to other hosts, if an edge leads there, and on this one."""
+        here = self._session.sender(key, urgent=urgent, patient=patient)
+        if self._border is None or not any(self._job.plan.crosses(e) for e in edges):
+            return here
+        return _Both(self._border.sender(key, urgent=urgent, patient=patient), here)
 
 
 def _hear(heard: Heard, name: str, arrival: Arrival) -> None:
@@ -235,6 +254,29 @@ def swappable(plan: Plan, node: Node) -> bool:
     return alone and not any(
         e.transport == "bytes" for e in plan.edges if node.name in (e.source, e.target)
     )
+
+
+class _Both:
+    """Two senders of one key, on two sessions."""
+
+    def __init__(self, *senders: Sender) -> None:
+        self._senders = senders
+
+    def send(self, payload: bytes) -> None:
+        for sender in self._senders:
+            if sender.matching():
+                sender.send(payload)
+
+    def matching(self) -> bool:
+        return any(sender.matching() for sender in self._senders)
+
+
+def clocks_of(job: Assignment) -> Clocks:
+    """The clocks of the hosts of a run, or this host's alone."""
+    plan = job.plan
+    if not plan.here:
+        return Clocks()
+    return Clocks.open(Path(job.run_folder) / CLOCKS, plan.here, plan.hosts)
 
 
 def key_of(graph: str, node: str, output: str) -> str:

@@ -284,3 +284,7 @@ class Stillborn(Count):
     def open(self) -> None:
         super().open()
         raise DriverError("never meant to live")
+
+
+class Nosy(Steer):
+    """What no box allows."""

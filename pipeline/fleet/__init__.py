@@ -1,0 +1,1 @@
+"""One graph over several hosts: agents that run its parts, certificates, clocks, deployment."""

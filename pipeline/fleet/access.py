@@ -1,0 +1,64 @@
+"""Access lists from a graph: what a node and an agent let others do, and nothing else."""
+
+from collections.abc import Iterable, Sequence
+
+from pipeline.fleet.names import agent_key, box, node_holder
+from pipeline.network import Permit
+from pipeline.plan import Edge, Plan
+from pipeline.ports import BYTES_SUFFIX
+from pipeline.wiring import key_of
+
+
+def node_permits(plan: Plan, process: str) -> tuple[Permit, ...]:
+    """Of a process: it publishes its outputs to their readers and hears its inputs' writers.
+
+    What nodes answer (`@schema`, `@config`, …) is answered inside their host only.
+    """
+    permits = []
+    for edge in plan.edges:
+        if not plan.crosses(edge):
+            continue
+        source, target = plan.node(edge.source), plan.node(edge.target)
+        key = edge_key(plan, edge)
+        if source.process == process:
+            reader = node_holder(plan.name, target)
+            permits.append(
+                Permit(holder=reader, key=key, inward=("declare_subscriber",), outward=("put",))
+            )
+        if target.process == process:
+            writer = node_holder(plan.name, source)
+            permits.append(
+                Permit(holder=writer, key=key, inward=("put",), outward=("declare_subscriber",))
+            )
+    return tuple(dict.fromkeys(permits))
+
+
+def agent_permits(label: str, holders: Iterable[str]) -> tuple[Permit, ...]:
+    """Of an agent: each of the holders may ask it and tell it under a key of its own."""
+    return tuple(
+        Permit(
+            holder=holder,
+            key=agent_key(label, holder, "**"),
+            inward=("query", "put"),
+            outward=("reply", "declare_queryable", "declare_subscriber"),
+        )
+        for holder in holders
+    )
+
+
+def asker_permits(holder: str, labels: Sequence[str]) -> tuple[Permit, ...]:
+    """Of somebody who speaks with agents: he asks and tells, and hears only answers."""
+    return tuple(
+        Permit(
+            holder=box(label),
+            key=agent_key(label, holder, "**"),
+            inward=("reply", "declare_queryable", "declare_subscriber"),
+            outward=("query", "put"),
+        )
+        for label in labels
+    )
+
+
+def edge_key(plan: Plan, edge: Edge) -> str:
+    """The key on which an edge crosses hosts."""
+    return key_of(plan.name, edge.source, edge.output) + BYTES_SUFFIX

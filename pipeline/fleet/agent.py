@@ -1,0 +1,323 @@
+"""`fovea agent`: runs on a box, takes graphs from those it knows, runs its part of each.
+
+What is asked comes by one key per asker, which the access list ties to his certificate. Questions
+wait in a bounded queue and are answered one by one by the main thread; clocks and accounts, which
+cannot wait, are answered where they come in.
+"""
+
+import json
+import logging
+import queue
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from pipeline.bus import OnBytes, Session
+from pipeline.errors import FoveaError, MessageError, RunError
+from pipeline.fleet import wire
+from pipeline.fleet.access import agent_permits, asker_permits, node_permits
+from pipeline.fleet.agent_file import Box
+from pipeline.fleet.names import (
+    ANYBODY,
+    agent_key,
+    box,
+    check_label,
+    check_name,
+    endpoint,
+    host_part,
+)
+from pipeline.fleet.part import Part
+from pipeline.fleet.placement import borders, check_marks, inspect, listeners, place
+from pipeline.fleet.show import state_of
+from pipeline.fleet.wire import Named, Prepare, Prepared, Start
+from pipeline.network import LOCAL, Network
+from pipeline.plan import Plan
+from pipeline.rundir import base
+from pipeline.watching import log_lines
+
+WAITING = 64  # questions; more are refused at once
+MOST_GRAPHS = 8
+MOST_LINES = 1000
+TICK_S = 0.1
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Question:
+    verb: str
+    asker: str
+    data: bytes
+    reply: OnBytes
+
+
+class Agent:
+    """One box. Use it as a context: leaving it stops what runs and keeps it for the next start."""
+
+    def __init__(self, own: Box) -> None:
+        self.box, self.label = own, own.label
+        self._papers = own.papers
+        self._allowed = own.allowed
+        self._questions: queue.Queue[_Question] = queue.Queue(WAITING)
+        self.parts: dict[str, Part] = {}
+        self.refused: Counter[str] = Counter()
+        self._stop = threading.Event()
+        own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._holders = own.holders if self._papers else (ANYBODY, *own.holders)
+        permits = agent_permits(self.label, self._holders)
+        self._session = Session.across(self._network((own.endpoint,), permits=permits))
+        for holder in self._holders:
+            keys = agent_key(self.label, holder, "**")
+            self._session.serve(keys, partial(self._asked, holder))
+            if holder.startswith("box."):
+                self._session.hear(keys, partial(self._told, holder.removeprefix("box.")))
+
+    def __enter__(self) -> "Agent":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for part in self.parts.values():
+            part.end()
+        self._session.close()
+
+    def stop(self) -> None:
+        """Let `run` return."""
+        self._stop.set()
+
+    def run(self) -> None:
+        """Take up what ran before, then answer until stopped."""
+        self._resume()
+        log.info("box %s listens at %s", self.label, self.box.endpoint)
+        while not self._stop.is_set():
+            try:
+                question = self._questions.get(timeout=TICK_S)
+            except queue.Empty:
+                continue
+            self._answer(question)
+
+    def _network(self, listen: tuple[str, ...], **more: Any) -> Network:
+        papers = str(self._papers.folder) if self._papers else ""
+        return Network(listen=listen, papers=papers, **more)
+
+    def _asked(self, holder: str, key: str, data: bytes, reply: OnBytes) -> None:
+        """On the transport's thread."""
+        verb = key.rpartition("/")[2]
+        if verb == "ping" and len(data) < 64:
+            came_ns = time.monotonic_ns()
+            try:
+                sent_ns = wire.decode(wire.Ping, data).sent_ns
+            except MessageError:
+                return
+            reply(wire.encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
+            return
+        try:
+            self._questions.put_nowait(_Question(verb, holder, data, reply))
+        except queue.Full:
+            self.refused["busy"] += 1
+            reply(wire.refused("busy: too many questions wait"))
+
+    def _told(self, label: str, key: str, data: bytes) -> None:
+        """Likewise: another box tells of its accounts."""
+        part = self.parts.get(key.rpartition("/")[2])
+        if part is None:
+            return
+        try:
+            part.hear(label, wire.decode(wire.Accounts, data))
+        except MessageError:
+            self.refused["accounts"] += 1
+
+    def _answer(self, question: _Question) -> None:
+        verbs: Mapping[str, Callable[[bytes], Any]] = {
+            "about": self._about, "prepare": self._prepare, "start": self._start,
+            "down": self._down, "state": self._state, "log": self._log, "weights": self._weights,
+        }  # fmt: skip
+        of_boxes: Mapping[str, Callable[[bytes], Any]] = {"recall": partial(self._recall, question)}
+        known = of_boxes if question.asker.startswith("box.") else verbs
+        try:
+            if question.verb not in known:
+                raise RunError(f"{question.asker} may not {question.verb} here")
+            question.reply(wire.answered(known[question.verb](question.data)))
+        except FoveaError as error:
+            self.refused[question.verb] += 1
+            log.warning("refused %s to %s: %s", question.verb, question.asker, error)
+            question.reply(wire.refused(str(error)))
+
+    def _about(self, data: bytes) -> wire.About:
+        wire.decode(wire.Nothing, data)
+        return wire.About(self.label, wire.Versions.ours(), tuple(self.parts))
+
+    def _prepare(self, data: bytes) -> Prepared:
+        asked = wire.decode(Prepare, data)
+        if asked.versions != (ours := wire.Versions.ours()):
+            raise RunError(f"expected {_spelt(asked.versions)}, got {_spelt(ours)} here")
+        plan = wire.read_plan(asked.plan)
+        missing = self._missing(plan)
+        if missing:
+            return Prepared({}, missing)
+        self._check_free(plan, replace=asked.replace)
+        part = self._inspected(plan)
+        check_marks(part, self.label, asked.marks)
+        return Prepared(self._endpoints(part))
+
+    def _start(self, data: bytes) -> None:
+        asked = wire.decode(Start, data)
+        plan = wire.read_plan(asked.plan)
+        self._check_free(plan, replace=True)
+        self._check_partners(plan, asked)
+        part = self._inspected(plan)
+        if (before := self.parts.pop(part.name, None)) is not None:
+            before.end()
+        self._begin(part, asked, self._keep(part.name, asked))
+
+    def _down(self, data: bytes) -> None:
+        graph = wire.decode(Named, data).graph
+        part = self.parts.pop(check_name(graph, "graph"), None)
+        self._kept(graph).unlink(missing_ok=True)
+        if part is None:
+            raise RunError(f"no graph {graph} runs here")
+        part.end()
+
+    def _state(self, data: bytes) -> tuple[wire.State, ...]:
+        graph = wire.decode(Named, data).graph
+        return tuple(
+            state_of(part) for name, part in self.parts.items() if not graph or name == graph
+        )
+
+    def _log(self, data: bytes) -> wire.Log:
+        asked = wire.decode(wire.Lines, data)
+        part = self._part(asked.graph)
+        if asked.node not in {n.name for n in part.plan.nodes if part.plan.is_here(n)}:
+            raise RunError(f"{asked.graph}: no node {asked.node} here")
+        folder = f"{part.plan.name}@{self.label}"
+        count = max(1, min(asked.count, MOST_LINES))
+        return wire.Log(tuple(log_lines(folder, asked.node, count, follow=False)))
+
+    def _weights(self, data: bytes) -> str:
+        return self._allowed.keep(data)
+
+    def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
+        part = self._part(wire.decode(Named, data).graph)
+        neighbour = part.neighbours.get(question.asker.removeprefix("box."))
+        if neighbour is None or part.supervisor is None:
+            raise RunError(f"{part.plan.name}: nothing is shared with {question.asker}")
+        return neighbour.mirror.whole()
+
+    def _part(self, graph: str) -> Part:
+        if graph not in self.parts:
+            raise RunError(f"no graph {graph} runs here")
+        return self.parts[graph]
+
+    def _missing(self, plan: Plan) -> tuple[str, ...]:
+        here = [n for n in plan.nodes if n.host == self.label]
+        return tuple(dict.fromkeys(d for n in here for d in self._allowed.missing(n.settings)))
+
+    def _check_free(self, plan: Plan, *, replace: bool) -> None:
+        part = self.parts.get(plan.name)
+        if part is not None and part.phase in ("starting", "running") and not replace:
+            raise RunError(f"{plan.name}: runs already; take it down first, or use --replace")
+        if part is None and len(self.parts) >= MOST_GRAPHS:
+            raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a box, got more")
+
+    def _inspected(self, plan: Plan) -> Plan:
+        return inspect(plan, self.label, self._allowed, self.box.file.settings)
+
+    def _check_partners(self, plan: Plan, asked: Start) -> None:
+        for label, point in asked.boxes.items():
+            check_label(label, "boxes")
+            if self._papers and box(label) not in self._holders:
+                raise RunError(f"{label} is not among the boxes that this one may speak with")
+            endpoint(point, "boxes")
+        others = {n.host for n in plan.nodes} - {self.label}
+        if others - set(asked.boxes):
+            raise RunError(f"{plan.name}: no address for box {min(others - set(asked.boxes))}")
+        for point in asked.endpoints.values():
+            endpoint(point, "endpoints")
+
+    def _endpoints(self, part: Plan) -> dict[str, str]:
+        """Where the processes here with an edge to another host will listen."""
+        names = [f"{self.label}/{process}" for process in listeners(part, self.label)]
+        if self._papers is None:
+            stem = f"{LOCAL}{base()}/{part.name}@{self.label}"
+            return {name: f"{stem}.{name.partition('/')[2]}.sock" for name in names}
+        first, last = self.box.file.ports
+        used = {
+            point
+            for graph, other in self.parts.items()
+            if graph != part.name
+            for network in other.networks.values()
+            for point in network.listen
+        }
+        host = host_part(self.box.endpoint)
+        free = [p for n in range(first, last + 1) if (p := f"tls/{host}:{n}") not in used]
+        if len(free) < len(names):
+            raise RunError(
+                f"{part.name}: expected {len(names)} free ports of {first} to {last}, got "
+                f"{len(free)}"
+            )
+        return dict(zip(names, free, strict=False))
+
+    def _begin(self, part: Plan, asked: Start, starts: int) -> None:
+        holder = box(self.label)
+        others = {n.host for n in part.nodes} - {self.label}
+        way = self._network((), permits=asker_permits(holder, sorted(others)))
+        self.parts[part.name] = Part(
+            part, starts, self._networks(part, asked.endpoints),
+            {label: endpoint(asked.boxes[label], "boxes") for label in sorted(others)}, way,
+        )  # fmt: skip
+        self.parts[part.name].begin()
+
+    def _networks(self, part: Plan, endpoints: Mapping[str, str]) -> dict[str, Network]:
+        """Of two processes that speak, the first by name listens and the other one connects."""
+        own = self._endpoints(part)
+        networks = {}
+        for node in part.nodes:
+            name = place(node)
+            others = borders(part).get(name, frozenset())
+            if not others or not part.is_here(node):
+                continue
+            lacking = [o for o in others if o < name and o not in endpoints]
+            if lacking:
+                raise RunError(f"{part.name}: no address for {lacking[0]}")
+            papers = ""
+            if self._papers is not None:
+                folder = self._papers.folder / "nodes" / f"node.{part.name}.{node.process}"
+                papers = str(type(self._papers).of(folder).folder)
+            networks[node.process] = Network(
+                listen=(own[name],) if name in own else (),
+                connect=tuple(sorted(endpoints[o] for o in others if o < name)),
+                papers=papers,
+                permits=node_permits(part, node.process),
+            )
+        return networks
+
+    def _kept(self, graph: str) -> Any:
+        return self.box.state / f"{graph}.graph"
+
+    def _keep(self, graph: str, asked: Start) -> int:
+        """Note what was asked, for the next start of this box; how often it began."""
+        path = self._kept(graph)
+        starts = 1
+        if path.is_file():
+            starts = int(json.loads(path.read_text())["starts"]) + 1
+        part = path.with_suffix(".part")
+        part.write_text(json.dumps({"starts": starts, "asked": wire.encode(asked).decode()}))
+        part.replace(path)
+        return starts
+
+    def _resume(self) -> None:
+        for path in sorted(self.box.state.glob("*.graph")):
+            try:
+                asked = wire.decode(Start, json.loads(path.read_text())["asked"].encode())
+                part = self._inspected(wire.read_plan(asked.plan))
+                self._begin(part, asked, self._keep(part.name, asked))
+                log.info("%s: goes on", part.name)
+            except (FoveaError, ValueError, KeyError) as error:
+                log.error("%s: cannot go on: %s", path.stem, error)
+
+
+def _spelt(versions: wire.Versions) -> str:
+    return f"fovea {versions.fovea}, Zenoh {versions.zenoh}, envelope {versions.envelope}"

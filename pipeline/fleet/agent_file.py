@@ -1,0 +1,128 @@
+"""The file an agent reads: who it is, where it listens, who may ask it, what may run there."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline import settings as checked
+from pipeline.errors import GraphError, SettingsError
+from pipeline.fleet.allow import ANY, Allowed, is_digest
+from pipeline.fleet.names import box, check_label, check_name, endpoint, person
+from pipeline.fleet.secure import Papers
+from pipeline.network import LOCAL
+from pipeline.rundir import base
+from pipeline.yaml_lines import YamlFile, plain
+
+DEFAULT_PORTS = (7500, 7599)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgentFile:
+    """What a box is and allows."""
+
+    label: str
+    address: str = ""  # HOST[:PORT] with papers; empty: a unix socket of this user
+    papers: str = ""  # folder by `fovea secure`, relative to this file
+    ports: tuple[int, int] = DEFAULT_PORTS  # first and last, of nodes with an edge to another host
+    people: tuple[str, ...] = ()  # who may deploy, by name
+    boxes: tuple[str, ...] = ()  # labels of the boxes that may share a graph with it
+    operators: dict[str, str] = field(default_factory=dict)  # module:Class -> sha256 or `any`
+    weights: dict[str, str] = field(default_factory=dict)  # sha256 -> file, or empty: may be sent
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)  # of nodes, laid over
+    state: str = ""  # folder of what runs here; empty: beside the run folders
+
+    def __post_init__(self) -> None:
+        check_label(self.label, "label")
+        for other in self.boxes:
+            check_label(other, "boxes")
+        for name in self.people:
+            check_name(name, "people")
+        if self.address and not self.papers and not self.address.startswith(LOCAL):
+            raise SettingsError(
+                f"address: {self.address}: a network address needs `papers`, see `fovea secure`"
+            )
+        if self.papers and not self.address:
+            raise SettingsError("address: expected HOST[:PORT], as there are papers; got nothing")
+        first, last = self.ports
+        if not 0 < first <= last < 65536:
+            raise SettingsError(f"ports: expected first and last of 1..65535, got {first}, {last}")
+        for path, digest in self.operators.items():
+            if digest != ANY and not is_digest(digest):
+                raise SettingsError(f"operators.{path}: expected a sha256 or {ANY}, got {digest!r}")
+        for digest in self.weights:
+            if not is_digest(digest):
+                raise SettingsError(f"weights.{digest}: expected a sha256")
+
+
+@dataclass(frozen=True)
+class Box:
+    """The file together with where it lies: every path resolved."""
+
+    file: AgentFile
+    folder: Path
+
+    @property
+    def label(self) -> str:
+        """The label that graphs name."""
+        return self.file.label
+
+    @property
+    def papers(self) -> Papers | None:
+        """Its papers; raises `SettingsError` when they are another's."""
+        if not self.file.papers:
+            return None
+        papers = Papers.of(self.folder / self.file.papers)
+        if papers.holder != box(self.label):
+            raise SettingsError(
+                f"{papers.certificate}: expected the papers of {box(self.label)}, got those of "
+                f"{papers.holder}"
+            )
+        return papers
+
+    @property
+    def endpoint(self) -> str:
+        """Where the agent listens."""
+        if self.file.address:
+            return endpoint(self.file.address, "address")
+        return local_endpoint(self.label)
+
+    @property
+    def state(self) -> Path:
+        """The folder of what runs here."""
+        if self.file.state:
+            return self.folder / self.file.state
+        return base() / f"agent-{self.label}"
+
+    @property
+    def holders(self) -> tuple[str, ...]:
+        """Who may speak with it."""
+        return (*map(person, self.file.people), *map(box, self.file.boxes))
+
+    @property
+    def allowed(self) -> Allowed:
+        """Its allow lists."""
+        files = {d: self.folder / f if f else None for d, f in self.file.weights.items()}
+        return Allowed(self.file.operators, files, self.state / "weights")
+
+
+def read(path: Path) -> Box:
+    """An agent's file; raises `SettingsError` with file and line."""
+    try:
+        file = YamlFile(path)
+    except GraphError as error:
+        raise SettingsError(str(error)) from error
+    document = plain(file.document)
+    try:
+        return Box(checked.build(AgentFile, document, str(path)), path.resolve().parent)
+    except SettingsError as error:
+        said = str(error)
+        for key in document:
+            if said.startswith((f"{path}.{key}:", f"{path}.{key}.", f"{path}.{key} ")):
+                at = file.at(file.document, key)
+                raise SettingsError(f"{at}: {said.removeprefix(f'{path}.')}") from error
+        raise
+
+
+def local_endpoint(label: str) -> str:
+    """The unix socket of an agent without a network."""
+    return f"{LOCAL}{base() / f'agent-{label}.sock'}"

@@ -1,0 +1,137 @@
+"""What may run on a box, whoever asks: operators by name and checksum, weights by checksum.
+
+Code and paths never come over the wire: a graph names operators that this box lists, and files only
+as `sha256:…` of weights that this box lists too.
+"""
+
+import hashlib
+import importlib.util
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import SettingsError, WeightsError
+
+ANY = "any"  # instead of a checksum: whatever version is installed
+MARK = "sha256:"
+MOST_WEIGHTS_BYTES = 512 << 20
+_CODE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """The lists of one box."""
+
+    code: Mapping[str, str]  # module:Class -> sha256 of its files, or `any`
+    weights: Mapping[str, Path | None]  # sha256 -> file; None: may be sent
+    store: Path  # where sent weights are kept
+
+    def check_code(self, path: str, where: str) -> None:
+        """Raise `SettingsError` unless that class may be loaded as it is installed here."""
+        if path not in self.code:
+            raise SettingsError(f"{where}: {path} is not on the allow list of this box")
+        wanted = self.code[path]
+        if wanted != ANY and (got := code_digest(path)) != wanted:
+            raise SettingsError(
+                f"{where}: {path}: expected code with sha256 {wanted[:12]}…, got {got[:12]}…"
+            )
+
+    def localise(self, value: Any, where: str) -> Any:
+        """Values of a setting with weights as files of this box; raises for anything forbidden."""
+        if isinstance(value, Mapping):
+            return {k: self.localise(v, f"{where}.{k}") for k, v in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [self.localise(v, where) for v in value]
+        if not isinstance(value, str):
+            return value
+        if value.startswith(MARK):
+            return str(self.file(value.removeprefix(MARK), where))
+        if _CODE.fullmatch(value):
+            self.check_code(value, where)
+        elif is_path(value):
+            raise SettingsError(
+                f"{where}: expected no path from outside, got {value!r}; set it in the agent's file"
+            )
+        return value
+
+    def file(self, digest: str, where: str) -> Path:
+        """The weights with that checksum; raises `SettingsError` when they are not to be used."""
+        if digest not in self.weights:
+            raise SettingsError(f"{where}: weights {digest[:12]}… are not on the allow list")
+        path = self.weights[digest] or self.store / digest
+        if not path.is_file():
+            raise SettingsError(f"{where}: weights {digest[:12]}… are allowed, but not there yet")
+        if (got := file_digest(path)) != digest:
+            raise SettingsError(f"{where}: {path}: expected sha256 {digest[:12]}…, got {got[:12]}…")
+        return path
+
+    def missing(self, value: Any) -> tuple[str, ...]:
+        """The weights in a setting's values that are allowed and not there."""
+        found = strings(value, lambda text: text.startswith(MARK))
+        digests = {text.removeprefix(MARK) for text in found}
+        known = {d: self.weights[d] or self.store / d for d in digests if d in self.weights}
+        return tuple(sorted(d for d, path in known.items() if not path.is_file()))
+
+    def keep(self, data: bytes) -> str:
+        """Store weights that were sent; raises `WeightsError` when nobody wants them here."""
+        digest = hashlib.sha256(data).hexdigest()
+        if digest not in self.weights or len(data) > MOST_WEIGHTS_BYTES:
+            raise WeightsError(f"weights {digest[:12]}… are not on the allow list")
+        self.store.mkdir(mode=0o700, parents=True, exist_ok=True)
+        part = self.store / f"{digest}.part"
+        part.write_bytes(data)
+        part.replace(self.store / digest)
+        return digest
+
+
+def is_path(value: str) -> bool:
+    """Whether a string could name a file."""
+    if "/" in value or "\\" in value or "\0" in value or value.startswith((".", "~")):
+        return True
+    return 0 < len(value) < 256 and Path(value).exists()
+
+
+def strings(value: Any, wanted: Callable[[str], bool]) -> list[str]:
+    """All strings in a value that are wanted."""
+    if isinstance(value, Mapping):
+        return [s for v in value.values() for s in strings(v, wanted)]
+    if isinstance(value, (list, tuple)):
+        return [s for v in value for s in strings(v, wanted)]
+    return [value] if isinstance(value, str) and wanted(value) else []
+
+
+def code_of(operator: str, settings: Any) -> list[str]:
+    """The classes that a node names: its operator, and whatever its settings name."""
+    return [operator, *strings(settings, lambda text: bool(_CODE.fullmatch(text)))]
+
+
+def code_digest(path: str) -> str:
+    """sha256 over the files of a class's module or package; raises `SettingsError`."""
+    module = path.partition(":")[0]
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ImportError, ValueError) as error:
+        raise SettingsError(f"{path}: not installed here: {error}") from error
+    if spec is None or spec.origin is None:
+        raise SettingsError(f"{path}: not installed here")
+    origin = Path(spec.origin)
+    files = sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.relative_to(origin.parent).as_posix().encode() + b"\0")
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """sha256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def is_digest(text: str) -> bool:
+    """Whether it is written as a sha256."""
+    return bool(_DIGEST.fullmatch(text))

@@ -1,0 +1,127 @@
+"""`fovea agent`, `fovea up`, `fovea down`, `fovea secure`: the commands for several hosts."""
+
+import logging
+import signal
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pipeline.errors import RunError
+from pipeline.fleet import secure
+from pipeline.fleet.agent import Agent
+from pipeline.fleet.agent_file import AgentFile, Box, read
+from pipeline.fleet.deploy import Fleet, default_person, down, read_hosts, remembered, up
+from pipeline.fleet.draft import issue_for
+from pipeline.fleet.export import KINDS, engines
+from pipeline.fleet.names import check_label, check_name, person
+from pipeline.fleet.unit import agent_unit
+from pipeline.graph import load
+from pipeline.overlay import Overlay
+from pipeline.settings import suggest
+
+GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
+
+
+@click.command("agent")
+@click.option("--config", type=click.Path(path_type=Path, dir_okay=False), help="The agent's file.")
+@click.option("--label", default="", help="Without a file: the label of this box.")
+@click.option("--unit", is_flag=True, help="Print a systemd unit and leave.")
+def agent_command(config: Path | None, label: str, unit: bool) -> None:
+    """Run parts of graphs on this box for those who may deploy them."""
+    if unit:
+        click.echo(agent_unit(config or Path("agent.yaml")), nl=False)
+        return
+    if config is None and not label:
+        raise click.UsageError("give --config FILE or --label LABEL")
+    own = read(config) if config else Box(AgentFile(label=label), Path.cwd())
+    with Agent(own) as agent:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: agent.stop())
+        agent.run()
+    logging.getLogger(__name__).info("box %s: stopped", own.label)
+
+
+@click.command("up")
+@GRAPH
+@click.option("--hosts", "words", multiple=True, required=True, metavar="LABEL=ADDRESS,…")
+@click.option("--papers", type=click.Path(path_type=Path, file_okay=False), help="Who you are.")
+@click.option("--replace", "again", is_flag=True, help="Also where the graph runs already.")
+@click.option("--source", type=click.Path(path_type=Path), help="Where frames come from.")
+@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
+@click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node.")
+def up_command(
+    graph: Path, words: tuple[str, ...], papers: Path | None, again: bool, source: Path | None,
+    changes: tuple[str, ...], wanted: tuple[str, ...],
+) -> None:  # fmt: skip
+    """Start a graph on the boxes that its `host` labels name, through their agents."""
+    plan = load(graph, Overlay(source, changes, "", wanted))
+    with Fleet(read_hosts(words, papers)) as fleet:
+        up(fleet, plan, again=again)
+    hosts = ", ".join(sorted({node.host for node in plan.nodes}))
+    click.echo(f"{plan.name}: {len(plan.nodes)} nodes run on {hosts}; see `fovea ps`")
+
+
+@click.command("down")
+@click.argument("graph")
+def down_command(graph: str) -> None:
+    """Stop a graph on all its boxes."""
+    known = remembered()
+    if graph not in known:
+        raise RunError(f"no graph {graph} was brought up from here{suggest(graph, known)}")
+    missing = down(graph, known[graph])
+    if missing:
+        raise RunError("; ".join(missing))
+    click.echo(f"{graph}: down")
+
+
+@click.command("export")
+@click.argument("engine", type=engines())
+@GRAPH
+def export_command(engine: str, graph: Path) -> None:
+    """Print a graph's boxes as units or manifests for an engine of your own."""
+    click.echo(KINDS[engine](load(graph), str(graph)), nl=False)
+
+
+@click.group("secure")
+def secure_commands() -> None:
+    """A private certificate authority for your boxes, nodes and people."""
+
+
+@secure_commands.command("init")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--box", "boxes", multiple=True, metavar="LABEL=ADDRESS")
+@click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--person", "people", multiple=True, metavar="NAME")
+def init_command(folder: Path, **named: Any) -> None:
+    """Make an authority, and papers for boxes, people and the nodes of graphs."""
+    secure.create(folder)
+    _add(folder, **named)
+
+
+@secure_commands.command("add")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--box", "boxes", multiple=True, metavar="LABEL=ADDRESS")
+@click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--person", "people", multiple=True, metavar="NAME")
+def add_command(folder: Path, **named: Any) -> None:
+    """Make papers that are missing in the folder of an authority."""
+    _add(folder, **named)
+
+
+def _add(
+    folder: Path, boxes: tuple[str, ...], graphs: tuple[Path, ...], people: tuple[str, ...]
+) -> None:
+    addresses = {}
+    for word in boxes:
+        label, _, address = word.partition("=")
+        addresses[check_label(label, "--box")] = address
+    names = tuple(check_name(name, "--person") for name in people or (default_person(),))
+    plans = [load(graph) for graph in graphs]
+    for line in issue_for(folder, addresses, plans, names):
+        click.echo(line)
+    click.echo(f"copy each box's folder to the box, keep {folder / 'ca.key'} away from all of them")
+    click.echo(f"deploy with --papers {folder / person(names[0])}")
+
+
+fleet_commands = (agent_command, up_command, down_command, secure_commands, export_command)

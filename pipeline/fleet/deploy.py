@@ -1,0 +1,228 @@
+"""`fovea up` and `fovea down`: a graph to the agents of its hosts, all of it or nothing.
+
+First every agent says whether it may run its part; only then anything starts. What a setting names
+as a file here travels as its checksum; the box has the file, or takes it if it is on its list.
+"""
+
+import getpass
+import json
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pipeline.bus import Session
+from pipeline.errors import FoveaError, GraphError, RunError, SettingsError
+from pipeline.fleet import wire
+from pipeline.fleet.access import asker_permits
+from pipeline.fleet.agent_file import local_endpoint
+from pipeline.fleet.allow import MARK, file_digest, is_path
+from pipeline.fleet.names import ANYBODY, agent_key, check_label, endpoint
+from pipeline.fleet.placement import check_labels, marks
+from pipeline.fleet.secure import Papers
+from pipeline.network import Network
+from pipeline.plan import Plan
+from pipeline.rundir import base
+
+PATIENCE_S = 5.0  # until an agent must have answered
+DOWN_S = 20.0  # stopping takes as long as the slowest operator's close
+READY_S = 90.0
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Hosts:
+    """Where the agents are, and as whom to speak with them."""
+
+    points: Mapping[str, str]  # label -> end point
+    papers: str = ""
+
+    @property
+    def holder(self) -> str:
+        """Who asks."""
+        return Papers.of(Path(self.papers)).holder if self.papers else ANYBODY
+
+
+def read_hosts(words: Iterable[str], papers: Path | None) -> Hosts:
+    """`LABEL=ADDRESS`, or `LABEL` for an agent of this user; raises `SettingsError`."""
+    points = {}
+    for word in ",".join(words).split(","):
+        label, _, address = word.partition("=")
+        check_label(label, "--hosts")
+        points[label] = endpoint(address, f"--hosts {label}") if address else local_endpoint(label)
+    if papers is None and any(point.startswith("tls/") for point in points.values()):
+        raise SettingsError("--hosts: a network address needs --papers, see `fovea secure`")
+    return Hosts(points, str(papers.resolve()) if papers else "")
+
+
+class Fleet:
+    """The agents of some hosts. Use it as a context."""
+
+    def __init__(self, hosts: Hosts) -> None:
+        self.hosts = hosts
+        self._holder = hosts.holder
+        permits = asker_permits(self._holder, tuple(hosts.points))
+        self._session = Session.across(
+            Network(connect=tuple(hosts.points.values()), papers=hosts.papers, permits=permits)
+        )
+
+    def __enter__(self) -> "Fleet":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._session.close()
+
+    def ask(
+        self, label: str, verb: str, question: Any, cls: type[T], patience_s: float = PATIENCE_S
+    ) -> T:
+        """What an agent answers; raises `RunError` with its reason, or when it is silent."""
+        data = question if isinstance(question, bytes) else wire.encode(question)
+        found = self._session.ask(agent_key(label, self._holder, verb), data, patience_s)
+        if found is None:
+            raise RunError(
+                f"{label}: no agent answers at {self.hosts.points[label]} within "
+                f"{patience_s:.0f} s; it does not run, or {self._holder} may not ask it"
+            )
+        return wire.read_reply(cls, label, found)
+
+    def states(self, graph: str = "", patience_s: float = 1.5) -> dict[str, list[wire.State] | str]:
+        """What runs on every box, or why it is not known."""
+        found: dict[str, list[wire.State] | str] = {}
+        for label in self.hosts.points:
+            try:
+                question = wire.Named(graph)
+                states = self.ask(label, "state", question, tuple[wire.State, ...], patience_s)
+                found[label] = list(states)
+            except FoveaError as error:
+                found[label] = str(error)
+        return found
+
+
+def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
+    """Start a plan on its hosts and wait until it works; raises and leaves nothing behind."""
+    check_labels(plan, fleet.hosts.points)
+    used = sorted({node.host for node in plan.nodes})
+    plan, files = portable(plan)
+    text, signs = wire.write_plan(plan), marks(plan)
+    question = wire.Prepare(text, wire.Versions.ours(), signs, again)
+    for label in used:
+        fleet.ask(label, "about", wire.Nothing(), wire.About)
+    endpoints: dict[str, str] = {}
+    for label in used:
+        endpoints.update(_prepare(fleet, label, question, files))
+    started: list[str] = []
+    try:
+        for label in used:
+            others = {o: fleet.hosts.points[o] for o in used if o != label}
+            started.append(label)
+            fleet.ask(label, "start", wire.Start(text, endpoints, others), type(None), DOWN_S)
+        _await(fleet, plan.name, used)
+    except FoveaError:
+        for label in started:
+            _down(fleet, label, plan.name)
+        raise
+    remember(plan.name, Hosts({o: fleet.hosts.points[o] for o in used}, fleet.hosts.papers))
+
+
+def down(graph: str, hosts: Hosts) -> list[str]:
+    """Stop a graph on all its hosts; what could not be reached, as sentences."""
+    with Fleet(hosts) as fleet:
+        said = [_down(fleet, label, graph) for label in hosts.points]
+    missing = [why for why in said if why]
+    if not missing:
+        forget(graph)
+    return missing
+
+
+def portable(plan: Plan) -> tuple[Plan, dict[str, Path]]:
+    """The plan with checksums in the place of files, and the files by checksum."""
+    files: dict[str, Path] = {}
+
+    def carried(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {k: carried(v) for k, v in value.items()}
+        if isinstance(value, (list, tuple)):
+            return [carried(v) for v in value]
+        if isinstance(value, str) and is_path(value) and Path(value).is_file():
+            digest = file_digest(Path(value))
+            files[digest] = Path(value)
+            return MARK + digest
+        return value
+
+    nodes = tuple(replace(node, settings=carried(node.settings)) for node in plan.nodes)
+    return replace(plan, nodes=nodes), files
+
+
+def remembered() -> dict[str, Hosts]:
+    """The graphs that this user has deployed, and where."""
+    try:
+        document = json.loads(_memory().read_text())
+        return {g: Hosts(dict(h["points"]), str(h["papers"])) for g, h in document.items()}
+    except FileNotFoundError:
+        return {}
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{_memory()}: not what `fovea up` wrote: {error}") from error
+
+
+def remember(graph: str, hosts: Hosts) -> None:
+    """Note where a graph was deployed."""
+    _write({**remembered(), graph: hosts})
+
+
+def forget(graph: str) -> None:
+    """It is there no more."""
+    _write({g: h for g, h in remembered().items() if g != graph})
+
+
+def default_person() -> str:
+    """The name of whoever sits here."""
+    return getpass.getuser()
+
+
+def _prepare(
+    fleet: Fleet, label: str, question: wire.Prepare, files: Mapping[str, Path]
+) -> dict[str, str]:
+    prepared = fleet.ask(label, "prepare", question, wire.Prepared)
+    if prepared.weights:
+        for digest in prepared.weights:
+            if digest not in files:
+                raise GraphError(f"{label}: weights {digest[:12]}… are neither there nor here")
+            fleet.ask(label, "weights", files[digest].read_bytes(), str, READY_S)
+        prepared = fleet.ask(label, "prepare", question, wire.Prepared)
+    return prepared.endpoints
+
+
+def _await(fleet: Fleet, graph: str, labels: Iterable[str]) -> None:
+    waiting, deadline = set(labels), time.monotonic() + READY_S
+    while waiting:
+        for label in sorted(waiting):
+            states = fleet.ask(label, "state", wire.Named(graph), tuple[wire.State, ...])
+            if not states:
+                raise RunError(f"{label}: {graph} does not run there any more")
+            if states[0].phase in ("failed", "stopped"):
+                raise RunError(f"{label}: {states[0].failure or graph + ' was stopped'}")
+            if states[0].phase == "running":
+                waiting.discard(label)
+        if waiting and time.monotonic() > deadline:
+            raise RunError(f"{graph}: not ready after {READY_S:.0f} s on {', '.join(waiting)}")
+        time.sleep(0.1)
+
+
+def _down(fleet: Fleet, label: str, graph: str) -> str:
+    try:
+        fleet.ask(label, "down", wire.Named(graph), type(None), DOWN_S)
+    except FoveaError as error:
+        return "" if "no graph" in str(error) else str(error)
+    return ""
+
+
+def _memory() -> Path:
+    return base() / "fleet.json"
+
+
+def _write(graphs: Mapping[str, Hosts]) -> None:
+    part = _memory().with_suffix(".part")
+    document = {g: {"points": dict(h.points), "papers": h.papers} for g, h in graphs.items()}
+    part.write_text(json.dumps(document))
+    part.replace(_memory())

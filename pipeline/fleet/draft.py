@@ -1,0 +1,71 @@
+"""Papers and agent's files for the boxes of some graphs, ready to be copied there."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from pipeline.errors import RunError
+from pipeline.fleet import secure
+from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
+from pipeline.fleet.names import box, node_holder, person
+from pipeline.fleet.placement import borders, place
+from pipeline.plan import Plan
+
+
+def issue_for(
+    folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan], people: Sequence[str]
+) -> Iterator[str]:
+    """Make what is missing, a line for each; raises for a box of a graph without address."""
+    labels = list(dict.fromkeys([*addresses, *(h for plan in plans for h in plan.hosts)]))
+    for name in people:
+        secure.issue(folder / person(name), folder, person(name))
+        yield f"{folder / person(name)}: papers of {name}, who may deploy"
+    for label in labels:
+        own = folder / box(label)
+        secure.issue(own, folder, box(label))
+        for plan in plans:
+            for holder in _holders(plan, label):
+                secure.issue(own / "nodes" / holder, folder, holder)
+        path = own / "agent.yaml"
+        if path.exists():
+            yield f"{own}: papers of box {label}; its agent.yaml stays as it was"
+            continue
+        if not addresses.get(label):
+            raise RunError(f"{label}: expected --box {label}=ADDRESS, got none")
+        others = [other for other in labels if other != label]
+        path.write_text(agent_yaml(label, addresses[label], people, others, plans))
+        yield f"{own}: papers and agent.yaml of box {label}, with what its graphs need allowed"
+
+
+def agent_yaml(
+    label: str, address: str, people: Sequence[str], others: Sequence[str], plans: Sequence[Plan]
+) -> str:
+    """An agent's file that allows what the graphs have on that box, as it is installed here."""
+    nodes = [node for plan in plans for node in plan.nodes if node.host == label]
+    code = {
+        path: code_digest(path) for node in nodes for path in code_of(node.operator, node.settings)
+    }
+    files = {
+        Path(p) for node in nodes for p in strings(node.settings, is_path) if Path(p).is_file()
+    }
+    lines = [
+        f"label: {label}",
+        f"address: {json.dumps(address)}" if address else "",
+        "papers: ." if address else "",
+        f"people: {json.dumps(list(people))}",
+        f"boxes: {json.dumps(list(others))}",
+        "operators: # what may run here, each with the checksum of its files, or: any",
+        *(f"  {path}: {digest}" for path, digest in sorted(code.items())),
+        "weights: # checksum: file on this box, or empty where `fovea up` may send it",
+        *(f'  {file_digest(file)}: "" # {file.name}' for file in sorted(files)),
+    ]
+    text = "\n".join(line for line in lines if line) + "\n"
+    for name, known in (("operators", code), ("weights", files)):
+        text = text if known else text.replace(f"{name}: #", f"{name}: {{}} #")
+    return text
+
+
+def _holders(plan: Plan, label: str) -> list[str]:
+    crossing = borders(plan)
+    here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
+    return list(dict.fromkeys(node_holder(plan.name, node) for node in here))

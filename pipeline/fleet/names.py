@@ -1,0 +1,66 @@
+"""Who is who between hosts: labels, holders of certificates, keys and addresses."""
+
+import re
+
+from pipeline.errors import SettingsError
+from pipeline.graph import LABEL
+from pipeline.network import LOCAL
+from pipeline.plan import Node
+
+ANYBODY = "local"  # who asks over a unix socket that only this user can reach
+PORT = 7447  # where an agent listens unless it is told otherwise
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
+_HOST = re.compile(r"(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.-]+?)(?::(\d{1,5}))?")
+
+
+def box(label: str) -> str:
+    """The holder that an agent is."""
+    return f"box.{label}"
+
+
+def person(name: str) -> str:
+    """The holder that somebody at a command line is."""
+    return f"person.{name}"
+
+
+def node_holder(graph: str, node: Node) -> str:
+    """The holder that the process of a node is."""
+    return f"node.{graph}.{node.process}"
+
+
+def agent_key(label: str, holder: str, verb: str) -> str:
+    """The key at which the agent of a box hears one holder, and nobody else."""
+    return f"fovea/@agent/{label}/{holder}/{verb}"
+
+
+def check_label(label: str, where: str) -> str:
+    """A label of a box; raises `SettingsError`."""
+    if not LABEL.fullmatch(label):
+        raise SettingsError(f"{where}: expected a label of letters and digits, got {label!r}")
+    return label
+
+
+def check_name(name: str, where: str) -> str:
+    """A name that is safe in keys and file names; raises `SettingsError`."""
+    if not _NAME.fullmatch(name) or ".." in name:
+        raise SettingsError(f"{where}: expected a name of letters, digits, - _ ., got {name!r}")
+    return name
+
+
+def endpoint(address: str, where: str) -> str:
+    """What Zenoh calls an address: `HOST[:PORT]` or a unix socket; raises `SettingsError`.
+
+    >>> endpoint("10.0.0.1", "hosts"), endpoint("[::1]:9", "hosts")
+    ('tls/10.0.0.1:7447', 'tls/[::1]:9')
+    """
+    if address.startswith(LOCAL):
+        return address
+    found = _HOST.fullmatch(address.removeprefix("tls/"))
+    if found is None or int(found[2] or PORT) > 65535:
+        raise SettingsError(f"{where}: expected HOST[:PORT], got {address!r}")
+    return f"tls/{found[1]}:{found[2] or PORT}"
+
+
+def host_part(point: str) -> str:
+    """The host of a TLS end point."""
+    return point.removeprefix("tls/").rpartition(":")[0]

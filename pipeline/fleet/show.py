@@ -1,0 +1,101 @@
+"""What runs on a box, in figures: a part of a graph to what `ps` and `top` show of it."""
+
+import time
+
+import psutil
+
+from pipeline.fleet.neighbour import Neighbour
+from pipeline.fleet.part import Part, PartSupervisor
+from pipeline.fleet.wire import BoxState, EdgeState, NodeState, Process, State
+
+
+def state_of(part: Part) -> State:
+    """The part as it is now."""
+    supervisor = part.supervisor
+    return State(
+        graph=part.plan.name,
+        label=part.plan.here,
+        at_ns=time.monotonic_ns(),
+        phase=part.phase,
+        failure=part.failure,
+        processes=_processes(supervisor) if supervisor else (),
+        nodes=_nodes(supervisor) if supervisor else (),
+        edges=_edges(supervisor) if supervisor else (),
+        boxes=tuple(_box(n) for n in part.neighbours.values()) if supervisor else (),
+        network_bytes={
+            name: (seen.bytes_recv, seen.bytes_sent)
+            for name, seen in psutil.net_io_counters(pernic=True).items()
+        },
+    )
+
+
+def _processes(supervisor: PartSupervisor) -> tuple[Process, ...]:
+    found = []
+    for name, slot in supervisor.slots.items():
+        sample = slot.child.sample() if slot.child else None
+        found.append(
+            Process(
+                name=name,
+                nodes=tuple(n.name for n in slot.nodes),
+                pid=supervisor.pid(name),
+                cpu_s=sample.cpu_s if sample else 0.0,
+                rss_mb=sample.rss_mb if sample else 0.0,
+                restarts=supervisor.restarts.get(name, 0),
+            )
+        )
+    return tuple(found)
+
+
+def _nodes(supervisor: PartSupervisor) -> tuple[NodeState, ...]:
+    found = []
+    for node in filter(supervisor.plan.is_here, supervisor.plan.nodes):
+        account = supervisor.ledger.nodes[node.index]
+        times = {name: h.summary() for name, h in account.histograms.items()}
+        found.append(
+            NodeState(
+                name=node.name,
+                condition=account.condition,
+                epoch=account.epoch,
+                handled=account.handled,
+                last_seq=account.last_seq,
+                handler_ms=times["handler"],
+                hop_ms=times["hop"],
+                loop_ms=times["loop"],
+            )
+        )
+    return tuple(found)
+
+
+def _edges(supervisor: PartSupervisor) -> tuple[EdgeState, ...]:
+    plan, found = supervisor.plan, []
+    sources = [n for n in plan.nodes if all(e.command for e in plan.inputs(n.name).values())]
+    errors = [supervisor.clocks.error_ns(node.host) for node in sources]
+    for edge in plan.edges:
+        if not plan.is_here(plan.node(edge.target)):
+            continue
+        account = supervisor.ledger.edges[edge.index]
+        found.append(
+            EdgeState(
+                origin=edge.origin,
+                end=edge.end,
+                account=account.report(),
+                age_ms=account.age.summary(),
+                broken=bool(account.broken),
+                sent=account.sent,
+                age_error_ms=max((e or 0 for e in errors), default=0) / 1e6,
+            )
+        )
+    return tuple(found)
+
+
+def _box(neighbour: Neighbour) -> BoxState:
+    seen = neighbour.estimate
+    return BoxState(
+        label=neighbour.label,
+        lost=neighbour.lost,
+        lost_for_s=time.monotonic() - neighbour.answered_s if neighbour.lost else 0.0,
+        losses=neighbour.losses,
+        clock_ahead_ms=seen.offset_ns / 1e6 if seen else 0.0,
+        clock_error_ms=seen.error_ns / 1e6 if seen else 0.0,
+        round_trip_ms=seen.round_trip_ns / 1e6 if seen else 0.0,
+    )

@@ -1,0 +1,113 @@
+"""How a session reaches other hosts: end points, who it is, and what each other may do with it.
+
+Without papers only unix sockets are allowed; an address of a network needs TLS in both directions.
+What no permit names is denied, whoever asks.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pipeline.errors import SettingsError
+
+Deed = Literal["put", "declare_subscriber", "query", "reply", "declare_queryable"]
+LOCAL = "unixsock-stream/"
+LARGEST_BYTES = 256 << 20  # no message is longer than this, whoever sends it
+MOST_SESSIONS = 64
+HALF_OPEN = 128  # links that are being opened; a flood of them fills no memory
+OPEN_MS = 3000
+RETRY_MS = (100, 1000)  # first and last pause between two attempts to reach a host
+# of a host that is gone without a word: links are closed after this long without a sign of life
+LEASE_MS = 2000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Permit:
+    """One thing that a holder of a certificate may do with this session."""
+
+    holder: str  # common name
+    inward: tuple[Deed, ...] = ()  # what may come from the holder
+    outward: tuple[Deed, ...] = ()  # what may go to the holder
+    key: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Network:
+    """The end points of a session, its papers and its permits."""
+
+    listen: tuple[str, ...] = ()
+    connect: tuple[str, ...] = ()
+    papers: str = ""  # folder with ca.pem, own.pem, own.key; empty: unix sockets only
+    permits: tuple[Permit, ...] = ()
+
+    def config(self) -> dict[str, Any]:
+        """What Zenoh is to be told; raises `SettingsError` for a network address without papers."""
+        for point in (*self.listen, *self.connect):
+            wanted = "tls/" if self.papers else LOCAL
+            if not point.startswith(wanted):
+                raise SettingsError(f"{point}: expected {wanted}… here")
+        first, last = RETRY_MS
+        config: dict[str, Any] = {
+            "mode": "peer",
+            "listen": {"endpoints": list(self.listen)},
+            "connect": {
+                "endpoints": list(self.connect),
+                "exit_on_failure": False,
+                "timeout_ms": -1,  # keep trying; opening does not wait for it
+                "retry": {
+                    "period_init_ms": first, "period_max_ms": last, "period_increase_factor": 2,
+                },
+            },
+            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            "transport": {
+                "shared_memory": {"enabled": False},
+                "unicast": {
+                    "open_timeout": OPEN_MS, "accept_timeout": OPEN_MS,
+                    "accept_pending": HALF_OPEN, "max_sessions": MOST_SESSIONS,
+                },
+                "link": {
+                    "tx": {"lease": LEASE_MS, "keep_alive": 4,
+                           "queue": {"size": {"data": 16, "real_time": 16}}},
+                    "rx": {"max_message_size": LARGEST_BYTES},
+                    **({"tls": _tls(Path(self.papers))} if self.papers else {}),
+                },
+            },
+        }  # fmt: skip
+        if self.papers:
+            config["access_control"] = access_control(self.permits)
+        return config
+
+
+def access_control(permits: tuple[Permit, ...]) -> dict[str, Any]:
+    """Zenoh's access list: nothing but the permits."""
+    rules, subjects, policies = [], [], []
+    for number, permit in enumerate(permits):
+        subjects.append({"id": f"s{number}", "cert_common_names": [permit.holder]})
+        named = []
+        for flow, deeds in (("ingress", permit.inward), ("egress", permit.outward)):
+            if deeds:
+                named.append(f"r{number}-{flow}")
+                rules.append(
+                    {
+                        "id": named[-1], "permission": "allow", "flows": [flow],
+                        "messages": list(deeds), "key_exprs": [permit.key],
+                    }
+                )  # fmt: skip
+        policies.append({"rules": named, "subjects": [f"s{number}"]})
+    return {
+        "enabled": True, "default_permission": "deny",
+        "rules": rules, "subjects": subjects, "policies": policies,
+    }  # fmt: skip
+
+
+def _tls(papers: Path) -> dict[str, Any]:
+    own, key = str(papers / "own.pem"), str(papers / "own.key")
+    return {
+        "root_ca_certificate": str(papers / "ca.pem"),
+        "enable_mtls": True,
+        "listen_certificate": own, "listen_private_key": key,
+        "connect_certificate": own, "connect_private_key": key,
+        # who it is says the common name, which the access list goes by; where it is may change
+        "verify_name_on_connect": False,
+        "close_link_on_expiration": True,
+    }  # fmt: skip

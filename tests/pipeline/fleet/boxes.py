@@ -1,0 +1,103 @@
+"""Boxes to test with: agents in threads of this process, each with nodes of its own."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from pipeline.fleet import wire
+from pipeline.fleet.agent import Agent
+from pipeline.fleet.agent_file import AgentFile, Box
+from pipeline.fleet.allow import ANY
+from pipeline.fleet.deploy import Fleet, read_hosts
+from pipeline.graph import load
+from pipeline.plan import Plan
+
+PATIENCE_S = 60.0
+TOYS = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")
+ALLOWED = {f"tests.toys:{name}": ANY for name in TOYS}
+TRIO = """
+name: trio
+hosts: [sensor, compute, viewer]
+nodes:
+  capture:
+    operator: tests.toys:Ticker
+    host: sensor
+    inputs: {schedule: steer}
+    settings: {rate_hz: 30}
+  work:
+    operator: tests.toys:Pass
+    host: compute
+    inputs: {frame: capture.context}
+  pair:
+    operator: tests.toys:Pair
+    host: compute
+    inputs: {left: work, right: capture.roi}
+  steer:
+    operator: tests.toys:Steer
+    host: compute
+    inputs: {percept: pair}
+  count:
+    operator: tests.toys:Count
+    host: viewer
+    inputs: {frame: capture.context}
+"""
+
+
+def plan_of(folder: Path, text: str = TRIO) -> Plan:
+    path = folder / "graph.yaml"
+    path.write_text(text)
+    return load(path)
+
+
+def box_of(label: str, others: Sequence[str], folder: Path, **more: object) -> Box:
+    values = {"operators": ALLOWED, **more}
+    file = AgentFile(label=label, boxes=tuple(others), **values)  # type: ignore[arg-type]
+    return Box(file, folder)
+
+
+class Running:
+    """An agent at work."""
+
+    def __init__(self, own: Box) -> None:
+        self.agent = Agent(own)
+        self._thread = threading.Thread(target=self.agent.run)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self.agent.stop()
+        self._thread.join()
+        self.agent.__exit__()
+
+
+@contextmanager
+def boxes(folder: Path, *labels: str) -> Iterator[dict[str, Running]]:
+    running: dict[str, Running] = {}
+    try:
+        for label in labels:
+            running[label] = Running(box_of(label, labels, folder))
+        yield running
+    finally:
+        for one in running.values():
+            one.stop()
+
+
+def fleet_of(*labels: str) -> Fleet:
+    return Fleet(read_hosts(labels, None))
+
+
+def until(holds: Callable[[], object], patience_s: float = PATIENCE_S) -> None:
+    end = time.monotonic() + patience_s
+    while not holds():
+        assert time.monotonic() < end, "it did not come true"
+        time.sleep(0.02)
+
+
+def state_of(fleet: Fleet, label: str, graph: str = "trio") -> wire.State:
+    (state,) = fleet.ask(label, "state", wire.Named(graph), tuple[wire.State, ...])
+    return state
+
+
+def handled(fleet: Fleet, label: str, node: str) -> int:
+    return next(n.handled for n in state_of(fleet, label).nodes if n.name == node)

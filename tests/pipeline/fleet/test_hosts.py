@@ -1,0 +1,188 @@
+"""Three hosts, TLS between them: a graph runs, boxes are missed and come back, intruders fail."""
+
+import json
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.hosts import DESK, World
+from bench.netns import permitted
+from pipeline import RunError
+from pipeline.fleet import secure
+from pipeline.fleet.names import person
+from tests.pipeline.fleet.boxes import TRIO, until
+
+pytestmark = pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here")
+AHEAD_S = 1000
+MISSED_S = 2.0
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
+    folder = tmp_path_factory.mktemp("world")
+    graph = folder / "graph.yaml"
+    graph.write_text(TRIO)
+    with World(folder, graph, compute=AHEAD_S) as world:
+        world.up()
+        yield world
+
+
+def part(world: World, label: str) -> dict[str, Any]:
+    found: list[Any] = []
+
+    def answers() -> bool:  # who floods an agent with half-open links keeps others waiting
+        found[:] = [s for s in world.states()[label] if isinstance(s, dict)]
+        return bool(found)
+
+    until(answers)
+    assert isinstance(found[0], dict)
+    return found[0]
+
+
+def node(world: World, label: str, name: str) -> dict[str, Any]:
+    found = next(n for n in part(world, label)["nodes"] if n["name"] == name)
+    assert isinstance(found, dict)
+    return found
+
+
+def edge(world: World, label: str, end: str) -> dict[str, Any]:
+    found = next(e for e in part(world, label)["edges"] if e["end"] == end)
+    assert isinstance(found, dict)
+    return found
+
+
+def test_the_loop_closes_over_hosts_with_clocks_of_their_own(world: World) -> None:
+    until(lambda: edge(world, "sensor", "capture.schedule")["account"]["delivered"] > 5)
+
+    boxes = {b["label"]: b for b in part(world, "sensor")["boxes"]}
+    error_ms = boxes["compute"]["clock_error_ms"]
+    assert 0 < error_ms < 50
+    assert abs(boxes["compute"]["clock_ahead_ms"] - 1000 * AHEAD_S) <= error_ms
+    read = edge(world, "compute", "pair.right")
+    assert 0 < read["age_ms"]["p50"] < 5000  # and not a thousand seconds
+    assert read["age_error_ms"] > 0
+
+
+def test_ps_shows_every_box_and_logs_come_from_the_box_that_has_them(world: World) -> None:
+    shown = world.fovea("ps")
+
+    assert all(label in shown for label in ("sensor", "viewer", "capture", "count"))
+    assert "boxes" in world.fovea("top", "trio", "--once")
+    assert world.fovea("logs", "count") is not None
+    with pytest.raises(RunError, match="no log of a node cuont"):
+        world.fovea("logs", "cuont")
+
+
+def test_a_lost_box_is_reported_within_two_seconds_and_its_nodes_come_back(world: World) -> None:
+    label, seer = "viewer", "sensor"
+    since = len(world.log(seer).read_text())
+
+    world.link(label, up=False)
+    try:
+        missed_s = world.heard(seer, f"box {label} is lost", since)
+        assert missed_s < MISSED_S
+        assert "no agent answers" in world.states()[label]
+        assert node(world, "compute", "work")["condition"] in ("waiting", "busy")
+    finally:
+        world.link(label, up=True)
+
+    world.heard(seer, f"box {label} is back", since)
+    before = node(world, label, "count")["handled"]
+    until(lambda: node(world, label, "count")["handled"] > before + 10)
+
+
+def test_a_box_that_was_switched_off_goes_on_where_the_books_of_the_others_stand(
+    world: World,
+) -> None:
+    before = edge(world, "viewer", "count.frame")["account"]["delivered"]
+    agent = world.agents["viewer"]
+
+    agent.send_signal(signal.SIGTERM)
+    agent.wait(30)
+    world.begin("viewer")
+
+    until(lambda: isinstance(world.states()["viewer"], list))
+    until(lambda: part(world, "viewer")["phase"] == "running")
+    account = edge(world, "viewer", "count.frame")["account"]
+    assert account["delivered"] >= before  # counted on, not from nothing
+    assert account["offered"] >= account["delivered"] + account["lost_in_crash"]
+
+
+def intrude(world: World, papers: str) -> dict[str, Any]:
+    sensor, compute = world.addresses["sensor"], world.addresses["compute"]
+    points = [f"{host}:{port}" for host in (sensor, compute) for port in (7447, 7500, 7501, 7502)]
+    words = ("-m", "tests.pipeline.fleet.intruder", papers, ",".join(points), "2")
+    done = world.run(DESK, *words)
+    assert done.returncode == 0, done.stderr
+    told: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return told
+
+
+def papers_of(world: World, who: str, tmp_path: Path) -> str:
+    ca = world.authority / "ca.pem"
+    viewer = world.authority / "box.viewer"
+    if who == "nobody":
+        return f"-{ca}"
+    if who == "a foreign authority":
+        secure.create(tmp_path / "ca")
+        own = secure.issue(tmp_path / "own", tmp_path / "ca", "node.trio.steer")
+        return str(own.folder)
+    if who == "a node of another place":
+        return str(viewer / "nodes" / "node.trio.count")
+    return str(viewer)
+
+
+@pytest.mark.parametrize(
+    "who", ["nobody", "a foreign authority", "a node of another place", "another box"]
+)
+def test_an_intruder_gets_nothing_and_disturbs_nothing(
+    world: World, who: str, tmp_path: Path
+) -> None:
+    before = {end: edge(world, *end) for end in SEEN}
+    commands = edge(world, "sensor", "capture.schedule")["account"]["delivered"]
+
+    got = intrude(world, papers_of(world, who, tmp_path))
+
+    own = "fovea/trio/capture/context/bytes" if who == "a node of another place" else ""
+    assert {key.split(" ")[1] for key in got["read"]} <= {own}  # what its edge gives it anyway
+    assert got["answers"] == {}
+    for end, earlier in before.items():
+        after = edge(world, *end)["account"]
+        assert after["dropped"].get("refused", 0) == earlier["account"]["dropped"].get("refused", 0)
+        assert after["dropped"].get("fenced", 0) == 0
+    until(lambda: edge(world, "sensor", "capture.schedule")["account"]["delivered"] > commands + 10)
+
+
+SEEN = (("sensor", "capture.schedule"), ("compute", "work.frame"), ("viewer", "count.frame"))
+
+
+def test_what_a_box_refuses_starts_nothing_anywhere(world: World, tmp_path: Path) -> None:
+    other = world.graph.with_name("other.yaml")
+    other.write_text(
+        TRIO.replace("name: trio", "name: other").replace("tests.toys:Steer", "tests.toys:Nosy")
+    )
+
+    with pytest.raises(RunError, match=r"compute: steer\.operator: tests\.toys:Nosy is not on the"):
+        deploy(world, other)
+    with pytest.raises(RunError, match="runs already; take it down first"):
+        world.up()
+
+    assert {state["graph"] for states in world.states().values() for state in states} == {"trio"}
+
+
+def deploy(world: World, graph: Path) -> str:
+    hosts = ",".join(f"{label}={world.addresses[label]}" for label in world.plan.hosts)
+    papers = str(world.authority / person("tester"))
+    return world.fovea("up", str(graph), "--hosts", hosts, "--papers", papers)
+
+
+def test_down_stops_the_graph_on_every_box_and_leaves_nothing(world: World) -> None:
+    assert "trio: down" in world.fovea("down", "trio")
+
+    left = [p for label in world.plan.hosts for p in world.home(label).rglob("*.door")]
+    assert left == []
+    with pytest.raises(RunError, match="no graph trio was brought up from here"):
+        world.fovea("down", "trio")

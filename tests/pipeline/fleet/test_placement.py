@@ -1,0 +1,210 @@
+"""Nodes are placed by label, and a box runs only what it allows: nothing by the wire's word."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
+from pipeline.fleet.access import edge_key, node_permits
+from pipeline.fleet.allow import MARK, Allowed, code_digest
+from pipeline.fleet.clock import DRIFT, Offset
+from pipeline.fleet.mirror import Mirror, adopt
+from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, part_of
+from pipeline.fleet.wire import read_plan, write_plan
+from pipeline.ledger import private_ledger
+from pipeline.plan import Plan
+from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
+
+
+def allowed(folder: Path, **weights: Path | None) -> Allowed:
+    return Allowed(ALLOWED, weights, folder / "store")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("host: viewer", "host: veiwer"), r":24: count\.host: no host veiwer, did you mean 'vi"),
+        (("    host: viewer\n", ""), r"graph\.yaml:23: count\.host: expected a host, got none"),
+        (("hosts: [sensor, compute, viewer]\n", ""), r"no host sensor; the graph names its boxes"),
+        (("[sensor, compute, viewer]", "[sensor, compute, ../viewer]"), r"hosts: expected labels"),
+        (("[sensor, compute, viewer]", "[sensor, sensor]"), r"different labels"),
+    ],
+)  # fmt: skip
+def test_a_label_that_no_box_has_is_refused(
+    change: tuple[str, str], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(GraphError, match=said):
+        plan_of(tmp_path, TRIO.replace(*change))
+
+
+def test_a_group_stays_on_one_host(tmp_path: Path) -> None:
+    text = TRIO.replace("host: compute\n", "host: compute\n    group: all\n")
+    text = text.replace("host: viewer", "host: viewer\n    group: all")
+
+    with pytest.raises(GraphError, match="group all is on compute, got viewer"):
+        plan_of(tmp_path, text)
+
+
+def test_a_label_without_an_agent_is_told(tmp_path: Path) -> None:
+    with pytest.raises(GraphError, match="no box viewer among the agents found"):
+        check_labels(plan_of(tmp_path), {"sensor": 0, "compute": 0, "viewr": 0})
+
+
+def test_only_edges_between_hosts_carry_bytes(tmp_path: Path) -> None:
+    part = part_of(plan_of(tmp_path), "compute")
+
+    assert {e.end for e in part.edges if e.transport == "bytes"} == {
+        "work.frame", "pair.right", "count.frame", "capture.schedule",
+    }  # fmt: skip
+    assert set(part.processes()) == {"work", "pair", "steer"}
+    assert set(listeners(part, "compute")) == {"work", "pair", "steer"}
+
+
+def test_a_plan_is_the_same_after_the_wire(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path)
+
+    assert read_plan(write_plan(plan)) == plan
+
+
+def test_a_node_lets_others_do_what_the_graph_says_and_nothing_else(tmp_path: Path) -> None:
+    part = part_of(plan_of(tmp_path), "sensor")
+
+    permits = node_permits(part, "capture")
+
+    said = {(p.holder, p.key, p.inward, p.outward) for p in permits}
+    context, roi, command = (edge_key(part, part.edges[i]) for i in (1, 3, 0))
+    reads = (("declare_subscriber",), ("put",))
+    assert said == {
+        ("node.trio.work", context, *reads),
+        ("node.trio.count", context, *reads),
+        ("node.trio.pair", roi, *reads),
+        ("node.trio.steer", command, ("put",), ("declare_subscriber",)),
+    }
+
+
+def evil(plan: Plan, node: str, **changes: Any) -> Plan:
+    nodes = tuple(replace(n, **changes) if n.name == node else n for n in plan.nodes)
+    return replace(plan, nodes=nodes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"operator": "os:system"}, "os:system is not on the allow list"),
+        ({"operator": "tests.toys:Nosy"}, "not on the allow list"),
+        ({"settings": {"sleep_s": "/etc/shadow"}}, "expected no path from outside"),
+        ({"settings": {"sleep_s": {"deep": ["../x"]}}}, "expected no path from outside"),
+        ({"settings": {"sleep_s": "subprocess:run"}}, "subprocess:run is not on the allow list"),
+        ({"settings": {"sleep_s": MARK + "0" * 64}}, "not on the allow list"),
+        ({"settings": {"hold": -1.5}}, r"work\.hold"),
+        ({"name": "../work"}, "expected a name"),
+        ({"group": "a/b"}, "expected a name"),
+        ({"index": 7}, "expected a node with a place of its own"),
+    ],
+)
+def test_a_box_refuses_code_paths_and_names_that_it_does_not_know(
+    changes: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    plan = evil(plan_of(tmp_path), "work", **changes)
+
+    with pytest.raises(FoveaError, match=said):
+        inspect(plan, "compute", allowed(tmp_path), {})
+
+
+def test_code_that_is_not_what_was_allowed_is_refused(tmp_path: Path) -> None:
+    path = "tests.toys:Pass"
+    Allowed({path: code_digest(path)}, {}, tmp_path).check_code(path, "work")
+
+    with pytest.raises(SettingsError, match=r"expected code with sha256 00000000"):
+        Allowed({path: "0" * 64}, {}, tmp_path).check_code(path, "work")
+
+
+def test_weights_are_taken_by_checksum_only(tmp_path: Path) -> None:
+    data = b"a network"
+    digest = hashlib.sha256(data).hexdigest()
+    mine = allowed(tmp_path, **{digest: None})
+    assert mine.missing({"weights": MARK + digest}) == (digest,)
+
+    with pytest.raises(WeightsError, match="not on the allow list"):
+        mine.keep(b"another")
+    assert mine.keep(data) == digest
+
+    assert mine.localise({"weights": MARK + digest}, "x") == {
+        "weights": str(tmp_path / "store" / digest)
+    }
+    (tmp_path / "store" / digest).write_bytes(b"changed")
+    with pytest.raises(SettingsError, match="expected sha256"):
+        mine.localise(MARK + digest, "x")
+
+
+def test_what_the_box_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> None:
+    plan = evil(plan_of(tmp_path), "work", settings={"hold": 3, "every": 2})
+
+    part = inspect(plan, "compute", allowed(tmp_path), {"work": {"hold": 1}})
+
+    assert part.node("work").settings == {"hold": 1, "every": 2}
+
+
+def test_another_schema_is_refused_with_both_sides(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path)
+    theirs = {**marks(plan), "capture.context": "00" * 8}
+
+    with pytest.raises(GraphError, match=r"capture\.context: expected messages of schema 0000"):
+        check_marks(part_of(plan, "compute"), "compute", theirs)
+    check_marks(part_of(plan, "compute"), "compute", marks(plan))
+
+
+def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
+    clock, ahead = Offset(), 1_000_000_000_000
+    ways = [(5_000_000, 100_000), (200_000, 300_000), (90_000, 4_000_000), (150_000, 9_000_000)]
+    now = 0
+    for there, back in ways:
+        came = now + there + ahead
+        clock.add(now, came, came + 50_000, now + there + 50_000 + back)
+        now += 200_000_000
+
+    seen = clock.estimate(now)
+
+    assert seen is not None
+    assert abs(seen.offset_ns - ahead) <= seen.error_ns
+    assert seen.error_ns <= 250_000 + DRIFT * 800_000_000
+    later = clock.estimate(now + 60_000_000_000)
+    assert later is not None
+    assert later.error_ns > 5_000_000  # nobody has asked for a minute: crystals drift
+
+
+def test_each_box_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
+    sensor, viewer = (part_of(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
+    edge = next(e.index for e in sensor.edges if e.end == "count.frame")
+    ledgers = [private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2)]
+    here, there = Mirror(sensor, ledgers[0], "viewer"), Mirror(viewer, ledgers[1], "sensor")
+    ledgers[0].edges[edge].sent = 9
+    ledgers[1].edges[edge].delivered, ledgers[1].edges[edge].seen = 7, 8
+    ledgers[1].edges[edge].reader_epoch = 1
+
+    for one, other in ((here, there), (there, here)):
+        told = one.tell(ready=True, anyway=False)
+        assert told is not None
+        other.hear(told)
+        assert one.tell(ready=True, anyway=False) is None
+
+    assert (ledgers[0].edges[edge].seen, ledgers[0].edges[edge].in_flight) == (8, 2)
+    assert ledgers[1].edges[edge].sent == 9
+    here.lost()
+    assert not ledgers[0].edges[edge].live  # a writer waits for no reader that is gone
+
+
+def test_a_box_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path) -> None:
+    sensor, viewer = (part_of(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
+    old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
+    edge = next(e.index for e in sensor.edges if e.end == "count.frame")
+    old.edges[edge].sent, old.edges[edge].seen, old.edges[edge].delivered = 20, 19, 18
+
+    adopt(sensor, fresh, [Mirror(viewer, old, "sensor").whole()])
+
+    assert fresh.edges[edge].sent == 20
+    siblings = sensor.readers("capture", "context")
+    assert {fresh.edges[e.index].sent for e in siblings} == {20}
