@@ -25,7 +25,7 @@ def with_nodes(plan: Plan, path: Path) -> Plan:
     for name in fresh:
         if name in {n.name for n in plan.nodes}:
             file.fail(fresh, name, f"nodes.{name}: there is a node of that name already")
-    return assemble(file, plan.name, plan.clock, {**entries(plan), **fresh})
+    return assemble(file, plan.name, plan.clock, {**entries(plan), **fresh}, plan.hosts)
 
 
 def without_node(plan: Plan, name: str) -> Plan:
@@ -35,7 +35,7 @@ def without_node(plan: Plan, name: str) -> Plan:
         if edge.source == name != edge.target:
             raise GraphError(f"{name}: {edge.end} reads it: expected to rewire that first")
     left = {n: e for n, e in entries(plan).items() if n != name}
-    return assemble(_Words(plan), plan.name, plan.clock, left)
+    return assemble(_Words(plan), plan.name, plan.clock, left, plan.hosts)
 
 
 def rewired(plan: Plan, wire: str) -> Plan:
@@ -50,7 +50,7 @@ def rewired(plan: Plan, wire: str) -> Plan:
     if name not in inputs:
         raise GraphError(f"{end}: no such edge{suggest(name, inputs)}")
     inputs[name] = {**inputs[name], "from": origin}
-    return assemble(_Words(plan), plan.name, plan.clock, changed)
+    return assemble(_Words(plan), plan.name, plan.clock, changed, plan.hosts)
 
 
 def entries(plan: Plan) -> dict[str, dict[str, Any]]:
