@@ -80,9 +80,8 @@ class World(Hosts):
 
     def up(self, *more: str) -> str:
         """Deploy the graph."""
-        hosts = ",".join(f"{label}={self.addresses[label]}" for label in self.plan.hosts)
         papers = str(self.authority / person(PERSON))
-        return self.fovea("up", str(self.graph), "--hosts", hosts, "--papers", papers, *more)
+        return self.fovea("up", str(self.graph), "--papers", papers, *more)
 
     def states(self) -> dict[str, Any]:
         """What every box says of the graph, or why it says nothing."""

@@ -12,7 +12,7 @@ from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, Box, read
 from pipeline.fleet.deploy import Fleet, default_person, down, read_hosts, remembered, up
-from pipeline.fleet.draft import issue_for
+from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import KINDS, engines
 from pipeline.fleet.names import check_label, check_name, person
 from pipeline.fleet.unit import agent_unit
@@ -44,7 +44,10 @@ def agent_command(config: Path | None, label: str, unit: bool) -> None:
 
 @click.command("up")
 @GRAPH
-@click.option("--hosts", "words", multiple=True, required=True, metavar="LABEL=ADDRESS,…")
+@click.option(
+    "--hosts", "words", multiple=True, metavar="LABEL=ADDRESS,…",
+    help="Where boxes are; else as the papers know, else on this machine.",
+)
 @click.option("--papers", type=click.Path(path_type=Path, file_okay=False), help="Who you are.")
 @click.option("--replace", "again", is_flag=True, help="Also where the graph runs already.")
 @click.option("--source", type=click.Path(path_type=Path), help="Where frames come from.")
@@ -56,7 +59,7 @@ def up_command(
 ) -> None:  # fmt: skip
     """Start a graph on the boxes that its `host` labels name, through their agents."""
     plan = load(graph, Overlay(source, changes, "", wanted))
-    with Fleet(read_hosts(words, papers)) as fleet:
+    with Fleet(read_hosts(words, papers, plan.hosts)) as fleet:
         up(fleet, plan, again=again)
     hosts = ", ".join(sorted({node.host for node in plan.nodes}))
     click.echo(f"{plan.name}: {len(plan.nodes)} nodes run on {hosts}; see `fovea ps`")
@@ -95,8 +98,7 @@ def secure_commands() -> None:
 @click.option("--person", "people", multiple=True, metavar="NAME")
 def init_command(folder: Path, **named: Any) -> None:
     """Make an authority, and papers for boxes, people and the nodes of graphs."""
-    secure.create(folder)
-    _add(folder, **named)
+    _add(folder, fresh=True, **named)
 
 
 @secure_commands.command("add")
@@ -106,18 +108,22 @@ def init_command(folder: Path, **named: Any) -> None:
 @click.option("--person", "people", multiple=True, metavar="NAME")
 def add_command(folder: Path, **named: Any) -> None:
     """Make papers that are missing in the folder of an authority."""
-    _add(folder, **named)
+    _add(folder, fresh=False, **named)
 
 
 def _add(
-    folder: Path, boxes: tuple[str, ...], graphs: tuple[Path, ...], people: tuple[str, ...]
-) -> None:
+    folder: Path, boxes: tuple[str, ...], graphs: tuple[Path, ...], people: tuple[str, ...], *,
+    fresh: bool,
+) -> None:  # fmt: skip
     addresses = {}
     for word in boxes:
         label, _, address = word.partition("=")
         addresses[check_label(label, "--box")] = address
     names = tuple(check_name(name, "--person") for name in people or (default_person(),))
     plans = [load(graph) for graph in graphs]
+    check_addressed(folder, addresses, plans)
+    if fresh:
+        secure.create(folder)
     for line in issue_for(folder, addresses, plans, names):
         click.echo(line)
     click.echo(f"copy each box's folder to the box, keep {folder / 'ca.key'} away from all of them")

@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import msgspec
+
 from pipeline.bus import Session
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError
 from pipeline.fleet import wire
@@ -20,7 +22,7 @@ from pipeline.fleet.agent_file import local_endpoint
 from pipeline.fleet.allow import MARK, file_digest, is_path
 from pipeline.fleet.names import ANYBODY, agent_key, check_label, endpoint
 from pipeline.fleet.placement import check_labels, marks
-from pipeline.fleet.secure import Papers
+from pipeline.fleet.secure import ADDRESSES, Papers
 from pipeline.network import Network
 from pipeline.plan import Plan
 from pipeline.rundir import base
@@ -44,16 +46,34 @@ class Hosts:
         return Papers.of(Path(self.papers)).holder if self.papers else ANYBODY
 
 
-def read_hosts(words: Iterable[str], papers: Path | None) -> Hosts:
-    """`LABEL=ADDRESS`, or `LABEL` for an agent of this user; raises `SettingsError`."""
+def read_hosts(words: Iterable[str], papers: Path | None, labels: Iterable[str] = ()) -> Hosts:
+    """Where boxes are: `LABEL=ADDRESS` as said, else as the papers know, else on this machine.
+
+    `labels` are those that are needed, said or not. Raises `SettingsError`.
+    """
+    said = dict(word.partition("=")[::2] for word in ",".join(words).split(",") if word)
+    known = known_addresses(papers) if papers else {}
     points = {}
-    for word in ",".join(words).split(","):
-        label, _, address = word.partition("=")
+    for label in dict.fromkeys([*labels, *said]):
         check_label(label, "--hosts")
+        address = said.get(label) or known.get(label, "")
+        if papers and not address:
+            raise SettingsError(f"--hosts: expected {label}=ADDRESS, as {papers} knows none")
         points[label] = endpoint(address, f"--hosts {label}") if address else local_endpoint(label)
     if papers is None and any(point.startswith("tls/") for point in points.values()):
         raise SettingsError("--hosts: a network address needs --papers, see `fovea secure`")
     return Hosts(points, str(papers.resolve()) if papers else "")
+
+
+def known_addresses(papers: Path) -> dict[str, str]:
+    """What `fovea secure` noted beside somebody's papers: label -> address."""
+    path = papers / ADDRESSES
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, str])
+    except FileNotFoundError:
+        return {}
+    except msgspec.MsgspecError as error:
+        raise SettingsError(f"{path}: expected label: address, got {error}") from error
 
 
 class Fleet:

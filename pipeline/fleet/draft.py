@@ -15,10 +15,14 @@ from pipeline.plan import Plan
 def issue_for(
     folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan], people: Sequence[str]
 ) -> Iterator[str]:
-    """Make what is missing, a line for each; raises for a box of a graph without address."""
-    labels = list(dict.fromkeys([*addresses, *(h for plan in plans for h in plan.hosts)]))
+    """Make what is missing, a line for each."""
+    labels = _labels(addresses, plans)
     for name in people:
-        secure.issue(folder / person(name), folder, person(name))
+        own = folder / person(name)
+        secure.issue(own, folder, person(name))
+        note = own / secure.ADDRESSES
+        before = json.loads(note.read_text()) if note.exists() else {}
+        note.write_text(json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
         yield f"{folder / person(name)}: papers of {name}, who may deploy"
     for label in labels:
         own = folder / box(label)
@@ -26,15 +30,20 @@ def issue_for(
         for plan in plans:
             for holder in _holders(plan, label):
                 secure.issue(own / "nodes" / holder, folder, holder)
-        path = own / "agent.yaml"
+        path = _agent_file(folder, label)
         if path.exists():
             yield f"{own}: papers of box {label}; its agent.yaml stays as it was"
             continue
-        if not addresses.get(label):
-            raise RunError(f"{label}: expected --box {label}=ADDRESS, got none")
         others = [other for other in labels if other != label]
         path.write_text(agent_yaml(label, addresses[label], people, others, plans))
         yield f"{own}: papers and agent.yaml of box {label}, with what its graphs need allowed"
+
+
+def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
+    """Raise `RunError` for a box that is new and has no address."""
+    for label in _labels(addresses, plans):
+        if not addresses.get(label) and not _agent_file(folder, label).exists():
+            raise RunError(f"{label}: expected --box {label}=ADDRESS, got none")
 
 
 def agent_yaml(
@@ -63,6 +72,14 @@ def agent_yaml(
     for name, known in (("operators", code), ("weights", files)):
         text = text if known else text.replace(f"{name}: #", f"{name}: {{}} #")
     return text
+
+
+def _labels(addresses: Mapping[str, str], plans: Sequence[Plan]) -> list[str]:
+    return list(dict.fromkeys([*addresses, *(host for plan in plans for host in plan.hosts)]))
+
+
+def _agent_file(folder: Path, label: str) -> Path:
+    return folder / box(label) / "agent.yaml"
 
 
 def _holders(plan: Plan, label: str) -> list[str]:

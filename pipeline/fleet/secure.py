@@ -2,6 +2,7 @@
 
     <folder>/ca.pem, ca.key                   the authority; its key stays where it was made
     <folder>/<holder>/ca.pem, own.pem, own.key   what one holder needs, to be copied there
+    <folder>/person.<name>/addresses.json        where the boxes are: label -> address
 
 The common name of a certificate says who speaks: `box.<label>`, `node.<graph>.<process>` or
 `person.<name>`. The access lists of `pipeline.fleet.access` go by these names, never by addresses.
@@ -23,6 +24,7 @@ AUTHORITY_DAYS = 3650
 HOLDER_DAYS = 825
 SKEW = datetime.timedelta(days=1)  # a box whose clock is behind must not refuse its own
 COMMON_NAME = "fovea authority"
+ADDRESSES = "addresses.json"
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from ruamel.yaml import YAML
 from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
-from pipeline.fleet.draft import issue_for
+from pipeline.fleet.deploy import read_hosts
+from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import compose, k8s, memory_mb, systemd
 from pipeline.fleet.unit import agent_unit
 from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
@@ -81,6 +82,16 @@ def test_papers_and_agent_files_allow_what_the_graph_has_on_that_box_and_no_more
     ]  # fmt: skip
     assert (folder / "ca.key").stat().st_mode & 0o077 == 0
     assert not list((folder / "box.compute").rglob("ca.key"))
+
+    hosts = read_hosts((), folder / "person.alice", ["compute", "viewer"])
+    assert hosts.points == {"compute": "tls/10.0.0.2:7000", "viewer": "tls/10.0.0.3:7447"}
+    with pytest.raises(SettingsError, match="expected desk=ADDRESS"):
+        read_hosts((), folder / "person.alice", ["desk"])
+
+
+def test_a_box_without_an_address_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="expected --box viewer=ADDRESS, got none"):
+        check_addressed(tmp_path, {"sensor": "a", "compute": "b"}, [plan_of(tmp_path)])
 
 
 def test_an_authority_is_made_once_and_papers_are_their_holders(tmp_path: Path) -> None:

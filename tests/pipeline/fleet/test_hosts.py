@@ -174,9 +174,8 @@ def test_what_a_box_refuses_starts_nothing_anywhere(world: World, tmp_path: Path
 
 
 def deploy(world: World, graph: Path) -> str:
-    hosts = ",".join(f"{label}={world.addresses[label]}" for label in world.plan.hosts)
     papers = str(world.authority / person("tester"))
-    return world.fovea("up", str(graph), "--hosts", hosts, "--papers", papers)
+    return world.fovea("up", str(graph), "--papers", papers)
 
 
 def test_down_stops_the_graph_on_every_box_and_leaves_nothing(world: World) -> None:
