@@ -1,9 +1,8 @@
 """`fovea health | schema | tell`: asks the nodes of running graphs, one or all by a wildcard."""
 
 import json
-import os
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
+from functools import partial
 from typing import Any
 
 import click
@@ -11,18 +10,18 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.bus import Session
 from pipeline.commands import COMMAND, Outcome, read_outcome, write_order
 from pipeline.errors import RunError
+from pipeline.fleet.remote import ask_there, is_deployed
 from pipeline.health import HEALTH, Health, read_health
 from pipeline.interface import SCHEMA, read_interface
 from pipeline.overlay import read_value
-from pipeline.rundir import base, running
+from pipeline.rundir import running
 from pipeline.settings import suggest
+from pipeline.visiting import ask_on, visit
 from pipeline.watching import find
 from pipeline.wiring import key_of
 
-PATIENCE_S = 5.0  # a node answers between two frames; one that hangs does not
 QUICK_S = 2.0  # what transports answer by themselves; a process that is frozen does not
 
 
@@ -81,9 +80,10 @@ def tell(graph: str, node: str, command: str, arguments: Mapping[str, Any]) -> O
 def fleet_health(graph: str) -> dict[str, Health | None]:
     """What every node of a running graph says, by one question; None for who is silent."""
     name, facts = find(graph)
-    wanted = {key_of(name, node["name"], HEALTH): node["name"] for node in facts["nodes"]}
+    key = partial(key_of, facts["graph"])
+    wanted = {key(node["name"], HEALTH): node["name"] for node in facts["nodes"]}
     with visit(name, "health") as session:
-        answers = session.ask_all(key_of(name, "*", HEALTH), QUICK_S, _complete(wanted))
+        answers = session.ask_all(key("*", HEALTH), QUICK_S, _complete(wanted))
     return {
         node: read_health(answers[key]) if key in answers else None for key, node in wanted.items()
     }
@@ -91,29 +91,13 @@ def fleet_health(graph: str) -> dict[str, Health | None]:
 
 def ask_node(graph: str, node: str, question: str, payload: bytes) -> bytes:
     """One node's answer; raises `RunError` when there is no such node, or none that answers."""
+    if is_deployed(graph) and graph not in running():
+        return ask_there(graph, node, question, payload)
     name, facts = find(graph)
     nodes = [n["name"] for n in facts["nodes"]]
     if node not in nodes:
         raise RunError(f"{name}: no node {node}{suggest(node, nodes)}")
-    with visit(name, "ask") as session:
-        answer = session.ask(key_of(name, node, question), payload, PATIENCE_S)
-    if answer is None:
-        raise RunError(
-            f"{name}: {node} gave no answer for {PATIENCE_S:.0f} s; see `fovea logs {node}`"
-        )
-    return answer
-
-
-@contextmanager
-def visit(graph: str, purpose: str) -> Iterator[Session]:
-    """A session on the bus of a graph that runs here, gone again afterwards."""
-    own = f"{purpose}-{os.getpid()}"
-    session = Session(base() / graph, own, patience_s=1.0)
-    try:
-        yield session
-    finally:
-        session.close()
-        (base() / graph / f"{own}.sock").unlink(missing_ok=True)
+    return ask_on(name, facts["graph"], node, question, payload)
 
 
 def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:

@@ -51,7 +51,7 @@ def carry_out(node: str, operator: Operator[Any, Any], order: bytes) -> Outcome:
     An exception that is no `FoveaError` passes through: the operator broke.
     """
     try:
-        told = codec.parse(_ORDER.decode, order, f"{node}: not an order")
+        told = read_order(order, node)
         arguments = read_arguments(type(operator), told, node)
         given = getattr(operator, f"do_{told.command}")(**arguments)
     except FoveaError as error:
@@ -86,6 +86,11 @@ def read_arguments(cls: type[Operator[Any, Any]], order: Order, node: str) -> di
 def write_order(command: str, arguments: Mapping[str, Any]) -> bytes:
     """The bytes that tell a node what to do."""
     return msgspec.msgpack.encode(Order(command, dict(arguments)))
+
+
+def read_order(order: bytes, node: str) -> Order:
+    """What a node is told to do; raises `MessageError` for bytes that do not say."""
+    return codec.parse(_ORDER.decode, order, f"{node}: not an order")
 
 
 def write_outcome(outcome: Outcome) -> bytes:

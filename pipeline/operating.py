@@ -1,6 +1,5 @@
 """`fovea swap | add | remove | rewire`: orders to a running graph, and what came of them."""
 
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,15 +8,16 @@ import click
 import msgspec
 from pydantic import TypeAdapter
 
-from pipeline.bus import Session
 from pipeline.desk import COMMAND, Order
 from pipeline.editing import rewired, with_nodes, without_node
 from pipeline.errors import GraphError, RunError
+from pipeline.fleet.remote import is_deployed, swap_there
 from pipeline.overlay import read_change
 from pipeline.plan import Plan
-from pipeline.rundir import base
+from pipeline.rundir import running
 from pipeline.swap import SwapOrder
 from pipeline.topology import PlanOrder
+from pipeline.visiting import visit
 from pipeline.watching import find
 
 PATIENCE_S = 300.0  # loading a model, a shadow run and probation take their time
@@ -75,6 +75,8 @@ def _replan(graph: str, edit: Callable[[Plan], Plan]) -> None:
 
 def replan(graph: str, edit: Callable[[Plan], Plan]) -> dict[str, Any]:
     """Have a running graph become what `edit` makes of its plan; raises `FoveaError`."""
+    if is_deployed(graph) and graph not in running():
+        raise RunError(f"{graph}: runs on several boxes; edit its file and `fovea up --replace`")
     _, facts = find(graph)
     wanted = edit(TypeAdapter(Plan).validate_python(facts["plan"]))
     plain = TypeAdapter(Plan).dump_python(wanted, mode="json")
@@ -93,17 +95,18 @@ def topology_lines(result: Mapping[str, Any]) -> list[str]:
 
 def tell(graph: str, order: Order) -> dict[str, Any]:
     """Give a running graph an order; raises `RunError` or `GraphError` with its reason."""
-    name, _ = find(graph)
-    own = f"order-{os.getpid()}"
-    session = Session(base() / name, own)
-    try:
-        answer = session.ask(f"fovea/{name}/{COMMAND}", msgspec.json.encode(order), PATIENCE_S)
-    finally:
-        session.close()
-        (base() / name / f"{own}.sock").unlink(missing_ok=True)
+    if isinstance(order, SwapOrder) and is_deployed(graph) and graph not in running():
+        return _judged(swap_there(graph, order, PATIENCE_S))
+    name, facts = find(graph)
+    with visit(name, "order") as session:
+        key = f"fovea/{facts['graph']}/{COMMAND}"
+        answer = session.ask(key, msgspec.json.encode(order), PATIENCE_S)
     if answer is None:
         raise RunError(f"{name}: no answer for {PATIENCE_S:.0f} s; see `fovea ps`")
-    result: dict[str, Any] = msgspec.json.decode(answer)
+    return _judged(msgspec.json.decode(answer))
+
+
+def _judged(result: dict[str, Any]) -> dict[str, Any]:
     if refused := result.get("refused"):
         raise (RunError if result.get("rolled_back") else GraphError)(refused)
     return result

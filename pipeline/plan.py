@@ -94,6 +94,10 @@ class Plan:
         """Whether this supervisor runs it."""
         return not self.here or node.host == self.here
 
+    def touches(self, edge: Edge) -> bool:
+        """Whether an edge begins or ends at a node that this supervisor runs."""
+        return self.is_here(self.node(edge.source)) or self.is_here(self.node(edge.target))
+
     def crosses(self, edge: Edge) -> bool:
         """Whether its two ends are on different hosts in this run."""
         return bool(self.here) and self.node(edge.source).host != self.node(edge.target).host

@@ -27,6 +27,7 @@ from pipeline.pool import DONE, KEPT, SPARE, Lease, PoolWriter, SlotRef
 
 INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
 INSIST_S = 5.0  # longer than a frozen reader lives
+KNOCK_S = 0.5  # a reader that gives no credit for so long may wait for what was lost on its way
 BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
 
 
@@ -83,6 +84,7 @@ class OutPort:
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
         self._doors = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
+        self._stuck_s = 0.0  # since when there is no credit, or the last knock
 
     def begin(self, epoch: int) -> None:
         """Speak for the node from now on, where whoever spoke before stopped."""
@@ -132,12 +134,15 @@ class OutPort:
         return True
 
     def hello(self) -> bool:
-        """Greet readers that have not heard this instance; True when all that live have."""
+        """Greet readers that have not heard this instance; True when all that live have.
+
+        One without credit is greeted too, now and then: a greeting tells how much was sent.
+        """
         waiting = [r for r in self.readers if r.account.reader_epoch and not r.account.live]
         doors = [(r.account.door, r.account.next_door) for r in self.readers]
         if doors != self._doors:
             self._aim(doors)
-        if self._links.connect() or waiting:
+        if self._links.connect() or waiting or self._stuck():
             self._send(self._wrap(HELLO, None, None), ())
         return not waiting
 
@@ -185,6 +190,17 @@ class OutPort:
             reader.account.overrun += 1
             if not reader.has_credit():
                 reader.account.broken = 1
+
+    def _stuck(self) -> bool:
+        """Whether it is time to knock."""
+        if self.has_credit():
+            self._stuck_s = 0.0
+            return False
+        now_s = time.monotonic()
+        knock = now_s - (self._stuck_s or now_s) > KNOCK_S
+        if knock or not self._stuck_s:
+            self._stuck_s = now_s
+        return knock
 
     def _aim(self, doors: list[tuple[int, int]]) -> None:
         first: list[Target] = []

@@ -378,10 +378,12 @@ class Supervisor:
                         "process": n.process,
                         "operator": n.operator,
                     }
-                    for n in self.plan.nodes
+                    for n in filter(self.plan.is_here, self.plan.nodes)
                 ],
                 "edges": [
-                    {"from": e.origin, "to": e.end, "index": e.index} for e in self.plan.edges
+                    {"from": e.origin, "to": e.end, "index": e.index}
+                    for e in self.plan.edges
+                    if self.plan.touches(e)
                 ],
                 "plan": TypeAdapter(Plan).dump_python(self.plan, mode="json"),
                 "revision": self.revision,

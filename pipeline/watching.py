@@ -143,7 +143,7 @@ def _tap(graph: str, output: str) -> Iterator[Message]:
     tap = InPort(outputs[port], private_ledger(1, 0).edges[0], pool, 1, keep, tap=True)
     session = Session(base() / name, f"tap-{os.getpid()}")
     try:
-        stop = session.listen(key_of(name, node, port), tap.receive)
+        stop = session.listen(key_of(facts["graph"], node, port), tap.receive)
         while True:
             message = arrivals.get(timeout=QUIET_S).message
             assert message is not None

@@ -19,8 +19,10 @@ from typing import Any
 from pipeline.bus import OnBytes, Session
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.fleet import wire
-from pipeline.fleet.access import agent_permits, asker_permits, node_permits
+from pipeline.fleet.access import agent_permits, asker_permits
 from pipeline.fleet.agent_file import Box
+from pipeline.fleet.allow import MARK
+from pipeline.fleet.links import end_points, local_end_points, networks
 from pipeline.fleet.names import (
     ANYBODY,
     agent_key,
@@ -31,18 +33,19 @@ from pipeline.fleet.names import (
     host_part,
 )
 from pipeline.fleet.part import Part
-from pipeline.fleet.placement import borders, check_marks, inspect, listeners, place
+from pipeline.fleet.placement import check_marks, inspect
 from pipeline.fleet.show import state_of
+from pipeline.fleet.steering import Steering
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
-from pipeline.network import LOCAL, Network
+from pipeline.network import Network
 from pipeline.plan import Plan
-from pipeline.rundir import base
 from pipeline.watching import log_lines
 
 WAITING = 64  # questions; more are refused at once
 MOST_GRAPHS = 8
 MOST_LINES = 1000
 TICK_S = 0.1
+LATER = object()  # what is answered by another thread, when it is done
 
 log = logging.getLogger(__name__)
 
@@ -62,6 +65,7 @@ class Agent:
         self.box, self.label = own, own.label
         self._papers = own.papers
         self._allowed = own.allowed
+        self._steering = Steering(self._allowed, own.file.settings)
         self._questions: queue.Queue[_Question] = queue.Queue(WAITING)
         self.parts: dict[str, Part] = {}
         self.refused: Counter[str] = Counter()
@@ -82,6 +86,7 @@ class Agent:
     def __exit__(self, *_: object) -> None:
         for part in self.parts.values():
             part.end()
+        self._steering.close()
         self._session.close()
 
     def stop(self) -> None:
@@ -134,13 +139,17 @@ class Agent:
         verbs: Mapping[str, Callable[[bytes], Any]] = {
             "about": self._about, "prepare": self._prepare, "start": self._start,
             "down": self._down, "state": self._state, "log": self._log, "weights": self._weights,
+            "lacks": self._lacks, "node": partial(self._node, question),
+            "swap": partial(self._swap, question),
         }  # fmt: skip
         of_boxes: Mapping[str, Callable[[bytes], Any]] = {"recall": partial(self._recall, question)}
         known = of_boxes if question.asker.startswith("box.") else verbs
         try:
             if question.verb not in known:
                 raise RunError(f"{question.asker} may not {question.verb} here")
-            question.reply(wire.answered(known[question.verb](question.data)))
+            answer = known[question.verb](question.data)
+            if answer is not LATER:
+                question.reply(wire.answered(answer))
         except FoveaError as error:
             self.refused[question.verb] += 1
             log.warning("refused %s to %s: %s", question.verb, question.asker, error)
@@ -199,6 +208,20 @@ class Agent:
     def _weights(self, data: bytes) -> str:
         return self._allowed.keep(data)
 
+    def _lacks(self, data: bytes) -> tuple[str, ...]:
+        digests = wire.decode(wire.Lacks, data).digests
+        return self._allowed.missing([MARK + digest for digest in digests])
+
+    def _node(self, question: _Question, data: bytes) -> object:
+        asked = wire.decode(wire.ToNode, data)
+        self._steering.ask(self._part(asked.graph), asked, question.reply)
+        return LATER
+
+    def _swap(self, question: _Question, data: bytes) -> object:
+        asked = wire.decode(wire.Change, data)
+        self._steering.swap(self._part(asked.graph), asked.order, question.reply)
+        return LATER
+
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
         part = self._part(wire.decode(Named, data).graph)
         neighbour = part.neighbours.get(question.asker.removeprefix("box."))
@@ -239,60 +262,23 @@ class Agent:
 
     def _endpoints(self, part: Plan) -> dict[str, str]:
         """Where the processes here with an edge to another host will listen."""
-        names = [f"{self.label}/{process}" for process in listeners(part, self.label)]
         if self._papers is None:
-            stem = f"{LOCAL}{base()}/{part.name}@{self.label}"
-            return {name: f"{stem}.{name.partition('/')[2]}.sock" for name in names}
+            return local_end_points(part)
         first, last = self.box.file.ports
-        used = {
-            point
-            for graph, other in self.parts.items()
-            if graph != part.name
-            for network in other.networks.values()
-            for point in network.listen
-        }
-        host = host_part(self.box.endpoint)
-        free = [p for n in range(first, last + 1) if (p := f"tls/{host}:{n}") not in used]
-        if len(free) < len(names):
-            raise RunError(
-                f"{part.name}: expected {len(names)} free ports of {first} to {last}, got "
-                f"{len(free)}"
-            )
-        return dict(zip(names, free, strict=False))
+        others = [other for graph, other in self.parts.items() if graph != part.name]
+        used = {p for o in others for network in o.networks.values() for p in network.listen}
+        return end_points(part, host_part(self.box.endpoint), range(first, last + 1), used)
 
     def _begin(self, part: Plan, asked: Start, starts: int) -> None:
         holder = box(self.label)
         others = {n.host for n in part.nodes} - {self.label}
         way = self._network((), permits=asker_permits(holder, sorted(others)))
         self.parts[part.name] = Part(
-            part, starts, self._networks(part, asked.endpoints),
+            part, starts,
+            networks(part, self._endpoints(part), asked.endpoints, self._papers),
             {label: endpoint(asked.boxes[label], "boxes") for label in sorted(others)}, way,
         )  # fmt: skip
         self.parts[part.name].begin()
-
-    def _networks(self, part: Plan, endpoints: Mapping[str, str]) -> dict[str, Network]:
-        """Of two processes that speak, the first by name listens and the other one connects."""
-        own = self._endpoints(part)
-        networks = {}
-        for node in part.nodes:
-            name = place(node)
-            others = borders(part).get(name, frozenset())
-            if not others or not part.is_here(node):
-                continue
-            lacking = [o for o in others if o < name and o not in endpoints]
-            if lacking:
-                raise RunError(f"{part.name}: no address for {lacking[0]}")
-            papers = ""
-            if self._papers is not None:
-                folder = self._papers.folder / "nodes" / f"node.{part.name}.{node.process}"
-                papers = str(type(self._papers).of(folder).folder)
-            networks[node.process] = Network(
-                listen=(own[name],) if name in own else (),
-                connect=tuple(sorted(endpoints[o] for o in others if o < name)),
-                papers=papers,
-                permits=node_permits(part, node.process),
-            )
-        return networks
 
     def _kept(self, graph: str) -> Any:
         return self.box.state / f"{graph}.graph"

@@ -45,7 +45,10 @@ def agent_command(config: Path | None, label: str, unit: bool) -> None:
 @click.command("up")
 @GRAPH
 @click.option(
-    "--hosts", "words", multiple=True, metavar="LABEL=ADDRESS,…",
+    "--hosts",
+    "words",
+    multiple=True,
+    metavar="LABEL=ADDRESS,…",
     help="Where boxes are; else as the papers know, else on this machine.",
 )
 @click.option("--papers", type=click.Path(path_type=Path, file_okay=False), help="Who you are.")

@@ -8,7 +8,7 @@ import getpass
 import json
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -39,6 +39,7 @@ class Hosts:
 
     points: Mapping[str, str]  # label -> end point
     papers: str = ""
+    nodes: Mapping[str, str] = field(default_factory=dict)  # of a deployed graph: node -> label
 
     @property
     def holder(self) -> str:
@@ -142,7 +143,8 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
         for label in started:
             _down(fleet, label, plan.name)
         raise
-    remember(plan.name, Hosts({o: fleet.hosts.points[o] for o in used}, fleet.hosts.papers))
+    points = {label: fleet.hosts.points[label] for label in used}
+    remember(plan.name, Hosts(points, fleet.hosts.papers, {n.name: n.host for n in plan.nodes}))
 
 
 def down(graph: str, hosts: Hosts) -> list[str]:
@@ -158,27 +160,50 @@ def down(graph: str, hosts: Hosts) -> list[str]:
 def portable(plan: Plan) -> tuple[Plan, dict[str, Path]]:
     """The plan with checksums in the place of files, and the files by checksum."""
     files: dict[str, Path] = {}
+    nodes = []
+    for node in plan.nodes:
+        settings, found = carried(node.settings)
+        nodes.append(replace(node, settings=settings))
+        files.update(found)
+    return replace(plan, nodes=tuple(nodes)), files
 
-    def carried(value: Any) -> Any:
+
+def carried(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Path]]:
+    """Settings with checksums in the place of files, and the files by checksum."""
+    files: dict[str, Path] = {}
+
+    def marked(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return {k: carried(v) for k, v in value.items()}
+            return {k: marked(v) for k, v in value.items()}
         if isinstance(value, (list, tuple)):
-            return [carried(v) for v in value]
+            return [marked(v) for v in value]
         if isinstance(value, str) and is_path(value) and Path(value).is_file():
             digest = file_digest(Path(value))
             files[digest] = Path(value)
             return MARK + digest
         return value
 
-    nodes = tuple(replace(node, settings=carried(node.settings)) for node in plan.nodes)
-    return replace(plan, nodes=nodes), files
+    return {name: marked(value) for name, value in values.items()}, files
+
+
+def send_weights(
+    fleet: Fleet, label: str, digests: Iterable[str], files: Mapping[str, Path]
+) -> None:
+    """Give a box the weights that it allows and has not; raises `GraphError` without the file."""
+    for digest in digests:
+        if digest not in files:
+            raise GraphError(f"{label}: weights {digest[:12]}… are neither there nor here")
+        fleet.ask(label, "weights", files[digest].read_bytes(), str, READY_S)
 
 
 def remembered() -> dict[str, Hosts]:
     """The graphs that this user has deployed, and where."""
     try:
         document = json.loads(_memory().read_text())
-        return {g: Hosts(dict(h["points"]), str(h["papers"])) for g, h in document.items()}
+        return {
+            g: Hosts(dict(h["points"]), str(h["papers"]), dict(h["nodes"]))
+            for g, h in document.items()
+        }
     except FileNotFoundError:
         return {}
     except (ValueError, KeyError, TypeError) as error:
@@ -205,10 +230,7 @@ def _prepare(
 ) -> dict[str, str]:
     prepared = fleet.ask(label, "prepare", question, wire.Prepared)
     if prepared.weights:
-        for digest in prepared.weights:
-            if digest not in files:
-                raise GraphError(f"{label}: weights {digest[:12]}… are neither there nor here")
-            fleet.ask(label, "weights", files[digest].read_bytes(), str, READY_S)
+        send_weights(fleet, label, prepared.weights, files)
         prepared = fleet.ask(label, "prepare", question, wire.Prepared)
     return prepared.endpoints
 
@@ -243,6 +265,9 @@ def _memory() -> Path:
 
 def _write(graphs: Mapping[str, Hosts]) -> None:
     part = _memory().with_suffix(".part")
-    document = {g: {"points": dict(h.points), "papers": h.papers} for g, h in graphs.items()}
+    document = {
+        g: {"points": dict(h.points), "papers": h.papers, "nodes": dict(h.nodes)}
+        for g, h in graphs.items()
+    }
     part.write_text(json.dumps(document))
     part.replace(_memory())

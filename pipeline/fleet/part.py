@@ -60,6 +60,11 @@ class Part:
     _stop: threading.Event = field(default_factory=threading.Event)
     _thread: threading.Thread | None = None
 
+    @property
+    def folder(self) -> str:
+        """Its name among the graphs that run on this machine."""
+        return f"{self.plan.name}@{self.plan.here}"
+
     def begin(self) -> None:
         """Run in a thread of its own."""
         self._thread = threading.Thread(target=self._run, name=f"part-{self.plan.name}")
@@ -78,8 +83,7 @@ class Part:
 
     def _run(self) -> None:
         try:
-            folder = f"{self.plan.name}@{self.plan.here}"
-            supervisor = PartSupervisor(self.plan, folder, self.starts * STARTS_EPOCHS)
+            supervisor = PartSupervisor(self.plan, self.folder, self.starts * STARTS_EPOCHS)
             with supervisor:
                 self._keep(supervisor)
             self.phase = "stopped"

@@ -6,7 +6,7 @@ Everything that comes in is checked here for form; what it asks for is checked b
 from collections.abc import Callable
 from functools import partial
 from importlib import metadata
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 from pydantic import TypeAdapter, ValidationError
@@ -14,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 from pipeline import codec, envelope
 from pipeline.errors import MessageError, RunError
 from pipeline.plan import Plan
+from pipeline.swap import SwapOrder
 
 MOST_BYTES = 1 << 20  # of one question; a graph is a few kilobytes
 T = TypeVar("T")
@@ -87,6 +88,37 @@ class Log(msgspec.Struct, forbid_unknown_fields=True):
     """Its lines."""
 
     lines: tuple[str, ...]
+
+
+Question = Literal["@config", "@command", "@schema"]
+
+
+class ToNode(msgspec.Struct, forbid_unknown_fields=True):
+    """A question to a node, as it would be asked on the node's own host."""
+
+    graph: str
+    node: str
+    question: Question
+    payload: bytes
+
+
+class Said(msgspec.Struct, forbid_unknown_fields=True):
+    """What the node answered."""
+
+    payload: bytes
+
+
+class Lacks(msgspec.Struct, forbid_unknown_fields=True):
+    """Which of these weights are allowed there and not there yet?"""
+
+    digests: tuple[str, ...]
+
+
+class Change(msgspec.Struct, forbid_unknown_fields=True):
+    """A node is to be swapped."""
+
+    graph: str
+    order: SwapOrder
 
 
 class Ping(msgspec.Struct, forbid_unknown_fields=True, array_like=True):

@@ -1,6 +1,7 @@
 """The ends of an edge: what arrives is accounted for once, whoever sent it."""
 
 import secrets
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from pipeline.envelope import Envelope
 from pipeline.inport import InPort
 from pipeline.ledger import EdgeAccount, private_ledger
 from pipeline.pool import PoolReader, PoolWriter, remove_pools
-from pipeline.ports import Arrival, OutPort, Reader
+from pipeline.ports import KNOCK_S, Arrival, OutPort, Reader
 from pipeline.testing import header, picture
 
 MEMORY = Path("/dev/shm")
@@ -146,6 +147,26 @@ def test_a_lost_descriptor_is_counted_as_a_gap(edge: Edge) -> None:
     assert edge.account.dropped("gap") == 1
     edge.finish()
     assert edge.account.accounted == edge.account.sent == 3
+
+
+def test_a_reader_to_whom_everything_was_lost_hears_of_it_and_the_writer_goes_on(
+    edge: Edge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edge.out.hello()
+    edge.carry()
+    while edge.out.has_credit():
+        edge.send(1, side_px=20)
+    edge.wire.sent.clear()  # the cable was pulled
+    edge.out.hello()
+    assert edge.wire.sent == []
+
+    now_s = time.monotonic()
+    monkeypatch.setattr("pipeline.ports.time.monotonic", lambda: now_s + 2 * KNOCK_S)
+    edge.out.hello()
+    edge.carry()
+
+    assert edge.account.gap == edge.account.sent == edge.depth
+    assert edge.out.has_credit()
 
 
 def test_a_new_reader_counts_what_its_predecessor_left(edge: Edge) -> None:

@@ -1,0 +1,58 @@
+"""Where the processes of a part listen for those on other hosts, and whom they connect to.
+
+Of two processes that speak, the first by name listens and the other one connects.
+"""
+
+from collections.abc import Collection, Mapping
+
+from pipeline.errors import RunError
+from pipeline.fleet.access import node_permits
+from pipeline.fleet.names import node_holder
+from pipeline.fleet.placement import borders, listeners, place
+from pipeline.fleet.secure import Papers
+from pipeline.network import LOCAL, Network
+from pipeline.plan import Plan
+from pipeline.rundir import base
+
+
+def local_end_points(part: Plan) -> dict[str, str]:
+    """`label/process` -> a unix socket of this user."""
+    stem = f"{LOCAL}{base()}/{part.name}@{part.here}"
+    return {f"{part.here}/{p}": f"{stem}.{p}.sock" for p in listeners(part, part.here)}
+
+
+def end_points(
+    part: Plan, host: str, ports: Collection[int], used: Collection[str]
+) -> dict[str, str]:
+    """`label/process` -> a free port of the box; raises `RunError` when there are too few."""
+    names = [f"{part.here}/{process}" for process in listeners(part, part.here)]
+    free = [point for port in ports if (point := f"tls/{host}:{port}") not in used]
+    if len(free) < len(names):
+        raise RunError(
+            f"{part.name}: expected {len(names)} free ports of {min(ports)} to {max(ports)}, got "
+            f"{len(free)}"
+        )
+    return dict(zip(names, free, strict=False))
+
+
+def networks(
+    part: Plan, own: Mapping[str, str], theirs: Mapping[str, str], papers: Papers | None
+) -> dict[str, Network]:
+    """By process, of those that speak with other hosts; raises `RunError` without an address."""
+    found = {}
+    for node in part.nodes:
+        name = place(node)
+        others = borders(part).get(name, frozenset())
+        if not others or not part.is_here(node):
+            continue
+        lacking = [o for o in others if o < name and o not in theirs]
+        if lacking:
+            raise RunError(f"{part.name}: no address for {lacking[0]}")
+        folder = papers.folder / "nodes" / node_holder(part.name, node) if papers else None
+        found[node.process] = Network(
+            listen=(own[name],) if name in own else (),
+            connect=tuple(sorted(theirs[o] for o in others if o < name)),
+            papers=str(Papers.of(folder).folder) if folder else "",
+            permits=node_permits(part, node.process),
+        )
+    return found

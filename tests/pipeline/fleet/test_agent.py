@@ -1,0 +1,177 @@
+"""Agents on one machine, over sockets of this user: a graph is laid over them and looked after."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.asking import ask_node, fleet_health
+from pipeline.asking import tell as tell_node
+from pipeline.changing import ask
+from pipeline.errors import FoveaError, RunError
+from pipeline.fleet import wire
+from pipeline.fleet.deploy import Fleet, down, read_hosts, remembered, up
+from pipeline.interface import SCHEMA, read_interface
+from pipeline.operating import replan, tell
+from pipeline.rundir import base
+from pipeline.swap import SwapOrder
+from tests.pipeline.fleet.boxes import (
+    Running,
+    box_of,
+    boxes,
+    fleet_of,
+    handled,
+    plan_of,
+    state_of,
+    until,
+)
+
+LABELS = ("sensor", "compute", "viewer")
+
+
+@pytest.fixture
+def three(tmp_path: Path) -> Iterator[dict[str, Running]]:
+    with boxes(tmp_path, *LABELS) as running:
+        yield running
+
+
+@pytest.fixture
+def fleet(three: dict[str, Running]) -> Iterator[Fleet]:
+    with fleet_of(*LABELS) as fleet:
+        yield fleet
+
+
+def test_a_graph_goes_up_runs_over_its_boxes_and_comes_down(fleet: Fleet, tmp_path: Path) -> None:
+    up(fleet, plan_of(tmp_path))
+
+    until(
+        lambda: handled(fleet, "viewer", "count") > 30 and handled(fleet, "compute", "steer") > 30
+    )
+    assert {p.name for p in state_of(fleet, "compute").processes} == {"work", "pair", "steer"}
+    assert "trio" in remembered()
+    with pytest.raises(RunError, match="runs already; take it down first"):
+        up(fleet, plan_of(tmp_path))
+
+    assert down("trio", fleet.hosts) == []
+
+    assert fleet.states() == {label: [] for label in LABELS}
+    assert "trio" not in remembered()
+    left = [p for label in LABELS for p in (base() / f"trio@{label}").glob("*.sock")]
+    assert left == []
+
+
+@pytest.mark.parametrize(
+    ("node", "changes", "said"),
+    [
+        ("steer", {"operator": "tests.toys:Nosy"}, r"compute: steer\.operator: .* allow list"),
+        ("capture", {"settings": {"rate_hz": "often"}}, r"sensor: capture\.rate_hz: input should"),
+        (
+            "count",
+            {"settings": {"hold": "/etc/shadow"}},
+            r"viewer: count\.hold: .* allow list",
+        ),
+    ],
+)
+def test_what_one_box_refuses_starts_on_none(
+    fleet: Fleet, node: str, changes: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    plan = plan_of(tmp_path)
+    nodes = tuple(replace(n, **changes) if n.name == node else n for n in plan.nodes)
+
+    with pytest.raises(FoveaError, match=said):
+        up(fleet, replace(plan, nodes=nodes))
+
+    assert fleet.states() == {label: [] for label in LABELS}
+
+
+def test_another_version_is_refused_before_anything_starts(fleet: Fleet, tmp_path: Path) -> None:
+    old = wire.Versions("0.0.1", "1.0", 1)
+    question = wire.Prepare(wire.write_plan(plan_of(tmp_path)), old, {})
+
+    with pytest.raises(RunError, match=r"expected fovea 0\.0\.1, Zenoh 1\.0, envelope 1, got"):
+        fleet.ask("sensor", "prepare", question, wire.Prepared)
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[1,2]", b'{"graph": 3}', b"\xff" * 100, b"{}" * 9])
+def test_noise_is_refused_and_the_agent_lives(fleet: Fleet, data: bytes) -> None:
+    for verb in ("prepare", "start", "down", "state", "log", "weights", "recall", "nothing"):
+        with pytest.raises(FoveaError):
+            fleet.ask("sensor", verb, data, wire.Prepared)
+
+    assert fleet.ask("sensor", "about", wire.Nothing(), wire.About).label == "sensor"
+
+
+def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path) -> None:
+    up(fleet, plan_of(tmp_path))
+
+    assert ask("trio", "work", {"hold": 2}).settings["hold"] == 2
+    assert "no path from outside" in refusal(partial(ask, "trio", "work", {"hold": "../x"}))
+    assert "no node wrok, did you mean 'work'" in refusal(partial(ask, "trio", "wrok", {}))
+    assert tell_node("trio", "work", "recall", {}).refused == ""
+    assert set(read_interface(ask_node("trio", "count", SCHEMA, b"")).inputs) == {"frame"}
+
+    done = tell("trio", SwapOrder(node="work", operator="tests.toys:PassEvery", probation=5))
+    assert done["proven_frames"] >= 5
+    assert "not on the allow list" in refusal(
+        partial(tell, "trio", SwapOrder(node="work", operator="tests.toys:Nosy"))
+    )
+    assert "no path from outside" in refusal(
+        partial(tell, "trio", SwapOrder(node="work", changes={"hold": "~/x"}))
+    )
+    assert "runs on several boxes" in refusal(partial(replan, "trio", lambda plan: plan))
+    before = handled(fleet, "compute", "steer")
+    until(lambda: handled(fleet, "compute", "steer") > before + 10)
+    assert fleet_health("trio@compute").keys() == {"work", "pair", "steer"}
+    down("trio", fleet.hosts)
+
+
+def refusal(act: Callable[[], Any]) -> str:
+    with pytest.raises(FoveaError) as caught:
+        act()
+    return str(caught.value)
+
+
+def test_a_node_that_is_killed_starts_again_on_its_box(fleet: Fleet, tmp_path: Path) -> None:
+    up(fleet, plan_of(tmp_path))
+
+    def work() -> wire.Process:
+        return next(p for p in state_of(fleet, "compute").processes if p.name == "work")
+
+    os.kill(work().pid, signal.SIGKILL)
+
+    until(lambda: work().restarts == 1)
+    before = handled(fleet, "compute", "work")
+    until(lambda: handled(fleet, "compute", "work") > before + 10)
+    down("trio", fleet.hosts)
+
+
+def test_a_box_that_ends_is_told_and_takes_its_part_up_again(
+    three: dict[str, Running], fleet: Fleet, tmp_path: Path
+) -> None:
+    up(fleet, plan_of(tmp_path))
+    until(lambda: handled(fleet, "viewer", "count") > 10)
+
+    three["viewer"].stop()
+    seen = lambda: {b.label: b.lost for b in state_of(fleet, "sensor").boxes}  # noqa: E731
+    until(lambda: seen()["viewer"])
+    assert "no agent answers" in fleet.states()["viewer"]
+    three["viewer"] = Running(box_of("viewer", LABELS, tmp_path))
+
+    until(lambda: not seen()["viewer"])
+    until(lambda: isinstance(fleet.states("trio")["viewer"], list))
+    until(lambda: state_of(fleet, "viewer").phase == "running")
+    until(lambda: handled(fleet, "viewer", "count") > 10)
+    down("trio", fleet.hosts)
+
+
+def test_a_box_without_an_agent_is_named(tmp_path: Path) -> None:
+    with (
+        Fleet(read_hosts(("nowhere",), None)) as fleet,
+        pytest.raises(RunError, match="nowhere: no agent answers at unixsock"),
+    ):
+        fleet.ask("nowhere", "about", wire.Nothing(), wire.About, 0.3)
