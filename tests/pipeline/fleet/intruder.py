@@ -14,6 +14,7 @@ from pipeline.bus import Session
 from pipeline.fleet import wire
 from pipeline.network import Network
 
+HALF_OPEN = 20  # links to each end point; Zenoh rests for 0.1 s after each that comes to nothing
 READ = ("fovea/trio/capture/roi/bytes", "fovea/trio/capture/context/bytes", "fovea/**")
 FORGED = ("fovea/trio/steer/out/bytes", "fovea/trio/capture/context/bytes")
 ASKED = [
@@ -49,7 +50,7 @@ def main(papers: str, points: list[str], seconds: float) -> dict[str, object]:
     forged = b"\x97\x02\x01\xce\x7f\xff\xff\xff\x01\xc4\x08forged!!\xc0\x90"
     answers: dict[str, str] = {}
     for key in ASKED:
-        data = session.ask(key, wire.encode(wire.Named("trio")), 0.3)
+        data = session.ask(key, wire.encode(wire.Named("trio")), 0.15)
         if data is not None:
             answers[key] = data.decode(errors="replace")[:80]
     connections = flood_of_connections(points)
@@ -82,7 +83,9 @@ def flood_of_connections(points: list[str]) -> list[socket.socket]:
         except OSError:
             return
 
-    threads = [threading.Thread(target=connect, args=(p,)) for p in points for _ in range(100)]
+    threads = [
+        threading.Thread(target=connect, args=(p,)) for p in points for _ in range(HALF_OPEN)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
