@@ -74,10 +74,11 @@ def cases(
             continue
         sees = {rule.context for rule in rules} if strategy in WITH_ROI else {True}
         longest = rules[0].longest
+        plain = (*changes, *policy_changes("pursue"))  # whose horizon is for no other network
         for rule in (Rules(context=c, longest=longest) for c in sorted(sees, reverse=True)):
             name = strategy + told(rule, late=False)
             found.append(
-                Case(strategy=strategy, budget=share, name=name, rules=rule, changes=changes)
+                Case(strategy=strategy, budget=share, name=name, rules=rule, changes=plain)
             )
     return found
 
