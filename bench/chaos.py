@@ -1,9 +1,10 @@
 """An hour of bad luck: `python -m bench.chaos [GRAPH] --minutes 60 --seed 1 [--json FILE]`.
 
 Runs a graph of processes in real time and does harm to one process after another, chosen by a seed:
-kills it, kills two at once, stops it for good, stops it for a moment. For every fault: the time
-until every victim has handled a frame again, how much of it was loading, and the longest silence in
-the sensor's commands. At the end: accounts, orphans, and what was left behind.
+kills it, kills two at once, stops it for good, stops it for a moment; of a graph over several hosts
+it also pulls a cable. For every fault: the time until every victim has handled a frame again, how
+much of it was loading (where that is known), and the longest silence in the sensor's commands. At
+the end: accounts, orphans, and what was left behind.
 """
 
 import json
@@ -14,6 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import click
@@ -22,19 +24,18 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from bench.aftermath import Traces, rest, unbalanced
+from bench.grounds import Ground, OneHost, ThreeHosts
 from bench.machine import facts
+from bench.netns import permitted
 from bench.options import JSON, Bench, on_graph
 from pipeline.graph import load
 from pipeline.overlay import Overlay
-from pipeline.plan import sources
-from pipeline.report import compose
-from pipeline.supervisor import Supervisor
+from pipeline.plan import Plan
 
-KINDS = {"kill": 0.4, "volley": 0.1, "freeze": 0.25, "nap": 0.25}  # shares of all faults
 WARM_S = 3.0
 SETTLE_S = (2.0, 12.0)  # between a recovery and the next fault
 NAP_S = (0.1, 2.0)
+CUT_S = (0.2, 6.0)  # a cable's absence
 PATIENCE_S = 60.0
 
 
@@ -51,58 +52,60 @@ class Fault:
     restarts: int
 
 
+class Stuck(Exception):
+    """Nobody recovers any more."""
+
+
 class Chaos:
     """Does harm to a running graph and waits for it to get over it."""
 
-    def __init__(self, supervisor: Supervisor, seed: int) -> None:
-        self._supervisor, self._chance = supervisor, random.Random(seed)
-        source = next(sources(supervisor.plan))
-        self._loop = supervisor.ledger.nodes[source.index].histograms["loop"]
+    def __init__(self, ground: Ground, seed: int) -> None:
+        self._ground, self._chance = ground, random.Random(seed)
+        self._began_s = time.monotonic()
 
     def strike(self) -> Fault:
-        """One fault, chosen by the seed; raises `ClickException` when nobody recovers."""
-        chance = self._chance
-        kind = chance.choices([*KINDS], [*KINDS.values()])[0]
-        names = [*self._supervisor.plan.processes()]
-        victims = tuple(chance.sample(names, 2 if kind == "volley" else 1))
-        nap_s = chance.uniform(*NAP_S) if kind == "nap" else 0.0
-        before = sum(self._supervisor.restarts.values())
-        at_s = time.monotonic() - self._supervisor.started_s
-        watch = _Watch(self._supervisor, victims, self._loop, fresh=kind != "nap")
-        pids = [self._supervisor.pid(name) for name in victims]
-        blow = signal.SIGKILL if kind in ("kill", "volley") else signal.SIGSTOP
-        for pid in pids:
-            os.kill(pid, blow)
-        if kind == "nap":
-            watch.until(nap_s)
-            _wake(pids)
+        """One fault, chosen by the seed; raises `Stuck` when nobody recovers."""
+        ground, chance = self._ground, self._chance
+        kind = chance.choices([*ground.kinds], [*ground.kinds.values()])[0]
+        whom = ground.boxes if kind == "partition" else ground.names
+        victims = tuple(chance.sample(whom, 2 if kind == "volley" else 1))
+        at_s, before = time.monotonic() - self._began_s, ground.restarts()
+        watch = _Watch(ground, victims, fresh=kind in ("kill", "volley", "freeze"))
+        if kind == "partition":
+            ground.link(victims[0], up=False)
+            watch.until(chance.uniform(*CUT_S))
+            ground.link(victims[0], up=True)
+        else:
+            pids = [pid for name in victims if (pid := ground.pid(name))]
+            _signal(pids, signal.SIGKILL if kind in ("kill", "volley") else signal.SIGSTOP)
+            if kind == "nap":
+                watch.until(chance.uniform(*NAP_S))
+                _signal(pids, signal.SIGCONT)
         recovered_s = watch.recovered_s(f"{kind} of {', '.join(victims)}")
+        loads = [ground.load_s(name) for name in victims] if watch.fresh else [0.0]
         return Fault(
             kind=kind,
             victims=victims,
             at_s=round(at_s, 3),
             recovered_s=round(recovered_s, 3),
-            load_s=max(self._supervisor.load_s(name) for name in victims) * (kind != "nap"),
+            load_s=max(loads),
             silence_s=round(watch.silence_s, 3),
-            restarts=sum(self._supervisor.restarts.values()) - before,
+            restarts=ground.restarts() - before,
         )
 
     def settle(self) -> None:
         """Time between two faults: the spare process needs a moment, and luck is irregular."""
-        rest(self._supervisor, self._chance.uniform(*SETTLE_S))
+        self._ground.rest(self._chance.uniform(*SETTLE_S))
 
 
 class _Watch:
     """Looks at the victims' progress and at the sensor's commands from a blow on."""
 
-    def __init__(
-        self, supervisor: Supervisor, victims: Sequence[str], loop: Any, *, fresh: bool
-    ) -> None:
-        self._supervisor, self._loop = supervisor, loop
-        nodes = [n for name in victims for n in supervisor.plan.processes()[name]]
-        accounts = [supervisor.ledger.nodes[n.index] for n in nodes]
+    def __init__(self, ground: Ground, victims: Sequence[str], *, fresh: bool) -> None:
+        self._ground, self.fresh = ground, fresh
+        accounts = [a for name in victims for a in ground.accounts(name)]
         self._marks = [(a, a.epoch + fresh, a.handled) for a in accounts]
-        self._commands, self._heard_s = loop.total, time.monotonic()
+        self._commands, self._heard_s = ground.commands.total, time.monotonic()
         self.silence_s = 0.0
 
     def until(self, seconds: float) -> None:
@@ -116,22 +119,23 @@ class _Watch:
         """Watch until all are back, and for as long again as commands need to flow."""
         began = time.monotonic()
         while not all(a.epoch >= epoch and a.handled > h + 1 for a, epoch, h in self._marks):
-            if time.monotonic() - began > PATIENCE_S or self._supervisor.failure:
-                why = self._supervisor.failure or f"nothing for {PATIENCE_S:.0f} s"
-                raise click.ClickException(f"{what}: {why}")
+            if time.monotonic() - began > PATIENCE_S or self._ground.failure:
+                raise Stuck(f"{what}: {self._ground.failure or f'nothing for {PATIENCE_S:.0f} s'}")
             self._look()
         back_s = time.monotonic() - began
-        commands = self._loop.total
-        while self._loop.total == commands and time.monotonic() - began < back_s + PATIENCE_S:
+        commands = self._ground.commands.total
+        while self._ground.commands.total == commands:
+            if time.monotonic() - began > back_s + PATIENCE_S:
+                raise Stuck(f"{what}: no commands for {PATIENCE_S:.0f} s")
             self._look()
         return back_s
 
     def _look(self) -> None:
-        self._supervisor.tick()
-        now_s = time.monotonic()
+        self._ground.look()
+        now_s, total = time.monotonic(), self._ground.commands.total
         self.silence_s = max(self.silence_s, now_s - self._heard_s)
-        if self._loop.total != self._commands:
-            self._commands, self._heard_s = self._loop.total, now_s
+        if total != self._commands:
+            self._commands, self._heard_s = total, now_s
 
 
 @click.command(cls=Bench)
@@ -143,30 +147,32 @@ def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], minutes: float, seed: int,
     path: Path | None,
 ) -> None:  # fmt: skip
-    """Do harm to a running graph for so long."""
+    """Do harm to a running graph for so long; to one with hosts on as many network namespaces."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     faults: list[Fault] = []
-    with Supervisor(plan) as supervisor:
-        supervisor.patience = 1_000_000
-        supervisor.start()
-        traces = Traces.of(plan.name)
-        rest(supervisor, WARM_S)
-        _strike_for(supervisor, minutes * 60, seed, faults)
-        duration_s = time.monotonic() - supervisor.started_s
-        supervisor.finish()
-        supervisor.stop()
-        report = compose(plan, supervisor.ledger, {}, {}, duration_s=duration_s)
+    with TemporaryDirectory() as folder, _ground(plan, graph, Path(folder)) as ground:
+        ground.rest(WARM_S)
+        stuck = _strike_for(ground, minutes * 60, seed, faults)
+        aftermath = ground.end()
     result = {
         "bench": "chaos", **facts(), "graph": str(graph), "minutes": minutes, "seed": seed,
-        "recovery": {kind: summary([f for f in faults if f.kind == kind]) for kind in KINDS},
-        "unbalanced": unbalanced(report["edges"]), "orphans": traces.orphans(),
-        "left": traces.files(), "loop": report["loop"], "edges": report["edges"],
-        "faults": [asdict(f) for f in faults],
+        "recovery": {kind: summary([f for f in faults if f.kind == kind]) for kind in ground.kinds},
+        "stuck": stuck, **aftermath, "faults": [asdict(f) for f in faults],
     }  # fmt: skip
     Console().print(_table(result))
     if path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(result, indent=1))
+    if stuck:
+        raise click.ClickException(stuck)
+
+
+def _ground(plan: Plan, graph: Path, folder: Path) -> OneHost | ThreeHosts:
+    if not plan.hosts:
+        return OneHost(plan)
+    if not permitted():
+        raise click.ClickException("network namespaces are not permitted here: run as root")
+    return ThreeHosts(folder, graph.resolve())
 
 
 def summary(faults: Sequence[Fault]) -> dict[str, float]:
@@ -193,21 +199,26 @@ def summary(faults: Sequence[Fault]) -> dict[str, float]:
     }
 
 
-def _strike_for(supervisor: Supervisor, seconds: float, seed: int, faults: list[Fault]) -> None:
-    chaos, began = Chaos(supervisor, seed), time.monotonic()
+def _strike_for(ground: Ground, seconds: float, seed: int, faults: list[Fault]) -> str:
+    """Why it ended early, if it did."""
+    chaos, began = Chaos(ground, seed), time.monotonic()
     with Progress() as progress:
         task = progress.add_task("bad luck", total=seconds)
         while (elapsed_s := time.monotonic() - began) < seconds:
-            faults.append(chaos.strike())
+            try:
+                faults.append(chaos.strike())
+            except Stuck as stuck:
+                return str(stuck)
             chaos.settle()
             words = f"{len(faults)} faults, the last {faults[-1].recovered_s:.1f} s"
             progress.update(task, completed=elapsed_s, description=words)
+    return ""
 
 
-def _wake(pids: Sequence[int]) -> None:
+def _signal(pids: Sequence[int], number: signal.Signals) -> None:
     for pid in pids:
         try:
-            os.kill(pid, signal.SIGCONT)
+            os.kill(pid, number)
         except ProcessLookupError:
             continue
 

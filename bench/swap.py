@@ -77,7 +77,10 @@ class Commands:
 @click.option("--count", default=20, show_default=True, type=click.IntRange(1), help="Of each.")
 @click.option("--probation", default=5, show_default=True, type=click.IntRange(1), help="Frames.")
 @click.option(
-    "--warm-s", default=10.0, show_default=True, type=click.FloatRange(1),
+    "--warm-s",
+    default=10.0,
+    show_default=True,
+    type=click.FloatRange(1),
     help="Without a swap: the baseline. The procedural scene fills its cache for five minutes.",
 )
 @JSON
@@ -194,7 +197,8 @@ def _tables(result: dict[str, Any]) -> tuple[Table, Table]:
     for name, spread in rows.items():
         times.add_row(name, *(f"{spread[k]:.1f}" for k in ("p50", "p99", "max")))
     times.caption = (
-        f"{len(result['refused'])} refused; {result['frames']} frames; lossless edges: {result['lost']} lost; "
+        f"{len(result['refused'])} refused; {result['frames']} frames; "
+        f"lossless edges: {result['lost']} lost; "
         f"{result['doubled_commands']} commands doubled; {result['dropped_on_latest']} dropped "
         f"where the latest counts; restarts {sum(result['restarts'].values())}"
     )

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from bench.chaos import KINDS, main
+from bench.chaos import main
+from bench.grounds import OneHost, ThreeHosts
+from bench.netns import permitted
+from tests.pipeline.fleet.boxes import TRIO
 from tests.pipeline.test_runtime import LOOP
 
 
@@ -22,6 +25,22 @@ def test_a_graph_gets_over_every_kind_of_fault(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     found = json.loads(figures.read_text())
     assert len(found["faults"]) >= 2
-    assert set(found["recovery"]) == set(KINDS)
+    assert set(found["recovery"]) == set(OneHost.kinds)
     assert (found["unbalanced"], found["orphans"], found["left"]) == ([], [], [])
     assert all(f["restarts"] for f in found["faults"] if f["kind"] != "nap")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here")
+def test_a_graph_over_hosts_gets_over_pulled_cables_too(tmp_path: Path) -> None:
+    graph, figures = tmp_path / "graph.yaml", tmp_path / "chaos.json"
+    graph.write_text(TRIO)
+
+    words = [str(graph), "--minutes", "1", "--seed", "2", "--json", str(figures)]
+    done = CliRunner().invoke(main, words)
+
+    assert done.exit_code == 0, done.output
+    found = json.loads(figures.read_text())
+    assert set(found["recovery"]) == set(ThreeHosts.kinds)
+    assert found["recovery"]["partition"]["count"] >= 1
+    assert (found["unbalanced"], found["orphans"], found["left"]) == ([], [], [])

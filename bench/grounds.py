@@ -1,0 +1,236 @@
+"""Where `bench.chaos` does its harm: a graph on this host, or one over three hosts.
+
+Both tell of their processes what a judge of recovery has to know, and after the end what is left.
+"""
+
+import json
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from bench.aftermath import Traces, rest, unbalanced
+from bench.hosts import World
+from pipeline.histogram import Histogram
+from pipeline.ledger import Ledger, NodeAccount
+from pipeline.plan import Plan, sources
+from pipeline.report import compose
+from pipeline.rundir import MEMORY
+from pipeline.supervisor import Supervisor
+
+SETTLE_S = 5.0  # after the last fault, before accounts are looked at
+LOOK_S = 0.005
+
+
+class Ground(ABC):
+    """A running graph. Use it as a context."""
+
+    kinds: Mapping[str, float]  # of faults -> their shares
+    names: tuple[str, ...]  # of its processes
+    boxes: tuple[str, ...] = ()  # whose cables can be pulled
+    failure = ""
+
+    @property
+    @abstractmethod
+    def commands(self) -> Histogram:
+        """What counts the commands that the sensor accepts."""
+
+    @abstractmethod
+    def accounts(self, victim: str) -> list[NodeAccount]:
+        """Of the nodes of a process, or of all on a box."""
+
+    @abstractmethod
+    def pid(self, name: str) -> int:
+        """Of a process; 0 while it has none."""
+
+    @abstractmethod
+    def restarts(self) -> int:
+        """Of all processes."""
+
+    def load_s(self, name: str) -> float:
+        """How long a process took to open models and devices; 0 where nobody tells."""
+        return 0.0
+
+    def link(self, box: str, *, up: bool) -> None:
+        """Pull a box's cable, or put it back."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def look(self) -> None:
+        """Let it go on for a moment."""
+
+    def rest(self, seconds: float) -> None:
+        """Likewise, for longer."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.look()
+
+    @abstractmethod
+    def end(self) -> dict[str, Any]:
+        """Stop it: what does not add up, who lives, what is left."""
+
+
+class OneHost(Ground):
+    """A graph under a supervisor of this process."""
+
+    kinds = {"kill": 0.4, "volley": 0.1, "freeze": 0.25, "nap": 0.25}
+
+    def __init__(self, plan: Plan) -> None:
+        self._supervisor = Supervisor(plan)
+        self._plan, self.names = plan, tuple(plan.processes())
+        self._ended = False
+
+    def __enter__(self) -> "OneHost":
+        self._supervisor.__enter__()
+        self._supervisor.patience = 1_000_000
+        self._supervisor.start()
+        self._traces = Traces.of(self._plan.name)
+        return self
+
+    def __exit__(self, *caught: Any) -> None:
+        if not self._ended:
+            self._ended = True
+            self._supervisor.__exit__(*caught)
+
+    @property
+    def commands(self) -> Histogram:
+        """Of the source."""
+        source = next(sources(self._plan))
+        return self._supervisor.ledger.nodes[source.index].histograms["loop"]
+
+    def accounts(self, victim: str) -> list[NodeAccount]:
+        """Of the nodes of a process."""
+        nodes = self._plan.processes()[victim]
+        return [self._supervisor.ledger.nodes[n.index] for n in nodes]
+
+    def pid(self, name: str) -> int:
+        """As the supervisor knows it."""
+        return self._supervisor.pid(name)
+
+    def restarts(self) -> int:
+        """As the supervisor counted them."""
+        return sum(self._supervisor.restarts.values())
+
+    def load_s(self, name: str) -> float:
+        """As its process told."""
+        return self._supervisor.load_s(name)
+
+    def look(self) -> None:
+        """One tick of the supervisor."""
+        self._supervisor.tick()
+        self.failure = self._supervisor.failure
+
+    def end(self) -> dict[str, Any]:
+        """Drain and stop."""
+        rest(self._supervisor, SETTLE_S)
+        duration_s = time.monotonic() - self._supervisor.started_s
+        self._supervisor.finish()
+        self._supervisor.stop()
+        report = compose(self._plan, self._supervisor.ledger, {}, {}, duration_s=duration_s)
+        self.__exit__(None, None, None)
+        return {
+            "unbalanced": unbalanced(report["edges"]), "orphans": self._traces.orphans(),
+            "left": self._traces.files(), "loop": report["loop"], "edges": report["edges"],
+        }  # fmt: skip
+
+
+class ThreeHosts(Ground):
+    """A graph over network namespaces, an agent on each; what they note is read from outside."""
+
+    kinds = {"kill": 0.35, "volley": 0.1, "freeze": 0.2, "nap": 0.15, "partition": 0.2}
+
+    def __init__(self, folder: Path, graph: Path) -> None:
+        self._world = World(folder, graph)
+        self._plan = self._world.plan
+        self.boxes = self._plan.hosts
+        self.names = tuple(dict.fromkeys(f"{n.host}/{n.process}" for n in self._plan.nodes))
+        self._ended = False
+        self._ledgers: dict[str, Ledger] = {}
+        self._prefixes: dict[str, str] = {}
+
+    def __enter__(self) -> "ThreeHosts":
+        self._world.__enter__()
+        self._world.up()
+        for box in self.boxes:
+            self._prefixes[box] = str(self._noted(box)["prefix"])
+            root = Path(f"/proc/{self._world.agents[box].pid}/root")  # a memory folder of its own
+            path = root / MEMORY.relative_to("/") / f"{self._prefixes[box]}ledger"
+            self._ledgers[box] = Ledger.open(path)
+        return self
+
+    def __exit__(self, *caught: Any) -> None:
+        if not self._ended:
+            self._ended = True
+            self._world.__exit__(*caught)
+
+    @property
+    def commands(self) -> Histogram:
+        """Of the source, as its box counts."""
+        source = next(sources(self._plan))
+        return self._ledgers[source.host].nodes[source.index].histograms["loop"]
+
+    def accounts(self, victim: str) -> list[NodeAccount]:
+        """Of the nodes of `box/process`, or of a box."""
+        box, _, process = victim.partition("/")
+        nodes = [n for n in self._plan.nodes if n.host == box and process in ("", n.process)]
+        return [self._ledgers[box].nodes[n.index] for n in nodes]
+
+    def pid(self, name: str) -> int:
+        """As its box notes it."""
+        box, _, process = name.partition("/")
+        return int(self._noted(box)["pids"].get(process, 0))
+
+    def restarts(self) -> int:
+        """Every instance has an epoch of its own."""
+        return sum(self._ledgers[n.host].nodes[n.index].epoch for n in self._plan.nodes)
+
+    def link(self, box: str, *, up: bool) -> None:
+        """Of the namespace."""
+        self._world.link(box, up=up)
+
+    def look(self) -> None:
+        """The agents look after it."""
+        time.sleep(LOOK_S)
+        ended = [box for box, agent in self._world.agents.items() if agent.poll() is not None]
+        self.failure = f"the agent of {ended[0]} ended" if ended else ""
+
+    def end(self) -> dict[str, Any]:
+        """Look at the accounts, take it down, end the agents."""
+        time.sleep(SETTLE_S)
+        edges = [self._report(edge.index) for edge in self._plan.edges]
+        loop = {"latency_ms": self.commands.summary()}
+        self._world.fovea("down", self._plan.name)
+        self.__exit__(None, None, None)
+        kept = {".log", ".old", ".lock"}
+        homes = [self._world.home(box) for box in self.boxes]
+        left = [p.name for h in homes for p in h.rglob("*.*") if p.suffix not in kept]
+        listed = [(p.pid, p.info["cmdline"] or []) for p in psutil.process_iter(["cmdline"])]
+        prefixes = set(self._prefixes.values())
+        return {
+            "unbalanced": self._unsettled(edges),
+            "orphans": [pid for pid, words in listed if prefixes & set(words)],
+            "left": sorted(left), "loop": loop, "edges": edges,
+        }  # fmt: skip
+
+    def _report(self, index: int) -> dict[str, Any]:
+        edge = self._plan.edges[index]
+        account = self._ledgers[self._plan.node(edge.target).host].edges[index]
+        return {"from": edge.origin, "to": edge.end, "depth": edge.depth, **account.report()}
+
+    def _unsettled(self, edges: Sequence[Mapping[str, Any]]) -> list[str]:
+        """It runs on while accounts are looked at: what is under way has to be little."""
+        fair = [min(e["in_flight"], e["depth"] + 1) for e in edges]
+        return unbalanced(
+            [
+                {**e, "offered": e["offered"] - n, "in_flight": e["in_flight"] - n}
+                for e, n in zip(edges, fair, strict=True)
+            ]
+        )
+
+    def _noted(self, box: str) -> dict[str, Any]:
+        (path,) = self._world.home(box).glob(f"fovea-*/{self._plan.name}@{box}/run.json")
+        found: dict[str, Any] = json.loads(path.read_text())
+        return found
