@@ -18,7 +18,7 @@ from bench.tracking.replaced import Replaced
 from drivers.simulated.readout import Readout, Window
 from pipeline import settings as checked
 from pipeline.contract import Operator, handler_of, settings_of
-from pipeline.errors import GraphError
+from pipeline.errors import GraphError, RunError
 from pipeline.graph import load
 from pipeline.messages import Frame, Header, Message, Tracks
 from pipeline.overlay import Overlay
@@ -120,9 +120,17 @@ class Camera:
         return Frame(header=self.header(frame), pixels=pixels, window=EMPTY)
 
     def roi(self, frame: int, window: Window) -> Frame:
-        """The ROI at `frame`, valid until the next one; empty for strategies without."""
+        """The ROI at `frame`, valid until the next one; empty for strategies without.
+
+        Raises `RunError` for a window of another size: it would cost more pixels than are counted.
+        """
         if not self.how.looks:
             return self.nothing(frame)
+        left, top, right, bottom = window
+        if (right - left, bottom - top) != self.how.sampling.roi_px:
+            raise RunError(
+                f"frame {frame}: expected a window of {self.how.sampling.roi_px}, got {window}"
+            )
         self._readout.read(self._clip.pictures[frame], window, self._roi, seq=frame, port=1)
         return Frame(header=self.header(frame), pixels=self._roi, window=window)
 

@@ -20,7 +20,7 @@ from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import Target, starts, targets
 from drivers.simulated.readout import Window
-from pipeline.messages import Tracks
+from pipeline.messages import Geometry, Tracks
 
 LOOK_S = 1.0  # between looks at what is done
 PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
@@ -107,7 +107,7 @@ def _measure(
     clip = read(clip_name, protocol.frames)
     seed = protocol.seed + max(clip_name.seed, 0)
     subjects = targets(clip.truths, protocol.kinds, players=protocol.players, seed=seed)
-    seen: dict[tuple[tuple[int, int], bool], list[Tracks]] = {}  # by context, true detections
+    seen: dict[tuple[tuple[int, int], Geometry, bool], list[Tracks]] = {}
     looked: dict[Case, Gazes] = {}
     for changes in sorted({case.changes for case in cases}):
         with Stages(Path(protocol.graph), changes) as stages:
@@ -117,7 +117,8 @@ def _measure(
                 how = acquisition(case.strategy, Fraction(case.budget), clip.size_px)
                 camera = Camera(clip, how)
                 replaced = Replaced(parts=frozenset(case.replaced), truths=clip.truths)
-                context = (how.sampling.context_px, "detections" in replaced.parts)
+                # tracks carry the geometry of the ROI, by which the graph plans its windows
+                context = (how.sampling.context_px, how.geometry, "detections" in replaced.parts)
                 if case.strategy in PLANNED and context not in seen:
                     seen[context] = watched(camera, stages, len(clip.truths), replaced)
                 gaze = looked.setdefault(_same_gaze(case), {})

@@ -19,7 +19,7 @@ from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targe
 from bench.tracking.units import Case, Protocol, key
 from drivers.source import Truth
 from pipeline.boxes import centres, iou
-from pipeline.errors import DriverError, SettingsError
+from pipeline.errors import DriverError, RunError, SettingsError
 from pipeline.graph import load
 from pipeline.inline import InlineRunner
 from pipeline.messages import Frame
@@ -207,6 +207,15 @@ def test_a_tracker_that_sees_the_roi_alone_holds_its_box_while_the_target_is_out
     assert np.mean(both.iou) > np.mean(held)
 
 
+def test_a_window_of_more_pixels_than_the_budget_has_is_refused(clip: Clip) -> None:
+    camera = Camera(clip, acquisition("foveated", Fraction(1, 8), HD))
+    quarter = acquisition("foveated", Fraction(1, 4), HD).sampling.roi_px
+    assert quarter is not None
+
+    with pytest.raises(RunError, match=r"expected a window of \(480, 270\)"):
+        camera.roi(3, (0, 0, *quarter))
+
+
 def test_where_the_roi_was_can_be_told_again(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
@@ -292,7 +301,7 @@ def test_a_unit_is_another_with_other_weights_and_the_same_with_the_same(tmp_pat
 def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
     words = [
         *("--data", "procedural:70003", "--clips", "1", "--frames", "1-20", "--jobs", "1"),
-        *("--strategies", "centred,temporal,foveated", "--budgets", "1/8", "--targets", "ball"),
+        *("--strategies", "centred,temporal,foveated", "--budgets", "1/4,1/8", "--targets", "ball"),
         *("--tracker", "correlation", "--policy", "pursue", "--report", str(tmp_path / "r.json")),
         *("--plot", str(tmp_path / "plot.png"), "--markdown", str(tmp_path / "table.md")),
     ]
