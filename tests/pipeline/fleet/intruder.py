@@ -14,7 +14,7 @@ from pipeline.bus import Session
 from pipeline.fleet import wire
 from pipeline.network import Network
 
-HALF_OPEN = 20  # links to each end point; Zenoh rests for 0.1 s after each that comes to nothing
+HALF_OPEN = 10  # links to each end point; Zenoh rests for 0.1 s after each that comes to nothing
 READ = ("fovea/trio/capture/roi/bytes", "fovea/trio/capture/context/bytes", "fovea/**")
 FORGED = ("fovea/trio/steer/out/bytes", "fovea/trio/capture/context/bytes")
 ASKED = [
