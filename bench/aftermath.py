@@ -8,8 +8,8 @@ from typing import Any
 
 import psutil
 
-from pipeline.rundir import MEMORY, base, running
-from pipeline.supervisor import Supervisor
+from pipeline.run.rundir import MEMORY, base, running
+from pipeline.run.supervisor import Supervisor
 
 
 @dataclass(frozen=True)

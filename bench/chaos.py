@@ -28,9 +28,9 @@ from bench.grounds import Ground, OneHost, ThreeHosts
 from bench.machine import facts
 from bench.netns import permitted
 from bench.options import JSON, Bench, on_graph
-from pipeline.graph import load
-from pipeline.overlay import Overlay
-from pipeline.plan import Plan
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan
 
 WARM_S = 3.0
 SETTLE_S = (2.0, 12.0)  # between a recovery and the next fault

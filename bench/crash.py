@@ -23,11 +23,11 @@ from rich.table import Table
 from bench.aftermath import Traces, rest, unbalanced
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
-from pipeline.graph import load
-from pipeline.overlay import Overlay
-from pipeline.plan import Node
-from pipeline.report import compose
-from pipeline.supervisor import Supervisor
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Node
+from pipeline.run.report import compose
+from pipeline.run.supervisor import Supervisor
 
 ASKED_S = 1.0  # plus the time to load the model
 SETTLE_S = 3.0  # failures do not come in volleys; the spare process needs a moment

@@ -14,12 +14,12 @@ import psutil
 
 from bench.aftermath import Traces, rest, unbalanced
 from bench.hosts import World
-from pipeline.histogram import Histogram
-from pipeline.ledger import Ledger, NodeAccount
-from pipeline.plan import Plan, sources
-from pipeline.report import compose
-from pipeline.rundir import MEMORY
-from pipeline.supervisor import Supervisor
+from pipeline.bus.histogram import Histogram
+from pipeline.bus.ledger import Ledger, NodeAccount
+from pipeline.graph.plan import Plan, sources
+from pipeline.run.report import compose
+from pipeline.run.rundir import MEMORY
+from pipeline.run.supervisor import Supervisor
 
 SETTLE_S = 5.0  # after the last fault, before accounts are looked at
 LOOK_S = 0.005

@@ -24,11 +24,11 @@ from pipeline.errors import RunError
 from pipeline.fleet import secure
 from pipeline.fleet.draft import issue_for
 from pipeline.fleet.names import person
-from pipeline.graph import load
-from pipeline.inline import InlineRunner
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan
 from pipeline.messages import Message
-from pipeline.overlay import Overlay
-from pipeline.plan import Plan
+from pipeline.run.inline import InlineRunner
 
 DESK = "desk"  # the host of whoever deploys
 PERSON = "tester"

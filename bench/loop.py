@@ -16,10 +16,10 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
-from pipeline.graph import load
-from pipeline.overlay import Overlay
-from pipeline.report import Report
-from pipeline.running import processes
+from pipeline.console.running import processes
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.run.report import Report
 
 FRAME_BUDGET_MS = (33.0, 66.0)  # p50, p99 asked of the loop: one and two frames at 30 fps
 OVERHEAD_MS = 3.0

@@ -17,11 +17,11 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
-from pipeline.child import Sample
-from pipeline.graph import load
-from pipeline.overlay import Overlay
-from pipeline.report import compose, tables
-from pipeline.supervisor import Supervisor
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.run.child import Sample
+from pipeline.run.report import compose, tables
+from pipeline.run.supervisor import Supervisor
 
 WINDOW_S = 60.0
 WARM_S = 10.0  # buffers and caches fill at first

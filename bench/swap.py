@@ -21,20 +21,20 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
-from pipeline.bus import Session
+from pipeline.bus.inport import InPort
+from pipeline.bus.ledger import private_ledger
+from pipeline.bus.outport import Arrival
+from pipeline.bus.pool import PoolReader
+from pipeline.bus.session import Session
 from pipeline.contract import outputs_of
-from pipeline.graph import load
-from pipeline.inport import InPort
-from pipeline.ledger import private_ledger
-from pipeline.overlay import Overlay
-from pipeline.plan import Plan, load_operator
-from pipeline.pool import PoolReader
-from pipeline.ports import Arrival
-from pipeline.report import compose
-from pipeline.rundir import MEMORY, base, running
-from pipeline.supervisor import Supervisor
-from pipeline.swap import SwapOrder
-from pipeline.wiring import key_of
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan, load_operator
+from pipeline.node.wiring import key_of
+from pipeline.run.report import compose
+from pipeline.run.rundir import MEMORY, base, running
+from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap import SwapOrder
 
 PATIENCE_S = 60.0
 MEMORY_EVERY = 50  # swaps

@@ -11,23 +11,24 @@ import click
 from rich.console import Console
 from rich.logging import RichHandler
 
-from pipeline import running, watching
-from pipeline.asking import health_command, schema_command, tell_command
-from pipeline.changing import set_command
+from pipeline.console import running, watching
+from pipeline.console.asking import health_command, schema_command, tell_command
+from pipeline.console.changing import set_command
+from pipeline.console.operating import add, remove, rewire, swap
+from pipeline.console.tasks import task_command
 from pipeline.doctor import doctor_command
-from pipeline.drawing import mermaid
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, WeightsError
 from pipeline.fleet import overview
 from pipeline.fleet.commands import fleet_commands
 from pipeline.fleet.deploy import remembered
-from pipeline.graph import load
-from pipeline.graph_schema import graph_schema
-from pipeline.operating import add, remove, rewire, swap
-from pipeline.overlay import Overlay, manual_nodes
-from pipeline.plan import Plan
-from pipeline.report import tables
-from pipeline.rundir import running as running_here
-from pipeline.tasks import task_command
+from pipeline.graph.drawing import mermaid
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay, manual_nodes
+from pipeline.graph.plan import Plan
+from pipeline.graph.schema import graph_schema
+from pipeline.run.logs import log_lines
+from pipeline.run.report import tables
+from pipeline.run.rundir import running as running_here
 from pipeline.weights import weights_commands
 
 console = Console()
@@ -166,7 +167,7 @@ def top(graph: str | None, once: bool, every_s: float) -> None:
 def logs(node: str, graph: str, follow: bool, lines: int) -> None:
     """Show what a node wrote, also after it ended."""
     try:
-        found = watching.log_lines(graph, node, lines, follow=follow)
+        found = log_lines(graph, node, lines, follow=follow)
         for line in found:
             click.echo(line)
     except RunError:

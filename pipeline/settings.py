@@ -37,7 +37,7 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
 def plain(settings: Any) -> dict[str, Any]:
     """Every setting's value in the words of a graph file.
 
-    >>> from pipeline.plan import Restart
+    >>> from pipeline.graph.plan import Restart
     >>> plain(Restart(most=2))
     {'policy': 'on-failure', 'backoff_s': 0.05, 'window_s': 60.0, 'most': 2}
     """

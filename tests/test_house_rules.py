@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.graph import load
+from pipeline.graph.loader import load
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("pipeline", "operators", "graphs", "drivers", "tests", "bench")

@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 
 from pipeline import Frame
 from pipeline.cli import commands
-from pipeline.graph import load
+from pipeline.graph.loader import load
 from pipeline.testing import drive, header
 
 ROOT = Path(__file__).resolve().parent.parent

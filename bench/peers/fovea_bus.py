@@ -14,8 +14,8 @@ from rich.console import Console
 
 from bench.peers.ruler import Meter, Task, Writer, contestant
 from pipeline import Frame, Header, Input, Operator, RunError, Source
-from pipeline.graph import load
-from pipeline.running import processes
+from pipeline.console.running import processes
+from pipeline.graph.loader import load
 
 
 @dataclass(frozen=True, kw_only=True)

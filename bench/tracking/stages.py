@@ -19,10 +19,10 @@ from drivers.simulated.readout import Readout, Window
 from pipeline import settings as checked
 from pipeline.contract import Operator, handler_of, settings_of
 from pipeline.errors import GraphError, RunError
-from pipeline.graph import load
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import load_operator
 from pipeline.messages import Frame, Header, Message, Tracks
-from pipeline.overlay import Overlay
-from pipeline.plan import load_operator
 
 NEEDED = ("downsample", "saliency", "association", "roi_features", "policy", "dispatch", "tracker")
 EMPTY: Window = (0, 0, 0, 0)

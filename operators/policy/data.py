@@ -20,10 +20,10 @@ from tqdm import tqdm
 
 from pipeline import Geometry, Percept, RoiFeatures, Tracks
 from pipeline.errors import FoveaError
-from pipeline.graph import load
-from pipeline.inline import InlineRunner
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
 from pipeline.messages import Header, Message
-from pipeline.overlay import Overlay
+from pipeline.run.inline import InlineRunner
 
 GRAPH = Path(__file__).parents[2] / "graphs" / "tasks" / "tracking_recording.yaml"
 TRAIN_SEEDS, VALIDATION_SEEDS = 30_000, 40_000  # no other part of the project uses them

@@ -14,8 +14,8 @@ from pipeline.doctor.finding import Finding
 from pipeline.doctor.installation import examine_installation
 from pipeline.doctor.machine import examine_machine
 from pipeline.doctor.needs import examine_graph
-from pipeline.overlay import Overlay
-from pipeline.rundir import sweep
+from pipeline.graph.overlay import Overlay
+from pipeline.run.rundir import sweep
 
 STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
 

@@ -15,10 +15,10 @@ import psutil
 from packaging.requirements import Requirement
 
 from pipeline import weights
-from pipeline.bus import Session
+from pipeline.bus.session import Session
 from pipeline.doctor.finding import Finding, ok, warning, wrong
 from pipeline.errors import FoveaError
-from pipeline.rundir import MEMORY, base, leftovers, running
+from pipeline.run.rundir import MEMORY, base, leftovers, running
 
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 OLDEST = (3, 11)
@@ -166,8 +166,8 @@ def orphaned(prefixes: Iterable[str]) -> Iterator[psutil.Process]:
     known = set(prefixes)
     for process in psutil.process_iter(["cmdline", "uids", "create_time"]):
         words = process.info["cmdline"] or []
-        if "pipeline.node" not in words or process.info["uids"].real != os.getuid():
+        if "pipeline.node.process" not in words or process.info["uids"].real != os.getuid():
             continue
-        after = words[words.index("pipeline.node") + 1 :]
+        after = words[words.index("pipeline.node.process") + 1 :]
         if after and after[0] not in known:
             yield process

@@ -13,7 +13,7 @@ from pathlib import Path
 import psutil
 
 from pipeline.doctor.finding import Finding, ok, warning, wrong
-from pipeline.rundir import MEMORY
+from pipeline.run.rundir import MEMORY
 
 LEAST_SHARED_MB = 64.0  # an eighth of what a container gives by default is hardly a graph
 LEAST_DISK_MB = 100.0

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from pipeline.bus.ledger import ledger_bytes
+from pipeline.bus.outport import INLINE_BYTES
+from pipeline.bus.pool_file import PAGE_BYTES
 from pipeline.contract import outputs_of
 from pipeline.doctor.finding import Finding, ok, warning, wrong
 from pipeline.doctor.machine import available_cores, open_files
 from pipeline.errors import FoveaError, WeightsError
-from pipeline.graph import load
-from pipeline.inline import InlineRunner
-from pipeline.ledger import ledger_bytes
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan, load_operator, slots
 from pipeline.messages import Message
-from pipeline.overlay import Overlay
-from pipeline.plan import Plan, load_operator, slots
-from pipeline.pool_file import PAGE_BYTES
-from pipeline.ports import INLINE_BYTES
-from pipeline.rundir import MEMORY, running
+from pipeline.run.inline import InlineRunner
+from pipeline.run.rundir import MEMORY, running
 
 CROWDED = 4  # processes per core from which waiting for one shows
 BASE_FILES = 48  # of the interpreter, the transport and the logs

@@ -2,11 +2,11 @@
 
 from collections.abc import Iterable, Sequence
 
+from pipeline.bus.network import Permit
+from pipeline.bus.outport import BYTES_SUFFIX
 from pipeline.fleet.names import agent_key, box, node_holder
-from pipeline.network import Permit
-from pipeline.plan import Edge, Plan
-from pipeline.ports import BYTES_SUFFIX
-from pipeline.wiring import key_of
+from pipeline.graph.plan import Edge, Plan
+from pipeline.node.wiring import key_of
 
 
 def node_permits(plan: Plan, process: str) -> tuple[Permit, ...]:

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from pipeline.bus import OnBytes, Session
+from pipeline.bus.network import Network
+from pipeline.bus.session import OnBytes, Session
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.access import agent_permits, asker_permits
@@ -37,9 +38,8 @@ from pipeline.fleet.placement import check_marks, inspect
 from pipeline.fleet.show import state_of
 from pipeline.fleet.steering import Steering
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
-from pipeline.network import Network
-from pipeline.plan import Plan
-from pipeline.watching import log_lines
+from pipeline.graph.plan import Plan
+from pipeline.run.logs import log_lines
 
 WAITING = 64  # questions; more are refused at once
 MOST_GRAPHS = 8

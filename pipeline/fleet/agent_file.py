@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import settings as checked
+from pipeline.bus.network import LOCAL
 from pipeline.errors import GraphError, SettingsError
 from pipeline.fleet.allow import ANY, Allowed, is_digest
 from pipeline.fleet.names import box, check_label, check_name, endpoint, person
 from pipeline.fleet.secure import Papers
-from pipeline.network import LOCAL
-from pipeline.rundir import base
-from pipeline.yaml_lines import YamlFile, plain
+from pipeline.graph.yaml_lines import YamlFile, plain
+from pipeline.run.rundir import base
 
 DEFAULT_PORTS = (7500, 7599)
 

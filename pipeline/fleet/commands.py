@@ -16,8 +16,8 @@ from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import KINDS, engines
 from pipeline.fleet.names import check_label, check_name, person
 from pipeline.fleet.unit import agent_unit
-from pipeline.graph import load
-from pipeline.overlay import Overlay
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
 from pipeline.settings import suggest
 
 GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))

@@ -14,7 +14,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from pipeline.bus import Session
+from pipeline.bus.network import Network
+from pipeline.bus.session import Session
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError
 from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
@@ -23,9 +24,8 @@ from pipeline.fleet.allow import MARK, file_digest, is_path
 from pipeline.fleet.names import ANYBODY, agent_key, check_label, endpoint
 from pipeline.fleet.placement import check_labels, marks
 from pipeline.fleet.secure import ADDRESSES, Papers
-from pipeline.network import Network
-from pipeline.plan import Plan
-from pipeline.rundir import base
+from pipeline.graph.plan import Plan
+from pipeline.run.rundir import base
 
 PATIENCE_S = 5.0  # until an agent must have answered
 DOWN_S = 20.0  # stopping takes as long as the slowest operator's close

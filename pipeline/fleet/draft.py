@@ -9,7 +9,7 @@ from pipeline.fleet import secure
 from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
 from pipeline.fleet.names import box, node_holder, person
 from pipeline.fleet.placement import borders, place
-from pipeline.plan import Plan
+from pipeline.graph.plan import Plan
 
 
 def issue_for(

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.compat import StringIO
 
 from pipeline.fleet.names import PORT
-from pipeline.plan import Plan, slots
+from pipeline.graph.plan import Plan, slots
 
 IMAGE = "fovea:latest"
 LARGEST_FRAME_MB = 64  # per slot, where nobody knows how big pictures will be

@@ -5,14 +5,14 @@ Of two processes that speak, the first by name listens and the other one connect
 
 from collections.abc import Collection, Mapping
 
+from pipeline.bus.network import LOCAL, Network
 from pipeline.errors import RunError
 from pipeline.fleet.access import node_permits
 from pipeline.fleet.names import node_holder
 from pipeline.fleet.placement import borders, listeners, place
 from pipeline.fleet.secure import Papers
-from pipeline.network import LOCAL, Network
-from pipeline.plan import Plan
-from pipeline.rundir import base
+from pipeline.graph.plan import Plan
+from pipeline.run.rundir import base
 
 
 def local_end_points(part: Plan) -> dict[str, str]:

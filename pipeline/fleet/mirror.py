@@ -1,6 +1,6 @@
 """Accounts of edges that cross hosts: each box keeps both halves and tells the other its own.
 
-An account has a writing half and a reading half (`pipeline.ledger`). The box of the writer counts
+An account has a writing half and a reading half (`bus.ledger`). The box of the writer counts
 the one, the box of the reader the other; what a box hears of the other half it puts beside its own.
 So credit, slots and books work across hosts as they do on one. A box that begins anew asks for what
 it had counted before.
@@ -8,9 +8,9 @@ it had counted before.
 
 from collections.abc import Iterable, Mapping
 
+from pipeline.bus.ledger import DROPS, EdgeAccount, Ledger
 from pipeline.fleet.wire import Accounts
-from pipeline.ledger import DROPS, EdgeAccount, Ledger
-from pipeline.plan import Edge, Plan
+from pipeline.graph.plan import Edge, Plan
 
 WRITTEN = ("sent", "overrun", "broken", "writer_epoch")
 READ = ("delivered", *DROPS, "lost_in_crash", "strays", "attached_epoch", "reader_epoch", "seen")

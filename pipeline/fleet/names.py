@@ -2,10 +2,10 @@
 
 import re
 
+from pipeline.bus.network import LOCAL
 from pipeline.errors import SettingsError
-from pipeline.graph import LABEL
-from pipeline.network import LOCAL
-from pipeline.plan import Node
+from pipeline.graph.loader import LABEL
+from pipeline.graph.plan import Node
 
 ANYBODY = "local"  # who asks over a unix socket that only this user can reach
 PORT = 7447  # where an agent listens unless it is told otherwise

@@ -5,16 +5,16 @@ import threading
 import time
 from dataclasses import replace
 
-from pipeline.bus import Sender, Session
-from pipeline.clocks import Clocks
+from pipeline.bus.clocks import Clocks
+from pipeline.bus.ledger import Ledger
+from pipeline.bus.network import Network
+from pipeline.bus.session import Sender, Session
 from pipeline.errors import FoveaError, MessageError
 from pipeline.fleet import wire
 from pipeline.fleet.clock import Estimate, Offset
 from pipeline.fleet.mirror import Mirror
 from pipeline.fleet.names import agent_key, box
-from pipeline.ledger import Ledger
-from pipeline.network import Network
-from pipeline.plan import Plan
+from pipeline.graph.plan import Plan
 
 PING_S = 0.2
 LOST_S = 1.2  # without an answer for this long a box is lost

@@ -6,16 +6,16 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pipeline.clocks import Clocks
+from pipeline.bus.clocks import Clocks
+from pipeline.bus.network import Network
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.mirror import adopt
 from pipeline.fleet.neighbour import Neighbour
 from pipeline.fleet.wire import Accounts
-from pipeline.network import Network
-from pipeline.plan import Plan
-from pipeline.slot import Slot
-from pipeline.supervisor import Supervisor
-from pipeline.wiring import CLOCKS
+from pipeline.graph.plan import Plan
+from pipeline.node.wiring import CLOCKS
+from pipeline.run.slot import Slot
+from pipeline.run.supervisor import Supervisor
 
 WAIT_FOR_OTHERS_S = 60.0  # then the source begins without them
 TELL_S = 0.004  # how often accounts are looked at: the credit of lossless edges goes with it

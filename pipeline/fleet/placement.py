@@ -11,12 +11,12 @@ from typing import Any
 
 from pipeline import codec
 from pipeline import settings as checked
-from pipeline.clocks import MOST_HOSTS
+from pipeline.bus.clocks import MOST_HOSTS
 from pipeline.contract import inputs_of, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
 from pipeline.fleet.allow import Allowed
 from pipeline.fleet.names import check_label, check_name
-from pipeline.plan import Edge, Node, Plan, load_operator
+from pipeline.graph.plan import Edge, Node, Plan, load_operator
 
 MOST_NODES, MOST_EDGES = 128, 512
 _PORT = re.compile(r"[A-Za-z_]\w{0,62}")

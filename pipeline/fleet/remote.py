@@ -9,8 +9,8 @@ import msgspec
 from pipeline.errors import RunError
 from pipeline.fleet import wire
 from pipeline.fleet.deploy import READY_S, Fleet, carried, remembered, send_weights
+from pipeline.run.swap import SwapOrder
 from pipeline.settings import suggest
-from pipeline.swap import SwapOrder
 
 ASK_S = 8.0  # the node's own patience, and the way
 

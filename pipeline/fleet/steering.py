@@ -15,10 +15,10 @@ from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.allow import Allowed
 from pipeline.fleet.part import Part
-from pipeline.live import CONFIG, read_question, write_question
+from pipeline.node.live import CONFIG, read_question, write_question
+from pipeline.run.swap import SwapOrder
+from pipeline.run.visiting import ask_on
 from pipeline.settings import suggest
-from pipeline.swap import SwapOrder
-from pipeline.visiting import ask_on
 
 AT_ONCE = 4  # a node answers between two frames; one that hangs must not hold up the others
 WAITING = 16

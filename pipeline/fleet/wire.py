@@ -11,10 +11,11 @@ from typing import Any, Literal, TypeVar
 import msgspec
 from pydantic import TypeAdapter, ValidationError
 
-from pipeline import codec, envelope
+from pipeline import codec
+from pipeline.bus import envelope
 from pipeline.errors import MessageError, RunError
-from pipeline.plan import Plan
-from pipeline.swap import SwapOrder
+from pipeline.graph.plan import Plan
+from pipeline.run.swap import SwapOrder
 
 MOST_BYTES = 1 << 20  # of one question; a graph is a few kilobytes
 T = TypeVar("T")

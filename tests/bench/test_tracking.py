@@ -20,10 +20,10 @@ from bench.tracking.units import Case, Protocol, key
 from drivers.source import Truth
 from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, RunError, SettingsError
-from pipeline.graph import load
-from pipeline.inline import InlineRunner
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
 from pipeline.messages import Frame
-from pipeline.overlay import Overlay
+from pipeline.run.inline import InlineRunner
 from tests.drivers.sequences import write_sequence
 
 ROOT = Path(__file__).resolve().parents[2]

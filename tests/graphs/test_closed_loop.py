@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-from pipeline.graph import load
-from pipeline.inline import InlineRunner
-from pipeline.overlay import Overlay
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.run.inline import InlineRunner
 
 GRAPH = """
 name: loop

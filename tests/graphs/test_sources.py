@@ -9,8 +9,8 @@ import pytest
 
 from operators.capture import Capture, CaptureSettings
 from pipeline.errors import SettingsError
-from pipeline.graph import load
-from pipeline.overlay import Overlay
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
 from pipeline.settings import build
 from tests.drivers.sequences import write_pictures, write_sequence
 from tests.drivers.test_soccernet import GAME, GT

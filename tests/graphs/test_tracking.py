@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from pipeline.boxes import covered
-from pipeline.graph import load
-from pipeline.inline import InlineRunner
-from pipeline.overlay import Overlay
-from pipeline.running import status_line
-from pipeline.supervisor import Supervisor
+from pipeline.console.running import status_line
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.run.inline import InlineRunner
+from pipeline.run.supervisor import Supervisor
 
 ROOT = Path(__file__).resolve().parents[2]
 GRAPH = ROOT / "graphs" / "tracking.yaml"

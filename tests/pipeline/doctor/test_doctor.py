@@ -33,11 +33,11 @@ from pipeline.doctor.machine import (
     shared_memory,
 )  # fmt: skip
 from pipeline.doctor.needs import crowd, examine_graph, message_bytes, pool_bytes, pools
-from pipeline.overlay import Overlay
-from pipeline.rundir import MEMORY, leftovers, running, sweep
-from pipeline.supervisor import Supervisor
-from tests.pipeline.namespaces import with_small_mounts
-from tests.pipeline.test_runtime import CHAIN, KILLED, LOOP, go, handled, plan_of, wait_for
+from pipeline.graph.overlay import Overlay
+from pipeline.run.rundir import MEMORY, leftovers, running, sweep
+from pipeline.run.supervisor import Supervisor
+from tests.pipeline.run.namespaces import with_small_mounts
+from tests.pipeline.run.test_runtime import CHAIN, KILLED, LOOP, go, handled, plan_of, wait_for
 
 
 def verdicts(findings: list[Finding]) -> dict[str, str]:

@@ -11,8 +11,8 @@ from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, Box
 from pipeline.fleet.allow import ANY
 from pipeline.fleet.deploy import Fleet, read_hosts
-from pipeline.graph import load
-from pipeline.plan import Plan
+from pipeline.graph.loader import load
+from pipeline.graph.plan import Plan
 
 PATIENCE_S = 60.0
 TOYS = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")

@@ -10,9 +10,9 @@ import threading
 import time
 from collections import Counter
 
-from pipeline.bus import Session
+from pipeline.bus.network import Network
+from pipeline.bus.session import Session
 from pipeline.fleet import wire
-from pipeline.network import Network
 
 HALF_OPEN = 10  # links to each end point; Zenoh rests for 0.1 s after each that comes to nothing
 READ = ("fovea/trio/capture/roi/bytes", "fovea/trio/capture/context/bytes", "fovea/**")

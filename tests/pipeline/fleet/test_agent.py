@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
-from pipeline.asking import ask_node, fleet_health
-from pipeline.asking import tell as tell_node
-from pipeline.changing import ask
+from pipeline.console.asking import ask_node, fleet_health
+from pipeline.console.asking import tell as tell_node
+from pipeline.console.changing import ask
+from pipeline.console.operating import replan, tell
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.deploy import Fleet, down, read_hosts, remembered, up
-from pipeline.interface import SCHEMA, read_interface
-from pipeline.operating import replan, tell
-from pipeline.rundir import base
-from pipeline.swap import SwapOrder
+from pipeline.node.interface import SCHEMA, read_interface
+from pipeline.run.rundir import base
+from pipeline.run.swap import SwapOrder
 from tests.pipeline.fleet.boxes import (
     Running,
     box_of,

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from pipeline.bus.ledger import private_ledger
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.fleet.access import edge_key, node_permits
 from pipeline.fleet.allow import MARK, Allowed, code_digest
@@ -14,8 +15,7 @@ from pipeline.fleet.clock import DRIFT, Offset
 from pipeline.fleet.mirror import Mirror, adopt
 from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, part_of
 from pipeline.fleet.wire import read_plan, write_plan
-from pipeline.ledger import private_ledger
-from pipeline.plan import Plan
+from pipeline.graph.plan import Plan
 from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
 
 

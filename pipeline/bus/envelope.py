@@ -1,0 +1,39 @@
+"""What surrounds a message on the bus: untrusted bytes -> numbers, fingerprint, slot, body."""
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from pipeline import codec
+from pipeline.bus.pool import SlotRef
+
+VERSION = 2  # also below, where a type checker wants the number itself
+Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
+HELLO, MESSAGE, NOTHING = 0, 1, 2
+
+
+class Envelope(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+    """What surrounds a message on the bus."""
+
+    version: Literal[2]
+    kind: Literal[0, 1, 2]
+    ordinal: Count
+    epoch: Count
+    mark: bytes
+    slot: SlotRef | None
+    body: msgspec.Raw
+
+    @staticmethod
+    def render(
+        kind: int, ordinal: int, epoch: int, mark: bytes, slot: SlotRef | None, body: Any
+    ) -> bytes:
+        """The envelope of what `codec.pack` gave; raises `MessageError` for what cannot travel."""
+        return codec.to_bytes((VERSION, kind, ordinal, epoch, mark, slot, body))
+
+    @staticmethod
+    def parse(payload: bytes) -> "Envelope":
+        """Read an envelope from untrusted bytes; raises `MessageError`."""
+        return codec.parse(_read_envelope, payload, "not an envelope of this version")
+
+
+_read_envelope = msgspec.msgpack.Decoder(Envelope).decode

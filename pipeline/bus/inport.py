@@ -1,0 +1,212 @@
+"""The reading end of an edge: descriptors to messages, each of them accounted for."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import codec
+from pipeline.bus.envelope import HELLO, NOTHING, Envelope
+from pipeline.bus.ledger import EdgeAccount, private_ledger
+from pipeline.bus.outport import Arrival
+from pipeline.bus.pool import PoolReader
+from pipeline.bus.tape import Counted, EdgeCut, Tape
+from pipeline.errors import MessageError
+from pipeline.messages import Header, Message
+
+TAP_SLOTS = 2  # what a viewer may pin before it copies
+
+
+class InPort:
+    """One input of a node: accounts for everything that arrives, hands on what is good.
+
+    `receive` is called by one thread at a time. While `holding`, descriptors are kept as they are:
+    another instance answers for this node now, and this one may have to go on where it stops.
+    """
+
+    def __init__(
+        self, message: type[Message], account: EdgeAccount, pool: PoolReader, epoch: int,
+        deliver: Callable[[Arrival], None], *, tap: bool = False, holding: bool = False,
+    ) -> None:  # fmt: skip
+        self._message, self._account, self._pool = message, account, pool
+        self._schema = codec.schema(message)
+        self._epoch, self._deliver, self._tap = epoch, deliver, tap
+        self._sender_epoch, self._mark = -1, self._schema.fingerprint
+        self._seen = max(account.seen, account.accounted)
+        self._open: set[int] = set()  # delivered here and not finished
+        self._careful = False
+        self._tape: Tape | None = None
+        self.also: Callable[[Envelope], None] | None = None  # a shadow's, while holding
+        if holding:
+            self._tape = Tape()
+        else:  # what the predecessor had taken and not finished died with it
+            account.lost_in_crash += max(0, account.seen - account.accounted)
+
+    @property
+    def tape(self) -> Tape | None:
+        """What is held, while it is."""
+        return self._tape
+
+    def receive(self, payload: bytes) -> None:
+        """Take one descriptor; never raises."""
+        try:
+            envelope = Envelope.parse(payload)
+        except MessageError:
+            if self._tape is None:
+                self._account.strays += 1  # without a number it is nobody's message
+            return
+        envelope.ordinal -= self._account.base
+        if self._tape is None:
+            self._receive(envelope)
+        else:
+            self._tape.add(envelope)
+            if self.also is not None:
+                self.also(envelope)
+
+    def divert(self, deliver: Callable[[Arrival], None]) -> None:
+        """Hand everything to somebody else from now on."""
+        self._deliver = deliver
+
+    def shadow(self, deliver: Callable[[Arrival], None]) -> "InPort":
+        """A port for a trial: it gets what this one holds and keeps its own accounts."""
+        port = InPort(
+            self._message, private_ledger(1, 0).edges[0], self._pool, self._epoch, deliver,
+            tap=True, holding=True,
+        )  # fmt: skip
+        assert port._tape is not None
+        assert self._tape is not None
+        port._tape.envelopes.extend(self._tape.envelopes)
+        self.also = port._receive
+        return port
+
+    def finished(self, ordinal: int) -> None:
+        """A message that was delivered here has met its end."""
+        self._open.discard(ordinal)
+        if self._careful:
+            self._tell_seen()
+
+    def finished_up_to(self, ordinal: int) -> bool:
+        """Whether everything up to there has come and met its end."""
+        return self._seen >= ordinal and all(o > ordinal for o in self._open)
+
+    def cut(self) -> EdgeCut:
+        """Hold from now on; where the one that takes over has to begin."""
+        self._tape, self._careful = Tape(self._seen), True
+        self._tell_seen()
+        return self.here()
+
+    def here(self) -> EdgeCut:
+        """How far it has come."""
+        return EdgeCut(self._seen, sorted(self._open), self._sender_epoch)
+
+    def take_over(self, cut: EdgeCut) -> None:
+        """Go on where another instance stopped, with what it has not finished and what came since.
+
+        Until `settle_down` the writer is told that a message was seen only when it is finished: its
+        memory is then still there for the other instance, should this one fail.
+        """
+        tape, self._tape = self._tape or Tape(), None
+        self._seen, self._sender_epoch, self._careful = cut.seen, cut.sender_epoch, True
+        self._account.attached_epoch = self._epoch
+        unfinished = set(cut.unfinished)
+        for envelope in tape.envelopes:
+            if envelope.ordinal >= cut.seen + (envelope.kind != HELLO):
+                self._receive(envelope)
+            elif envelope.ordinal in unfinished:
+                self._hand_on(envelope)
+        self._tell_seen()
+
+    def settle_down(self) -> None:
+        """This instance stays."""
+        self._careful = False
+        self._tell_seen()
+
+    def resume(self, epoch: int, before: Counted) -> Callable[[int], bool]:
+        """Go on after whoever took over has failed; says which ordinals it had finished.
+
+        What it had dropped beyond the last message it finished is judged again, and not counted
+        twice. The caller lets its inbox forget what is done, then has the tape played.
+        """
+        account, done = self._account, self._account.seen
+        tape = self._tape or Tape()
+        self._epoch = account.attached_epoch = epoch
+        again = {o for o in self._open if o > done}
+        again |= {e.ordinal for e in tape.envelopes if e.ordinal > done and e.kind != HELLO}
+        newest = max([done, self._seen, *again])
+        before.refund(account, account.accounted - (newest - len(again)))
+        self._open = {o for o in self._open if o > done}
+        self._seen, self._careful = max(self._seen, done), False
+        return lambda ordinal: ordinal <= done
+
+    def play(self) -> None:
+        """Receive what was held."""
+        tape, self._tape = self._tape or Tape(), None
+        for envelope in tape.envelopes:
+            if envelope.ordinal >= self._seen + (envelope.kind != HELLO):
+                self._receive(envelope)
+        self._tell_seen()
+
+    def _receive(self, envelope: Envelope) -> None:
+        account = self._account
+        fresh = account.attached_epoch != self._epoch or envelope.epoch != self._sender_epoch
+        missing = envelope.ordinal - self._seen - (envelope.kind != HELLO)
+        if missing < 0:
+            account.strays += 1
+            return
+        self._seen = envelope.ordinal
+        if missing:
+            account.settle("lost_in_crash" if fresh else "gap", missing)
+        if fresh:
+            self._sender_epoch = envelope.epoch
+            account.attached_epoch = self._epoch
+        self._hand_on(envelope)
+        self._tell_seen()
+
+    def _hand_on(self, envelope: Envelope) -> None:
+        arrival, fate = self._read(envelope)
+        if arrival is not None:
+            self._open.add(envelope.ordinal)
+            self._deliver(arrival)
+        elif fate:
+            self._account.settle(fate)
+
+    def _tell_seen(self) -> None:
+        careful = self._careful and self._open
+        self._account.seen = min(self._open) - 1 if careful else self._seen
+
+    def _read(self, envelope: Envelope) -> tuple[Arrival | None, str]:
+        """The arrival, or None and which drop it counts as (none for a greeting)."""
+        if envelope.kind == HELLO:
+            return None, ""
+        if envelope.epoch < self._account.writer_epoch:
+            return None, "fenced"
+        if envelope.mark != self._mark:
+            return None, "refused"
+        try:
+            if envelope.kind == NOTHING:
+                header = codec.unpack(Header, envelope.body)
+                return Arrival(header, None, envelope.ordinal), ""
+            fetch = codec.nowhere
+            if envelope.slot is not None:
+                raw = self._pool.take(envelope.slot)
+                if raw is None:
+                    return None, "overwritten"
+                fetch = partial(_cut, self._affordable(raw))
+            message = self._schema.read(envelope.body, fetch)
+        except MessageError:
+            return None, "refused"
+        return Arrival(message.header, message, envelope.ordinal), ""
+
+    def _affordable(self, raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What a tap would pin beyond its share is copied."""
+        if self._tap and self._pool.pinned > TAP_SLOTS:
+            raw = raw.copy()
+            raw.flags.writeable = False
+        return raw
+
+
+def _cut(raw: NDArray[np.uint8], offset: int, nbytes: int) -> NDArray[np.uint8]:
+    if offset + nbytes > raw.nbytes:
+        raise MessageError(f"an array ends at {offset + nbytes} of {raw.nbytes} bytes")
+    return raw[offset : offset + nbytes]

@@ -1,0 +1,276 @@
+"""The writing end of an edge: messages to descriptors.
+
+Big arrays go through the frame pool, small ones inside the descriptor. Readers of the graph on this
+host get it by the short way (`doors`), taps on the output's Zenoh key; subscribers that do
+not share this host's memory get everything on a second key; both only while somebody listens.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pipeline import codec
+from pipeline.bus.doors import Links, Target
+from pipeline.bus.envelope import HELLO, MESSAGE, NOTHING, Envelope
+from pipeline.bus.ledger import EdgeAccount
+from pipeline.bus.pool import DONE, KEPT, SPARE, Lease, PoolWriter, SlotRef
+from pipeline.bus.session import Sender
+from pipeline.errors import MessageError, PoolExhausted
+from pipeline.messages import Header, Message
+
+INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
+INSIST_S = 5.0  # longer than a frozen reader lives
+KNOCK_S = 0.5  # a reader that gives no credit for so long may wait for what was lost on its way
+BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
+
+
+class Arrival(NamedTuple):
+    """What came through an input: a message, or word that there is none for this exposure."""
+
+    header: Header
+    message: Message | None
+    ordinal: int
+
+
+@dataclass(frozen=True)
+class Reader:
+    """An edge as its writer sees it."""
+
+    account: EdgeAccount
+    lossless: bool
+    depth: int
+    edge: int = 0
+    address: Callable[[int], Path] | None = None  # of its door by instance; None: goes by bytes
+
+    def door(self, instance: int) -> list[Target]:
+        """Where an instance of it listens, if it does."""
+        return [(self.edge, self.address(instance))] if self.address and instance else []
+
+    def has_credit(self) -> bool:
+        """Whether one more message finds room; readers that are gone do not count."""
+        account = self.account
+        return not self.lossless or account.in_flight < self.depth or not account.live
+
+    def claim(self, ordinal: int, newest: int) -> int:
+        """What it still wants of a message: KEPT, SPARE or DONE."""
+        account = self.account
+        if not account.live:
+            return SPARE if account.reader_epoch else DONE
+        if account.base + account.seen >= ordinal:
+            return DONE
+        return SPARE if not self.lossless and newest >= ordinal + 2 else KEPT
+
+
+class OutPort:
+    """One output of a node."""
+
+    def __init__(
+        self, message: type[Message], links: Links, taps: Sender, remote: Sender,
+        readers: Sequence[Reader], pool: Callable[[Callable[[int], int]], PoolWriter], epoch: int,
+    ) -> None:  # fmt: skip
+        self._message, self._links = message, links
+        self._taps, self._remote = taps, remote
+        self.readers = tuple(readers)
+        self._epoch = epoch
+        self._ordinal = max((r.account.sent for r in readers), default=0)
+        self._mark = codec.fingerprint(message)
+        self._pool = pool(self._claim)
+        self._leases: list[Lease] = []
+        self._doors = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
+        self._stuck_s = 0.0  # since when there is no credit, or the last knock
+
+    def begin(self, epoch: int) -> None:
+        """Speak for the node from now on, where whoever spoke before stopped."""
+        self._epoch = epoch
+        self._ordinal = max((r.account.base + r.account.sent for r in self.readers), default=0)
+        self._doors = [(0, 0)] * len(self.readers)
+        self._links.aim(())  # a reader takes what comes on its newest link last
+        self._pool.refresh()
+        self.hello()
+
+    def change_readers(self, readers: Sequence[Reader], slots: int) -> None:
+        """Other edges begin here from the next message on; who stays notices nothing."""
+        known = {id(r.account) for r in self.readers}
+        for reader in readers:
+            if id(reader.account) not in known:
+                reader.account.base = self._ordinal
+        self.readers = tuple(readers)
+        self._aim([(r.account.door, r.account.next_door) for r in self.readers])
+        self._pool.resize(slots)
+        self.hello()
+
+    def let_go(self) -> None:
+        """While somebody else speaks: give back the slots that no reader wants any more."""
+        self._pool.let_go()
+
+    def loan(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """Memory in the pool for an array of the next message; raises `PoolExhausted`."""
+        nbytes = math.prod(shape) * np.dtype(dtype).itemsize
+        if nbytes <= INLINE_BYTES:
+            return np.empty(shape, dtype)
+        for lease in self._leases:
+            array = lease.array(shape, dtype)
+            if array is not None:
+                return array
+        lease = self._pool.lease(nbytes)
+        self._leases.append(lease)
+        array = lease.array(shape, dtype)
+        if array is None:
+            raise PoolExhausted(f"{self._message.__name__}: slot of {nbytes} bytes is too small")
+        return array
+
+    def has_credit(self) -> bool:
+        """Whether every lossless reader has room for one more message."""
+        for reader in self.readers:  # noqa: SIM110 - for every message: no generator
+            if not reader.has_credit():
+                return False
+        return True
+
+    def hello(self) -> bool:
+        """Greet readers that have not heard this instance; True when all that live have.
+
+        One without credit is greeted too, now and then: a greeting tells how much was sent.
+        """
+        waiting = [r for r in self.readers if r.account.reader_epoch and not r.account.live]
+        doors = [(r.account.door, r.account.next_door) for r in self.readers]
+        if doors != self._doors:
+            self._aim(doors)
+        if self._links.connect() or waiting or self._stuck():
+            self._send(self._wrap(HELLO, None, None), ())
+        return not waiting
+
+    def send(self, message: Message | None, header: Header) -> None:
+        """Publish a message, or with None the word that there is nothing for this exposure.
+
+        Raises `PoolExhausted` (a slot is not to be had) before anything was counted.
+        """
+        for reader in self.readers:
+            if reader.account.writer_epoch > self._epoch:
+                return  # a successor speaks for this node now
+        if message is None:
+            self.discard()
+            self._count()
+            self._send(self._wrap(NOTHING, None, codec.pack(header)), ())
+            return
+        if type(message) is not self._message:
+            raise MessageError(
+                f"expected {self._message.__name__} to send, got {type(message).__name__}"
+            )
+        lease = self._room_for(message)
+        try:
+            body = codec.pack(message, partial(_place, lease))
+        except MessageError:
+            self.discard()
+            raise
+        if lease is not None:
+            self._leases.remove(lease)
+            self._pool.publish(lease, self._ordinal + 1)
+        self.discard()  # loans of this handler call that went into no message
+        self._count()
+        self._send(self._wrap(MESSAGE, lease.ref() if lease else None, body), (message,))
+        if lease is not None:
+            self._pool.prepare()
+
+    def discard(self) -> None:
+        """Give back loans that were not sent."""
+        for lease in self._leases:
+            self._pool.abandon(lease)
+        self._leases.clear()
+
+    def overrun(self) -> None:
+        """Count an exposure that found no room, and mark the edge that is to blame."""
+        for reader in self.readers:
+            reader.account.overrun += 1
+            if not reader.has_credit():
+                reader.account.broken = 1
+
+    def _stuck(self) -> bool:
+        """Whether it is time to knock."""
+        if self.has_credit():
+            self._stuck_s = 0.0
+            return False
+        now_s = time.monotonic()
+        knock = now_s - (self._stuck_s or now_s) > KNOCK_S
+        if knock or not self._stuck_s:
+            self._stuck_s = now_s
+        return knock
+
+    def _aim(self, doors: list[tuple[int, int]]) -> None:
+        first: list[Target] = []
+        beside: list[Target] = []
+        for reader, (door, next_door) in zip(self.readers, doors, strict=True):
+            first += reader.door(door)
+            beside += reader.door(next_door)
+        self._links.aim(first, beside)
+        self._doors = doors
+
+    def _count(self) -> None:
+        """Before it is sent: killed in between, the message counts as lost, never as sent twice."""
+        self._ordinal += 1
+        for reader in self.readers:
+            reader.account.sent += 1
+
+    def _send(self, payload: bytes, inline: tuple[Message, ...]) -> None:
+        """To the readers; to whoever taps the key; and whole, to whoever shares no memory."""
+        if full := self._links.send(payload):
+            self._insist(payload, full)
+        if self._taps.matching():
+            self._taps.send(payload)
+        if self._remote.matching():
+            whole = [self._wrap(MESSAGE, None, codec.pack(message)) for message in inline]
+            self._remote.send(whole[0] if whole else payload)
+
+    def _insist(self, payload: bytes, full: list[Target]) -> None:
+        """Lossless readers get it even when their socket is full of big small messages."""
+        deadline = time.monotonic() + INSIST_S
+        lossless = {r.edge for r in self.readers if r.lossless}
+        while (full := [t for t in full if t[0] in lossless]) and time.monotonic() < deadline:
+            time.sleep(0.0005)
+            full = self._links.send(payload, full)
+
+    def _wrap(self, kind: int, ref: SlotRef | None, body: Any) -> bytes:
+        return Envelope.render(kind, self._ordinal, self._epoch, self._mark, ref, body)
+
+    def _room_for(self, message: Message) -> Lease | None:
+        """The slot the message was written into, or one for arrays that are elsewhere."""
+        arrays = [a for a in vars(message).values() if isinstance(a, np.ndarray)]
+        big = [a for a in arrays if a.nbytes > INLINE_BYTES]
+        for lease in self._leases:
+            for array in big:
+                if lease.offset_of(array) is not None:
+                    return lease
+        if not big:
+            return None
+        nbytes = sum(a.nbytes + 64 for a in big)
+        lease = self._pool.lease(nbytes)
+        self._leases.append(lease)
+        return lease
+
+    def _claim(self, ordinal: int) -> int:
+        """Of all readers; taps keep no account, so what they might want goes last."""
+        claim = SPARE if self._taps.matching() else DONE
+        for reader in self.readers:
+            claim = min(claim, reader.claim(ordinal, self._ordinal))
+        return claim
+
+
+def _place(lease: Lease | None, array: NDArray[Any]) -> bytes | int:
+    """Where an array of a message goes: it may lie in the slot already."""
+    if lease is None or array.nbytes <= INLINE_BYTES:
+        return array.tobytes()
+    offset = lease.offset_of(array)
+    if offset is None:
+        copy = lease.array(array.shape, array.dtype)
+        if copy is None:
+            return array.tobytes()
+        copy[...] = array
+        offset = lease.offset_of(copy)
+    assert offset is not None
+    return offset

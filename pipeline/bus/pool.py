@@ -1,0 +1,242 @@
+"""Frame pools: arrays shared between processes without a copy, leased by kernel locks.
+
+A pool is one tmpfs file: a header page with a generation counter per slot, then page-aligned slots.
+The writer holds an exclusive open-file-description lock on a slot's byte while it fills it and a
+shared one until its readers had their chance; a reader holds a shared lock while any numpy view of
+the slot lives. The kernel drops the locks of a dead process, so nobody can leak a slot.
+
+A pool never changes its size: bigger messages get a new file, named in their descriptor. The file
+outlives its writer; whoever started the graph removes it.
+"""
+
+import contextlib
+import fcntl
+import math
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pipeline.bus.pool_file import MAX_SLOTS, PoolFile, reuse_or_create
+from pipeline.errors import MessageError, PoolExhausted, RunError
+
+AHEAD_BYTES = 1 << 20
+KEPT, SPARE, DONE = 0, 1, 2  # what readers still want of a slot
+
+
+class SlotRef(NamedTuple):
+    """Where a message's arrays lie; travels in its descriptor."""
+
+    file: str
+    pool_id: int
+    slot: int
+    generation: int
+    nbytes: int
+
+
+class Lease:
+    """A slot being written: numpy memory, then a descriptor. Give it back with `abandon`."""
+
+    def __init__(self, pool: PoolFile, slot: int, generation: int) -> None:
+        self.pool, self.slot, self.generation = pool, slot, generation
+        self.used_bytes = 0
+        self._given: list[tuple[NDArray[Any], int]] = []
+
+    def array(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any] | None:
+        """The next piece of the slot as an array, or None when it does not fit."""
+        kind = np.dtype(dtype)
+        nbytes = math.prod(shape) * kind.itemsize
+        first = -(-self.used_bytes // 64) * 64
+        if first + nbytes > self.pool.slot_bytes:
+            return None
+        self.used_bytes = first + nbytes
+        start = self.pool.start(self.slot) + first
+        memory = self.pool.memory
+        array = np.frombuffer(memory, kind, nbytes // kind.itemsize, start).reshape(shape)
+        self._given.append((array, first))
+        return array
+
+    def offset_of(self, array: NDArray[Any]) -> int | None:
+        """Offset of a contiguous array within this slot; None when it lies elsewhere."""
+        for given, first in self._given:
+            if given is array:
+                return first
+        if not array.flags.c_contiguous:
+            return None
+        address = array.__array_interface__["data"][0]
+        offset = address - self.pool.address - self.pool.start(self.slot)
+        inside = offset >= 0 and offset + array.nbytes <= self.pool.slot_bytes
+        return int(offset) if inside else None
+
+    def ref(self) -> SlotRef:
+        """The descriptor of what was written."""
+        pool = self.pool
+        return SlotRef(pool.name, pool.pool_id, self.slot, self.generation, self.used_bytes)
+
+
+class PoolWriter:
+    """The writing end of one output port.
+
+    `claim` is asked about written slots with the ordinal that `publish` was told: KEPT for readers
+    on their way, SPARE when it may be overwritten, DONE when nobody will come any more. The slot
+    written last is taken first where it is done: the processor still knows the way to its pages,
+    and writing 9 MB takes half the time. Of those to spare it is the oldest.
+    """
+
+    def __init__(self, folder: Path, stem: str, slots: int, claim: Callable[[int], int]) -> None:
+        if not 1 <= slots <= MAX_SLOTS:
+            raise RunError(f"{stem}: expected 1 to {MAX_SLOTS} slots, got {slots}")
+        self._folder, self._stem, self._slots, self._claim = folder, stem, slots, claim
+        self._file: PoolFile | None = None
+        self._held: dict[int, int] = {}  # slot -> ordinal of the message in it
+        self._lent: set[int] = set()
+        self._recent = list(range(slots))  # the slot written last comes first
+        self._ahead: Lease | None = None
+        self._outgrown: list[PoolFile] = []
+        self._kept = 0
+
+    def lease(self, nbytes: int) -> Lease:
+        """A slot of at least `nbytes`; raises `PoolExhausted` when none is free right now."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None and nbytes <= ahead.pool.slot_bytes:
+            return ahead
+        return self._lease(nbytes)
+
+    def prepare(self) -> None:
+        """Lease the next slot while there is time, if one is free: asking for it is then quick.
+
+        Not for big ones: to wait until the newest is done with gains more.
+        """
+        if self._ahead is None and self._file and self._file.slot_bytes <= AHEAD_BYTES:
+            with contextlib.suppress(PoolExhausted):
+                self._ahead = self._lease(0)
+
+    def _lease(self, nbytes: int) -> Lease:
+        if self._file is None or self._file.slot_bytes < nbytes:
+            self._file = reuse_or_create(self._folder, self._stem, self._slots, nbytes)
+            self._held.clear()
+            self._lent.clear()
+        file = self._file
+        for slot in self._candidates():
+            if file.lock(fcntl.F_WRLCK, slot):
+                self._held.pop(slot, None)
+                self._lent.add(slot)
+                generation = file.generations[slot] + 1
+                file.generations[slot] = generation
+                return Lease(file, slot, generation)
+            if slot in self._held:  # a reader is in it: our own shared lock is no longer needed
+                del self._held[slot]
+                file.lock(fcntl.F_UNLCK, slot)
+        raise PoolExhausted(f"{file.path.name}: all {self._slots} slots are leased")
+
+    def _candidates(self) -> Iterator[int]:
+        spare = []
+        for slot in self._recent:
+            if slot in self._lent:
+                continue
+            ordinal = self._held.get(slot)
+            claim = DONE if ordinal is None else self._claim(ordinal)
+            if claim == DONE:
+                yield slot
+            elif claim == SPARE:
+                spare.append(slot)
+        yield from reversed(spare)
+
+    def publish(self, lease: Lease, ordinal: int) -> None:
+        """From now on readers may come; must be called before the descriptor leaves."""
+        lease.pool.lock(fcntl.F_RDLCK, lease.slot)
+        if self._outgrown:
+            self._kept -= 1
+            if self._kept < 0:
+                self._outgrown.clear()
+        if lease.pool is self._file:
+            self._lent.discard(lease.slot)
+            self._held[lease.slot] = ordinal
+            self._recent.remove(lease.slot)
+            self._recent.insert(0, lease.slot)
+
+    def let_go(self) -> None:
+        """While another process writes here: give back every slot that no reader wants."""
+        if self._ahead is not None:
+            self.abandon(self._ahead)
+            self._ahead = None
+        for slot, ordinal in list(self._held.items()):
+            if self._file is not None and self._claim(ordinal) != KEPT:
+                del self._held[slot]
+                self._file.lock(fcntl.F_UNLCK, slot)
+
+    def resize(self, slots: int) -> None:
+        """More slots from the next message on; what was sent from the old file stays readable."""
+        if slots > self._slots and self._file is not None:
+            self._outgrown.append(self._file)  # with the locks it holds
+            self._kept = slots  # messages later every reader has had its chance
+            self._file, self._ahead = None, None
+            self._held.clear()
+            self._lent.clear()
+        self._slots = max(slots, self._slots)
+        self._recent = list(range(self._slots))
+
+    def refresh(self) -> None:
+        """Another process may have outgrown the file meanwhile."""
+        if self._file is not None and not self._file.path.exists():
+            self._file = None
+
+    def abandon(self, lease: Lease) -> None:
+        """The slot is not going to be sent."""
+        lease.pool.lock(fcntl.F_UNLCK, lease.slot)
+        if lease.pool is self._file:
+            self._lent.discard(lease.slot)
+
+
+class PoolReader:
+    """The reading end of one input port: descriptors in, read-only memory out."""
+
+    def __init__(self, folder: Path, stem: str) -> None:
+        self._folder = folder
+        self._name = re.compile(re.escape(stem) + r"\.[0-9a-f]{8}")
+        self._file: PoolFile | None = None
+
+    def take(self, ref: SlotRef) -> NDArray[np.uint8] | None:
+        """The slot's bytes, leased while any view of them lives; None when it was reused.
+
+        Raises `MessageError` when the descriptor does not fit the pool it names.
+        """
+        file = self._file
+        if file is None or file.name != ref.file or file.pool_id != ref.pool_id:
+            file = self._open(ref)
+        if not (0 <= ref.slot < file.slots and 0 <= ref.nbytes <= file.slot_bytes):
+            raise MessageError(f"{ref.file}: no slot {ref.slot} of {ref.nbytes} bytes")
+        if not file.lock(fcntl.F_RDLCK, ref.slot):
+            return None
+        if file.generations[ref.slot] != ref.generation:
+            if not file.views.get(ref.slot):
+                file.lock(fcntl.F_UNLCK, ref.slot)
+            return None
+        bytes_ = np.frombuffer(file.memory, np.uint8, ref.nbytes, file.start(ref.slot))
+        file.hold(ref.slot, bytes_)
+        return bytes_
+
+    @property
+    def pinned(self) -> int:
+        """Slots that views of this reader keep from being reused."""
+        return sum(1 for count in self._file.views.values() if count) if self._file else 0
+
+    def _open(self, ref: SlotRef) -> PoolFile:
+        if self._file is None or self._file.name != ref.file:
+            if not self._name.fullmatch(ref.file):
+                raise MessageError("a descriptor names a file that is no pool of this port")
+            self._file = PoolFile(self._folder / ref.file, writable=False)
+        if self._file.pool_id != ref.pool_id:
+            raise MessageError(f"{ref.file}: expected pool {ref.pool_id}, got another")
+        return self._file
+
+
+def remove_pools(folder: Path, prefix: str) -> int:
+    """Delete every pool whose name begins with `prefix`; the number deleted."""
+    found = list(folder.glob(f"{prefix}*"))
+    for path in found:
+        path.unlink(missing_ok=True)
+    return len(found)

@@ -1,0 +1,63 @@
+"""What an instance that does not speak for its node keeps: descriptors as they came.
+
+A successor holds them until it takes over, a superseded part until its successor has proven itself.
+"""
+
+from collections import deque
+
+import msgspec
+
+from pipeline.bus.envelope import HELLO, Envelope
+from pipeline.bus.ledger import DROPS, EdgeAccount
+
+MOST = 4096  # descriptors
+
+
+class EdgeCut(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+    """Where one instance stopped reading an edge and another begins."""
+
+    seen: int  # the last ordinal it took
+    unfinished: list[int]  # of these the ones that it has not finished
+    sender_epoch: int
+
+
+class Tape:
+    """Descriptors of one edge in order; `heard` is the ordinal after which none is missing."""
+
+    def __init__(self, heard: int | None = None) -> None:
+        self.envelopes: deque[Envelope] = deque(maxlen=MOST)
+        self.heard, self.torn = heard, False
+        self._last, self._epoch = heard or 0, -1
+
+    def add(self, envelope: Envelope) -> None:
+        """Keep one more; before the writer's greeting there is no telling what came before it."""
+        greeting = envelope.kind == HELLO
+        if self.heard is None:
+            if not greeting:
+                return
+            self.heard = envelope.ordinal
+        elif not greeting and envelope.ordinal > self._last + 1 and envelope.epoch == self._epoch:
+            self.torn = True
+        self.torn |= len(self.envelopes) == MOST
+        self._last = max(self._last, envelope.ordinal)
+        self._epoch = envelope.epoch
+        self.envelopes.append(envelope)
+
+    def trim(self, done: int) -> None:
+        """Forget what is finished, up to an ordinal."""
+        while self.envelopes and self.envelopes[0].ordinal <= done:
+            self.envelopes.popleft()
+
+
+class Counted:
+    """What an edge's reader had dropped at some moment."""
+
+    def __init__(self, account: EdgeAccount) -> None:
+        self._drops = {reason: account.dropped(reason) for reason in DROPS}
+
+    def refund(self, account: EdgeAccount, excess: int) -> None:
+        """Take back so many of the drops that were counted since."""
+        for reason, before in self._drops.items():
+            back = min(max(0, excess), account.dropped(reason) - before)
+            account.settle(reason, -back)
+            excess -= back

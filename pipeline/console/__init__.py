@@ -1,0 +1,1 @@
+"""What commands ask of graphs that run, and how it is shown."""

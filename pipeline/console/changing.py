@@ -1,0 +1,48 @@
+"""`fovea set`: asks a node of a running graph to change its live settings, or what they are."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from pipeline.console.asking import ask_node
+from pipeline.errors import RunError
+from pipeline.graph.overlay import read_change
+from pipeline.node.live import CONFIG, Answer, read_answer, write_question
+
+
+@click.command("set")
+@click.argument("graph")
+@click.argument("changes", nargs=-1, required=True, metavar="NODE.SETTING=VALUE… | NODE")
+def set_command(graph: str, changes: tuple[str, ...]) -> None:
+    """Change live settings of a running graph; with a NODE alone, show its settings."""
+    if len(changes) == 1 and "=" not in changes[0]:
+        Console().print(table(ask(graph, changes[0], {})))
+        return
+    wanted: dict[str, dict[str, Any]] = {}
+    for node, setting, value in [read_change(change) for change in changes]:  # all, before any
+        wanted.setdefault(node, {})[setting] = value
+    for node, values in wanted.items():
+        answer = ask(graph, node, values)
+        if answer.refused:
+            raise RunError(answer.refused)
+        for setting in values:
+            click.echo(f"{node}.{setting} = {json.dumps(answer.settings.get(setting))}")
+
+
+def ask(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
+    """A node's answer; raises `RunError` when there is no such node, or none that answers."""
+    return read_answer(ask_node(graph, node, CONFIG, write_question(changes)))
+
+
+def table(answer: Answer) -> Table:
+    """Every setting of a node and whether it can be changed now."""
+    shown = Table()
+    for column in ("setting", "value", "live"):
+        shown.add_column(column)
+    for name, value in answer.settings.items():
+        shown.add_row(name, json.dumps(value), "yes" if name in answer.live else "")
+    return shown

@@ -1,0 +1,143 @@
+"""`fovea swap | add | remove | rewire`: orders to a running graph, and what came of them."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+from pydantic import TypeAdapter
+
+from pipeline.console.watching import find
+from pipeline.errors import GraphError, RunError
+from pipeline.fleet.remote import is_deployed, swap_there
+from pipeline.graph.editing import rewired, with_nodes, without_node
+from pipeline.graph.overlay import read_change
+from pipeline.graph.plan import Plan
+from pipeline.run.desk import COMMAND, Order
+from pipeline.run.rundir import running
+from pipeline.run.swap import SwapOrder
+from pipeline.run.topology import PlanOrder
+from pipeline.run.visiting import visit
+
+PATIENCE_S = 300.0  # loading a model, a shadow run and probation take their time
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("node")
+@click.option("--operator", default="", metavar="MODULE:CLASS", help="Another operator.")
+@click.option("--set", "changes", multiple=True, metavar="SETTING=VALUE")
+@click.option("--defaults", is_flag=True, help="Begin with the operator's own settings.")
+@click.option("--shadow", default=0, type=click.IntRange(0), help="Frames to compare before.")
+@click.option("--at", default=0, type=click.IntRange(0), help="Not before this frame.")
+@click.option("--probation", default=30, type=click.IntRange(1), show_default=True, help="Frames.")
+@click.option("--budget-ms", default=0.0, type=click.FloatRange(0), help="Per frame.")
+def swap(graph: str, node: str, changes: tuple[str, ...], **order: Any) -> None:
+    """Replace a node's operator, settings or model file while the graph runs."""
+    wanted = {}
+    for change in changes:
+        _, setting, value = read_change(f"{node}.{change}")
+        wanted[setting] = value
+    result = tell(graph, SwapOrder(node=node, changes=wanted, **order))
+    for line in swap_lines(result):
+        click.echo(line)
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("file", type=click.Path(path_type=Path))
+def add(graph: str, file: Path) -> None:
+    """Add the nodes of a FILE (`nodes:` as in a graph file) to a running graph."""
+    _replan(graph, lambda plan: with_nodes(plan, file))
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("node")
+def remove(graph: str, node: str) -> None:
+    """Remove a node that nobody reads from a running graph."""
+    _replan(graph, lambda plan: without_node(plan, node))
+
+
+@click.command()
+@click.argument("graph")
+@click.argument("wire", metavar="NODE.INPUT=SOURCE[.OUTPUT]")
+def rewire(graph: str, wire: str) -> None:
+    """Let a node of a running graph read another output."""
+    _replan(graph, lambda plan: rewired(plan, wire))
+
+
+def _replan(graph: str, edit: Callable[[Plan], Plan]) -> None:
+    for line in topology_lines(replan(graph, edit)):
+        click.echo(line)
+
+
+def replan(graph: str, edit: Callable[[Plan], Plan]) -> dict[str, Any]:
+    """Have a running graph become what `edit` makes of its plan; raises `FoveaError`."""
+    if is_deployed(graph) and graph not in running():
+        raise RunError(f"{graph}: runs on several boxes; edit its file and `fovea up --replace`")
+    _, facts = find(graph)
+    wanted = edit(TypeAdapter(Plan).validate_python(facts["plan"]))
+    plain = TypeAdapter(Plan).dump_python(wanted, mode="json")
+    return tell(graph, PlanOrder(plan=plain, revision=facts["revision"]))
+
+
+def topology_lines(result: Mapping[str, Any]) -> list[str]:
+    """What was changed, for a terminal.
+
+    >>> topology_lines({"added": ["eye"], "removed": [], "connected": ["a -> eye.x"], "cut": []})
+    ['added: eye', 'connected: a -> eye.x']
+    """
+    kinds = ("added", "removed", "connected", "cut")
+    return [f"{kind}: {', '.join(result[kind])}" for kind in kinds if result[kind]]
+
+
+def tell(graph: str, order: Order) -> dict[str, Any]:
+    """Give a running graph an order; raises `RunError` or `GraphError` with its reason."""
+    if isinstance(order, SwapOrder) and is_deployed(graph) and graph not in running():
+        return _judged(swap_there(graph, order, PATIENCE_S))
+    name, facts = find(graph)
+    with visit(name, "order") as session:
+        key = f"fovea/{facts['graph']}/{COMMAND}"
+        answer = session.ask(key, msgspec.json.encode(order), PATIENCE_S)
+    if answer is None:
+        raise RunError(f"{name}: no answer for {PATIENCE_S:.0f} s; see `fovea ps`")
+    return _judged(msgspec.json.decode(answer))
+
+
+def _judged(result: dict[str, Any]) -> dict[str, Any]:
+    if refused := result.get("refused"):
+        raise (RunError if result.get("rolled_back") else GraphError)(refused)
+    return result
+
+
+def swap_lines(result: Mapping[str, Any]) -> list[str]:
+    """What a swap came to, for a terminal.
+
+    >>> swap_lines({"node": "a", "hot": True, "seq": 7, "gap_ms": 1.25, "state": "none",
+    ...             "proven_frames": 30})
+    ['a: swapped after frame 7, stood still for 1.2 ms, state none, 30 frames of probation']
+    """
+    cut = f"after frame {result['seq']}" if "seq" in result else "by stopping and starting"
+    words = [
+        f"{result['node']}: swapped {cut}",
+        f"stood still for {result['gap_ms']:.1f} ms",
+        *([f"state {result['state']}"] if "state" in result else []),
+        f"{result['proven_frames']} frames of probation",
+    ]
+    return [", ".join(words), *_shadow_lines(result.get("shadow"))]
+
+
+def _shadow_lines(shadow: Mapping[str, Any] | None) -> list[str]:
+    if not shadow:
+        return []
+    apart = [
+        f"{name} in {d['frames']} by up to {d['most']:.3g}"
+        for name, d in shadow["differences"].items()
+    ]
+    line = (
+        f"shadow: {shadow['frames']} frames, {shadow['identical']} answered alike, "
+        f"{shadow['handler_ms']:.1f} ms each"
+    )
+    return [f"{line}; different: {', '.join(apart)}" if apart else line]

@@ -1,0 +1,112 @@
+"""`fovea run`: a plan, as processes or in line, with a live line; the report comes back."""
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+from pipeline.contract import settings_of
+from pipeline.graph.plan import Node, Plan, load_operator, sources
+from pipeline.run.inline import InlineRunner
+from pipeline.run.report import Report, compose
+from pipeline.run.supervisor import Supervisor
+from pipeline.settings import build
+
+REFRESH_S = 0.25
+
+
+def inline(plan: Plan, frames: int, console: Console) -> Report:
+    """Run in this thread, frame by frame."""
+    columns = (SpinnerColumn(), TextColumn(plan.name), MofNCompleteColumn(), TimeElapsedColumn())
+    with InlineRunner(plan) as runner, Progress(*columns, console=console) as progress:
+        task = progress.add_task(plan.name, total=frames or None)
+        for _seq in runner.run(frames):
+            progress.advance(task)
+        return runner.report()
+
+
+def processes(plan: Plan, frames: int, duration_s: float, console: Console) -> Report:
+    """Run as processes until the source ends, a limit, Ctrl-C or SIGTERM."""
+    with _interruptible() as interrupted, Supervisor(plan, frames=frames) as supervisor:
+        with console.status(f"{plan.name}: starting {len(plan.processes())} processes"):
+            supervisor.start()
+        shown_s = 0.0
+        with Live(console=console, auto_refresh=False, transient=True) as live:
+            while not supervisor.finished and not interrupted.is_set():
+                supervisor.tick()
+                elapsed_s = time.monotonic() - supervisor.started_s
+                if duration_s and elapsed_s >= duration_s:
+                    break
+                if elapsed_s - shown_s >= REFRESH_S and console.is_terminal:
+                    shown_s = elapsed_s
+                    live.update(Text(status_line(supervisor, elapsed_s)), refresh=True)
+        elapsed_s = time.monotonic() - supervisor.started_s
+        supervisor.finish()
+        supervisor.stop()
+        report = compose(
+            supervisor.plan,
+            supervisor.ledger,
+            supervisor.summaries,
+            {name: supervisor.samples(name) for name in supervisor.plan.processes()},
+            duration_s=elapsed_s,
+            restarts=supervisor.restarts,
+        )
+        if supervisor.failure:
+            report["failure"] = supervisor.failure
+        return report
+
+
+def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
+    """One line: how far, how fast, what was lost."""
+    plan, ledger = supervisor.plan, supervisor.ledger
+    source = ledger.nodes[next(sources(plan)).index]
+    loop = source.histograms["loop"].summary()
+    dropped = sum(sum(edge.report()["dropped"].values()) for edge in ledger.edges)
+    broken = [e.end for e in plan.edges if ledger.edges[e.index].broken]
+    parts = [
+        f"{elapsed_s:6.1f} s",
+        f"frame {source.last_seq}",
+        f"loop {loop['p50']:.1f} / {loop['p99']:.1f} ms p50 / p99",
+        f"dropped {dropped}",
+        f"restarts {sum(supervisor.restarts.values())}",
+        *(words for words in supervisor.headlines.values() if words),
+    ]
+    return "  ".join([*parts, *(["broken: " + ", ".join(broken)] if broken else [])])
+
+
+def advice(plan: Plan) -> Iterator[str]:
+    """What a graph's operators have to say about it before it runs (`Operator.advise`)."""
+    for node in plan.nodes:
+        edges = plan.inputs(node.name).values()
+        upstream = {e.input: _settings(plan.node(e.source)) for e in edges}
+        for line in load_operator(node.operator).advise(_settings(node), upstream):
+            yield f"{node.name}: {line}"
+
+
+def _settings(node: Node) -> Any:
+    return build(settings_of(load_operator(node.operator)), node.settings, node.name)
+
+
+@contextmanager
+def _interruptible() -> Iterator[threading.Event]:
+    """Ctrl-C and SIGTERM set the event; a second one interrupts at once."""
+    interrupted = threading.Event()
+
+    def note(_signal: int, _frame: object) -> None:
+        if interrupted.is_set():
+            raise KeyboardInterrupt
+        interrupted.set()
+
+    before = {s: signal.signal(s, note) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield interrupted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

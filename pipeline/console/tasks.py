@@ -1,0 +1,70 @@
+"""`fovea train TASK`, `fovea eval TASK`: a task file names the commands, as a graph its operators.
+
+The shipped tasks lie in graphs/tasks; a path names one of the user's own.
+"""
+
+import sys
+from pathlib import Path
+
+import click
+
+from pipeline.errors import GraphError
+from pipeline.graph.yaml_lines import YamlFile
+from pipeline.import_path import imported
+from pipeline.settings import suggest
+
+SHIPPED = Path(__file__).parents[2] / "graphs" / "tasks"
+VERBS = ("train", "eval")
+
+
+def find(task: str) -> Path:
+    """The file of a task, by name or path; raises `GraphError`."""
+    if task.endswith((".yaml", ".yml")):
+        return Path(task)
+    known = [path.stem for path in sorted(SHIPPED.glob("*.yaml")) if commands_of(path)]
+    if task not in known:
+        raise GraphError(f"no task {task}{suggest(task, known)}; there are {', '.join(known)}")
+    return SHIPPED / f"{task}.yaml"
+
+
+def commands_of(path: Path) -> dict[str, str]:
+    """Import paths of a task file by verb; empty for a YAML file that is none."""
+    document = YamlFile(path).document
+    return {verb: str(document[verb]) for verb in VERBS if verb in document}
+
+
+def command_of(task: str, verb: str) -> click.Command:
+    """The command behind a verb; raises `GraphError` naming the file."""
+    path = find(task)
+    known = commands_of(path)
+    if verb not in known:
+        got = ", ".join(known) or "nothing"
+        raise GraphError(f"{path}: expected {verb}: module:command, got {got}")
+    try:
+        found = imported(known[verb], GraphError, f"{path}: {verb}")
+    except GraphError as error:
+        if verb == "train" and isinstance(error.__cause__, ModuleNotFoundError):
+            raise GraphError(f"{error}; for training: pip install -e '.[train]'") from error
+        raise
+    if not isinstance(found, click.Command):
+        raise GraphError(f"{path}: {verb}: expected a click command, got {known[verb]}")
+    return found
+
+
+def task_command(verb: str, summary: str) -> click.Command:
+    """`fovea VERB TASK …`, which hands everything after TASK on."""
+
+    @click.command(
+        verb, help=summary, context_settings={"ignore_unknown_options": True}, add_help_option=False
+    )
+    @click.argument("task", required=False)
+    @click.argument("words", nargs=-1, type=click.UNPROCESSED)
+    def command(task: str | None, words: tuple[str, ...]) -> None:
+        if task is None or task in ("-h", "--help"):
+            names = [path.stem for path in sorted(SHIPPED.glob("*.yaml")) if commands_of(path)]
+            click.echo(f"fovea {verb} TASK [OPTIONS]: {summary}\ntasks: {', '.join(names)}")
+            return
+        found = command_of(task, verb)
+        sys.exit(found.main(list(words), prog_name=f"fovea {verb} {task}", standalone_mode=False))
+
+    return command

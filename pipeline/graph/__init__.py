@@ -1,0 +1,1 @@
+"""Graph files to plans: loading, overlays, checks, editing, drawing."""

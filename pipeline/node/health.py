@@ -1,0 +1,95 @@
+"""How a node is, from its accounts alone: also one that hangs can be asked, and judged.
+
+Progress is what counts. A node is stalled when it took a message and does not finish it, or when
+nothing of it moves at all; to wait for input, for credit or for a model is no illness.
+"""
+
+import os
+import time
+
+import msgspec
+import psutil
+
+from pipeline import codec
+from pipeline.bus.ledger import Ledger, NodeAccount
+from pipeline.graph.plan import Node, Plan
+
+HEALTH = "@health"  # the key below a node's own that answers
+FROZEN_S = 3.0  # no heartbeat for this long: the process does not run at all
+
+
+class Health(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """What a node says of itself."""
+
+    node: str
+    process: str
+    host: str
+    pid: int
+    epoch: int  # which instance this is
+    state: str
+    complaint: str  # one sentence; empty while all is well
+    handled: int  # messages, by all instances together
+    last_seq: int
+    busy_s: float  # with the message in hand, 0 without one
+    silent_s: float  # since its last heartbeat
+    own_mb: float  # memory of its process that it shares with nobody
+    words: str  # what the operator itself tells
+    waiting: dict[str, int]  # messages under way, by input
+    dropped: dict[str, dict[str, int]]  # by input and reason
+    broken: tuple[str, ...]  # outputs' edges on which a lossless reader lost something
+
+
+_HEALTH = msgspec.msgpack.Decoder(Health)
+
+
+def complaint(node: Node, account: NodeAccount, now_ns: int) -> str:
+    """Why a node must be called stalled, or nothing."""
+    busy_s = (now_ns - account.busy_since_ns) / 1e9
+    silent_s = (now_ns - account.heartbeat_ns) / 1e9
+    if account.condition == "busy" and busy_s > node.stall_s:
+        return f"{node.name} has worked on frame {account.last_seq} for {busy_s:.1f} s"
+    if account.condition in ("waiting", "credit") and silent_s > FROZEN_S:
+        return f"{node.name} gave no sign of life for {silent_s:.1f} s"
+    return ""
+
+
+def examine(plan: Plan, node: Node, ledger: Ledger, words: str = "") -> Health:
+    """The health of a node of this process."""
+    account, now_ns = ledger.nodes[node.index], time.monotonic_ns()
+    ins = {name: ledger.edges[e.index] for name, e in plan.inputs(node.name).items()}
+    outs = [e for e in plan.edges if e.source == node.name and ledger.edges[e.index].broken]
+    busy_ns = now_ns - account.busy_since_ns if account.condition == "busy" else 0
+    return Health(
+        node=node.name,
+        process=node.process,
+        host=node.host,
+        pid=os.getpid(),
+        epoch=account.epoch,
+        state=account.condition,
+        complaint=complaint(node, account, now_ns),
+        handled=account.handled,
+        last_seq=account.last_seq,
+        busy_s=round(busy_ns / 1e9, 3),
+        silent_s=round(max(0, now_ns - account.heartbeat_ns) / 1e9, 3),
+        own_mb=round(own_mb(psutil.Process()), 1),
+        words=words,
+        waiting={name: edge.in_flight for name, edge in ins.items()},
+        dropped={name: edge.report()["dropped"] for name, edge in ins.items()},
+        broken=tuple(e.end for e in outs),
+    )
+
+
+def own_mb(process: psutil.Process) -> float:
+    """Resident megabytes that are not mapped from files: pools and libraries do not count."""
+    memory = process.memory_info()
+    return float(memory.rss - memory.shared) / 1e6
+
+
+def write_health(health: Health) -> bytes:
+    """The bytes of the answer."""
+    return msgspec.msgpack.encode(health)
+
+
+def read_health(answer: bytes) -> Health:
+    """What a node answered; raises `MessageError` for bytes that are none."""
+    return codec.parse(_HEALTH.decode, answer, "not an answer about health")

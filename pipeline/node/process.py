@@ -1,0 +1,266 @@
+"""A node process: a plan on its standard input, operators of one group run until told to stop.
+
+The supervisor speaks over standard input (`go`, `finish`, `stop`, end of file: it died) and hears
+events as JSON lines; everything an operator prints goes to the log.
+"""
+
+import contextlib
+import faulthandler
+import gc
+import importlib
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, TextIO
+
+from pydantic import TypeAdapter
+
+from pipeline import settings as checked
+from pipeline.bus.ledger import Ledger
+from pipeline.bus.session import Session
+from pipeline.contract import Operator, Source, settings_of
+from pipeline.errors import FoveaError
+from pipeline.graph.plan import Node, Plan, load_operator
+from pipeline.node.host import Host
+from pipeline.node.logfile import log_to
+from pipeline.node.place import check_fit
+from pipeline.node.relay import read_cut
+from pipeline.node.source import SourceHost
+from pipeline.node.wiring import Assignment, Wiring
+
+ASIDE_NICENESS = 5  # of processes that no sensor command waits for
+HEADLINE_S = 1.0  # between two looks at what operators have to tell
+FAREWELL_S = 3.0  # after this the process ends whatever an operator does
+log = logging.getLogger(__name__)
+
+
+class Process:
+    """The nodes of one group in this process."""
+
+    def __init__(self, job: Assignment, events: TextIO) -> None:
+        self._job, self._events = job, events
+        self._nodes = [n for n in job.plan.nodes if n.process == job.process]
+        path = Path(job.memory_folder) / f"{job.prefix}ledger"
+        self._ledger = Ledger.open(path)
+        self._hosts: list[Host] = []
+        self._operators: list[Operator[Any, Any]] = []
+        self._session: Session | None = None
+        self._border: Session | None = None
+        self._headlines: dict[str, str] = {}
+        self._wiring: Wiring | None = None
+        self._saying = threading.Lock()
+        self.go = threading.Event()
+        self.failed = False
+
+    def run(self) -> None:
+        """Open everything, run until stopped, close everything."""
+        began_s = time.monotonic()
+        try:
+            self._check()
+            if self._job.trial:
+                return self.say("fits")
+            for node in self._nodes:
+                if not self._job.standby:
+                    account = self._ledger.nodes[node.index]
+                    account.epoch = self._job.epochs[node.name]
+                    account.enter("starting")
+                self._operators.append(self._make(node))
+                self._operators[-1].open()
+            loaded_s = time.monotonic()
+            instance = f"{self._job.process}.{max(self._job.epochs.values())}"
+            self._session = Session(Path(self._job.run_folder), instance)
+            if self._job.network is not None:
+                self._border = Session.across(self._job.network)
+            self._wiring = Wiring(self._job, self._session, self._ledger, self.say, self._border)
+            self._hosts = [
+                self._wiring.host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
+            ]
+            gc.collect()
+            gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
+            self.say("ready", load_s=loaded_s - began_s)
+            self._run_hosts()
+        except Exception as error:
+            self._report(error)
+        finally:
+            self._close()
+
+    def _check(self) -> None:
+        """A part that is new in a running graph has to fit before anything is opened."""
+        for node in self._nodes:
+            if place := self._job.places.get(node.name):
+                check_fit(self._job.plan, node, place)
+                self._make(node)
+
+    def stop(self) -> None:
+        """Let every host return."""
+        self.go.set()
+        for host in self._hosts:
+            host.stop()
+
+    def finish(self) -> None:
+        """Sources make no more frames."""
+        for host in self._hosts:
+            if isinstance(host, SourceHost):
+                host.end()
+
+    def say(self, event: str, **more: Any) -> None:
+        """Tell the supervisor."""
+        line = json.dumps({"event": event, **more}) + "\n"
+        with self._saying:
+            self._events.write(line)
+            self._events.flush()
+
+    def do(self, order: Mapping[str, Any]) -> None:
+        """What the supervisor wants of one node, done between two calls of its handlers."""
+        kind, node = order.get("do"), str(order.get("node"))
+        host = next((h for h in self._hosts if h.name == node), None)
+        if host is not None and kind == "replan" and self._wiring is not None:
+            plan = TypeAdapter(Plan).validate_python(order["plan"])
+            host.between(partial(self._wiring.replan, node, plan), must=True)
+            return
+        relay = self._wiring.relays.get(node) if self._wiring else None
+        if host is None or relay is None:
+            log.error("%s: cannot %s %s", self._job.process, kind, node)
+        elif kind == "cut":
+            host.between(partial(relay.want, read_cut(order["cut"])), must=True)
+        elif kind == "uncut":
+            host.between(partial(relay.want, None), must=True)
+        elif kind == "resume":
+            host.between(partial(relay.resume, int(order["epoch"])), must=True)
+        elif kind == "settle":
+            host.between(relay.settle_down, must=True)
+
+    def _make(self, node: Node) -> Operator[Any, Any]:
+        cls = load_operator(node.operator)
+        operator = cls(checked.build(settings_of(cls), self._job.settings(node), node.name))
+        if isinstance(operator, Source):
+            operator.realtime = self._job.plan.clock == "realtime"
+        return operator
+
+    def _run_hosts(self) -> None:
+        threads = [
+            threading.Thread(target=self._guard, args=(host,), name=host.name)
+            for host in self._hosts
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            while thread.is_alive():
+                thread.join(HEADLINE_S)
+                self._tell_headlines()
+
+    def _tell_headlines(self) -> None:
+        for node, operator in zip(self._nodes, self._operators, strict=True):
+            words = operator.headline()
+            if words != self._headlines.get(node.name, ""):
+                self._headlines[node.name] = words
+                self.say("headline", node=node.name, words=words)
+
+    def _guard(self, host: Host) -> None:
+        try:
+            if isinstance(host, SourceHost):
+                host.on_finished = lambda: self.say("finished", node=host.name)
+                while not self.go.is_set():
+                    host.attend()
+            host.run()
+        except Exception as error:
+            self._report(error)
+            self.stop()
+
+    def _report(self, error: Exception) -> None:
+        self.failed = True
+        traceback.print_exc()
+        expected = isinstance(error, FoveaError)
+        said = str(error) if expected else f"{type(error).__name__}: {error}"
+        self.say("failed", error=said, expected=expected)
+
+    def _close(self) -> None:
+        for node, operator in zip(self._nodes, self._operators, strict=False):
+            try:
+                self.say("summary", node=node.name, figures=_plain(operator.summary()))
+                operator.close()
+            except Exception as error:
+                self._report(error)
+        if not self._job.standby and not self._hosts:
+            for node in self._nodes:
+                self._ledger.nodes[node.index].enter("stopped")
+        for host in self._hosts:
+            host.account.enter("stopped")
+            if isinstance(host, SourceHost):
+                self.say("summary", node=host.name, figures=host.figures())
+        if self._wiring is not None:
+            self._wiring.close()
+        for session in (self._session, self._border):
+            if session is not None:
+                session.close()
+
+
+def main() -> None:
+    """Read an assignment, do it, leave with 0 or 1."""
+    events = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # whatever an operator prints belongs into the log
+    loader = threading.Thread(target=_import_ahead, args=(sys.argv[2:],))
+    loader.start()
+    loader.join()
+    events.write('{"event": "idle"}\n')
+    events.flush()
+    line = sys.stdin.readline()
+    if not line:
+        os._exit(0)  # a spare that was not needed
+    job = TypeAdapter(Assignment).validate_json(line)
+    log_to(Path(job.run_folder) / f"{job.process}.log", fresh=max(job.epochs.values()) == 1)
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    faulthandler.register(signal.SIGUSR1)  # the supervisor asks before it kills a stalled node
+    sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
+    path = job.plan.command_path()
+    if path and not any(n.name in path for n in job.plan.nodes if n.process == job.process):
+        os.nice(ASIDE_NICENESS)
+    process = Process(job, events)
+    threading.Thread(target=_obey, args=(process,), daemon=True).start()
+    process.run()
+    events.close()
+    os._exit(1 if process.failed else 0)  # Zenoh's threads would keep the interpreter waiting
+
+
+def _import_ahead(modules: Iterable[str]) -> None:
+    """Load what a restarted operator will need; who fails here will say so when it is used.
+
+    On Linux niceness belongs to a thread: the graph that runs keeps its cores meanwhile.
+    """
+    os.nice(ASIDE_NICENESS)
+    for module in modules:
+        with contextlib.suppress(Exception):
+            importlib.import_module(module)
+
+
+def _obey(process: Process) -> None:
+    for line in sys.stdin:
+        word = line.strip()
+        if word == "go":
+            process.go.set()
+        elif word == "finish":
+            process.finish()
+        elif word == "stop":
+            break
+        elif word.startswith("{"):
+            process.do(json.loads(word))
+    process.stop()
+    threading.Event().wait(FAREWELL_S)
+    os._exit(2)
+
+
+def _plain(figures: Mapping[str, Any]) -> dict[str, Any]:
+    plain: dict[str, Any] = json.loads(json.dumps(dict(figures)))
+    return plain
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,282 @@
+"""Hands a running node from one process to another: one stops, the other goes on from there.
+
+The successor stands by at a door of its own: writers send to both, it keeps what comes. Between two
+calls of handlers the old part stops reading, writes its state to shared memory and tells the
+successor how far it came on every edge; the successor takes what was not finished and what came
+since. The old part keeps receiving until its successor has proven itself, and can go on instead.
+"""
+
+import dataclasses
+import queue
+import time
+import types
+import typing
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol, Union
+
+import msgspec
+
+from pipeline import codec
+from pipeline.bus.doors import Doors, connected
+from pipeline.bus.inbox import Marks
+from pipeline.bus.ledger import NodeAccount, private_ledger
+from pipeline.bus.tape import Counted, EdgeCut
+from pipeline.contract import Operator
+from pipeline.errors import FoveaError, MessageError, RunError
+from pipeline.node.host import Host
+from pipeline.node.shadow import Heard, Shadow
+
+BATON = 0xFFFFFFFF  # the "edge" on which a successor is told to go on
+REST_S = 0.005
+MARGIN = 64  # descriptors kept beyond what the other instance can have waiting
+Say = Callable[..., None]
+Listen = Callable[[Heard], Callable[[], None]]  # to the working part's outputs; how to stop
+
+
+class Baton(msgspec.Struct, forbid_unknown_fields=True):
+    """What the successor has to know."""
+
+    edges: dict[str, EdgeCut]  # by input
+    marks: Marks
+    stopped_ns: int  # monotonic
+    state: str  # file in the memory folder, "" for none
+    shadow: int = 0  # frames to try before; the other works on
+
+
+_READ = msgspec.msgpack.Decoder(Baton)
+
+
+class Cut(msgspec.Struct, forbid_unknown_fields=True):
+    """The order to stop: at frame `at` or later, once everything the successor lacks is done."""
+
+    door: str  # of the successor
+    heard: dict[str, int]  # by input: it lacks what came up to this ordinal
+    at: int = 0
+    shadow: int = 0  # frames: do not stop, only say how far it is
+
+
+class Voice(Protocol):
+    """The node's answers to questions, which only the instance that works may give."""
+
+    def raise_(self) -> None:
+        """Answer from now on."""
+        ...
+
+    def lower(self) -> None:
+        """Answer no more."""
+        ...
+
+
+class Relay:
+    """One instance's side. Everything happens on the thread that calls its handlers."""
+
+    def __init__(
+        self, host: Host, *, memory: Path, stem: str, say: Say, voice: Voice, listen: Listen,
+        standby: bool,
+    ) -> None:  # fmt: skip
+        self._host, self._memory, self._stem = host, memory, stem
+        self._say, self._voice, self._listen = say, voice, listen
+        self._shadow: Shadow | None = None
+        self._unlisten: Callable[[], None] = lambda: None
+        self._account = host.account
+        self.at_rest = self._standby = standby
+        self._told = False
+        self._wanted: Cut | None = None
+        self._before: dict[str, Counted] = {}
+        self._baton = b""
+        if standby:
+            host.account = _nowhere()
+
+    def rest(self, doors: Doors) -> None:
+        """Keep what comes, for a moment; take over when told to."""
+        ports = self._host.ports
+        for name, port in ports.items():
+            seen = self._host.edges[name].seen
+            if port.tape is not None:
+                back = self._host.inbox.capacity + MARGIN if self._standby else 0
+                port.tape.trim(seen - back)
+        if not self._standby:
+            for out in self._host.outs.values():
+                out.let_go()
+        elif not self._told and all(p.tape and p.tape.heard is not None for p in ports.values()):
+            self._told = True
+            heard = {name: port.tape.heard for name, port in ports.items() if port.tape}
+            self._say("standing", node=self._host.name, heard=heard)
+        doors.wait(REST_S)
+        if self._shadow is not None:
+            self._try(self._shadow)
+        if self._baton:
+            baton, self._baton = _READ.decode(self._baton), b""
+            if baton.shadow:
+                self._begin_trial(baton)
+            else:
+                self._take_over(baton)
+
+    def receive(self, baton: bytes) -> None:
+        """Called at the door: it is this instance's turn."""
+        self._baton = baton
+
+    def want(self, cut: Cut | None) -> None:
+        """Stop as soon as may be; with None, go on after all."""
+        self._wanted = cut
+
+    def look(self) -> None:
+        """Between two calls of handlers."""
+        if self._wanted is not None and self._may_stop(self._wanted):
+            cut, self._wanted = self._wanted, None
+            try:
+                self._stop(cut)
+            except (FoveaError, OSError) as error:
+                if self.at_rest:
+                    self.resume(self._host.epoch)
+                self._say("uncut", node=self._host.name, reason=str(error))
+
+    def resume(self, epoch: int) -> None:
+        """Go on after all, after what the successor has finished."""
+        if not self.at_rest:
+            return
+        host = self._host
+        self._begin(epoch)
+        done = {name: p.resume(epoch, self._before[name]) for name, p in host.ports.items()}
+        host.inbox.forget(lambda name, ordinal: done[name](ordinal))
+        for port in host.ports.values():
+            port.play()
+        self._speak()
+        self._say("resumed", node=host.name)
+
+    def settle_down(self) -> None:
+        """The other instance is not needed any more."""
+        for port in self._host.ports.values():
+            port.settle_down()
+
+    def _may_stop(self, cut: Cut) -> bool:
+        if self._account.last_seq + 1 < cut.at:
+            return False
+        ports = self._host.ports
+        return all(ports[name].finished_up_to(heard) for name, heard in cut.heard.items())
+
+    def _stop(self, cut: Cut) -> None:
+        host = self._host
+        state = self._write_state()
+        link = connected(BATON, Path(cut.door))
+        if link is None:
+            raise RunError(f"{host.name}: the successor has closed its door")
+        if cut.shadow:
+            with link:
+                edges = {name: port.here() for name, port in host.ports.items()}
+                baton = Baton(edges, host.inbox.marks(), 0, state, cut.shadow)
+                link.send(msgspec.msgpack.encode(baton))
+            return
+        self._before = {name: Counted(account) for name, account in host.edges.items()}
+        marks = host.inbox.marks()
+        edges = {name: port.cut() for name, port in host.ports.items()}
+        self.at_rest, host.account = True, _nowhere()
+        with link:
+            for out in host.outs.values():
+                out.let_go()
+            link.send(msgspec.msgpack.encode(Baton(edges, marks, time.monotonic_ns(), state)))
+        self._say("cut", node=host.name, seq=int(self._account.last_seq))
+        self._voice.lower()
+
+    def _take_over(self, baton: Baton) -> None:
+        host = self._host
+        self._end_trial()
+        for name, port in host.ports.items():
+            if port.tape is None or port.tape.torn:
+                raise RunError(f"{host.name}: the successor fell behind on {name}")
+        state = self._read_state(baton.state)
+        host.inbox.go_on_from(baton.marks)
+        self._begin(host.epoch)
+        for name, port in host.ports.items():
+            port.take_over(baton.edges[name])
+        gap_ms = (time.monotonic_ns() - baton.stopped_ns) / 1e6
+        self._say(
+            "taken", node=host.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state
+        )
+        self._speak()
+
+    def _begin_trial(self, baton: Baton) -> None:
+        """Answer the same frames as the working part, and send nothing."""
+        heard: Heard = queue.SimpleQueue()
+        self._read_state(baton.state)
+        self._unlisten = self._listen(heard)
+        self._shadow = Shadow(self._host, baton.marks, baton.edges, heard, baton.shadow)
+
+    def _try(self, shadow: Shadow) -> None:
+        shadow.step()
+        if shadow.done:
+            self._end_trial()
+
+    def _end_trial(self) -> None:
+        if self._shadow is not None:
+            self._say("shadowed", node=self._host.name, **self._shadow.end())
+            self._unlisten()
+            self._shadow = None
+
+    def _begin(self, epoch: int) -> None:
+        host = self._host
+        host.epoch, host.account = epoch, self._account
+        host.account.epoch = epoch
+        host.alive("waiting")
+        for out in host.outs.values():
+            out.begin(epoch)
+
+    def _speak(self) -> None:
+        self.at_rest = self._standby = False
+        self._voice.raise_()
+
+    def _write_state(self) -> str:
+        state = self._host.operator.state()
+        if state is None:
+            return ""
+        name = f"{self._stem}.{self._host.epoch}.state"
+        (self._memory / name).write_bytes(codec.dumps(state))
+        return name
+
+    def _read_state(self, name: str) -> str:
+        """Give the operator its predecessor's state; what came of it, in words."""
+        if not name:
+            return "none"
+        if "/" in name or not name.startswith(self._stem):
+            raise MessageError(f"{self._host.name}: the state lies in a file that is not its own")
+        path = self._memory / name
+        try:
+            return restore(self._host.operator, path.read_bytes())
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def restore(operator: Operator[Any, Any], data: bytes) -> str:
+    """Let an operator take over another's state; `begins anew` when it is not of its kind.
+
+    Raises `FoveaError` when the operator itself refuses it.
+    """
+    kind = state_type(type(operator))
+    if kind is None:
+        return "begins anew: it declares no state"
+    try:
+        state = codec.loads(kind, data)
+    except MessageError as error:
+        return f"begins anew: {error}"
+    operator.restore(state)
+    return "carried over"
+
+
+def state_type(operator: type[Operator[Any, Any]]) -> type[Any] | None:
+    """The dataclass that `state` promises to return; None when it promises none."""
+    hint = typing.get_type_hints(operator.state).get("return")
+    union = typing.get_origin(hint) in (Union, types.UnionType)
+    options = typing.get_args(hint) if union else (hint,)
+    found = [o for o in options if isinstance(o, type) and dataclasses.is_dataclass(o)]
+    return found[0] if len(found) == 1 else None
+
+
+def read_cut(order: Mapping[str, Any]) -> Cut:
+    """The order as it came; raises `MessageError`."""
+    return codec.parse(lambda o: msgspec.convert(o, Cut), order, "not an order to stop")  # type: ignore[arg-type]
+
+
+def _nowhere() -> NodeAccount:
+    """The account of an instance that does not work."""
+    return private_ledger(0, 1).nodes[0]

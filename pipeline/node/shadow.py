@@ -1,0 +1,135 @@
+"""A successor's trial on the frames that the working part answers: answers compared, none sent.
+
+It begins with the other's state, so that equal parts give equal answers. What it reads it copies
+where it would hold up the writers.
+"""
+
+import queue
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pipeline.bus.inbox import Inbox, Marks, Work
+from pipeline.bus.outport import Arrival
+from pipeline.bus.tape import EdgeCut
+from pipeline.contract import handler_of, joined
+from pipeline.messages import Message
+from pipeline.node.host import Host
+
+MOST_WAITING = 64  # answers of either side whose counterpart has not come
+
+Heard = queue.SimpleQueue[tuple[str, Arrival]]  # output, what the working part sent there
+
+
+class Difference(msgspec.Struct):
+    """How a field of the answers differed."""
+
+    frames: int = 0
+    most: float = 0.0  # of numbers in arrays of equal shape
+
+
+class Shadow:
+    """Calls the handlers of a host's operator, in the host's thread, for so many frames."""
+
+    def __init__(
+        self, host: Host, marks: Marks, edges: Mapping[str, EdgeCut], heard: Heard, frames: int
+    ) -> None:
+        self._host, self._heard, self._wanted = host, heard, frames
+        self._inbox = Inbox(host.inbox.inputs, lambda *_: None, lockstep=host.lockstep)
+        self._inbox.go_on_from(marks)
+        self._mine: dict[tuple[str, int], Message | None] = {}
+        self._theirs: dict[tuple[str, int], Message | None] = {}
+        self._times_ms: list[float] = []
+        self.frames = self.identical = 0
+        self.differences: dict[str, Difference] = {}
+        self._loan = host.operator._loan
+        host.operator._loan = lambda _output, shape, dtype: np.empty(shape, dtype)
+        self._ports = [port.shadow(self._deliver(name)) for name, port in host.ports.items()]
+        for port, cut in zip(self._ports, (edges[name] for name in host.ports), strict=True):
+            port.take_over(cut)
+
+    @property
+    def done(self) -> bool:
+        """Whether enough was compared."""
+        return self.frames >= self._wanted
+
+    def step(self) -> None:
+        """Handle what has come, compare what both have answered."""
+        while (work := self._inbox.take(time.monotonic_ns())) is not None:
+            self._handle(work)
+        while not self._heard.empty():
+            output, arrival = self._heard.get()
+            self._theirs[output, arrival.header.seq] = arrival.message
+        for key in sorted(self._mine.keys() & self._theirs.keys()):
+            if not self.done:
+                self._compare(self._mine[key], self._theirs[key])
+            del self._mine[key], self._theirs[key]
+        for side in (self._mine, self._theirs):
+            while len(side) > MOST_WAITING:
+                del side[next(iter(side))]
+
+    def end(self) -> dict[str, Any]:
+        """Let go of everything; the figures."""
+        self._host.operator._loan = self._loan
+        for port in self._host.ports.values():
+            port.also = None
+        return {
+            "frames": self.frames,
+            "identical": self.identical,
+            "differences": msgspec.to_builtins(self.differences),
+            "handler_ms": round(float(np.median(self._times_ms)), 3) if self._times_ms else 0.0,
+        }
+
+    def _deliver(self, name: str) -> Callable[[Arrival], None]:
+        return lambda arrival: self._inbox.offer(name, arrival, time.monotonic_ns())
+
+    def _handle(self, work: Work) -> None:
+        operator, begun = self._host.operator, time.monotonic()
+        if work.new_stream:
+            operator.on_stream(work.header)
+        side = not set(joined(type(operator))).issuperset(work.messages)
+        answers: Mapping[str, Message | None] = dict.fromkeys(self._host.outs)
+        if work.answer:
+            given = handler_of(operator, tuple(work.messages))(**work.messages)
+            if side:
+                return
+            answers = self._host.answers(given)
+        if not side:
+            self._times_ms.append(1000 * (time.monotonic() - begun))
+            for output in self._host.outs:
+                self._mine[output, work.header.seq] = answers.get(output)
+
+    def _compare(self, mine: Message | None, theirs: Message | None) -> None:
+        self.frames += 1
+        found = differences(mine, theirs)
+        self.identical += not found
+        for name, most in found.items():
+            known = self.differences.setdefault(name, Difference())
+            known.frames += 1
+            known.most = max(known.most, most)
+
+
+def differences(mine: Message | None, theirs: Message | None) -> dict[str, float]:
+    """The fields in which two answers differ, and by how much where both are equal arrays in shape.
+
+    Headers do not count. `answer` stands for one side's having none.
+    """
+    if mine is None or theirs is None:
+        return {} if mine is theirs else {"answer": 0.0}
+    found = {}
+    for name in (f.name for f in fields(mine) if f.name != "header"):
+        a, b = getattr(mine, name), getattr(theirs, name)
+        if not isinstance(a, np.ndarray):
+            if a != b:
+                found[name] = 0.0
+        elif a.shape != b.shape or a.dtype.kind not in "iuf":
+            if not np.array_equal(a, b):
+                found[name] = 0.0
+        elif not np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
+            apart = np.abs(a.astype(np.float64) - b.astype(np.float64))
+            found[name] = float(np.nanmax(apart)) if np.isfinite(apart).any() else 0.0
+    return found

@@ -1,0 +1,163 @@
+"""Runs an operator that makes frames: at its own rate, or one frame per answered frame.
+
+Sensor commands come in on a thread of their own, so that one arriving during an exposure is
+accepted at once. The latency of the loop ends here: picture ready -> command accepted.
+"""
+
+import hashlib
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pipeline.bus.clocks import ALONE
+from pipeline.bus.inbox import Work
+from pipeline.bus.outport import OutPort
+from pipeline.contract import Source, handler_of
+from pipeline.errors import PoolExhausted
+from pipeline.messages import Header, Message, Span, altered, stamped
+from pipeline.node.host import IDLE_S, WAIT_EVERY, Host
+
+DRAIN_S = 0.0001
+
+
+class SourceHost(Host):
+    """A host whose operator produces. `limit` exposures at most, 0: until the source ends."""
+
+    def __init__(self, *args: Any, drained: Callable[[], bool], limit: int, **kw: Any) -> None:
+        super().__init__(*args, **kw)
+        self._drained, self._limit = drained, limit
+        self._ending = threading.Event()
+        self.on_finished: Callable[[], None] = lambda: None
+        self.commands = hashlib.sha256()
+
+    def run(self) -> None:
+        """Expose until the source ends, the limit is reached or `stop` is called."""
+        source = self.operator
+        assert isinstance(source, Source)
+        commands = threading.Thread(target=self._command_loop, name=f"{self.name}-commands")
+        commands.start()
+        self.alive("waiting")
+        exposures = 0
+        try:
+            while not self._ending.is_set() and (not self._limit or exposures < self._limit):
+                self.greet()
+                self.do_asked()
+                if self.lockstep and not self._await_answer():
+                    break
+                if not self._expose(source):
+                    break
+                exposures += 1
+            self.account.enter("finished")
+            self.on_finished()
+            while not self.stopping.wait(0.2):
+                self.greet()
+                self.account.heartbeat_ns = time.monotonic_ns()
+                self.do_asked()
+        finally:
+            self.stopping.set()
+            commands.join()
+
+    def end(self) -> None:
+        """Make no more frames, but go on accepting commands until stopped."""
+        self._ending.set()
+
+    def stop(self) -> None:
+        """Let `run` return after the exposure in hand."""
+        self._ending.set()
+        super().stop()
+
+    def figures(self) -> dict[str, Any]:
+        """What the report says of the commands that came."""
+        return {"schedule_sha256": self.commands.hexdigest()}
+
+    def _expose(self, source: Source[Any, Any]) -> bool:
+        begun = time.monotonic_ns()
+        self.busy(begun, int(self.account.last_seq))
+        try:
+            frames = source.produce()
+            if frames is None:
+                return False
+            self._send(frames, begun)
+        except PoolExhausted:
+            for port in self.outs.values():
+                port.discard()
+                port.overrun()
+        self.idle()
+        return True
+
+    def _send(self, frames: Any, begun_ns: int) -> None:
+        header = next(iter(frames.values())).header
+        if not self.lockstep and not self.has_credit():
+            raise PoolExhausted(f"{self.name}: a lossless reader has no room")
+        ended = time.monotonic_ns()
+        ready = max(begun_ns, header.stamp_ns)  # before it, the source waited for the world
+        span = Span(
+            stage=self.name, received_ns=header.stamp_ns, done_ns=ended, handler_ns=ended - ready,
+            wait_ns=0,
+        )  # fmt: skip
+        leaving = stamped(header, epoch=self.epoch, span=span)
+        if self.clocks.own != ALONE:  # the other hosts have to know whose time it is
+            leaving = altered(leaving, clock=self.clocks.own)
+        if self.lockstep:
+            self.await_credit()
+        self.send_all(frames, leaving)
+        self.account.last_seq = header.seq
+        self.account.histograms["handler"].add(ended - ready)
+
+    def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """In real time an exposure cannot wait for memory."""
+        return super().lend(port, shape, dtype) if self.lockstep else port.loan(shape, dtype)
+
+    def patiently(self, act: Callable[[], Any]) -> Any:
+        """Likewise: what finds no slot is an overrun."""
+        return super().patiently(act) if self.lockstep else act()
+
+    def _await_answer(self) -> bool:
+        """Lockstep: wait until the graph has dealt with everything that was sent."""
+        while not self._drained():
+            self.account.heartbeat_ns = time.monotonic_ns()
+            if self.stopping.wait(DRAIN_S):
+                return False
+            self.greet()
+        return True
+
+    def _command_loop(self) -> None:
+        while not self.stopping.is_set():
+            if (work := self.next_work(IDLE_S)) is not None:
+                self._accept(work)
+
+    def _accept(self, work: Work) -> None:
+        begun = time.monotonic_ns()
+        waited = self._take_arrived_wait()
+        ((name, message),) = work.messages.items()
+        if message is not None:
+            handler_of(self.operator, (name,))(message)
+            accepted = time.monotonic_ns()
+            fold(self.commands, message)
+            self._count_loop(message.header, accepted, accepted - begun, waited)
+        self._count_age(name, work.header, begun)
+        self.settle(name, "delivered", work.arrived[name])
+
+    def _count_loop(self, header: Header, now_ns: int, handler_ns: int, waited_ns: int) -> None:
+        latency = now_ns - header.stamp_ns
+        self.account.histograms["loop"].add(latency)
+        if header.seq % WAIT_EVERY:
+            return
+        handlers = handler_ns + sum(span.handler_ns for span in header.trace)
+        waited = waited_ns + sum(span.wait_ns for span in header.trace)
+        histograms = self.account.histograms
+        histograms["cpu_wait"].add(waited)
+        histograms["overhead"].add(max(0, latency - handlers - waited))
+
+
+def fold(digest: Any, message: Message) -> None:
+    """Add what a command says, but not when it said it, to a running hash."""
+    digest.update(message.header.seq.to_bytes(8, "little", signed=True))
+    for name, value in vars(message).items():
+        if name != "header":
+            plain = value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode()
+            digest.update(name.encode() + plain)

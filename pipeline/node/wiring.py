@@ -1,0 +1,284 @@
+"""Connects the operators of a process: a plan's nodes and edges to hosts, ports, doors and keys."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pipeline.bus.clocks import Clocks
+from pipeline.bus.doors import Doors, Links
+from pipeline.bus.inport import InPort
+from pipeline.bus.ledger import Ledger, private_ledger
+from pipeline.bus.network import Network
+from pipeline.bus.outport import BYTES_SUFFIX, Arrival, OutPort, Reader
+from pipeline.bus.pool import PoolReader, PoolWriter
+from pipeline.bus.session import Sender, Session
+from pipeline.contract import Input, Operator, Source, outputs_of
+from pipeline.graph.plan import Edge, Node, Plan, inputs_for, slots
+from pipeline.node.answers import Answers
+from pipeline.node.host import Host
+from pipeline.node.live import Live, kept
+from pipeline.node.place import Place
+from pipeline.node.relay import BATON, Relay, Say
+from pipeline.node.shadow import MOST_WAITING, Heard
+from pipeline.node.source import SourceHost
+
+CLOCKS = "clocks"  # the file in the run's folder that tells what other hosts' clocks show
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assignment:
+    """What the supervisor gives a process to do."""
+
+    plan: Plan
+    process: str
+    run_folder: str
+    memory_folder: str
+    prefix: str  # of every file of this run in the memory folder
+    epochs: dict[str, int]  # by node
+    frames: int = 0
+    network: Network | None = None  # to the nodes on other hosts, where an edge leads there
+    standby: bool = False  # another instance works until this one is told to take over
+    trial: bool = False  # only say whether operators and settings fit, and leave
+    places: dict[str, Place] = field(default_factory=dict)  # to be checked before it starts
+
+    def kept_in(self, node: Node) -> Path:
+        """The file of settings that were changed while the node ran."""
+        return Path(self.run_folder) / f"{node.name}.live"
+
+    def settings(self, node: Node) -> dict[str, Any]:
+        """What the graph says, and what a predecessor was told since."""
+        return {**node.settings, **kept(self.kept_in(node))}
+
+    def door(self, node: str, instance: int) -> Path:
+        """Where an instance of a node receives."""
+        return Path(self.run_folder) / f"{node}.{instance}.door"
+
+
+class Wiring:
+    """What a process holds of its graph; `close` gives everything back."""
+
+    def __init__(
+        self, job: Assignment, session: Session, ledger: Ledger, say: Say,
+        border: Session | None = None,
+    ) -> None:  # fmt: skip
+        self._job, self._session, self._ledger, self._say = job, session, ledger, say
+        self._border = border  # the session with other hosts
+        self._clocks = clocks_of(job)
+        self._memory = Path(job.memory_folder)
+        self._doors: list[Doors] = []
+        self._links: list[Links] = []
+        self._stops: list[Any] = []
+        self.relays: dict[str, Relay] = {}
+        self._running: dict[str, tuple[Host, Doors, Answers]] = {}
+
+    def close(self) -> None:
+        """Stop listening and close every socket."""
+        for stop in self._stops:
+            stop()
+        for links in self._links:
+            links.close()
+        for doors in self._doors:
+            doors.close()
+
+    def host(self, node: Node, operator: Operator[Any, Any]) -> Host:
+        """The host of an operator, its doors open and its ports connected."""
+        job, plan = self._job, self._job.plan
+        edges = plan.inputs(node.name)
+        doors = Doors(job.door(node.name, job.epochs[node.name]))
+        self._doors.append(doors)
+        outs = {
+            name: self._out_port(node, name, message)
+            for name, message in outputs_of(type(operator)).items()
+        }
+        common: dict[str, Any] = {
+            "inputs": inputs_for(plan, node),
+            "edges": {name: self._ledger.edges[e.index] for name, e in edges.items()},
+            "outs": outs,
+            "doors": doors,
+            "account": self._ledger.nodes[node.index],
+            "lockstep": plan.clock == "lockstep",
+            "epoch": job.epochs[node.name],
+        }
+        host = (
+            SourceHost(
+                node.name, operator, drained=self._ledger.drained, limit=job.frames, **common
+            )
+            if isinstance(operator, Source)
+            else Host(node.name, operator, **common)
+        )
+        host.clocks = self._clocks
+        live = Live(node.name, operator, job.settings(node), job.kept_in(node))
+        answers = Answers(plan, node, operator, host, live, self._ledger)
+        key = partial(key_of, plan.name, node.name)
+        voice = _Voice(lambda: answers.serve(self._session, key))
+        self._stops.append(voice.lower)
+        self._running[node.name] = (host, doors, answers)
+        for edge in edges.values():
+            self._listen(host, edge, common["inputs"][edge.input], doors)
+        if swappable(plan, node) and not isinstance(operator, Source):
+            relay = Relay(
+                host, memory=self._memory, stem=f"{job.prefix}{node.name}", say=self._say,
+                voice=voice, listen=partial(self._tap, node, type(operator)), standby=job.standby,
+            )  # fmt: skip
+            host.relay = self.relays[node.name] = relay
+            doors.expect(BATON, relay.receive)
+        if not job.standby:
+            voice.raise_()
+        return host
+
+    def replan(self, node: str, plan: Plan) -> None:
+        """Connect a running node as another plan has it; its operator and settings stay."""
+        self._job = replace(self._job, plan=plan)
+        host, doors, answers = self._running[node]
+        answers.plan = plan
+        declared = inputs_for(plan, plan.node(node))
+        for edge in plan.inputs(node).values():
+            if host.edges[edge.input] is not self._ledger.edges[edge.index]:
+                port = self._in_port(host, edge, declared[edge.input])
+                host.rewire(edge.input, self._ledger.edges[edge.index], port)
+                doors.expect(edge.index, port.receive)
+        for output, port_out in host.outs.items():
+            edges = plan.readers(node, output)
+            port_out.change_readers(self._readers(edges), slots(edges))
+        self._say("replanned", node=node)
+
+    def _readers(self, edges: tuple[Edge, ...]) -> list[Reader]:
+        return [
+            Reader(
+                self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index,
+                partial(self._job.door, e.target) if e.transport == "pool" else None,
+            )
+            for e in edges
+        ]  # fmt: skip
+
+    def _out_port(self, node: Node, output: str, message: type[Any]) -> OutPort:
+        job = self._job
+        edges = job.plan.readers(node.name, output)
+        readers = self._readers(edges)
+        key = key_of(job.plan.name, node.name, output)
+        urgent = any(e.command for e in edges)
+        patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
+        stem = f"{job.prefix}{node.name}.{output}"
+        links = Links()
+        self._links.append(links)
+        return OutPort(
+            message,
+            links,
+            self._session.sender(key, urgent=urgent),
+            self._remote(key + BYTES_SUFFIX, edges, urgent=urgent, patient=patient),
+            readers,
+            lambda claim: PoolWriter(self._memory, stem, slots(edges), claim),
+            job.epochs[node.name],
+        )
+
+    def _tap(
+        self, node: Node, operator: type[Operator[Any, Any]], heard: Heard
+    ) -> Callable[[], None]:
+        """Hear what another instance of a node sends."""
+        stops = []
+        for name, message in outputs_of(operator).items():
+            pool = PoolReader(self._memory, f"{self._job.prefix}{node.name}.{name}")
+            port = InPort(
+                message, private_ledger(1, 0).edges[0], pool, 1, partial(_hear, heard, name),
+                tap=True,
+            )  # fmt: skip
+            key = key_of(self._job.plan.name, node.name, name)
+            stops.append(self._session.listen(key, port.receive))
+
+        def stop() -> None:
+            while stops:
+                stops.pop()()
+
+        return stop
+
+    def _in_port(self, host: Host, edge: Edge, declared: Input, *, holding: bool = False) -> InPort:
+        return InPort(
+            declared.message,
+            self._ledger.edges[edge.index],
+            PoolReader(self._memory, f"{self._job.prefix}{edge.source}.{edge.output}"),
+            host.epoch,
+            partial(host.deliver, edge.input),
+            tap=edge.tap,
+            holding=holding,
+        )
+
+    def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
+        job = self._job
+        port = self._in_port(host, edge, declared, holding=job.standby)
+        host.ports[edge.input] = port
+        if edge.transport == "pool":
+            doors.expect(edge.index, port.receive)
+            return
+        key = key_of(job.plan.name, edge.source, edge.output) + BYTES_SUFFIX
+        session = self._border if self._border and job.plan.crosses(edge) else self._session
+        self._stops.append(session.listen(key, port.receive))
+
+    def _remote(self, key: str, edges: tuple[Edge, ...], *, urgent: bool, patient: bool) -> Sender:
+        """Where whole messages go: to other hosts, if an edge leads there, and on this one."""
+        here = self._session.sender(key, urgent=urgent, patient=patient)
+        if self._border is None or not any(self._job.plan.crosses(e) for e in edges):
+            return here
+        return _Both(self._border.sender(key, urgent=urgent, patient=patient), here)
+
+
+def _hear(heard: Heard, name: str, arrival: Arrival) -> None:
+    if heard.qsize() < MOST_WAITING:
+        heard.put((name, arrival))
+
+
+class _Voice:
+    """Answers questions to a node, while it is raised."""
+
+    def __init__(self, serve: Callable[[], list[Callable[[], None]]]) -> None:
+        self._serve = serve
+        self._stops: list[Callable[[], None]] = []
+
+    def raise_(self) -> None:
+        """Answer from now on."""
+        self._stops = self._serve()
+
+    def lower(self) -> None:
+        """Answer no more."""
+        while self._stops:
+            self._stops.pop()()
+
+
+def swappable(plan: Plan, node: Node) -> bool:
+    """Whether a successor may stand by: not in a shared process, nor where bytes are sent instead.
+
+    Only the short way between processes keeps the order across a change of the sender.
+    """
+    alone = sum(1 for n in plan.nodes if n.process == node.process) == 1
+    return alone and not any(
+        e.transport == "bytes" for e in plan.edges if node.name in (e.source, e.target)
+    )
+
+
+class _Both:
+    """Two senders of one key, on two sessions."""
+
+    def __init__(self, *senders: Sender) -> None:
+        self._senders = senders
+
+    def send(self, payload: bytes) -> None:
+        for sender in self._senders:
+            if sender.matching():
+                sender.send(payload)
+
+    def matching(self) -> bool:
+        return any(sender.matching() for sender in self._senders)
+
+
+def clocks_of(job: Assignment) -> Clocks:
+    """The clocks of the hosts of a run, or this host's alone."""
+    plan = job.plan
+    if not plan.here:
+        return Clocks()
+    return Clocks.open(Path(job.run_folder) / CLOCKS, plan.here, plan.hosts)
+
+
+def key_of(graph: str, node: str, output: str) -> str:
+    """The Zenoh key of an output."""
+    return f"fovea/{graph}/{node}/{output}"

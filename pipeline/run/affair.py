@@ -1,0 +1,84 @@
+"""Something that a supervisor carries out step by step while everything else goes on."""
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+from pipeline.errors import FoveaError, RunError
+from pipeline.run.child import Child, ending
+from pipeline.run.slot import Slot
+
+if TYPE_CHECKING:
+    from pipeline.run.supervisor import Supervisor
+
+WORDS_S = 0.5
+log = logging.getLogger(__name__)
+
+
+class Affair:
+    """An order under way, driven by the supervisor's ticks; `result` is there when it is over."""
+
+    kind = "order"
+    subject = ""  # the node that it is about
+
+    def __init__(self, crew: "Supervisor", steps: Iterator[None]) -> None:
+        self.crew, self._steps = crew, steps
+        self.result: dict[str, Any] | None = None
+        self.facts: dict[str, Any] = {}
+        self._said: dict[int, dict[str, dict[str, Any]]] = {}  # pid -> event -> what
+
+    def tick(self) -> None:
+        """Go one step on."""
+        try:
+            next(self._steps)
+        except StopIteration:
+            self._finish("")
+        except FoveaError as error:
+            self._finish(str(error))
+
+    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+        """Take note of an event; True when nobody else needs it."""
+        self._said.setdefault(pid, {})[str(event.get("event"))] = event
+        return False
+
+    def owns(self, slot: Slot) -> bool:
+        """Whether deaths in that slot are this affair's."""
+        return False
+
+    def give_up(self) -> list[Child]:
+        """The run ends: processes that nobody else knows of."""
+        return []
+
+    def heard(self, child: Child) -> dict[str, dict[str, Any]]:
+        """What a process has said, by event."""
+        return self._said.setdefault(child.pid, {})
+
+    def until(
+        self, done: Callable[[], bool], limit_s: float, what: str, *, of: Child | None = None,
+        must: bool = True,
+    ) -> Iterator[None]:  # fmt: skip
+        """Wait for something; raises `RunError` when it takes too long or that process ends."""
+        late_s = time.monotonic() + limit_s
+        while not done():
+            if of is not None and (status := of.ended()) is not None:
+                yield from self.last_words(of)
+                said = self.heard(of).get("failed", {}).get("error")
+                raise RunError(said or f"{of.name}: it ended by {ending(status)}")
+            if time.monotonic() > late_s:
+                if must:
+                    raise RunError(f"{self.subject or self.kind}: {what} within {limit_s:.0f} s")
+                return
+            yield
+
+    def last_words(self, child: Child) -> Iterator[None]:
+        """What an ended process said may still be on its way."""
+        late_s = time.monotonic() + WORDS_S
+        while "failed" not in self.heard(child) and time.monotonic() < late_s:
+            yield
+
+    def _finish(self, refused: str) -> None:
+        self.result = {**self.facts, "refused": refused}
+        words = ", ".join(f"{k} {v}" for k, v in self.facts.items())
+        why = f": {refused}" if refused else ""
+        (log.error if refused else log.info)("%s: %s%s", self.kind, words, why)

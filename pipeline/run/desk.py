@@ -1,0 +1,95 @@
+"""Where a running graph takes orders: one at a time, answered when it is carried out.
+
+Orders come as JSON over the graph's bus, which only this user can reach.
+"""
+
+import logging
+import queue
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from pipeline import codec
+from pipeline.errors import FoveaError
+from pipeline.run.affair import Affair
+from pipeline.run.child import Child
+from pipeline.run.slot import Slot
+from pipeline.run.swap import Swap, SwapOrder
+from pipeline.run.topology import PlanOrder, Topology
+
+if TYPE_CHECKING:
+    from pipeline.run.supervisor import Supervisor
+
+COMMAND = "@graph"  # the key below a graph's own that takes orders
+Reply = Callable[[bytes], None]
+Order = SwapOrder | PlanOrder
+_ORDER = msgspec.json.Decoder(Order)
+log = logging.getLogger(__name__)
+
+
+class Desk:
+    """The orders of one supervisor."""
+
+    def __init__(self, crew: "Supervisor") -> None:
+        self._crew = crew
+        self._asked: queue.SimpleQueue[tuple[bytes, Reply]] = queue.SimpleQueue()
+        self._affair: Affair | None = None
+        self._reply: Reply = _nobody
+
+    def ask(self, order: bytes, reply: Reply) -> None:
+        """An order came; called by the transport's thread."""
+        self._asked.put((order, reply))
+
+    def attend(self) -> None:
+        """Take up what was asked, carry on with what is under way."""
+        while not self._asked.empty():
+            order, reply = self._asked.get()
+            try:
+                self.take(codec.parse(_ORDER.decode, order, "not an order"), reply)
+            except FoveaError as error:
+                reply(answer({"refused": str(error)}))
+        if self._affair is not None:
+            self._affair.tick()
+            if self._affair.result is not None:
+                result, reply = self._affair.result, self._reply
+                self._affair, self._reply = None, _nobody
+                reply(answer(result))
+
+    def take(self, order: Order, reply: Reply) -> None:
+        """Begin with an order; raises `RunError` when it cannot be done."""
+        if self._affair is not None:
+            reply(answer({"refused": f"{self._crew.plan.name}: another order is under way"}))
+            return
+        if isinstance(order, SwapOrder):
+            self._affair = Swap(self._crew, order)
+        else:
+            self._affair = Topology(self._crew, order)
+        self._reply = reply
+
+    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+        """Whether an event of a process concerns the order under way alone."""
+        return self._affair is not None and self._affair.hear(pid, event)
+
+    def owns(self, slot: Slot) -> bool:
+        """Whether the order under way looks after a slot."""
+        return self._affair is not None and self._affair.owns(slot)
+
+    def give_up(self) -> list[Child]:
+        """The run ends; the processes that it would not know of."""
+        ended = answer({"refused": f"{self._crew.plan.name}: the run ended before that was done"})
+        while not self._asked.empty():
+            self._asked.get()[1](ended)
+        left = self._affair.give_up() if self._affair is not None else []
+        self._reply(ended)
+        self._affair, self._reply = None, _nobody
+        return left
+
+
+def answer(result: dict[str, Any]) -> bytes:
+    """A result as it travels."""
+    return msgspec.json.encode(result)
+
+
+def _nobody(_answer: bytes) -> None:
+    pass

@@ -1,0 +1,179 @@
+"""A graph in one thread of this process: no Zenoh, no clock, no race. For tests, training, tables.
+
+Every frame goes through the whole graph before the next is exposed, nodes in dependency order; what
+comes beside a joined set is handled after it, as in a lockstep run of processes.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+from pipeline import settings as checked
+from pipeline.bus.inbox import Inbox, Work
+from pipeline.bus.ledger import Ledger, private_ledger
+from pipeline.bus.outport import Arrival
+from pipeline.contract import Operator, Source, handler_of, joined, outputs_of, settings_of
+from pipeline.errors import GraphError, RunError
+from pipeline.graph.plan import Edge, Node, Plan, inputs_for, load_operator
+from pipeline.messages import Header, Message, Span, altered, stamped
+from pipeline.node.live import Live
+from pipeline.node.source import fold
+from pipeline.run.report import Report, compose
+
+Watch = Callable[[str, Message], None]  # node.output, message
+
+
+class _Part:
+    """One operator of the graph."""
+
+    def __init__(self, plan: Plan, node: Node, ledger: Ledger) -> None:
+        cls = load_operator(node.operator)
+        self.node = node
+        self.operator: Operator[Any, Any] = cls(
+            checked.build(settings_of(cls), node.settings, node.name)
+        )
+        self.live = Live(node.name, self.operator, node.settings, None)
+        self.edges = plan.inputs(node.name)
+        self.account = ledger.nodes[node.index]
+        self.outputs = tuple(outputs_of(cls))
+        self.together = joined(cls)
+        accounts = {name: ledger.edges[e.index] for name, e in self.edges.items()}
+        self.inbox = Inbox(
+            inputs_for(plan, node),
+            lambda name, fate, _ordinal: accounts[name].settle(fate),
+            lockstep=True,
+        )
+
+
+class InlineRunner:
+    """Opens a plan's operators in this process; use as a context."""
+
+    def __init__(self, plan: Plan, *, watch: Watch | None = None) -> None:
+        self.plan, self._watch = plan, watch
+        self.ledger = private_ledger(len(plan.edges), len(plan.nodes))
+        self._parts = {name: _Part(plan, plan.node(name), self.ledger) for name in plan.order()}
+        self._source = self._only_source()
+        self.commands = hashlib.sha256()
+        self._began_s = time.monotonic()
+
+    def __enter__(self) -> "InlineRunner":
+        self._source.realtime = False
+        try:
+            for part in self._parts.values():
+                part.operator.open()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for part in self._parts.values():
+            part.operator.close()
+
+    def operator(self, node: str) -> Operator[Any, Any]:
+        """The live operator behind a node, for training and evaluation."""
+        return self._parts[node].operator
+
+    def change(self, node: str, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Change live settings between two frames; the effective values of all of them.
+
+        Raises `SettingsError` and changes nothing when the node refuses, `RunError` for no node.
+        """
+        if node not in self._parts:
+            raise RunError(f"{self.plan.name}: no node {node}{checked.suggest(node, self._parts)}")
+        live = self._parts[node].live
+        live.change(changes)
+        return live.describe().settings
+
+    def run(self, frames: int = 0) -> Iterator[int]:
+        """Expose up to `frames` frames (0: all), yielding each seq after the loop answered it."""
+        count = 0
+        while not frames or count < frames:
+            exposed = self._source.produce()
+            if exposed is None:
+                return
+            header = next(iter(exposed.values())).header
+            self._send(self._source_name, exposed, header, begun_ns=header.stamp_ns)
+            self._settle_frame()
+            count += 1
+            yield header.seq
+
+    def report(self) -> Report:
+        """The same report as a run of processes gives."""
+        summaries = {name: dict(p.operator.summary()) for name, p in self._parts.items()}
+        summaries.setdefault(self._source_name, {})["schedule_sha256"] = self.commands.hexdigest()
+        duration_s = time.monotonic() - self._began_s
+        return compose(self.plan, self.ledger, summaries, {}, duration_s=duration_s)
+
+    def _only_source(self) -> Source[Any, Any]:
+        found = [p for p in self._parts.values() if isinstance(p.operator, Source)]
+        if len(found) != 1:
+            raise GraphError(
+                f"{self.plan.name}: expected one node that makes frames, got {len(found)}"
+            )
+        self._source_name = found[0].node.name
+        assert isinstance(found[0].operator, Source)
+        return found[0].operator
+
+    def _settle_frame(self) -> None:
+        """Let everything that was sent find its end."""
+        pending = True
+        while pending:
+            pending = False
+            for part in self._parts.values():
+                work = part.inbox.take(time.monotonic_ns())
+                while work is not None:
+                    pending = True
+                    self._handle(part, work)
+                    work = part.inbox.take(time.monotonic_ns())
+        if not self.ledger.drained():
+            stuck = [e.end for e in self.plan.edges if self.ledger.edges[e.index].in_flight]
+            raise RunError(f"frame not answered: messages wait at {', '.join(stuck)}")
+
+    def _handle(self, part: _Part, work: Work) -> None:
+        begun = time.monotonic_ns()
+        if work.new_stream:
+            part.operator.on_stream(work.header)
+        names = tuple(work.messages)
+        answers: Mapping[str, Message | None] = dict.fromkeys(part.outputs)
+        if work.answer:
+            given = handler_of(part.operator, names)(**work.messages)
+            if isinstance(given, Message) and part.outputs:
+                answers = {"out": given}
+            elif isinstance(given, Mapping):
+                answers = given
+            if part.edges[names[0]].command:
+                message = work.messages[names[0]]
+                assert message is not None
+                fold(self.commands, message)
+        part.account.handled += 1
+        part.account.histograms["handler"].add(time.monotonic_ns() - begun)
+        if names == part.together:
+            self._send(part.node.name, answers, work.header, begun_ns=begun)
+        for name in work.arrived:
+            self.ledger.edges[part.edges[name].index].delivered += 1
+
+    def _send(
+        self, node: str, answers: Mapping[str, Message | None], header: Header, *, begun_ns: int
+    ) -> None:
+        now = time.monotonic_ns()
+        span = Span(
+            stage=node, received_ns=begun_ns, done_ns=now, handler_ns=now - begun_ns, wait_ns=0
+        )
+        leaving = stamped(header, epoch=1, span=span)
+        for output in self._parts[node].outputs:
+            message = answers.get(output)
+            if message is not None:
+                message = altered(message, header=leaving)
+                if self._watch:
+                    self._watch(f"{node}.{output}", message)
+            for edge in self.plan.readers(node, output):
+                self._hand_over(edge, leaving, message)
+
+    def _hand_over(self, edge: Edge, header: Header, message: Message | None) -> None:
+        account = self.ledger.edges[edge.index]
+        account.sent += 1
+        arrival = Arrival(header, message, account.sent)
+        self._parts[edge.target].inbox.offer(edge.input, arrival, time.monotonic_ns())
+        account.seen = account.sent

@@ -1,0 +1,74 @@
+"""Which process has to be killed, and why: it hangs, does not come up, or takes too much memory."""
+
+import time
+from collections.abc import Iterable
+
+from pipeline.bus.ledger import Ledger
+from pipeline.node.health import FROZEN_S, complaint
+from pipeline.run.slot import Slot
+
+SLEPT_S = 1.0  # a supervisor that did not look for so long was stopped itself
+
+
+class Judge:
+    """Judges by the clock that only runs; and nobody while it may have slept like the others."""
+
+    def __init__(self) -> None:
+        self._looked_s = time.monotonic()
+        self._lenient_until_s = 0.0
+
+    def look(self) -> None:
+        """To be called again and again, often within `SLEPT_S`."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s > SLEPT_S:
+            self._lenient_until_s = now_s + FROZEN_S
+        self._looked_s = now_s
+
+    def complaint(self, slot: Slot, ledger: Ledger) -> str:
+        """Why its process must go, or nothing."""
+        now_s = time.monotonic()
+        if slot.child is None or now_s < self._lenient_until_s:
+            return ""
+        if frozen := stopped(slot, now_s):
+            return frozen
+        if not slot.child.ready:  # the first start of all has a limit of its own
+            return late(slot) if slot.epoch > 1 else ""
+        return first(complaint(n, ledger.nodes[n.index], int(now_s * 1e9)) for n in slot.nodes) or (
+            swollen(slot)
+        )
+
+
+def stopped(slot: Slot, now_s: float) -> str:
+    """Whether its process has been stopped for so long that nobody means to continue it."""
+    since_s = now_s
+    for sample in reversed(slot.samples):
+        if not sample.stopped or slot.child is None or sample.at_s < slot.child.began_s:
+            break
+        since_s = sample.at_s
+    seconds = now_s - since_s
+    return f"has been stopped by a signal for {seconds:.1f} s" if seconds > FROZEN_S else ""
+
+
+def late(slot: Slot) -> str:
+    """Whether opening takes longer than any of its nodes may."""
+    if slot.child is None or slot.child.ready:
+        return ""
+    seconds = time.monotonic() - slot.child.began_s
+    allowed_s = max(node.start_s for node in slot.nodes)
+    return f"not ready after {seconds:.1f} s" if seconds > allowed_s else ""
+
+
+def swollen(slot: Slot) -> str:
+    """Whether it takes more memory than its nodes together may; some limit must be set for all."""
+    limits_mb = [node.memory_mb for node in slot.nodes]
+    sample = slot.samples[-1] if slot.samples else None
+    if not all(limits_mb) or not sample or not slot.child or sample.at_s < slot.child.began_s:
+        return ""
+    if sample.own_mb <= sum(limits_mb):
+        return ""
+    return f"takes {sample.own_mb:.0f} MB of its own, {sum(limits_mb):g} allowed"
+
+
+def first(complaints: Iterable[str]) -> str:
+    """The first that is one."""
+    return next(filter(None, complaints), "")

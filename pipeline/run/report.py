@@ -1,0 +1,145 @@
+"""The account of a run: ledger, samples and summaries to one plain dictionary, and to a table."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from pipeline.bus.ledger import Ledger
+from pipeline.graph.plan import Node, Plan, sources
+from pipeline.run.child import Sample
+
+Report = dict[str, Any]
+
+
+def compose(
+    plan: Plan,
+    ledger: Ledger,
+    summaries: Mapping[str, Mapping[str, Any]],
+    samples: Mapping[str, Sequence[Sample]],
+    *,
+    duration_s: float,
+    restarts: Mapping[str, int] | None = None,
+) -> Report:
+    """The run's report. Figures that a source gives (frames, pixels, coverage) stand on top."""
+    report: Report = {
+        "graph": plan.name,
+        "clock": plan.clock,
+        "duration_s": round(duration_s, 3),
+        "edges": [
+            {"from": e.origin, "to": e.end, "keep": e.keep, **ledger.edges[e.index].report(),
+             "age_ms": ledger.edges[e.index].age.summary()}
+            for e in plan.edges
+        ],
+        "stages": [
+            _stage(node, ledger, samples.get(node.process, ()), duration_s) for node in plan.nodes
+        ],
+        "restarts": dict(restarts or {}),
+    }  # fmt: skip
+    for node in plan.nodes:
+        for key, value in summaries.get(node.name, {}).items():
+            report.setdefault(key, value)
+    for source in sources(plan):
+        histograms = ledger.nodes[source.index].histograms
+        report["loop"] = {
+            "latency_ms": histograms["loop"].summary(),
+            "overhead_ms": histograms["overhead"].summary(),
+            "cpu_wait_ms": histograms["cpu_wait"].summary(),
+            "commands": histograms["loop"].total,
+        }
+    return report
+
+
+def tables(report: Report) -> Group:
+    """The report for a terminal: every edge's account, every stage's latency, the loop."""
+    return Group(_edge_table(report), _stage_table(report), *_lines(report))
+
+
+def _stage(
+    node: Node, ledger: Ledger, samples: Sequence[Sample], duration_s: float
+) -> dict[str, Any]:
+    account = ledger.nodes[node.index]
+    return {
+        "node": node.name,
+        "latency_ms": account.histograms["handler"].summary(),
+        "hop_ms": account.histograms["hop"].summary(),
+        "handled": account.handled,
+        "rate_hz": round(account.handled / duration_s, 2) if duration_s else 0.0,
+        "cpu_percent": _cpu_percent(samples),
+        "rss_mb": round(samples[-1].rss_mb, 1) if samples else 0.0,
+        "rss_first_mb": round(samples[0].rss_mb, 1) if samples else 0.0,
+    }
+
+
+def _cpu_percent(samples: Sequence[Sample]) -> float:
+    """Mean over the last incarnation: processor time restarts at zero with a new process."""
+    newest = list(samples)
+    for i in range(len(samples) - 1, 0, -1):
+        if samples[i].cpu_s < samples[i - 1].cpu_s:
+            newest = list(samples[i:])
+            break
+    if len(newest) < 2:
+        return 0.0
+    first, last = newest[0], newest[-1]
+    return round(100 * (last.cpu_s - first.cpu_s) / max(1e-9, last.at_s - first.at_s), 1)
+
+
+def _edge_table(report: Report) -> Table:
+    table = Table(title="edges: offered = delivered + dropped + in flight + lost in a crash")
+    for name in ("from", "to", "keep"):
+        table.add_column(name)
+    for name in ("offered", "delivered", "dropped", "in flight", "lost", "age ms p50 / p99"):
+        table.add_column(name, justify="right")
+    for edge in report["edges"]:
+        dropped = ", ".join(f"{n} {reason}" for reason, n in edge["dropped"].items()) or "0"
+        table.add_row(
+            edge["from"], edge["to"], edge["keep"], str(edge["offered"]), str(edge["delivered"]),
+            dropped, str(edge["in_flight"]), str(edge["lost_in_crash"]), _pair(edge["age_ms"]),
+        )  # fmt: skip
+    return table
+
+
+def _stage_table(report: Report) -> Table:
+    table = Table(title="stages")
+    table.add_column("node")
+    for name in ("handler ms p50 / p99", "hop ms p50 / p99", "rate Hz", "CPU %", "RSS MB"):
+        table.add_column(name, justify="right")
+    for stage in report["stages"]:
+        table.add_row(
+            stage["node"], _pair(stage["latency_ms"]), _pair(stage["hop_ms"]),
+            f"{stage['rate_hz']:.1f}", f"{stage['cpu_percent']:.0f}", f"{stage['rss_mb']:.0f}",
+        )  # fmt: skip
+    return table
+
+
+def _lines(report: Report) -> list[Text]:
+    lines = []
+    if loop := report.get("loop"):
+        lines.append(
+            f"loop, picture ready -> command accepted: {_pair(loop['latency_ms'])} ms p50 / p99, "
+            f"overhead {_pair(loop['overhead_ms'])} ms, waiting for a core "
+            f"{_pair(loop['cpu_wait_ms'])} ms, {loop['commands']} commands"
+        )
+    for key in ("frames", "pixels", "commands"):
+        if key in report:
+            values = ", ".join(f"{name} {value}" for name, value in report[key].items())
+            lines.append(f"{key}: {values}")
+    if coverage := report.get("roi_coverage"):
+        shares = ", ".join(f"{n} {_share(v)}" for n, v in coverage.items())
+        lines.append(f"ROI coverage of the true boxes: {shares}")
+    if overlap := report.get("iou"):
+        lines.append(f"IoU with the truth: {overlap['mean']:.3f} over {overlap['frames']} frames")
+    if report["restarts"]:
+        counts = ", ".join(f"{name} {count}" for name, count in report["restarts"].items())
+        lines.append(f"restarts: {counts}")
+    return [Text(line) for line in lines]
+
+
+def _pair(summary: Mapping[str, float]) -> str:
+    return f"{summary['p50']:.2f} / {summary['p99']:.2f}"
+
+
+def _share(value: Any) -> str:
+    return f"{value:.3f}" if isinstance(value, float) else str(value)

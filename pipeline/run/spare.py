@@ -1,0 +1,67 @@
+"""One process that has imported every operator and waits: a restart is then a load."""
+
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from pipeline.run.child import close_pipes
+
+
+class Spare:
+    """At most one process without an assignment."""
+
+    def __init__(self, spawn: Callable[[Collection[str]], "subprocess.Popen[bytes]"]) -> None:
+        self._spawn = spawn
+        self._popen: subprocess.Popen[bytes] | None = None
+        self._since_s = 0.0  # wall clock, as files have it
+
+    def keep(self, modules: Collection[str]) -> None:
+        """See that there is one."""
+        if self._popen is not None and self._popen.poll() is not None:
+            close_pipes(self._popen)
+            self._popen = None
+        if self._popen is None:
+            self._since_s = time.time()
+            self._popen = self._spawn(sorted(modules))
+
+    def take(self) -> "subprocess.Popen[bytes] | None":
+        """The spare, if it is through with its imports: it says so in its first line."""
+        stdout = self._popen.stdout if self._popen is not None else None
+        if stdout is None or not select.select([stdout], [], [], 0)[0]:
+            return None
+        spare, self._popen = self._popen, None
+        return spare
+
+    def refresh(self) -> None:
+        """End it when what it has imported was edited since."""
+        if self._popen is not None and edited_since(self._since_s):
+            self.dismiss()
+
+    def dismiss(self) -> None:
+        """End it."""
+        if self._popen is None:
+            return
+        self._popen.kill()  # it holds nothing
+        self._popen.wait()
+        close_pipes(self._popen)
+        self._popen = None
+
+
+def edited_since(moment_s: float) -> bool:
+    """Whether a module that this process knows, no installed one, was edited after `time.time()`.
+
+    A module that nobody knows yet is no danger: who imports it takes it as it is.
+    """
+    for module in list(sys.modules.values()):
+        file = getattr(module, "__file__", None)
+        if not file or file.startswith((sys.prefix, sys.base_prefix)):
+            continue
+        try:
+            if Path(file).stat().st_mtime > moment_s:
+                return True
+        except OSError:
+            continue
+    return False

@@ -1,0 +1,338 @@
+"""Replaces the operator of a running node: stand by, cut, probation, and back when it fails.
+
+The supervisor's side; `pipeline.node.relay` is what the two instances do. A part that shares its
+process, or owns a device, cannot stand by: it is stopped, then the other started.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from pipeline.bus.ledger import NodeAccount
+from pipeline.errors import RunError
+from pipeline.graph.plan import Plan
+from pipeline.node.live import keep, kept
+from pipeline.node.wiring import swappable
+from pipeline.run.affair import Affair
+from pipeline.run.child import Child, ending
+from pipeline.run.slot import Slot
+from pipeline.settings import suggest
+
+if TYPE_CHECKING:
+    from pipeline.run.supervisor import Supervisor
+
+START_S = 60.0
+HEAR_S = 10.0  # for a node that works, to greet a successor
+CUT_S = 30.0
+SHADOW_S = 1.0  # per frame, at most
+ANSWER_S = 5.0
+REAP_S = 1.0
+STUCK_S = 2.0  # with messages waiting
+QUIET_S = 10.0  # without messages: then probation is over
+DRAIN_S = 5.0
+SOONEST = 5  # frames after which a successor may be found too slow
+SLOWER, LEAST_BUDGET_MS = 3.0, 20.0  # than the old part, when no budget is given
+
+
+class SwapOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="swap"):
+    """What `fovea swap` asks for."""
+
+    node: str
+    operator: str = ""  # "": the same, with other settings or from a changed file
+    changes: dict[str, Any] = {}
+    defaults: bool = False  # do not keep the settings that the node has
+    at: int = 0  # the cut comes at this frame or later
+    shadow: int = 0
+    probation: int = 30  # frames
+    budget_ms: float = 0.0  # 0: three times the old part's median
+
+
+class Swap(Affair):
+    """One swap."""
+
+    kind = "swap"
+
+    def __init__(self, crew: "Supervisor", order: SwapOrder) -> None:
+        names = [n.name for n in crew.plan.nodes]
+        if order.node not in names:
+            raise RunError(f"{crew.plan.name}: no node {order.node}{suggest(order.node, names)}")
+        self._order, self._node = order, crew.plan.node(order.node)
+        self._slot = crew.slots[self._node.process]
+        if self._slot.child is None or not self._slot.child.going:
+            raise RunError(f"{order.node}: does not run just now, try again")
+        self._other: Child | None = None  # the one of the two that does not work
+        self._owned = False
+        self._gone: set[int] = set()  # pids of who was told to stop
+        self._hot = swappable(crew.plan, self._node) and not self._slot.sources
+        super().__init__(crew, self._swap_hot() if self._hot else self._swap_cold())
+        self.subject = order.node
+        self.facts |= {"node": order.node, "hot": self._hot}
+
+    def owns(self, slot: Slot) -> bool:
+        """Whether deaths in that slot are this swap's affair."""
+        return self._owned and slot is self._slot
+
+    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+        """Take note of an event; True when nobody else needs it."""
+        kind = str(event.get("event"))
+        if pid in self._gone:
+            return True
+        mine = [c for c in (self._other, self._slot.child) if c and c.pid == pid]
+        if not mine:
+            return False
+        super().hear(pid, event)
+        if mine[0] is self._other and kind == "ready":
+            mine[0].ready, mine[0].load_s = True, float(event.get("load_s", 0))
+        return mine[0] is self._other or (self._owned and kind == "failed")
+
+    def give_up(self) -> list[Child]:
+        """The run ends: the process that does not work, to be ended with the others."""
+        return [self._other] if self._other else []
+
+    def _finish(self, refused: str) -> None:
+        if self._other is not None:
+            self._other.kill()
+            self._other.reap(0.5)
+            self._other = None
+        for account in self.crew.accounts(self._slot):
+            account.next_door = 0
+        self._owned = False
+        if refused and self._hot and self._slot.child is not None:
+            self._slot.child.order("uncut", node=self._node.name)
+        super()._finish(refused)
+
+    # hot: a successor stands by
+
+    def _swap_hot(self) -> Iterator[None]:
+        crew, slot, order = self.crew, self._slot, self._order
+        old, before, plan = self._working(), crew.plan, self._changed()
+        epoch = slot.epoch + 1
+        job = crew.job(slot, plan, epoch, standby=True, checked=True)
+        new = self._other = crew.launch(job, fresh=True)
+        yield from self.until(lambda: new.ready, START_S, "it was not ready", of=new)
+        door = job.door(self._node.name, epoch)
+        for account in crew.accounts(slot):
+            account.next_door = epoch
+        yield from self.until(
+            lambda: "standing" in self.heard(new),
+            HEAR_S,
+            "its inputs did not greet it",
+            of=new,
+        )
+        heard = self.heard(new)["standing"]["heard"]
+        self.facts["ready_seq"] = int(self._account().last_seq)
+        cut = {"door": str(door), "heard": heard, "at": order.at}
+        if order.shadow:
+            yield from self._try(old, new, {**cut, "at": 0, "shadow": order.shadow})
+        old.order("cut", node=self._node.name, cut=cut)
+        yield from self._cut(old, new)
+        try:
+            yield from self.until(
+                lambda: "taken" in self.heard(new),
+                ANSWER_S,
+                "it did not take over",
+                of=new,
+            )
+            taken = self.heard(new)["taken"]
+            self.facts |= {k: taken[k] for k in ("seq", "gap_ms", "state")}
+            self._switch(new, old, plan, epoch)
+            yield from self._probation(new)
+        except RunError as error:
+            yield from self._roll_back(new, old, before, epoch + 1)
+            raise RunError(f"{error}; the old part goes on") from error
+        new.order("settle", node=self._node.name)
+        yield from self._drained(epoch)
+        old.tell("stop")
+        yield from self.until(lambda: old.ended() is not None, ANSWER_S, "", must=False)
+
+    def _try(self, old: Child, new: Child, cut: dict[str, Any]) -> Iterator[None]:
+        """Let the successor answer the same frames, and keep what came of it."""
+        old.order("cut", node=self._node.name, cut=cut)
+        limit_s = QUIET_S + SHADOW_S * cut["shadow"]
+        heard = self.heard(old)
+        yield from self.until(
+            lambda: "shadowed" in self.heard(new) or "uncut" in heard, limit_s,
+            "the shadow run did not end", of=new,
+        )  # fmt: skip
+        if "uncut" in heard:
+            raise RunError(f"{self._node.name}: {heard['uncut']['reason']}")
+        told = self.heard(new)["shadowed"]
+        self.facts["shadow"] = {k: v for k, v in told.items() if k not in ("event", "node")}
+
+    def _cut(self, old: Child, new: Child) -> Iterator[None]:
+        """Wait until the old part has stopped, or let it go on."""
+        heard, name = self.heard(old), self._node.name
+        late_s = time.monotonic() + CUT_S
+        self._owned = True
+        while "cut" not in heard:
+            if "uncut" in heard:
+                raise RunError(f"{name}: {heard['uncut']['reason']}")
+            if old.ended() is not None or new.ended() is not None or time.monotonic() > late_s:
+                self._owned = False
+                old.order("uncut", node=name)
+                yield from self.until(
+                    lambda: "cut" in heard, 0.5 if old.ended() is None else 0.0, "", must=False
+                )
+                if "cut" in heard:
+                    self._owned = True
+                    return
+                raise RunError(f"{name}: it did not come to a frame where it could be cut")
+            yield
+
+    def _switch(self, new: Child, old: Child, plan: Plan, epoch: int) -> None:
+        crew, slot = self.crew, self._slot
+        for account in crew.accounts(slot):
+            account.reader_epoch = epoch
+            account.next_door, account.door = account.door, epoch
+        slot.child, slot.epoch, self._other = new, epoch, old
+        new.going, slot.going_since_s = True, time.monotonic()
+        new.tell("go")
+        self._changed_live = kept(self._live_file())
+        self._live_file().unlink(missing_ok=True)
+        crew.change_plan(plan)
+
+    def _roll_back(self, new: Child, old: Child, before: Plan, epoch: int) -> Iterator[None]:
+        crew, slot, name = self.crew, self._slot, self._node.name
+        new.kill()
+        new.reap(1.0)
+        switched = slot.child is new
+        slot.child, self._other = old, None
+        if switched:
+            for account in crew.accounts(slot):
+                account.door, account.next_door = account.next_door, 0
+            crew.change_plan(before)
+            if self._changed_live:
+                keep(self._live_file(), self._changed_live)
+        slot.epoch = epoch
+        self.facts["rolled_back"] = True
+        old.order("resume", node=name, epoch=epoch)
+        yield from self.until(
+            lambda: "resumed" in self.heard(old),
+            ANSWER_S,
+            "the old part did not go on",
+            of=old,
+        )
+        for account in crew.accounts(slot):
+            account.reader_epoch = epoch
+        yield from self._drained(epoch)
+
+    def _drained(self, epoch: int) -> Iterator[None]:
+        """Fence the other off, once what it had sent by right has arrived."""
+        accounts = self.crew.accounts(self._slot, outgoing=True)
+        sent = [account.sent for account in accounts]
+        late_s = time.monotonic() + DRAIN_S
+        while time.monotonic() < late_s and any(
+            a.live and a.seen < s for a, s in zip(accounts, sent, strict=True)
+        ):
+            yield
+        for account in accounts:
+            account.writer_epoch = epoch
+
+    # cold: stopped, then started
+
+    def _swap_cold(self) -> Iterator[None]:
+        before, plan = self.crew.plan, self._changed()
+        job = self.crew.job(self._slot, plan, self._slot.epoch, trial=True)
+        trial = self._other = self.crew.launch(job, fresh=True)
+        yield from self.until(
+            lambda: "fits" in self.heard(trial), START_S, "it was not checked", of=trial
+        )
+        self._other = None
+        trial.reap(REAP_S)
+        self._owned = True
+        yield from self._replace(plan)
+        try:
+            yield from self._start()
+            yield from self._probation(self._working())
+        except RunError as error:
+            self.facts["rolled_back"] = True
+            yield from self._replace(before)
+            yield from self._start()
+            raise RunError(f"{error}; the old part was started again") from error
+
+    def _replace(self, plan: Plan) -> Iterator[None]:
+        child = self._working()
+        self._stopped_s = time.monotonic()
+        self._gone.add(child.pid)
+        child.tell("stop")
+        yield from self.until(lambda: child.ended() is not None, ANSWER_S, "", must=False)
+        child.kill()
+        self.crew.vacate(self._slot)
+        self._next_plan = plan
+
+    def _start(self) -> Iterator[None]:
+        crew, slot = self.crew, self._slot
+        job_plan = self._next_plan
+        handled = self._account().handled
+        crew.begin(slot, plan=job_plan, checked=True)
+        child = self._working()
+        yield from self.until(lambda: child.ready, START_S, "it was not ready", of=child)
+        crew.change_plan(job_plan)
+
+        def works() -> bool:
+            if not child.going:
+                crew.let_go(slot)
+            return child.going and self._account().handled > handled
+
+        yield from self.until(works, QUIET_S, "", of=child, must=False)
+        self.facts["gap_ms"] = round(1000 * (time.monotonic() - self._stopped_s), 1)
+
+    # both
+
+    def _changed(self) -> Plan:
+        """The plan with the new operator and settings in the old place."""
+        crew, order, node = self.crew, self._order, self._node
+        settings = {} if order.defaults else {**node.settings, **kept(self._live_file())}
+        fresh = replace(
+            node, operator=order.operator or node.operator, settings={**settings, **order.changes}
+        )
+        return replace(
+            crew.plan, nodes=tuple(fresh if n.name == node.name else n for n in crew.plan.nodes)
+        )
+
+    def _probation(self, child: Child) -> Iterator[None]:
+        """Watch the successor's first frames; raises `RunError` when it is not good enough."""
+        node, account, wanted = self._node.name, self._account(), self._order.probation
+        first, earlier = account.handled, self._account().histograms["handler"].counts.copy()
+        budget_ms = self._order.budget_ms or max(
+            LEAST_BUDGET_MS, SLOWER * account.histograms["handler"].percentile_ms(0.5)
+        )
+        moved_s, handled = time.monotonic(), first
+        while handled - first < wanted and not self.crew.finished:
+            yield
+            if (status := child.ended()) is not None:
+                yield from self.last_words(child)
+                said = self.heard(child).get("failed", {}).get("error", "")
+                raise RunError(f"{node}: the new part ended by {ending(status)} {said}".rstrip())
+            if complaint := self.crew.stalled(self._slot):
+                raise RunError(complaint)
+            if account.handled != handled:
+                moved_s, handled = time.monotonic(), account.handled
+                times = account.histograms["handler"].since(earlier)
+                slow = times.percentile_ms(0.5)
+                if handled - first >= min(SOONEST, wanted) and slow > budget_ms:
+                    raise RunError(
+                        f"{node}: the new part takes {slow:.1f} ms a frame, expected at most "
+                        f"{budget_ms:.1f} ms"
+                    )
+            still_s = time.monotonic() - moved_s
+            waiting = any(a.in_flight for a in self.crew.accounts(self._slot))
+            if still_s > STUCK_S and waiting and account.condition != "credit":
+                raise RunError(f"{node}: the new part finished no frame for {still_s:.1f} s")
+            if still_s > QUIET_S:
+                break
+        self.facts["proven_frames"] = int(account.handled - first)
+
+    def _working(self) -> Child:
+        assert self._slot.child is not None
+        return self._slot.child
+
+    def _account(self) -> NodeAccount:
+        return self.crew.ledger.nodes[self._node.index]
+
+    def _live_file(self) -> Path:
+        return self.crew.live_file(self._node.name)

@@ -1,0 +1,198 @@
+"""Joins: exact on seq, bounded, every arrival settled once."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline import Frame, Input, Percept
+from pipeline.bus.inbox import Inbox
+from pipeline.bus.outport import Arrival
+from pipeline.testing import header, picture
+
+PIXELS = picture(1, 1, seed=0)
+
+
+def arrival(seq: int, stream: str = "s", *, nothing: bool = False) -> Arrival:
+    head = header(seq, stream=stream)
+    return Arrival(head, None if nothing else Frame(header=head, pixels=PIXELS), seq + 1)
+
+
+class Desk:
+    """An inbox and the fates of what went in."""
+
+    def __init__(self, *, lockstep: bool = False, **inputs: Input) -> None:
+        self.fates: list[tuple[str, str]] = []
+        self.inbox = Inbox(
+            inputs, lambda name, fate, _: self.fates.append((name, fate)), lockstep=lockstep
+        )
+
+    def put(self, name: str, seq: int, **kind: object) -> None:
+        self.inbox.offer(name, arrival(seq, **kind), now_ns=0)  # type: ignore[arg-type]
+
+    def take(self, now_ms: float = 0) -> int | None:
+        work = self.inbox.take(int(now_ms * 1e6))
+        return work.header.seq if work else None
+
+
+LATEST, EVERY = Input(Frame), Input(Frame, keep="every")
+
+
+def test_latest_gives_the_newest_and_counts_the_others() -> None:
+    desk = Desk(frame=LATEST)
+    for seq in range(3):
+        desk.put("frame", seq)
+
+    assert desk.take() == 2
+    assert desk.take() is None
+    assert desk.fates == [("frame", "superseded")] * 2
+
+
+def test_every_gives_all_in_order() -> None:
+    desk = Desk(frame=EVERY)
+    for seq in range(3):
+        desk.put("frame", seq)
+
+    assert [desk.take() for _ in range(4)] == [0, 1, 2, None]
+    assert desk.fates == []
+
+
+def test_a_set_waits_for_its_partner_of_the_same_frame() -> None:
+    desk = Desk(left=LATEST, right=LATEST)
+    desk.put("left", 5)
+
+    assert desk.take() is None
+    desk.put("right", 5)
+    assert desk.take() == 5
+
+
+def test_a_partner_that_can_no_longer_come_is_not_waited_for() -> None:
+    desk = Desk(left=EVERY, right=EVERY)
+    desk.put("left", 1)
+    desk.put("right", 2)
+
+    assert desk.fates == [("left", "unmatched")]
+    desk.put("left", 2)
+    assert desk.take() == 2
+
+
+def test_latest_drops_whole_sets() -> None:
+    desk = Desk(left=LATEST, right=LATEST)
+    for seq in (1, 2):
+        desk.put("left", seq)
+        desk.put("right", seq)
+
+    assert desk.take() == 2
+    assert sorted(desk.fates) == [("left", "superseded"), ("right", "superseded")]
+
+
+def test_nothing_from_a_required_input_is_answered_by_nothing() -> None:
+    desk = Desk(left=EVERY, right=EVERY)
+    desk.put("left", 1)
+    desk.put("right", 1, nothing=True)
+
+    work = desk.inbox.take(0)
+
+    assert work is not None
+    assert not work.answer
+    assert set(work.arrived) == {"left", "right"}
+
+
+def test_an_optional_input_is_waited_for_only_so_long() -> None:
+    desk = Desk(left=EVERY, right=Input(Frame, keep="every", optional=True, wait_ms=5))
+    desk.put("left", 1)
+
+    assert desk.take(now_ms=4) is None
+    work = desk.inbox.take(int(6e6))
+    assert work is not None
+    assert work.messages["right"] is None
+    desk.put("right", 1)
+    assert desk.fates == [("right", "unmatched")]
+
+
+def test_in_lockstep_an_optional_input_is_waited_for_until_it_answers() -> None:
+    desk = Desk(lockstep=True, left=EVERY, right=Input(Frame, optional=True, wait_ms=5))
+    desk.put("left", 1)
+
+    assert desk.take(now_ms=1e6) is None
+    desk.put("right", 1, nothing=True)
+    assert desk.take() == 1
+
+
+def test_what_comes_beside_a_set_is_handled_after_it_in_lockstep() -> None:
+    desk = Desk(lockstep=True, frame=EVERY, beside=Input(Percept, join=False))
+    desk.put("beside", 3)
+
+    assert desk.take() is None
+    desk.put("frame", 3)
+    first, second = desk.inbox.take(0), desk.inbox.take(0)
+    assert first is not None
+    assert second is not None
+    assert tuple(first.messages) == ("frame",)
+    assert tuple(second.messages) == ("beside",)
+
+
+def test_a_new_stream_flushes_the_old_and_is_announced() -> None:
+    desk = Desk(left=EVERY, right=EVERY)
+    desk.put("left", 9)
+    desk.put("left", 0, stream="t")
+    desk.put("right", 0, stream="t")
+    desk.put("right", 9)  # a straggler of the old stream
+
+    work = desk.inbox.take(0)
+
+    assert work is not None
+    assert work.new_stream
+    assert work.header.stream == "t"
+    assert desk.fates == [("left", "unmatched"), ("right", "unmatched")]
+
+
+def test_stale_sets_are_dropped_and_counted() -> None:
+    desk = Desk(frame=Input(Frame, max_age_ms=50))
+    desk.put("frame", 0)  # stamped at 0 ms
+
+    work = desk.inbox.take(int(60e6))
+
+    assert work is not None
+    assert not work.answer
+    assert desk.fates == [("frame", "stale")]
+
+
+@pytest.mark.parametrize("keep", ["latest", "every"])
+@given(data=st.data())
+def test_every_arrival_is_settled_once_and_memory_is_bounded(
+    keep: str, data: st.DataObject
+) -> None:
+    declared = Input(Frame, keep=keep, depth=4)  # type: ignore[arg-type]
+    desk, bound = Desk(left=declared, right=declared), 4 if keep == "latest" else 10
+    streams = {
+        name: sorted(data.draw(st.sets(st.integers(0, 30), max_size=12)))
+        for name in ("left", "right")
+    }
+    order = data.draw(st.permutations([n for n, seqs in streams.items() for _ in seqs]))
+    settled: Counter[str] = Counter()
+    handled = []
+    for name in order:
+        desk.put(name, streams[name].pop(0))
+        if data.draw(st.booleans()) and (work := desk.inbox.take(0)):
+            handled.append(work.header.seq)
+            settled.update(list(work.arrived))
+        assert len(desk.inbox) <= bound
+
+    while work := desk.inbox.take(0):
+        handled.append(work.header.seq)
+        settled.update(list(work.arrived))
+    settled.update(name for name, _fate in desk.fates)
+
+    waiting = Counter(order) - settled
+    assert sum(waiting.values()) <= bound
+    assert not settled - Counter(order)
+    assert handled == sorted(set(handled))
+
+
+def test_a_histogram_of_nothing_is_zero() -> None:
+    from pipeline.bus.histogram import BUCKETS, Histogram
+
+    assert Histogram(np.zeros(BUCKETS, np.uint32)).summary() == {"p50": 0.0, "p99": 0.0}

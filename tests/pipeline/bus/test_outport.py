@@ -1,0 +1,291 @@
+"""The ends of an edge: what arrives is accounted for once, whoever sent it."""
+
+import secrets
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline import Frame, Header, MessageError, Percept, PoolExhausted
+from pipeline.bus.envelope import Envelope
+from pipeline.bus.inport import InPort
+from pipeline.bus.ledger import EdgeAccount, private_ledger
+from pipeline.bus.outport import KNOCK_S, Arrival, OutPort, Reader
+from pipeline.bus.pool import PoolReader, PoolWriter, remove_pools
+from pipeline.codec import to_bytes
+from pipeline.testing import header, picture
+
+MEMORY = Path("/dev/shm")
+
+
+class Wire:
+    """A sender that keeps what was sent."""
+
+    def __init__(self, *, matched: bool = False) -> None:
+        self.sent: list[bytes] = []
+        self.matched = matched
+
+    def connect(self) -> bool:
+        """Always there."""
+        return False
+
+    def send(self, payload: bytes) -> list[int]:
+        self.sent.append(payload)
+        return []
+
+    def matching(self) -> bool:
+        return self.matched
+
+
+class Edge:
+    """One writer, one reader and the account between them."""
+
+    def __init__(self, *, lossless: bool = True, depth: int = 4, remote: bool = False) -> None:
+        self.stem = f"fovea-test-{secrets.token_hex(4)}"
+        self.account: EdgeAccount = private_ledger(1, 0).edges[0]
+        self.account.reader_epoch = 1
+        self.wire, self.remote = Wire(), Wire(matched=remote)
+        self.lossless, self.depth = lossless, depth
+        self.arrivals: list[Arrival] = []
+        self.out = self.writer(1)
+        self.port = self.reader(1)
+
+    def writer(self, epoch: int) -> OutPort:
+        readers = [Reader(self.account, self.lossless, self.depth)]
+        return OutPort(
+            Frame, self.wire, Wire(), self.remote, readers,  # type: ignore[arg-type]
+            lambda claim: PoolWriter(MEMORY, self.stem, 3, claim), epoch,
+        )  # fmt: skip
+
+    def reader(self, epoch: int, *, tap: bool = False) -> InPort:
+        pool = PoolReader(MEMORY, self.stem)
+        return InPort(Frame, self.account, pool, epoch, self.arrivals.append, tap=tap)
+
+    def send(self, seq: int, side_px: int = 60) -> None:
+        pixels = self.out.loan((side_px, side_px, 3), np.uint8)
+        pixels[...] = seq % 251
+        head = header(seq)
+        self.out.send(Frame(header=head, pixels=pixels), head)
+
+    def carry(self) -> None:
+        for payload in self.wire.sent:
+            self.port.receive(payload)
+        self.wire.sent.clear()
+
+    def finish(self) -> None:
+        """The operator has done with all that arrived."""
+        self.account.settle("delivered", len(self.arrivals))
+        self.arrivals.clear()
+
+
+@pytest.fixture
+def edge() -> Iterator[Edge]:
+    made = Edge()
+    yield made
+    made.arrivals.clear()
+    remove_pools(MEMORY, made.stem)
+
+
+def test_a_loaned_picture_is_not_copied_on_its_way(edge: Edge) -> None:
+    pixels = edge.out.loan((60, 60, 3), np.uint8)
+    pixels[...] = 5
+    head = header(1)
+    edge.out.send(Frame(header=head, pixels=pixels), head)
+    edge.carry()
+    received = edge.arrivals[0].message
+    assert isinstance(received, Frame)
+
+    pixels[0, 0, 0] = 77  # what no author may do proves what the runtime did
+
+    assert received.pixels[0, 0, 0] == 77
+    assert not received.pixels.flags.writeable
+
+
+def test_a_descriptor_is_small_whatever_the_picture(edge: Edge) -> None:
+    edge.send(1, side_px=400)
+
+    assert len(edge.wire.sent[0]) < 1000
+
+
+def test_a_lossless_reader_has_credit_for_its_depth_only(edge: Edge) -> None:
+    edge.out.hello()
+    edge.carry()
+    for seq in range(3):
+        assert edge.out.has_credit()
+        edge.send(seq)
+    edge.carry()
+    with pytest.raises(PoolExhausted):
+        edge.send(3)
+    edge.finish()
+
+    edge.send(3)
+    edge.carry()
+    assert edge.account.sent == 4
+
+
+def test_a_reader_that_never_came_holds_nobody_up() -> None:
+    edge = Edge(depth=2)
+    for seq in range(10):
+        assert edge.out.has_credit()
+        edge.send(seq)
+    remove_pools(MEMORY, edge.stem)
+
+
+def test_a_lost_descriptor_is_counted_as_a_gap(edge: Edge) -> None:
+    edge.send(0)
+    edge.carry()
+    edge.send(1)
+    edge.wire.sent.clear()
+    edge.send(2)
+    edge.carry()
+
+    assert edge.account.dropped("gap") == 1
+    edge.finish()
+    assert edge.account.accounted == edge.account.sent == 3
+
+
+def test_a_reader_to_whom_everything_was_lost_hears_of_it_and_the_writer_goes_on(
+    edge: Edge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edge.out.hello()
+    edge.carry()
+    while edge.out.has_credit():
+        edge.send(1, side_px=20)
+    edge.wire.sent.clear()  # the cable was pulled
+    edge.out.hello()
+    assert edge.wire.sent == []
+
+    now_s = time.monotonic()
+    monkeypatch.setattr("pipeline.bus.outport.time.monotonic", lambda: now_s + 2 * KNOCK_S)
+    edge.out.hello()
+    edge.carry()
+
+    assert edge.account.gap == edge.account.sent == edge.depth
+    assert edge.out.has_credit()
+
+
+def test_a_new_reader_counts_what_its_predecessor_left(edge: Edge) -> None:
+    edge.send(0)
+    edge.carry()
+    edge.arrivals.clear()  # taken, never finished: killed
+    edge.send(1)
+    edge.wire.sent.clear()  # sent to nobody
+    edge.account.reader_epoch = 2
+    edge.port = edge.reader(2)
+
+    edge.out.hello()
+    edge.carry()
+
+    assert edge.account.lost_in_crash == 2
+    assert edge.account.live
+    assert edge.account.accounted == edge.account.sent == 2
+
+
+def test_a_superseded_writer_is_fenced(edge: Edge) -> None:
+    edge.send(0)
+    edge.account.writer_epoch = 2  # its successor has been started
+
+    edge.carry()
+    edge.send(1)
+
+    assert edge.account.dropped("fenced") == 1
+    assert edge.account.sent == 1  # and it does not speak any more
+    assert edge.arrivals == []
+
+
+def test_a_message_of_another_schema_is_refused_and_counted(edge: Edge) -> None:
+    percept = Percept(
+        header=header(0), boxes=np.zeros((0, 4), np.float32), ids=np.zeros(0, np.int32),
+        scores=np.zeros(0, np.float32),
+    )  # fmt: skip
+    other = OutPort(Percept, edge.wire, Wire(), Wire(), edge.out.readers, lambda _claim: None, 1)  # type: ignore[arg-type,return-value]
+    other.send(percept, percept.header)
+
+    edge.carry()
+
+    assert edge.account.dropped("refused") == 1
+    assert edge.account.accounted == edge.account.sent == 1
+
+
+@given(noise=st.binary(max_size=80))
+def test_noise_on_the_key_never_raises_and_never_counts_as_sent(noise: bytes) -> None:
+    edge = Edge()
+
+    edge.port.receive(noise)
+
+    assert edge.account.strays == 1
+    assert edge.account.accounted == 0
+
+
+def test_a_repeated_descriptor_is_a_stray(edge: Edge) -> None:
+    edge.send(0)
+    payload = edge.wire.sent[0]
+    edge.carry()
+    edge.port.receive(payload)
+
+    assert len(edge.arrivals) == 1
+    assert edge.account.strays == 1
+
+
+def test_bytes_are_rendered_only_while_a_remote_reader_matches() -> None:
+    near, far = Edge(), Edge(remote=True)
+    near.send(3)
+    far.send(3)
+
+    assert near.remote.sent == []
+    far.port.receive(far.remote.sent[0])  # no pool of its own is needed for these
+    received = far.arrivals[0].message
+    assert isinstance(received, Frame)
+    assert (received.pixels == 3).all()
+    remove_pools(MEMORY, near.stem)
+    remove_pools(MEMORY, far.stem)
+
+
+def test_a_tap_copies_what_it_would_pin() -> None:
+    edge = Edge(lossless=False)
+    edge.port = edge.reader(1, tap=True)
+    for seq in range(12):
+        edge.send(seq)
+        edge.carry()
+
+    values = [a.message.pixels[0, 0, 0] for a in edge.arrivals if isinstance(a.message, Frame)]
+    assert values == list(range(12))  # kept all, in three slots
+    edge.arrivals.clear()
+    remove_pools(MEMORY, edge.stem)
+
+
+def test_nothing_is_a_message_too(edge: Edge) -> None:
+    edge.out.send(None, header(4))
+    edge.carry()
+
+    assert edge.arrivals[0].message is None
+    assert edge.arrivals[0].header == header(4)
+
+
+def test_the_wrong_message_is_refused_where_it_is_sent(edge: Edge) -> None:
+    percept = Percept(
+        header=header(0), boxes=np.zeros((0, 4), np.float32), ids=np.zeros(0, np.int32),
+        scores=np.zeros(0, np.float32),
+    )  # fmt: skip
+
+    with pytest.raises(MessageError, match="expected Frame to send, got Percept"):
+        edge.out.send(percept, percept.header)
+
+
+@pytest.mark.parametrize("change", [{"seq": 9}, {"stamp_ns": 1}, {"stream": "x"}])
+def test_the_header_arrives_untouched(edge: Edge, change: dict[str, object]) -> None:
+    head: Header = replace(header(2), **change)  # type: ignore[arg-type]
+    edge.out.send(Frame(header=head, pixels=picture(2, 2, seed=1)), head)
+    edge.carry()
+
+    assert edge.arrivals[0].header == head
+
+
+def test_an_envelope_of_another_version_is_refused() -> None:
+    with pytest.raises(MessageError, match="version"):
+        Envelope.parse(to_bytes([99, 1, 1, 1, b"", None, []]))

@@ -1,0 +1,250 @@
+"""Frame pools: no copy, no overwritten picture, nothing kept by the dead."""
+
+import multiprocessing
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import MessageError, PoolExhausted, RunError
+from pipeline.bus.pool import (
+    DONE,
+    KEPT,
+    SPARE,
+    Lease,
+    PoolReader,
+    PoolWriter,
+    SlotRef,
+    remove_pools,
+)
+
+MEMORY = Path("/dev/shm")
+
+
+@pytest.fixture
+def stem() -> Iterator[str]:
+    name = f"fovea-test-{secrets.token_hex(4)}"
+    yield name
+    remove_pools(MEMORY, name)
+
+
+def writer(stem: str, slots: int = 3, *, claim: int = DONE) -> PoolWriter:
+    return PoolWriter(MEMORY, stem, slots, lambda _ordinal: claim)
+
+
+def fill(pool: PoolWriter, value: int, ordinal: int = 1, nbytes: int = 8192) -> SlotRef:
+    lease = pool.lease(nbytes)
+    array = lease.array((nbytes,), np.uint8)
+    assert array is not None
+    array[:] = value
+    pool.publish(lease, ordinal)
+    return lease.ref()
+
+
+def test_the_readers_array_lies_in_the_writers_memory(stem: str) -> None:
+    pool = writer(stem)
+    lease = pool.lease(8192)
+    written = lease.array((8192,), np.uint8)
+    assert written is not None
+    written[:] = 1
+    pool.publish(lease, 1)
+    view = PoolReader(MEMORY, stem).take(lease.ref())
+    assert view is not None
+
+    written[17] = 99  # only memory that both share can show this
+
+    assert view[17] == 99
+
+
+def test_a_views_slot_is_not_reused_until_its_last_view_dies(stem: str) -> None:
+    pool, reader = writer(stem, 2), PoolReader(MEMORY, stem)
+    view = reader.take(fill(pool, 1))
+    assert view is not None
+    part = view[10:20].reshape(2, 5)
+    del view
+    other = pool.lease(8192)
+
+    with pytest.raises(PoolExhausted, match="2 slots"):
+        pool.lease(8192)
+    assert part.tolist() == [[1] * 5] * 2
+    del part
+
+    assert pool.lease(8192).slot != other.slot
+
+
+def test_views_are_read_only(stem: str) -> None:
+    view = PoolReader(MEMORY, stem).take(fill(writer(stem), 1))
+    assert view is not None
+
+    with pytest.raises(ValueError, match="read-only"):
+        view[0] = 2
+
+
+def test_a_reused_slot_is_noticed_by_its_generation(stem: str) -> None:
+    pool, reader = writer(stem, 1), PoolReader(MEMORY, stem)
+    old = fill(pool, 1)
+    new = fill(pool, 2)
+
+    assert reader.take(old) is None
+    taken = reader.take(new)
+    assert taken is not None
+    assert taken[0] == 2
+
+
+def test_a_published_slot_waits_for_readers_on_their_way(stem: str) -> None:
+    pool = writer(stem, 2, claim=KEPT)
+    fill(pool, 1, 1)
+    fill(pool, 2, 2)
+
+    with pytest.raises(PoolExhausted):
+        pool.lease(8192)
+
+
+def test_the_slot_written_last_is_taken_again_as_soon_as_it_is_done(stem: str) -> None:
+    pool = writer(stem, claim=DONE)
+
+    assert len({fill(pool, value, value).slot for value in range(6)}) == 1
+
+
+def test_of_slots_to_spare_the_oldest_goes_first(stem: str) -> None:
+    pool = writer(stem, claim=SPARE)
+
+    slots = [fill(pool, value, value).slot for value in range(6)]
+
+    assert set(slots[:3]) == {0, 1, 2}
+    assert slots[3:] == slots[:3]
+
+
+def test_a_slot_leased_ahead_is_the_next_one_and_holds_nothing_up(stem: str) -> None:
+    pool = writer(stem, 2, claim=KEPT)
+    fill(pool, 1, 1)
+    pool.prepare()
+    pool.prepare()
+
+    assert fill(pool, 2, 2).slot == 1
+
+    pool.prepare()  # none is free: that is no error yet
+    with pytest.raises(PoolExhausted):
+        pool.lease(8192)
+
+
+def test_a_slot_leased_ahead_that_is_too_small_is_left_for_a_bigger_file(stem: str) -> None:
+    pool, reader = writer(stem), PoolReader(MEMORY, stem)
+    fill(pool, 1)
+    pool.prepare()
+
+    view = reader.take(fill(pool, 7, nbytes=1 << 20))
+
+    assert view is not None
+    assert view.min() == 7
+
+
+def test_a_restarted_writer_goes_on_in_the_same_file(stem: str) -> None:
+    first = fill(writer(stem), 1)
+    second = fill(writer(stem), 2)
+
+    assert second.file == first.file
+    assert second.generation > first.generation or second.slot != first.slot
+
+
+def test_bigger_messages_get_a_new_file_and_old_views_stay_whole(stem: str) -> None:
+    pool, reader = writer(stem), PoolReader(MEMORY, stem)
+    small = reader.take(fill(pool, 7))
+    big = reader.take(fill(pool, 8, nbytes=100_000))
+
+    assert small is not None
+    assert big is not None
+    assert small.sum() == 7 * 8192
+    assert big.sum() == 8 * 100_000
+    assert len(list(MEMORY.glob(f"{stem}.*"))) == 1
+
+
+def test_a_full_memory_is_an_error_and_leaves_nothing(stem: str, tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="no room"):
+        writer(stem, 400).lease(1 << 40)
+
+    assert not list(MEMORY.glob(f"{stem}*"))
+
+
+@pytest.mark.parametrize(
+    "ref",
+    [
+        SlotRef("../../etc/passwd", 1, 0, 1, 10),
+        SlotRef("{stem}.zzzzzzzz", 1, 0, 1, 10),
+        SlotRef("{file}", 1, 0, 1, 10),
+        SlotRef("{file}", -1, 99, 1, 10),
+        SlotRef("{file}", -1, 0, 1, 1 << 40),
+        SlotRef("{file}", -1, -1, 1, 10),
+    ],
+)
+def test_a_forged_descriptor_is_refused(stem: str, ref: SlotRef) -> None:
+    real = fill(writer(stem), 1)
+    name = ref.file.format(stem=stem, file=real.file)
+    pool_id = real.pool_id if ref.pool_id == -1 else ref.pool_id
+    forged = SlotRef(name, pool_id, ref.slot, ref.generation, ref.nbytes)
+
+    with pytest.raises(MessageError):
+        PoolReader(MEMORY, stem).take(forged)
+
+
+def test_two_arrays_of_one_message_share_a_slot(stem: str) -> None:
+    lease: Lease = writer(stem).lease(30_000)
+    first, second = lease.array((100, 100), np.uint8), lease.array((50, 50), np.float32)
+
+    assert first is not None
+    assert second is not None
+    assert lease.offset_of(first) == 0
+    assert lease.offset_of(second) == 10_048
+    assert lease.offset_of(np.zeros(3)) is None
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from pipeline.bus.pool import PoolReader, SlotRef
+view = PoolReader(Path("/dev/shm"), sys.argv[1]).take(SlotRef(sys.argv[2], *map(int, sys.argv[3:])))
+print(view is not None, flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_killed_reader_gives_its_slot_back_at_once(stem: str) -> None:
+    pool = writer(stem, 1)
+    ref = fill(pool, 1)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, stem, ref.file]
+        + [str(n) for n in (ref.pool_id, ref.slot, ref.generation, ref.nbytes)],
+        stdout=subprocess.PIPE,
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == b"True\n"
+    with pytest.raises(PoolExhausted):
+        pool.lease(8192)
+
+    os.kill(holder.pid, signal.SIGKILL)
+    holder.wait()
+    holder.stdout.close()
+
+    assert pool.lease(8192).slot == 0
+
+
+def test_ten_thousand_frames_leave_no_lock_and_no_memory_behind(stem: str) -> None:
+    pool, reader = writer(stem, 3), PoolReader(MEMORY, stem)
+    started = time.monotonic()
+
+    for i in range(10_000):
+        view = reader.take(fill(pool, i % 251, i))
+        assert view is not None
+        assert view[0] == i % 251
+        del view
+
+    assert reader.pinned == 0
+    assert time.monotonic() - started < 20
+    assert multiprocessing.active_children() == []

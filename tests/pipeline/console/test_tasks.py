@@ -1,0 +1,71 @@
+"""Tasks: a name or a file leads to a command, and what leads nowhere is said in one sentence."""
+
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from pipeline.console.tasks import command_of, find, task_command
+from pipeline.errors import GraphError
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "task.yaml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_a_shipped_task_is_found_by_name_and_has_both_commands() -> None:
+    assert find("tracking").name == "tracking.yaml"
+    assert isinstance(command_of("tracking", "eval"), click.Command)
+    pytest.importorskip("torch", reason="the extra for training is not installed")
+    assert isinstance(command_of("tracking", "train"), click.Command)
+
+
+def test_training_without_its_extra_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "operators.policy.train", raising=False)
+
+    with pytest.raises(GraphError, match=r"train: .* cannot be imported: .*torch.*\.\[train\]"):
+        command_of("tracking", "train")
+
+
+def test_a_task_of_ones_own_is_named_by_its_path(tmp_path: Path) -> None:
+    path = written(tmp_path, "eval: bench.tracking.evaluate:command\n")
+
+    assert command_of(path, "eval") is command_of("tracking", "eval")
+
+
+def test_a_name_that_is_no_task_gets_a_suggestion() -> None:
+    with pytest.raises(GraphError, match=r"no task trakcing.*did you mean 'tracking'"):
+        command_of("trakcing", "eval")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("eval: bench.tracking.evaluate:command\n", r"expected train: module:command, got eval"),
+        ("train: bench.tracking.evaluate:ALL\n", r"train: expected a click command"),
+        ("train: bench.tracking.nothing:command\n", r"task\.yaml: train: .*bench\.tracking"),
+    ],
+)
+def test_a_task_file_that_leads_nowhere_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(GraphError, match=said):
+        command_of(written(tmp_path, text), "train")
+
+
+def test_words_after_the_task_are_handed_on(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        task_command("eval", "score").main(
+            ["tracking", "--data", "procedural", "--targets", "coach"], standalone_mode=False
+        )
+
+    assert ended.value.code == 2
+    assert "targets: expected ball, referee, player, got coach" in capsys.readouterr().err
+
+
+def test_without_a_task_the_known_ones_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    task_command("eval", "score").main([], standalone_mode=False)
+
+    assert "tasks: tracking" in capsys.readouterr().out

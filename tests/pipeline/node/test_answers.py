@@ -1,0 +1,137 @@
+"""Every node answers four questions, one by one or all by a wildcard; one that hangs says so."""
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline import Frame, Operator, RunError, SettingsError
+from pipeline.codec import fingerprint
+from pipeline.commands import carry_out, commands_of, obey, read_outcome, write_order
+from pipeline.console.asking import ask_node, fleet_health, tell
+from pipeline.node.interface import SCHEMA, interface, read_interface
+from pipeline.run.supervisor import Supervisor
+from pipeline.testing import header
+from tests.pipeline.run.test_runtime import LOOP, go, handled, plan_of, wait_for
+from tests.toys import Pass, WorkSettings
+
+
+def work(*seqs: int) -> Pass:
+    operator = Pass(WorkSettings(hold=3))
+    operator.open()
+    for seq in seqs:
+        operator.on_frame(
+            Frame(header=header(seq), pixels=np.zeros((2, 2, 3), np.uint8), window=(0, 0, 2, 2))
+        )
+    return operator
+
+
+def test_a_command_is_done_and_answered() -> None:
+    order = write_order("recall", {"last": 2, "doubled": True})
+
+    assert carry_out("work", work(1, 2, 3), order).answer == {"held": [4, 6]}
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "said"),
+    [
+        ("recal", {}, r"work: no command recal, did you mean 'recall'\?"),
+        ("open", {}, "work: no command open; there is recall, break_down"),
+        ("recall", {"lst": 2}, r"work\.recall\.lst: no such setting, did you mean 'last'\?"),
+        ("recall", {"last": "2"}, r"work\.recall\.last: input should be a valid integer, got '2'"),
+        ("recall", {"last": 0}, r"work\.recall\.last: must be at least 1, got 0"),
+    ],
+)
+def test_an_order_that_makes_no_sense_is_refused(
+    command: str, arguments: dict[str, Any], said: str
+) -> None:
+    refused = carry_out("work", work(1), write_order(command, arguments)).refused
+
+    with pytest.raises(RunError, match=said):
+        raise RunError(refused)
+
+
+@given(st.binary(max_size=60))
+def test_noise_orders_nothing(noise: bytes) -> None:
+    assert carry_out("work", work(1), noise).refused.startswith("work: not an order")
+
+
+def test_an_operator_that_breaks_over_a_command_is_told_of_and_raises() -> None:
+    answers: list[bytes] = []
+
+    with pytest.raises(ValueError, match="told to break"):
+        obey("work", work(), write_order("break_down", {}), answers.append)
+
+    assert "starts again: ValueError: told to break" in read_outcome(answers[0]).refused
+
+
+def test_commands_name_methods_whose_arguments_have_types() -> None:
+    class Mute(Operator[WorkSettings, None]):
+        commands = ("recal",)
+
+    class Untyped(Operator[WorkSettings, None]):
+        commands = ("recall",)
+
+        def do_recall(self, last) -> None:  # type: ignore[no-untyped-def]
+            pass
+
+    with pytest.raises(SettingsError, match=r"Mute\.commands: expected a method do_recal"):
+        commands_of(Mute)
+    with pytest.raises(SettingsError, match=r"do_recall\(last\): expected a type"):
+        commands_of(Untyped)
+
+
+def test_the_interface_names_ports_by_their_fingerprint() -> None:
+    found = interface("work", Pass)
+
+    assert found.inputs["frame"].fingerprint == fingerprint(Frame).hex()
+    assert found.outputs["out"].message == "Frame"
+    assert found.live == ("every", "hold")
+    assert found.settings["properties"]["every"]["type"] == "integer"
+    assert set(found.commands["recall"]["properties"]) == {"last", "doubled"}
+
+
+def test_a_running_graph_answers_every_question(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP, changes=("work.hold=4",))
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > 3)
+
+        fleet = fleet_health(plan.name)
+        held = tell(plan.name, "work", "recall", {"last": 2}).answer["held"]
+        shown = read_interface(ask_node(plan.name, "pair", SCHEMA, b""))
+
+        assert list(fleet) == ["ticker", "work", "pair", "steer"]
+        for node, health in fleet.items():
+            assert health is not None
+            assert (health.pid, health.complaint) == (supervisor.pid(node), "")
+            assert health.handled > 0
+            assert 0 < health.own_mb < 500
+        assert held == [held[0], held[0] + 1]
+        assert list(shown.inputs) == ["left", "right"]
+
+    assert go(plan, 100, during)["failure"] == ""
+
+
+def test_who_hangs_says_so_and_who_is_frozen_is_silent(tmp_path: Path) -> None:
+    text = LOOP.replace("  work:\n", "  work:\n    stall_s: 0.3\n")
+    text = text.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
+    plan = plan_of(tmp_path, text, changes=("work.hang_at=5",))
+
+    with Supervisor(plan) as supervisor:
+        supervisor.start()
+        wait_for(supervisor, lambda: supervisor.ledger.nodes[1].last_seq == 5)
+        os.kill(supervisor.pid("steer"), signal.SIGSTOP)
+        time.sleep(0.4)  # and the supervisor does not look after them
+
+        fleet = fleet_health(plan.name)
+
+        assert fleet["work"] is not None
+        assert "work has worked on frame 5 for" in fleet["work"].complaint
+        assert fleet["steer"] is None

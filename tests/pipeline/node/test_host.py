@@ -1,0 +1,96 @@
+"""A host calls its operator and holds nothing of a message once it is handled."""
+
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline import Frame, Input, Operator
+from pipeline.bus.doors import Doors, Links
+from pipeline.bus.inport import InPort
+from pipeline.bus.ledger import Ledger, private_ledger
+from pipeline.bus.outport import OutPort, Reader
+from pipeline.bus.pool import PoolReader, PoolWriter, remove_pools
+from pipeline.node.host import MOST_ASKED, Host
+from pipeline.testing import header
+from tests.pipeline.bus.test_outport import MEMORY, Wire
+from tests.toys import WorkSettings
+
+
+class Look(Operator[WorkSettings, None]):
+    """Notes how many slots its reader pins while it looks at a picture."""
+
+    frame = Input(Frame, keep="every")
+
+    def on_frame(self, frame: Frame) -> None:
+        self.pinned = self.pool.pinned
+
+
+class Scene:
+    """A writer, and a reader with its host, in this process."""
+
+    def __init__(self, folder: Path) -> None:
+        self.stem = f"fovea-test-{secrets.token_hex(4)}"
+        self.ledger: Ledger = private_ledger(1, 1)
+        account = self.ledger.edges[0]
+        account.reader_epoch = 1
+        self.pool = PoolReader(MEMORY, self.stem)
+        self.look = Look(WorkSettings())
+        self.look.pool = self.pool
+        self.doors = Doors(folder / "look.door")
+        self.links = Links([(0, folder / "look.door")])
+        self.host = Host(
+            "look", self.look, {"frame": Look.frame}, {"frame": account}, {},
+            self.ledger.nodes[0], self.doors, lockstep=False, epoch=1,
+        )  # fmt: skip
+        port = InPort(Frame, account, self.pool, 1, lambda a: self.host.deliver("frame", a))
+        self.doors.expect(0, port.receive)
+        self.out = OutPort(
+            Frame, self.links, Wire(), Wire(), [Reader(account, True, 4)],  # type: ignore[arg-type]
+            lambda claim: PoolWriter(MEMORY, self.stem, 3, claim), 1,
+        )  # fmt: skip
+        self.out.hello()
+        self.host.attend()
+
+    def close(self) -> None:
+        self.links.close()
+        self.doors.close()
+        remove_pools(MEMORY, self.stem)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Iterator[Scene]:
+    made = Scene(tmp_path)
+    yield made
+    made.close()
+
+
+def test_a_picture_is_given_back_as_soon_as_it_is_handled(scene: Scene) -> None:
+    for seq in range(3):
+        pixels = scene.out.loan((100, 100, 3), np.uint8)
+        head = header(seq)
+        scene.out.send(Frame(header=head, pixels=pixels), head)
+
+        scene.host.step()
+
+        assert scene.look.pinned == 1
+        assert scene.pool.pinned == 0
+    assert scene.ledger.edges[0].delivered == 3
+
+
+def test_a_question_is_answered_between_two_calls(scene: Scene) -> None:
+    answers: list[str] = []
+    scene.host.between(lambda: answers.append("so it is"))
+    assert answers == []
+
+    scene.host.step()
+
+    assert answers == ["so it is"]
+
+
+def test_questions_do_not_pile_up_behind_a_handler_that_hangs(scene: Scene) -> None:
+    taken = [scene.host.between(lambda: None) for _ in range(MOST_ASKED + 2)]
+
+    assert taken == [True] * MOST_ASKED + [False, False]

@@ -1,0 +1,182 @@
+"""Settings change while a graph runs, between two frames, or the reason why not is told."""
+
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline import Operator, RunError, SettingsError
+from pipeline.console.changing import ask
+from pipeline.contract import live_of
+from pipeline.node.live import Live, kept, read_answer, write_question
+from pipeline.run.inline import InlineRunner
+from pipeline.run.supervisor import Supervisor
+from tests.pipeline.run.test_runtime import LOOP, go, handled, plan_of, wait_for
+from tests.toys import Pass, WorkSettings
+
+
+def work(file: Path | None = None) -> tuple[Pass, Live]:
+    operator = Pass(WorkSettings())
+    return operator, Live("work", operator, {}, file)
+
+
+def test_a_live_setting_changes_and_the_others_stay() -> None:
+    operator, live = work()
+
+    live.change({"every": 3})
+    live.change({"hold": 2})
+
+    assert operator.settings == WorkSettings(every=3, hold=2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"evry": 2}, r"work\.evry: no such setting, did you mean 'every'\?"),
+        ({"every": "often"}, r"work\.every: input should be a valid integer, got 'often'"),
+        ({"every": 0}, r"work\.every: must be at least 1, got 0"),
+        ({"sleep_s": 1.0}, r"work\.sleep_s: cannot change while the node runs; every, hold can"),
+        ({"hold": 10}, r"work\.hold: no room for more than 9 pictures"),
+        ({"every": 2, "sleep_s": 1.0}, "cannot change"),
+    ],
+)
+def test_what_is_refused_is_told_and_changes_nothing(changes: dict[str, Any], said: str) -> None:
+    operator, live = work()
+    live.change({"every": 5})
+
+    with pytest.raises(SettingsError, match=said):
+        live.change(changes)
+
+    assert operator.settings == WorkSettings(every=5)
+    live.change({"hold": 1})  # and what was refused does not come back with the next change
+    assert operator.settings == WorkSettings(every=5, hold=1)
+
+
+def test_what_changed_is_kept_in_the_file_and_what_was_refused_is_not(tmp_path: Path) -> None:
+    file = tmp_path / "work.live"
+    _, live = work(file)
+    assert kept(file) == {}
+
+    live.change({"every": 3})
+    with pytest.raises(SettingsError):
+        live.change({"every": 0})
+
+    assert kept(file) == {"every": 3}
+
+
+def test_what_cannot_be_kept_is_refused_and_changes_nothing(tmp_path: Path) -> None:
+    operator, live = work(tmp_path / "gone" / "work.live")
+
+    with pytest.raises(SettingsError, match=r"work: cannot be kept: .*No such file"):
+        live.change({"every": 3})
+
+    assert operator.settings == WorkSettings()
+
+
+@given(st.binary(min_size=1, max_size=60))
+def test_noise_is_answered_and_changes_nothing_that_must_not_change(noise: bytes) -> None:
+    operator, live = work()
+    answers: list[bytes] = []
+
+    live.answer(noise, answers.append)
+
+    answer = read_answer(answers[0])
+    assert answer.settings["every"] == operator.settings.every >= 1
+    assert operator.settings.sleep_s == 0
+
+
+def test_an_operator_that_breaks_over_a_change_is_told_of_and_raises() -> None:
+    _, live = work()
+    answers: list[bytes] = []
+
+    with pytest.raises(ValueError, match="told to break"):
+        live.answer(write_question({"hold": -1}), answers.append)
+
+    assert "starts again: ValueError: told to break" in read_answer(answers[0]).refused
+
+
+def test_live_names_settings() -> None:
+    class Wrong(Operator[WorkSettings, None]):
+        live = ("evry",)
+
+    with pytest.raises(SettingsError, match=r"Wrong\.live: expected names of settings, got 'evry'"):
+        live_of(Wrong)
+
+
+def test_in_line_a_change_holds_from_the_next_frame_on(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP, clock="lockstep")
+    answered: list[int] = []
+
+    with InlineRunner(
+        plan, watch=lambda name, m: answered.append(m.header.seq) if name == "work.out" else None
+    ) as runner:
+        for seq in runner.run(12):
+            if seq == 5:
+                effective = runner.change("work", {"every": 4})
+
+    assert effective["every"] == 4
+    assert answered == [0, 1, 2, 3, 4, 5, 8]
+
+
+def test_in_line_an_unknown_node_is_one_sentence(tmp_path: Path) -> None:
+    with (
+        InlineRunner(plan_of(tmp_path, LOOP, clock="lockstep")) as runner,
+        pytest.raises(RunError, match="no node wrk, did you mean 'work'"),
+    ):
+        runner.change("wrk", {})
+
+
+def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_told(
+    tmp_path: Path,
+) -> None:
+    plan = plan_of(tmp_path, LOOP)
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > 3)
+        assert ask(plan.name, "work", {"every": 2}).settings["every"] == 2
+        assert ask(plan.name, "ticker", {"rate_hz": 90}).settings["rate_hz"] == 90
+        refused = ask(plan.name, "work", {"every": 0})
+        assert "must be at least 1" in refused.refused
+        os.kill(supervisor.pid("work"), signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.restarts.get("work") == 1)
+        index = plan.node("work").index
+        wait_for(supervisor, lambda: supervisor.ledger.nodes[index].condition == "waiting")
+
+        answer = ask(plan.name, "work", {})
+
+        assert answer.settings["every"] == 2
+        assert answer.live == ("every", "hold")
+
+    report = go(plan, 150, during)
+
+    assert report["restarts"] == {"work": 1}
+    assert report["failure"] == ""
+
+
+def test_the_next_run_begins_with_what_its_graph_says(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP)
+    seen = []
+
+    def change(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > 1)
+        seen.append(ask(plan.name, "work", {"every": 7} if not seen else {}).settings["every"])
+
+    for _ in range(2):
+        go(plan, 30, change)
+
+    assert seen == [7, 1]
+
+
+def test_a_node_or_graph_that_does_not_run_is_one_sentence(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP)
+
+    with Supervisor(plan) as supervisor:
+        supervisor.start()
+        with pytest.raises(RunError, match=r"no node stear, did you mean 'steer'\?"):
+            ask(plan.name, "stear", {})
+        with pytest.raises(RunError, match=rf"no graph {plan.name}x runs, did you mean"):
+            ask(f"{plan.name}x", "steer", {})

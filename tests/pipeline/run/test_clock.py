@@ -1,0 +1,78 @@
+"""No figure, no limit and no decision hangs on the wall clock: it may jump as it likes."""
+
+import ast
+import os
+import secrets
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline.run.test_runtime import LOOP
+
+ROOT = Path(__file__).resolve().parents[3]
+ASKED_FOR_FILES = {  # a file's age is by that clock, and so is a certificate's
+    "installation.py", "rundir.py", "secure.py", "spare.py",
+}  # fmt: skip
+UNDER_JUMPS = """
+import os, signal, sys, time
+from pathlib import Path
+from pipeline.console.asking import fleet_health
+from pipeline.graph.loader import load
+from tests.pipeline.run.test_runtime import assert_accounts_add_up, go, handled, wait_for
+
+def during(supervisor):
+    wait_for(supervisor, lambda: handled(supervisor, "steer") > 10)
+    seen = {time.time() // 43200 for _ in range(60) if not time.sleep(0.01)}
+    print("jumps:", len(seen) > 1)
+    os.kill(supervisor.pid("work"), signal.SIGKILL)
+    wait_for(supervisor, lambda: supervisor.restarts == {"work": 1} and supervisor.pid("work"))
+    after = handled(supervisor, "work")
+    wait_for(supervisor, lambda: handled(supervisor, "work") > after)
+    print("well:", all(h and not h.complaint for h in fleet_health(plan.name).values()))
+
+plan = load(Path(sys.argv[1]))
+report = go(plan, 200, during)
+assert_accounts_add_up(report)
+assert report["restarts"] == {"work": 1}, report["restarts"]
+assert report["failure"] == "", report["failure"]
+assert report["loop"]["latency_ms"]["p99"] < 5000, report["loop"]
+assert report["edges"][0]["age_ms"]["p99"] < 5000, report["edges"][0]
+print("done")
+"""
+
+
+@pytest.fixture
+def jumping(tmp_path: Path) -> Path:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler here")
+    library = tmp_path / "jumping.so"
+    source = Path(__file__).with_name("jumping_clock.c")
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    return library
+
+
+def test_a_graph_does_not_notice_that_the_wall_clock_jumps(jumping: Path, tmp_path: Path) -> None:
+    path = tmp_path / "graph.yaml"
+    path.write_text(f"name: clock-{secrets.token_hex(3)}\n{LOOP}")
+
+    done = subprocess.run(
+        [sys.executable, "-c", UNDER_JUMPS, str(path)], capture_output=True, text=True,
+        timeout=60, check=False, cwd=ROOT, env={**os.environ, "LD_PRELOAD": str(jumping)},
+    )  # fmt: skip
+
+    assert done.stdout.splitlines() == ["jumps: True", "well: True", "done"], done.stderr
+
+
+def test_nothing_that_runs_asks_for_the_wall_clock() -> None:
+    asked = set()
+    for path in sorted((ROOT / "pipeline").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            words = ast.unparse(node) if isinstance(node, ast.Attribute) else ""
+            if words in ("time.time", "time.time_ns", "datetime.now", "datetime.datetime.now"):
+                asked.add(path.name)
+
+    assert asked == ASKED_FOR_FILES

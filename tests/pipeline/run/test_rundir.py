@@ -1,0 +1,70 @@
+"""The folders of running graphs: one owner, and old logs do not pile up."""
+
+import fcntl
+import os
+import secrets
+import shutil
+import threading
+import time
+
+import pytest
+
+from pipeline import RunError
+from pipeline.run.rundir import KEEP_LOGS_S, RunFolder, base, sweep
+
+
+def test_a_name_has_one_owner_at_a_time() -> None:
+    name = f"test-{secrets.token_hex(3)}"
+    owned = RunFolder.claim(name)
+
+    with pytest.raises(RunError, match="already running"):
+        RunFolder.claim(name)
+    owned.release()
+
+    RunFolder.claim(name).release()
+
+
+def test_logs_of_last_week_stay_and_older_ones_go() -> None:
+    fresh, stale = (base() / f"test-{secrets.token_hex(3)}" for _ in range(2))
+    for folder, age_s in ((fresh, 0.0), (stale, KEEP_LOGS_S + 60)):
+        RunFolder.claim(folder.name).release()
+        (folder / "work.log").write_text("so it was")
+        os.utime(folder / "lock", (time.time() - age_s,) * 2)
+
+    sweep()
+
+    assert (fresh / "work.log").exists()
+    assert not stale.exists()
+
+
+@pytest.mark.parametrize("swept", [False, True])
+def test_who_looks_or_sweeps_keeps_nobody_from_starting(*, swept: bool) -> None:
+    folder = base() / f"test-{secrets.token_hex(3)}"
+    RunFolder.claim(folder.name).release()
+    lock = os.open(folder / "lock", os.O_RDWR)
+    fcntl.flock(lock, fcntl.LOCK_EX if swept else fcntl.LOCK_SH)
+
+    def let_go() -> None:
+        if swept:
+            shutil.rmtree(folder)
+        os.close(lock)
+
+    threading.Timer(0.1, let_go).start()
+    owned = RunFolder.claim(folder.name)
+
+    assert os.path.samestat(os.fstat(owned._lock), (folder / "lock").stat())
+    owned.release()
+
+
+def test_what_killed_nodes_leave_in_the_folder_is_removed_and_logs_are_not() -> None:
+    owned = RunFolder.claim(f"test-{secrets.token_hex(3)}")
+    for name in ("a.1.sock", "a.1.sock.lock", "a.1.door", "a.live", "a.log"):
+        (owned.folder / name).touch()
+
+    owned.release()
+
+    assert {path.name for path in owned.folder.iterdir()} == {"a.log", "lock"}
+
+
+def test_the_folder_is_private() -> None:
+    assert base().stat().st_mode & 0o077 == 0

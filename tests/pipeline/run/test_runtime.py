@@ -1,0 +1,338 @@
+"""Graphs as real processes on the real bus: they lose nothing they promised to keep."""
+
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from pipeline import RunError
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan
+from pipeline.run.inline import InlineRunner
+from pipeline.run.report import Report, compose
+from pipeline.run.rundir import MEMORY, base, running
+from pipeline.run.supervisor import Supervisor
+
+LOOP = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    inputs: {schedule: steer}
+    settings: {rate_hz: 60, side_px: 120}
+  work:
+    operator: tests.toys:Pass
+    inputs: {frame: ticker.context}
+  pair:
+    operator: tests.toys:Pair
+    inputs: {left: work, right: ticker.roi}
+  steer:
+    operator: tests.toys:Steer
+    inputs: {percept: pair}
+"""
+CHAIN = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {rate_hz: 60, side_px: 120}
+  count:
+    operator: tests.toys:Count
+    inputs: {frame: {from: ticker.roi, depth: 60}}
+  glance:
+    operator: tests.toys:Pass
+    inputs: {frame: ticker.roi}
+"""
+
+
+def plan_of(tmp_path: Path, text: str, **overlay: Any) -> Plan:
+    path = tmp_path / "graph.yaml"
+    path.write_text(f"name: test-{secrets.token_hex(3)}\n{text}")
+    return load(path, Overlay(**overlay))
+
+
+def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = None) -> Report:
+    with Supervisor(plan, frames=frames) as supervisor:
+        supervisor.start()
+        if during:
+            during(supervisor)
+        deadline = time.monotonic() + 60
+        while not supervisor.finished and time.monotonic() < deadline:
+            supervisor.tick()
+        supervisor.finish()
+        supervisor.stop()
+        report = compose(
+            plan, supervisor.ledger, supervisor.summaries, {}, duration_s=1,
+            restarts=supervisor.restarts,
+        )  # fmt: skip
+        report["failure"] = supervisor.failure
+        report["summaries"] = supervisor.summaries
+    return report
+
+
+def edge(report: Report, end: str) -> dict[str, Any]:
+    return next(e for e in report["edges"] if e["to"] == end)
+
+
+def assert_accounts_add_up(report: Report) -> None:
+    for e in report["edges"]:
+        ends = e["delivered"] + sum(e["dropped"].values()) + e["lost_in_crash"]
+        assert e["offered"] == ends, e
+        assert e["in_flight"] == 0, e
+
+
+def wait_for(supervisor: Supervisor, condition: Callable[[], bool], timeout_s: float = 15) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "timed out"
+        supervisor.tick()
+
+
+def handled(supervisor: Supervisor, node: str) -> int:
+    return supervisor.ledger.nodes[supervisor.plan.node(node).index].handled
+
+
+def test_the_loop_closes_and_every_account_adds_up(tmp_path: Path) -> None:
+    report = go(plan_of(tmp_path, LOOP), 60)
+
+    assert_accounts_add_up(report)
+    assert report["frames"] == {"exposed": 60, "skipped": 0}
+    assert report["loop"]["commands"] > 20  # of 60; a busy machine leaves some out
+    assert report["loop"]["latency_ms"]["p50"] < 100
+    assert edge(report, "steer.percept")["dropped"] == {}
+
+
+def test_nothing_is_left_behind(tmp_path: Path) -> None:
+    before = set(os.listdir(MEMORY))
+
+    go(plan_of(tmp_path, LOOP), 10)
+
+    assert {n for n in set(os.listdir(MEMORY)) - before if n.startswith("fovea-")} == set()
+    assert not [p for p in psutil.Process().children() if "pipeline.node.process" in p.cmdline()]
+
+
+def test_lockstep_gives_the_same_commands_in_line_and_as_processes(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP, clock="lockstep", changes=("work.every=3",))
+
+    hashes = {go(plan, 40)["schedule_sha256"] for _ in range(2)}
+    for _ in range(2):
+        with InlineRunner(plan) as runner:
+            assert list(runner.run(40)) == list(range(40))
+            hashes.add(runner.report()["schedule_sha256"])
+
+    assert len(hashes) == 1
+
+
+def test_a_reader_stopped_for_a_second_on_a_lossless_edge_loses_nothing(tmp_path: Path) -> None:
+    def freeze(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
+        os.kill(supervisor.pid("count"), signal.SIGSTOP)
+        end = time.monotonic() + 0.6
+        wait_for(supervisor, lambda: time.monotonic() > end)
+        os.kill(supervisor.pid("count"), signal.SIGCONT)
+
+    report = go(plan_of(tmp_path, CHAIN), 100, freeze)
+
+    assert_accounts_add_up(report)
+    assert edge(report, "count.frame")["delivered"] == 100
+    assert edge(report, "count.frame")["dropped"] == {}
+    assert report["summaries"]["count"] == {"seen": list(range(100)), "torn": 0}
+
+
+def test_a_writer_waits_for_a_stopped_lossless_reader(tmp_path: Path) -> None:
+    text = CHAIN + "  relay:\n    operator: tests.toys:PassEvery\n"
+    text += "    inputs: {frame: {from: ticker.context, depth: 60}}\n"
+    text += (
+        "  last:\n    operator: tests.toys:Count\n    inputs: {frame: {from: relay, depth: 2}}\n"
+    )
+
+    def freeze(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "last") > 5)
+        os.kill(supervisor.pid("last"), signal.SIGSTOP)
+        end = time.monotonic() + 0.5
+        wait_for(supervisor, lambda: time.monotonic() > end)
+        relay = supervisor.ledger.nodes[supervisor.plan.node("relay").index]
+        assert relay.condition == "credit"
+        os.kill(supervisor.pid("last"), signal.SIGCONT)
+
+    report = go(plan_of(tmp_path, text), 90, freeze)
+
+    assert_accounts_add_up(report)
+    assert report["summaries"]["last"] == {"seen": list(range(90)), "torn": 0}, report["edges"]
+
+
+def test_a_source_that_cannot_wait_counts_an_overrun_on_every_edge(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, CHAIN, changes=("count.sleep_s=0.05",))
+
+    report = go(plan, 150)
+
+    assert_accounts_add_up(report)
+    overruns = [edge(report, end)["dropped"]["overrun"] for end in ("count.frame", "glance.frame")]
+    assert overruns[0] == overruns[1] > 10
+    assert edge(report, "count.frame")["delivered"] == 150 - overruns[0]
+
+
+def test_a_slow_reader_of_the_latest_never_slows_a_lossless_one(tmp_path: Path) -> None:
+    report = go(plan_of(tmp_path, CHAIN, changes=("glance.sleep_s=0.1",)), 100)
+
+    assert_accounts_add_up(report)
+    assert edge(report, "count.frame")["delivered"] == 100
+    assert edge(report, "glance.frame")["dropped"]["superseded"] > 50
+
+
+@pytest.mark.parametrize("victim", ["ticker", "work", "pair", "steer"])
+def test_a_killed_operator_comes_back_and_the_accounts_still_add_up(
+    tmp_path: Path, victim: str
+) -> None:
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > 10)
+        os.kill(supervisor.pid(victim), signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.restarts.get(victim) == 1)
+        index = supervisor.plan.node(victim).index
+        wait_for(
+            supervisor, lambda: supervisor.ledger.nodes[index].condition in ("waiting", "busy")
+        )
+        after = handled(supervisor, "steer")
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > after + 5)
+
+    report = go(plan_of(tmp_path, LOOP), 200, kill)
+
+    assert_accounts_add_up(report)
+    assert report["restarts"] == {victim: 1}
+    assert report["failure"] == ""
+
+
+def test_a_node_that_shall_never_restart_stays_away_and_the_graph_goes_on(tmp_path: Path) -> None:
+    text = CHAIN.replace("  count:\n", "  count:\n    restart: never\n")
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
+        os.kill(supervisor.pid("count"), signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.pid("count") == 0)
+
+    report = go(plan_of(tmp_path, text), 100, kill)
+
+    assert report["restarts"] == {}
+    assert edge(report, "glance.frame")["offered"] == 100
+    assert "overrun" not in edge(report, "glance.frame")["dropped"]
+
+
+def test_a_node_that_dies_too_often_ends_the_run(tmp_path: Path) -> None:
+    text = LOOP.replace("  work:\n", "  work:\n    restart: {most: 2, backoff_s: 0.01}\n")
+    plan = plan_of(tmp_path, text, changes=("work.every=1", "work.crash_after=3"))
+
+    report = go(plan, 1000)
+
+    assert "work died 3 times" in report["failure"]
+
+
+def test_an_exception_is_in_the_log_and_the_graph_goes_on(tmp_path: Path) -> None:
+    text = LOOP.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
+    plan = plan_of(tmp_path, text, changes=("work.crash_at=20",))
+
+    report = go(plan, 120)
+
+    log = (base() / plan.name / "work.log").read_text()
+    assert "ValueError: told to crash" in log
+    assert "Traceback" in log
+    assert report["restarts"] == {"work": 1}
+    assert_accounts_add_up(report)
+
+
+def test_in_lockstep_a_crash_ends_the_run_with_an_error(tmp_path: Path) -> None:
+    report = go(plan_of(tmp_path, LOOP, clock="lockstep", changes=("work.crash_at=5",)), 50)
+
+    assert "work ended by exit status 1" in report["failure"]
+
+
+def test_a_source_that_breaks_ends_the_run_with_its_sentence(tmp_path: Path) -> None:
+    report = go(plan_of(tmp_path, LOOP, changes=("ticker.fail_at=9",)), 50)
+
+    assert report["failure"] == "picture 9: torn"
+
+
+def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
+    text = LOOP.replace("    operator: tests.toys:Pair\n", "    operator: tests.toys:PairEvery\n")
+    text = text.replace("    inputs: {frame: ticker.context}\n",
+                        "    inputs: {frame: {from: ticker.context, keep: every}}\n"
+                        "    stall_s: 0.5\n")  # fmt: skip
+    plan = plan_of(tmp_path, text, changes=("work.hang_at=20",))
+
+    report = go(plan, 150)
+
+    assert report["restarts"] == {"work": 1}
+    assert (
+        "time.sleep" in (base() / plan.name / "work.log").read_text()
+        or "toys.py" in (base() / plan.name / "work.log").read_text()
+    )
+
+
+def test_a_graph_runs_once_at_a_time(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP)
+
+    with Supervisor(plan), pytest.raises(RunError, match="already running"):
+        Supervisor(plan)
+
+
+def test_a_reader_without_shared_memory_gets_the_bytes(tmp_path: Path) -> None:
+    text = CHAIN.replace("depth: 60", "depth: 60, transport: bytes")
+
+    report = go(plan_of(tmp_path, text), 60)
+
+    assert report["summaries"]["count"] == {"seen": list(range(60)), "torn": 0}
+    assert_accounts_add_up(report)
+
+
+def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
+    text = LOOP.replace("  work:\n", "  work:\n    group: hand\n")
+    text = text.replace("  pair:\n", "  pair:\n    group: hand\n")
+    plan = plan_of(tmp_path, text)
+    assert set(plan.processes()) == {"ticker", "hand", "steer"}
+
+    report = go(plan, 60)
+
+    assert report["loop"]["commands"] > 20  # of 60; a busy machine leaves some out
+    assert_accounts_add_up(report)
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from pipeline.graph.loader import load
+from pipeline.run.supervisor import Supervisor
+supervisor = Supervisor(load(Path(sys.argv[1])))
+supervisor.start()
+print("running", flush=True)
+while True:
+    supervisor.tick()
+"""
+
+
+def test_a_killed_supervisor_takes_its_children_along_and_the_next_start_sweeps(
+    tmp_path: Path,
+) -> None:
+    plan = plan_of(tmp_path, LOOP)
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
+    supervisor = subprocess.Popen(command, stdout=subprocess.PIPE)
+    assert supervisor.stdout is not None
+    assert supervisor.stdout.readline() == b"running\n"
+    facts = running()[plan.name]
+    children = [psutil.Process(pid) for pid in facts["pids"].values()]
+
+    supervisor.kill()
+    supervisor.wait()
+    supervisor.stdout.close()
+
+    gone, alive = psutil.wait_procs(children, timeout=6)
+    assert (len(gone), alive) == (4, [])
+    assert plan.name not in running()
+    assert list(MEMORY.glob(f"{facts['prefix']}*"))
+    go(plan, 5)
+    assert not list(MEMORY.glob(f"{facts['prefix']}*"))

@@ -1,0 +1,187 @@
+"""Whoever is frozen, dead-locked, leaking, slow or looping is dealt with; the others go on."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from pipeline import RunError
+from pipeline.run.rundir import base, running
+from pipeline.run.supervisor import Supervisor
+from tests.pipeline.run.test_runtime import (
+    CHAIN,
+    KILLED,
+    LOOP,
+    assert_accounts_add_up,
+    edge,
+    go,
+    handled,
+    plan_of,
+    wait_for,
+)  # fmt: skip
+
+SICK = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {rate_hz: 60, side_px: 60}
+  sick:
+    operator: tests.sick_toys:Sick
+    inputs: {frame: {from: ticker.context, depth: 30}}
+  after:
+    operator: tests.toys:Count
+    inputs: {frame: sick}
+  beside:
+    operator: tests.toys:Count
+    inputs: {frame: {from: ticker.roi, depth: 60}}
+"""
+
+
+def sick(**more: object) -> str:
+    lines = "".join(f"    {key}: {value}\n" for key, value in more.items())
+    return SICK.replace("  sick:\n", f"  sick:\n{lines}")
+
+
+def recovers(supervisor: Supervisor, node: str, last: str) -> None:
+    wait_for(supervisor, lambda: supervisor.restarts.get(node) == 1)
+    after = handled(supervisor, last)
+    wait_for(supervisor, lambda: handled(supervisor, last) > after + 5)
+
+
+@pytest.mark.parametrize("victim", [pytest.param("ticker", marks=pytest.mark.slow), "steer"])
+def test_a_frozen_process_is_replaced_whatever_it_was_doing(tmp_path: Path, victim: str) -> None:
+    plan = plan_of(tmp_path, LOOP)
+    took: list[float] = []
+
+    def freeze(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > 5)
+        began = time.monotonic()
+        os.kill(supervisor.pid(victim), signal.SIGSTOP)
+        recovers(supervisor, victim, "steer")
+        took.append(time.monotonic() - began)
+
+    report = go(plan, 150 if victim == "ticker" else 300, freeze)
+
+    assert_accounts_add_up(report)
+    assert report["restarts"] == {victim: 1}
+    assert 3 < took[0] < 8
+
+
+@pytest.mark.parametrize("kind", [pytest.param("deadlock", marks=pytest.mark.slow), "seize"])
+def test_a_locked_operator_is_killed_and_its_log_says_where_it_stood(
+    tmp_path: Path, kind: str
+) -> None:
+    plan = plan_of(tmp_path, sick(stall_s=0.5), changes=(f"sick.kind={kind}",))
+
+    report = go(plan, 120)
+
+    log = (base() / plan.name / "sick.log").read_text()
+    assert_accounts_add_up(report)
+    assert report["restarts"] == {"sick": 1}
+    assert 'sick_toys.py", line' in log
+    assert "in on_frame" in log
+    assert edge(report, "sick.frame")["lost_in_crash"] >= 1  # the one it hung over
+
+
+@pytest.mark.slow
+def test_a_leaking_operator_starts_again_before_it_takes_all(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    plan = plan_of(tmp_path, sick(memory_mb=250), changes=("sick.kind=leak",))
+
+    report = go(plan, 400, lambda supervisor: recovers(supervisor, "sick", "after"))
+
+    assert_accounts_add_up(report)
+    assert report["restarts"]["sick"] >= 1
+    assert report["failure"] == ""
+    assert " MB of its own, 250 allowed; killed" in caplog.text
+
+
+def test_who_never_comes_up_is_named_after_its_time(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, sick(start_s=3), changes=("sick.open_s=30",))
+
+    with Supervisor(plan) as supervisor, pytest.raises(RunError, match="sick: not ready after 3"):
+        supervisor.start()
+
+
+@pytest.mark.slow
+def test_who_hangs_when_it_starts_again_is_killed_and_who_is_only_slow_is_not(
+    tmp_path: Path,
+) -> None:
+    changes = (f"sick.again={tmp_path / 'seen'}", "sick.open_s=60")
+    plan = plan_of(tmp_path, sick(start_s=6), changes=changes)
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "after") > 5)
+        os.kill(supervisor.pid("sick"), signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.restarts.get("sick") == 1)
+        (tmp_path / "seen").write_text("once")
+        wait_for(supervisor, lambda: supervisor.restarts.get("sick") == 2)
+        (tmp_path / "seen").write_text("twice")
+        after = handled(supervisor, "after")
+        wait_for(supervisor, lambda: handled(supervisor, "after") > after + 5)
+
+    report = go(plan, 500, kill)
+
+    assert report["restarts"] == {"sick": 2}
+    assert edge(report, "beside.frame")["delivered"] + edge(report, "beside.frame")["dropped"].get(
+        "overrun", 0
+    ) == 500  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_crash_loop_costs_the_others_nothing_and_its_end_says_why(tmp_path: Path) -> None:
+    text = CHAIN.replace("  glance:\n", "  glance:\n    restart: {most: 3, backoff_s: 0.2}\n")
+    plan = plan_of(tmp_path, text, changes=("glance.crash_after=1",))
+
+    report = go(plan, 1000)
+
+    assert report["failure"] == (
+        "glance died 4 times within 60 s: ValueError: told not to live for long"
+    )
+    assert edge(report, "count.frame")["dropped"] == {}
+    assert edge(report, "count.frame")["delivered"] > 20
+
+
+@pytest.mark.slow
+def test_a_graph_frozen_as_a_whole_goes_on_as_if_nothing_had_been(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP)
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
+    supervisor = subprocess.Popen(command, stdout=subprocess.PIPE)
+    assert supervisor.stdout is not None
+    supervisor.stdout.readline()
+    before = running()[plan.name]["pids"]
+    everybody = [supervisor.pid, *before.values()]
+
+    for pid in everybody:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(5)
+    for pid in everybody:
+        os.kill(pid, signal.SIGCONT)
+    time.sleep(1.5)
+
+    assert running()[plan.name]["pids"] == before
+    assert all(psutil.Process(pid).is_running() for pid in everybody)
+    supervisor.kill()
+    supervisor.wait()
+    supervisor.stdout.close()
+
+
+def test_of_two_supervisors_that_start_at_once_one_is_refused(tmp_path: Path) -> None:
+    path = plan_of(tmp_path, LOOP) and tmp_path / "graph.yaml"
+    command = [sys.executable, "-m", "pipeline.cli", "run", str(path), "--frames", "60"]
+    both = [
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+
+    ended = [process.communicate(timeout=60) for process in both]
+
+    assert sorted(process.returncode for process in both) == [0, 1]
+    refused = next(err for (_, err), p in zip(ended, both, strict=True) if p.returncode)
+    assert refused.strip().endswith("already running, see `fovea ps`")

@@ -1,0 +1,290 @@
+"""A part is replaced while its graph runs: nothing is lost, nothing comes twice."""
+
+import json
+import os
+import re
+import signal
+import threading
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline import GraphError, RunError
+from pipeline.console.operating import swap_lines, tell
+from pipeline.run.inline import InlineRunner
+from pipeline.run.report import Report
+from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap import SwapOrder
+from tests.pipeline.run.test_runtime import (
+    LOOP,
+    assert_accounts_add_up,
+    edge,
+    go,
+    handled,
+    plan_of,
+    wait_for,
+)
+
+CHAIN = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {rate_hz: 60, side_px: 120}
+  work:
+    operator: tests.toys:PassEvery
+    inputs: {frame: {from: ticker.context, depth: 60}}
+  count:
+    operator: tests.toys:Count
+    inputs: {frame: {from: work, depth: 60}}
+"""
+
+
+TALLY = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {rate_hz: 60, side_px: 120}
+  work:
+    operator: tests.toys:Tally
+    inputs: {frame: {from: ticker.context, depth: 60}}
+  recall:
+    operator: tests.toys:Recall
+    inputs: {percept: {from: work, depth: 60}}
+"""
+Results = list[dict[str, Any]]
+
+
+def swapping(results: Results, *orders: SwapOrder) -> Callable[[Supervisor], None]:
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, orders[0].node) > 3)
+        for count, order in enumerate(orders, len(results) + 1):
+            supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
+            wait_for(supervisor, partial(lambda wanted: len(results) >= wanted, count), 30)
+        supervisor.finish()
+
+    return during
+
+
+def exposed(report: Report) -> int:
+    frames: int = report["frames"]["exposed"]
+    return frames
+
+
+def test_no_frame_is_lost_and_none_comes_twice(tmp_path: Path) -> None:
+    results: Results = []
+    orders = [SwapOrder(node="work", probation=5) for _ in range(2)]
+
+    report = go(plan_of(tmp_path, CHAIN), 0, swapping(results, *orders))
+
+    assert [r["refused"] for r in results] == ["", ""]
+    assert report["summaries"]["count"] == {"seen": list(range(exposed(report))), "torn": 0}
+    assert_accounts_add_up(report)
+    assert edge(report, "work.frame")["delivered"] == exposed(report)
+    assert edge(report, "count.frame")["delivered"] == exposed(report)
+    assert report["restarts"] == {}
+
+
+def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_path: Path) -> None:
+    results: Results = []
+
+    report = go(plan_of(tmp_path, TALLY), 0, swapping(results, SwapOrder(node="work", at=150)))
+
+    assert results[0]["state"] == "carried over"
+    late = results[0]["ready_seq"] > 145  # a busy machine: then there is nothing to wait for
+    assert late or results[0]["seq"] == 149
+    assert report["summaries"]["recall"]["said"] == [[n, n + 1] for n in range(exposed(report))]
+
+
+@pytest.mark.parametrize(("change", "alike"), [({}, 15), ({"gain": 2}, 0)])
+def test_a_shadow_run_tells_how_the_answers_differ(
+    tmp_path: Path, change: dict[str, Any], alike: int
+) -> None:
+    results: Results = []
+    order = SwapOrder(node="work", shadow=15, probation=5, changes=change)
+
+    report = go(plan_of(tmp_path, TALLY), 0, swapping(results, order))
+
+    shadow = results[0]["shadow"]
+    assert (shadow["frames"], shadow["identical"]) == (15, alike)
+    if change:
+        assert shadow["differences"]["action"]["frames"] == 15
+        assert shadow["differences"]["action"]["most"] >= 15
+    counts = [count for _, count in report["summaries"]["recall"]["said"]]
+    cut = results[0]["seq"] + 1
+    gain = change.get("gain", 1)
+    assert counts == [*range(1, cut + 1), *(gain * n for n in range(cut + 1, len(counts) + 1))]
+    assert_accounts_add_up(report)
+
+
+def test_a_part_that_fails_its_probation_gives_way_to_the_old_one(tmp_path: Path) -> None:
+    results: Results = []
+    failures = {
+        "ValueError: told to crash; the old part goes on": {"crash_at": 0},
+        "ms a frame, expected at most 20.0 ms": {"sleep_s": 0.03},
+        "finished no frame for 2": {"sleep_s": 60.0},
+    }
+    orders = [SwapOrder(node="work", changes=change) for change in failures.values()]
+
+    report = go(
+        plan_of(tmp_path, TALLY, changes=("ticker.rate_hz=25",)), 0, swapping(results, *orders)
+    )
+
+    for said, result in zip(failures, results, strict=True):
+        assert said in result["refused"]
+        assert result["rolled_back"]
+    assert [seq for seq, _ in report["summaries"]["recall"]["said"]] == list(range(exposed(report)))
+    assert edge(report, "work.frame")["delivered"] == exposed(report)
+    assert_accounts_add_up(report)
+    assert report["restarts"] == {}
+
+
+def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
+    results: Results = []
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        old = supervisor.pid("work")
+        supervisor.desk.take(
+            SwapOrder(node="work", probation=1000), lambda a: results.append(json.loads(a))
+        )
+        wait_for(supervisor, lambda: supervisor.pid("work") != old)
+        after = handled(supervisor, "work")
+        wait_for(supervisor, lambda: handled(supervisor, "work") > after + 5)
+        os.kill(supervisor.pid("work"), signal.SIGKILL)
+        wait_for(supervisor, lambda: bool(results))
+        assert supervisor.pid("work") == old
+        supervisor.finish()
+
+    report = go(plan_of(tmp_path, CHAIN), 0, during)
+
+    assert "ended by signal SIGKILL" in results[0]["refused"]
+    assert report["summaries"]["count"] == {"seen": list(range(exposed(report))), "torn": 0}
+    assert edge(report, "work.frame")["delivered"] == exposed(report)
+
+
+def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> None:
+    results: Results = []
+    refusals = {
+        "has no attribute 'Pass2'": {"operator": "tests.toys:Pass2"},
+        "work.inputs.frame: tests.toys:Steer has no such input; there is percept": {
+            "operator": "tests.toys:Steer"
+        },
+        "work: expected Frame, tests.toys:Tally sends Percept": {"operator": "tests.toys:Tally"},
+        "expected an operator that answers frames, tests.toys:Ticker makes them": {
+            "operator": "tests.toys:Ticker", "defaults": True
+        },
+        "work.every: must be at least 1, got 0": {"changes": {"every": 0}},
+        "work.evry: no such setting, did you mean 'every'?": {"changes": {"evry": 1}},
+    }  # fmt: skip
+    orders = [SwapOrder(node="work", **words) for words in refusals.values()]  # type: ignore[arg-type]
+
+    report = go(plan_of(tmp_path, CHAIN), 0, swapping(results, *orders))
+
+    for said, result in zip(refusals, results, strict=True):
+        assert said in result["refused"]
+        assert "rolled_back" not in result
+    assert report["summaries"]["count"]["seen"] == list(range(exposed(report)))
+    assert_accounts_add_up(report)
+
+
+def test_a_node_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
+    with Supervisor(plan_of(tmp_path, CHAIN)) as supervisor:
+        with pytest.raises(RunError, match="no node wrk, did you mean 'work'"):
+            supervisor.desk.take(SwapOrder(node="wrk"), lambda _: None)
+        with pytest.raises(RunError, match="work: does not run just now"):
+            supervisor.desk.take(SwapOrder(node="work"), lambda _: None)
+
+
+def test_joined_inputs_and_latest_edges_keep_their_accounts(tmp_path: Path) -> None:
+    results: Results = []
+    orders = [SwapOrder(node=node, probation=10) for node in ("pair", "steer", "work")]
+
+    report = go(plan_of(tmp_path, LOOP), 0, swapping(results, *orders))
+
+    assert [r["refused"] for r in results] == ["", "", ""]
+    assert_accounts_add_up(report)
+    assert edge(report, "steer.percept")["dropped"] == {}
+    assert edge(report, "steer.percept")["lost_in_crash"] == 0
+
+
+def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
+    results: Results = []
+    plans = [plan_of(tmp_path, LOOP, clock="lockstep") for _ in range(2)]
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "pair") > 3)
+        order = SwapOrder(node="pair", probation=5)
+        supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
+
+    with InlineRunner(plans[0]) as runner:
+        for _ in runner.run(800):
+            pass
+        plain = runner.report()
+    swapped = go(plans[1], 800, during)
+
+    assert results[0]["refused"] == ""
+    assert 3 < results[0]["seq"] < 799
+    assert swapped["schedule_sha256"] == plain["schedule_sha256"]
+
+
+def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: Path) -> None:
+    results: Results = []
+    text = LOOP.replace("  work:\n", "  work:\n    group: hand\n")
+    text = text.replace("  pair:\n", "  pair:\n    group: hand\n")
+    orders = [
+        SwapOrder(node="work", changes={"every": 2}, probation=5),
+        SwapOrder(node="work", changes={"crash_after": 3}),
+        SwapOrder(node="work", changes={"every": 0}),
+        SwapOrder(node="ticker", changes={"rate_hz": 90}, probation=5),
+    ]
+
+    report = go(plan_of(tmp_path, text), 0, swapping(results, *orders))
+
+    assert results[0]["refused"] == results[3]["refused"] == ""
+    assert all(0 < r["gap_ms"] < 20_000 for r in (results[0], results[3]))
+    assert results[2] == {
+        "node": "work", "hot": False, "refused": "work.every: must be at least 1, got 0"
+    }  # fmt: skip
+    assert "told not to live for long; the old part was started again" in results[1]["refused"]
+    assert_accounts_add_up(report)
+    assert report["failure"] == ""
+    assert exposed(report) > 5  # it went on until it was told to finish
+
+
+def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, CHAIN)
+    told: list[str] = []
+
+    def operate() -> None:
+        told.extend(swap_lines(tell(plan.name, SwapOrder(node="work", probation=5))))
+        for order in (SwapOrder(node="wrk"), "noise"):
+            with pytest.raises(GraphError) as refusal:
+                tell(plan.name, order)  # type: ignore[arg-type]
+            told.append(str(refusal.value))
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        operator = threading.Thread(target=operate)
+        operator.start()
+        wait_for(supervisor, lambda: not operator.is_alive(), 30)
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert re.match(r"work: swapped after frame \d+, stood still for \d+\.\d ms", told[0])
+    assert told[1].endswith("no node wrk, did you mean 'work'?")
+    assert told[2].startswith("not an order")
+
+
+def test_an_order_that_the_end_of_the_run_overtakes_is_answered(tmp_path: Path) -> None:
+    results: Results = []
+
+    with Supervisor(plan_of(tmp_path, CHAIN)) as supervisor:
+        supervisor.start()
+        supervisor.desk.take(SwapOrder(node="work"), lambda a: results.append(json.loads(a)))
+        supervisor.tick()
+
+    assert "the run ended before that was done" in results[0]["refused"]
