@@ -3,14 +3,12 @@
 import logging
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.errors import FoveaError, RunError
 from pipeline.run.child import Child, ending
+from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
-
-if TYPE_CHECKING:
-    from pipeline.run.supervisor import Supervisor
 
 WORDS_S = 0.5
 log = logging.getLogger(__name__)
@@ -22,7 +20,7 @@ class Affair:
     kind = "order"
     subject = ""  # the node that it is about
 
-    def __init__(self, crew: "Supervisor", steps: Iterator[None]) -> None:
+    def __init__(self, crew: Crew, steps: Iterator[None]) -> None:
         self.crew, self._steps = crew, steps
         self.result: dict[str, Any] | None = None
         self.facts: dict[str, Any] = {}

@@ -6,7 +6,7 @@ Orders come as JSON over the graph's bus, which only this user can reach.
 import logging
 import queue
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
@@ -14,12 +14,10 @@ from pipeline import codec
 from pipeline.errors import FoveaError
 from pipeline.run.affair import Affair
 from pipeline.run.child import Child
+from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
 from pipeline.run.swap import Swap, SwapOrder
 from pipeline.run.topology import PlanOrder, Topology
-
-if TYPE_CHECKING:
-    from pipeline.run.supervisor import Supervisor
 
 COMMAND = "@graph"  # the key below a graph's own that takes orders
 Reply = Callable[[bytes], None]
@@ -31,7 +29,7 @@ log = logging.getLogger(__name__)
 class Desk:
     """The orders of one supervisor."""
 
-    def __init__(self, crew: "Supervisor") -> None:
+    def __init__(self, crew: Crew) -> None:
         self._crew = crew
         self._asked: queue.SimpleQueue[tuple[bytes, Reply]] = queue.SimpleQueue()
         self._affair: Affair | None = None

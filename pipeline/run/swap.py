@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 
@@ -19,11 +19,9 @@ from pipeline.node.live import keep, kept
 from pipeline.node.wiring import swappable
 from pipeline.run.affair import Affair
 from pipeline.run.child import Child, ending
+from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
 from pipeline.settings import suggest
-
-if TYPE_CHECKING:
-    from pipeline.run.supervisor import Supervisor
 
 START_S = 60.0
 HEAR_S = 10.0  # for a node that works, to greet a successor
@@ -56,7 +54,7 @@ class Swap(Affair):
 
     kind = "swap"
 
-    def __init__(self, crew: "Supervisor", order: SwapOrder) -> None:
+    def __init__(self, crew: Crew, order: SwapOrder) -> None:
         names = [n.name for n in crew.plan.nodes]
         if order.node not in names:
             raise RunError(f"{crew.plan.name}: no node {order.node}{suggest(order.node, names)}")

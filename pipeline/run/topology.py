@@ -6,7 +6,7 @@ started anew but what is added.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 from pydantic import TypeAdapter, ValidationError
@@ -15,10 +15,8 @@ from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan, sources
 from pipeline.run.affair import Affair, log
 from pipeline.run.child import Child
+from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
-
-if TYPE_CHECKING:
-    from pipeline.run.supervisor import Supervisor
 
 START_S = 60.0
 TELL_S = 5.0
@@ -37,7 +35,7 @@ class Topology(Affair):
 
     kind = "topology"
 
-    def __init__(self, crew: "Supervisor", order: PlanOrder) -> None:
+    def __init__(self, crew: Crew, order: PlanOrder) -> None:
         if order.revision != crew.revision:
             raise RunError(f"{crew.plan.name}: it was changed meanwhile, try again")
         try:
@@ -181,7 +179,7 @@ class Topology(Affair):
                 slot.child = None
 
 
-def _numbered(crew: "Supervisor", plan: Plan) -> Plan:
+def _numbered(crew: Crew, plan: Plan) -> Plan:
     """The plan with the numbers that its nodes and edges have in the ledger, or will have."""
     known_nodes = {n.name: n.index for n in crew.plan.nodes}
     known_edges = {_ends(e): e for e in crew.plan.edges}
@@ -203,7 +201,7 @@ def _numbered(crew: "Supervisor", plan: Plan) -> Plan:
     return replace(plan, nodes=tuple(nodes), edges=tuple(edges))
 
 
-def _same(crew: "Supervisor", node: Node) -> Node | None:
+def _same(crew: Crew, node: Node) -> Node | None:
     """The node as it runs, which keeps its settings whatever else is said of it."""
     return next((n for n in crew.plan.nodes if n.name == node.name), None)
 
