@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline import codec
 from pipeline.bus.envelope import HELLO, NOTHING, Envelope
-from pipeline.bus.ledger import EdgeAccount, private_ledger
+from pipeline.bus.ledger import DROPS, EdgeAccount, private_ledger
 from pipeline.bus.outport import Arrival
 from pipeline.bus.pool import PoolReader
 from pipeline.bus.tape import Counted, EdgeCut, Tape
@@ -47,6 +47,11 @@ class InPort:
     def tape(self) -> Tape | None:
         """What is held, while it is."""
         return self._tape
+
+    @property
+    def dropped(self) -> int:
+        """Messages that came to nothing here, and those lost on their way."""
+        return sum(self._account.dropped(name) for name in DROPS) + self._account.lost_in_crash
 
     def receive(self, payload: bytes) -> None:
         """Take one descriptor; never raises."""

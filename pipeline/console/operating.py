@@ -139,5 +139,6 @@ def _shadow_lines(shadow: Mapping[str, Any] | None) -> list[str]:
     line = (
         f"shadow: {shadow['frames']} frames, {shadow['identical']} answered alike, "
         f"{shadow['handler_ms']:.1f} ms each"
+        + (f", {shadow['missed']} missed" if shadow["missed"] else "")
     )
     return [f"{line}; different: {', '.join(apart)}" if apart else line]

@@ -78,6 +78,7 @@ class Shadow:
         for port in self._host.ports.values():
             port.also = None
         return {
+            "missed": sum(port.dropped for port in self._ports),  # it holds no slot
             "frames": self.frames,
             "identical": self.identical,
             "differences": msgspec.to_builtins(self.differences),
