@@ -119,7 +119,12 @@ class Hosts:
         ]  # fmt: skip
 
     def _env(self, name: str) -> dict[str, str]:
-        return {**os.environ, "TMPDIR": str(self.home(name)), "PYTHONPATH": str(ROOT)}
+        return {
+            **os.environ,
+            "TMPDIR": str(self.home(name)),
+            "HOME": str(self.home(name)),
+            "PYTHONPATH": str(ROOT),
+        }
 
 
 def _ip(*words: str) -> None:

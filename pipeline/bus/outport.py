@@ -79,7 +79,7 @@ class OutPort:
         self._taps, self._remote = taps, remote
         self.readers = tuple(readers)
         self._epoch = epoch
-        self._ordinal = max((r.account.sent for r in readers), default=0)
+        self._ordinal = max((r.account.base + r.account.sent for r in readers), default=0)
         self._mark = codec.fingerprint(message)
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []

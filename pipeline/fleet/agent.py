@@ -1,16 +1,15 @@
 """`fovea agent`: runs on a box, takes graphs from those it knows, runs its part of each.
 
-What is asked comes by one key per asker, which the access list ties to his certificate. Questions
-wait in a bounded queue and are answered one by one by the main thread; clocks and accounts, which
-cannot wait, are answered where they come in.
+What is asked comes by one key per asker, which the access list ties to his certificate. What looks
+is answered by the main thread, what starts and stops by another, each from a bounded queue; clocks
+and accounts, which cannot wait, are answered where they come in.
 """
 
-import json
+import hashlib
 import logging
 import queue
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -23,7 +22,14 @@ from pipeline.fleet import wire
 from pipeline.fleet.access import agent_permits, asker_permits
 from pipeline.fleet.agent_file import Box
 from pipeline.fleet.allow import MARK
-from pipeline.fleet.links import end_points, local_end_points, networks
+from pipeline.fleet.kept import Kept
+from pipeline.fleet.links import (
+    check_papers,
+    end_points,
+    local_end_points,
+    networks,
+    own_end_points,
+)
 from pipeline.fleet.names import (
     ANYBODY,
     agent_key,
@@ -45,6 +51,8 @@ WAITING = 64  # questions; more are refused at once
 MOST_GRAPHS = 8
 MOST_LINES = 1000
 TICK_S = 0.1
+COMPLAIN_S = 1.0
+SLOW = ("prepare", "start", "down", "weights")  # what loads, begins, ends
 LATER = object()  # what is answered by another thread, when it is done
 
 log = logging.getLogger(__name__)
@@ -66,11 +74,14 @@ class Agent:
         self._papers = own.papers
         self._allowed = own.allowed
         self._steering = Steering(self._allowed, own.file.settings)
-        self._questions: queue.Queue[_Question] = queue.Queue(WAITING)
+        self._looks: queue.Queue[_Question] = queue.Queue(WAITING)
+        self._works: queue.Queue[_Question] = queue.Queue(WAITING)
+        self._sending = threading.BoundedSemaphore(1)  # weights are big: one file at a time
         self.parts: dict[str, Part] = {}
-        self.refused: Counter[str] = Counter()
         self._stop = threading.Event()
+        self._quiet_until_s = 0.0
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._kept = Kept(own.state)
         self._holders = own.holders if self._papers else (ANYBODY, *own.holders)
         permits = agent_permits(self.label, self._holders)
         self._session = Session.across(self._network((own.endpoint,), permits=permits))
@@ -85,7 +96,9 @@ class Agent:
 
     def __exit__(self, *_: object) -> None:
         for part in self.parts.values():
-            part.end()
+            part.stop()
+        for part in self.parts.values():
+            self._guarded(part.end)
         self._steering.close()
         self._session.close()
 
@@ -95,14 +108,30 @@ class Agent:
 
     def run(self) -> None:
         """Take up what ran before, then answer until stopped."""
-        self._resume()
+        worker = threading.Thread(target=self._work, name="works")
+        worker.start()
         log.info("box %s listens at %s", self.label, self.box.endpoint)
+        self._answer_all(self._looks)
+        worker.join()
+
+    def _work(self) -> None:
+        for name in self._kept.names():
+            self._guarded(partial(self._resume, name))
+        self._answer_all(self._works)
+
+    def _answer_all(self, questions: "queue.Queue[_Question]") -> None:
         while not self._stop.is_set():
             try:
-                question = self._questions.get(timeout=TICK_S)
+                question = questions.get(timeout=TICK_S)
             except queue.Empty:
                 continue
             self._answer(question)
+
+    def _guarded(self, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except Exception as error:
+            log.exception("box %s: %s", self.label, error)
 
     def _network(self, listen: tuple[str, ...], **more: Any) -> Network:
         papers = str(self._papers.folder) if self._papers else ""
@@ -119,10 +148,19 @@ class Agent:
                 return
             reply(wire.encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
             return
+        weights = verb == "weights" and not holder.startswith("box.")
+        if len(data) > wire.MOST_BYTES and not weights:
+            reply(wire.refused(f"expected up to {wire.MOST_BYTES} bytes, got {len(data)}"))
+            return
+        if weights and not self._sending.acquire(blocking=False):
+            reply(wire.refused("busy: it takes weights from somebody else"))
+            return
         try:
-            self._questions.put_nowait(_Question(verb, holder, data, reply))
+            queue_ = self._works if verb in SLOW else self._looks
+            queue_.put_nowait(_Question(verb, holder, data, reply))
         except queue.Full:
-            self.refused["busy"] += 1
+            if weights:
+                self._sending.release()
             reply(wire.refused("busy: too many questions wait"))
 
     def _told(self, label: str, key: str, data: bytes) -> None:
@@ -132,8 +170,8 @@ class Agent:
             return
         try:
             part.hear(label, wire.decode(wire.Accounts, data))
-        except MessageError:
-            self.refused["accounts"] += 1
+        except MessageError as error:
+            self._complain(f"accounts of {label}: {error}")
 
     def _answer(self, question: _Question) -> None:
         verbs: Mapping[str, Callable[[bytes], Any]] = {
@@ -151,9 +189,20 @@ class Agent:
             if answer is not LATER:
                 question.reply(wire.answered(answer))
         except FoveaError as error:
-            self.refused[question.verb] += 1
-            log.warning("refused %s to %s: %s", question.verb, question.asker, error)
+            self._complain(f"refused {question.verb} to {question.asker}: {error}")
             question.reply(wire.refused(str(error)))
+        except Exception as error:  # by what code or settings of a graph do: the others go on
+            log.exception("%s of %s broke", question.verb, question.asker)
+            question.reply(wire.refused(f"{question.verb} broke: {type(error).__name__}: {error}"))
+        finally:
+            if question.verb == "weights":
+                self._sending.release()
+
+    def _complain(self, why: str) -> None:
+        """Into the log, as often as somebody can read it."""
+        if time.monotonic() > self._quiet_until_s:
+            self._quiet_until_s = time.monotonic() + COMPLAIN_S
+            log.warning("%s", why)
 
     def _about(self, data: bytes) -> wire.About:
         wire.decode(wire.Nothing, data)
@@ -161,39 +210,37 @@ class Agent:
 
     def _prepare(self, data: bytes) -> Prepared:
         asked = wire.decode(Prepare, data)
-        if asked.versions != (ours := wire.Versions.ours()):
-            raise RunError(f"expected {_spelt(asked.versions)}, got {_spelt(ours)} here")
+        self._check_versions(asked.versions)
         plan = wire.read_plan(asked.plan)
         missing = self._missing(plan)
         if missing:
             return Prepared({}, missing)
         self._check_free(plan, replace=asked.replace)
-        part = self._inspected(plan)
-        check_marks(part, self.label, asked.marks)
-        return Prepared(self._endpoints(part))
+        part = self._inspected(plan, asked.marks)
+        return Prepared(self._free_end_points(part))
 
     def _start(self, data: bytes) -> None:
         asked = wire.decode(Start, data)
-        plan = wire.read_plan(asked.plan)
-        self._check_free(plan, replace=True)
-        self._check_partners(plan, asked)
-        part = self._inspected(plan)
-        if (before := self.parts.pop(part.name, None)) is not None:
+        part = self._part_of(asked)  # before anything that runs is touched
+        if (before := self.parts.get(part.plan.name)) is not None:
             before.end()
-        self._begin(part, asked, self._keep(part.name, asked))
+        self._kept.keep(part.plan.name, asked)
+        self.parts[part.plan.name] = part
+        part.begin()
 
     def _down(self, data: bytes) -> None:
-        graph = wire.decode(Named, data).graph
-        part = self.parts.pop(check_name(graph, "graph"), None)
-        self._kept(graph).unlink(missing_ok=True)
+        graph = check_name(wire.decode(Named, data).graph, "graph")
+        part = self.parts.get(graph)
+        self._kept.forget(graph)
         if part is None:
             raise RunError(f"no graph {graph} runs here")
         part.end()
+        del self.parts[graph]
 
     def _state(self, data: bytes) -> tuple[wire.State, ...]:
         graph = wire.decode(Named, data).graph
         return tuple(
-            state_of(part) for name, part in self.parts.items() if not graph or name == graph
+            state_of(part) for name, part in list(self.parts.items()) if graph in ("", name)
         )
 
     def _log(self, data: bytes) -> wire.Log:
@@ -201,9 +248,8 @@ class Agent:
         part = self._part(asked.graph)
         if asked.node not in {n.name for n in part.plan.nodes if part.plan.is_here(n)}:
             raise RunError(f"{asked.graph}: no node {asked.node} here")
-        folder = f"{part.plan.name}@{self.label}"
         count = max(1, min(asked.count, MOST_LINES))
-        return wire.Log(tuple(log_lines(folder, asked.node, count, follow=False)))
+        return wire.Log(tuple(log_lines(part.folder, asked.node, count, follow=False)))
 
     def _weights(self, data: bytes) -> str:
         return self._allowed.keep(data)
@@ -245,8 +291,35 @@ class Agent:
         if part is None and len(self.parts) >= MOST_GRAPHS:
             raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a box, got more")
 
-    def _inspected(self, plan: Plan) -> Plan:
-        return inspect(plan, self.label, self._allowed, self.box.file.settings)
+    def _check_versions(self, theirs: wire.Versions) -> None:
+        if theirs != (ours := wire.Versions.ours()):
+            raise RunError(f"expected {_spelt(theirs)}, got {_spelt(ours)} here")
+
+    def _inspected(self, plan: Plan, marks: Mapping[str, str]) -> Plan:
+        part = inspect(plan, self.label, self._allowed, self.box.file.settings)
+        check_marks(part, self.label, marks)
+        check_papers(part, self._papers)
+        return part
+
+    def _part_of(self, asked: Start) -> Part:
+        """What is asked for, checked and not begun."""
+        self._check_versions(asked.versions)
+        plan = wire.read_plan(asked.plan)
+        self._check_free(plan, replace=True)
+        self._check_partners(plan, asked)
+        part = self._inspected(plan, asked.marks)
+        own = own_end_points(part, self._free_end_points(part), asked.endpoints)
+        self._check_unused(part, own)
+        holder = box(self.label)
+        others = sorted({n.host for n in part.nodes} - {self.label})
+        return Part(
+            plan=part,
+            mark=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
+            networks=networks(part, own, asked.endpoints, self._papers),
+            boxes={label: endpoint(asked.boxes[label], "boxes") for label in others},
+            way=self._network((), permits=asker_permits(holder, others)),
+            begins=partial(self._kept.count, part.name),
+        )
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:
         for label, point in asked.boxes.items():
@@ -260,49 +333,40 @@ class Agent:
         for point in asked.endpoints.values():
             endpoint(point, "endpoints")
 
-    def _endpoints(self, part: Plan) -> dict[str, str]:
-        """Where the processes here with an edge to another host will listen."""
+    def _free_end_points(self, part: Plan) -> dict[str, str]:
+        """Where the processes here with an edge to another host may listen."""
         if self._papers is None:
             return local_end_points(part)
         first, last = self.box.file.ports
-        others = [other for graph, other in self.parts.items() if graph != part.name]
-        used = {p for o in others for network in o.networks.values() for p in network.listen}
+        used = self._used(part.name)
         return end_points(part, host_part(self.box.endpoint), range(first, last + 1), used)
 
-    def _begin(self, part: Plan, asked: Start, starts: int) -> None:
-        holder = box(self.label)
-        others = {n.host for n in part.nodes} - {self.label}
-        way = self._network((), permits=asker_permits(holder, sorted(others)))
-        self.parts[part.name] = Part(
-            part, starts,
-            networks(part, self._endpoints(part), asked.endpoints, self._papers),
-            {label: endpoint(asked.boxes[label], "boxes") for label in sorted(others)}, way,
-        )  # fmt: skip
-        self.parts[part.name].begin()
+    def _used(self, but: str) -> set[str]:
+        """By the other graphs here."""
+        others = [other for graph, other in list(self.parts.items()) if graph != but]
+        return {p for o in others for network in o.networks.values() for p in network.listen}
 
-    def _kept(self, graph: str) -> Any:
-        return self.box.state / f"{graph}.graph"
+    def _check_unused(self, part: Plan, own: Mapping[str, str]) -> None:
+        """Raise `RunError` for an end point that is not this box's to give, or is given."""
+        if self._papers is None:
+            return
+        first, last = self.box.file.ports
+        host = host_part(self.box.endpoint)
+        mine = {f"tls/{host}:{port}" for port in range(first, last + 1)} - self._used(part.name)
+        if strange := sorted(set(own.values()) - mine):
+            raise RunError(f"{part.name}: {strange[0]} is not free here any more, try again")
 
-    def _keep(self, graph: str, asked: Start) -> int:
-        """Note what was asked, for the next start of this box; how often it began."""
-        path = self._kept(graph)
-        starts = 1
-        if path.is_file():
-            starts = int(json.loads(path.read_text())["starts"]) + 1
-        part = path.with_suffix(".part")
-        part.write_text(json.dumps({"starts": starts, "asked": wire.encode(asked).decode()}))
-        part.replace(path)
-        return starts
-
-    def _resume(self) -> None:
-        for path in sorted(self.box.state.glob("*.graph")):
-            try:
-                asked = wire.decode(Start, json.loads(path.read_text())["asked"].encode())
-                part = self._inspected(wire.read_plan(asked.plan))
-                self._begin(part, asked, self._keep(part.name, asked))
-                log.info("%s: goes on", part.name)
-            except (FoveaError, ValueError, KeyError) as error:
-                log.error("%s: cannot go on: %s", path.stem, error)
+    def _resume(self, name: str) -> None:
+        """Begin again with what ran when this box ended; where that cannot be, `ps` tells why."""
+        asked = self._kept.asked(name)
+        try:
+            part = self._part_of(asked)
+        except FoveaError as error:
+            log.error("%s: cannot go on: %s", name, error)
+            return
+        self.parts[name] = part
+        part.begin()
+        log.info("%s: goes on", name)
 
 
 def _spelt(versions: wire.Versions) -> str:

@@ -17,7 +17,8 @@ from pipeline.errors import SettingsError, WeightsError
 ANY = "any"  # instead of a checksum: whatever version is installed
 MARK = "sha256:"
 MOST_WEIGHTS_BYTES = 512 << 20
-_CODE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+DEEPEST = 32  # of a setting's value
+_NAME_OF_FILE = re.compile(r".*\.[^\W\d]\w{0,9}", re.DOTALL)  # it ends like one
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
@@ -39,17 +40,22 @@ class Allowed:
                 f"{where}: {path}: expected code with sha256 {wanted[:12]}…, got {got[:12]}…"
             )
 
-    def localise(self, value: Any, where: str) -> Any:
+    def localise(self, value: Any, where: str, depth: int = 0) -> Any:
         """Values of a setting with weights as files of this box; raises for anything forbidden."""
+        if depth > DEEPEST:
+            raise SettingsError(f"{where[:60]}: expected no more than {DEEPEST} levels")
         if isinstance(value, Mapping):
-            return {k: self.localise(v, f"{where}.{k}") for k, v in value.items()}
+            return {
+                self.localise(k, where, depth + 1): self.localise(v, f"{where}.{k}", depth + 1)
+                for k, v in value.items()
+            }
         if isinstance(value, (list, tuple)):
-            return [self.localise(v, where) for v in value]
+            return [self.localise(v, where, depth + 1) for v in value]
         if not isinstance(value, str):
             return value
         if value.startswith(MARK):
             return str(self.file(value.removeprefix(MARK), where))
-        if _CODE.fullmatch(value):
+        if is_code(value):
             self.check_code(value, where)
         elif is_path(value):
             raise SettingsError(
@@ -88,10 +94,19 @@ class Allowed:
 
 
 def is_path(value: str) -> bool:
-    """Whether a string could name a file."""
-    if "/" in value or "\\" in value or "\0" in value or value.startswith((".", "~")):
+    """Whether a string is written like the name of a file, there or not.
+
+    >>> [is_path(text) for text in ("ball", "1.5", "look.rrd", "../x", "main referee")]
+    [False, False, True, True, False]
+    """
+    if any(mark in value for mark in "/\\\0") or value.startswith((".", "~")):
         return True
-    return 0 < len(value) < 256 and Path(value).exists()
+    return bool(_NAME_OF_FILE.fullmatch(value))
+
+
+def is_code(value: str) -> bool:
+    """Whether a string could name something that is loaded; times and the like must do without."""
+    return ":" in value and not value.startswith(MARK)
 
 
 def strings(value: Any, wanted: Callable[[str], bool]) -> list[str]:
@@ -105,7 +120,7 @@ def strings(value: Any, wanted: Callable[[str], bool]) -> list[str]:
 
 def code_of(operator: str, settings: Any) -> list[str]:
     """The classes that a node names: its operator, and whatever its settings name."""
-    return [operator, *strings(settings, lambda text: bool(_CODE.fullmatch(text)))]
+    return [operator, *strings(settings, is_code)]
 
 
 def code_digest(path: str) -> str:

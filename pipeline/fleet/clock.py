@@ -31,9 +31,13 @@ class Offset:
     def add(self, sent_ns: int, came_ns: int, left_ns: int, back_ns: int) -> None:
         """One exchange; what cannot be (an answer before its question) is left out."""
         way = (back_ns - sent_ns) - (left_ns - came_ns)
-        if left_ns >= came_ns and way >= 0:
-            offset = ((came_ns - sent_ns) + (left_ns - back_ns)) // 2
-            self._seen.append((back_ns, offset, way))
+        if left_ns < came_ns or way < 0:
+            return
+        offset = ((came_ns - sent_ns) + (left_ns - back_ns)) // 2
+        known = self.estimate(back_ns)
+        if known and abs(offset - known.offset_ns) > known.error_ns + way // 2 + 1:
+            self._seen.clear()  # the other clock began anew: what was known is of another one
+        self._seen.append((back_ns, offset, way))
 
     def estimate(self, now_ns: int) -> Estimate | None:
         """The offset that is known best now; None without an exchange.

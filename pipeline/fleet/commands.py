@@ -11,7 +11,16 @@ from pipeline.errors import RunError
 from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, Box, read
-from pipeline.fleet.deploy import Fleet, default_person, down, read_hosts, remembered, up
+from pipeline.fleet.deploy import (
+    Fleet,
+    attach,
+    default_person,
+    down,
+    known_addresses,
+    read_hosts,
+    remembered,
+    up,
+)
 from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import KINDS, engines
 from pipeline.fleet.names import check_label, check_name, person
@@ -30,7 +39,9 @@ GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
 def agent_command(config: Path | None, label: str, unit: bool) -> None:
     """Run parts of graphs on this box for those who may deploy them."""
     if unit:
-        click.echo(agent_unit(config or Path("agent.yaml")), nl=False)
+        config = config or Path("agent.yaml")
+        state = read(config).state if config.is_file() else config.resolve().parent
+        click.echo(agent_unit(config, state), nl=False)
         return
     if config is None and not label:
         raise click.UsageError("give --config FILE or --label LABEL")
@@ -68,13 +79,28 @@ def up_command(
     click.echo(f"{plan.name}: {len(plan.nodes)} nodes run on {hosts}; see `fovea ps`")
 
 
+@click.command("attach")
+@click.argument("graph")
+@click.option("--hosts", "words", multiple=True, metavar="LABEL=ADDRESS,…")
+@click.option("--papers", type=click.Path(path_type=Path, file_okay=False), help="Who you are.")
+def attach_command(graph: str, words: tuple[str, ...], papers: Path | None) -> None:
+    """Look after a graph that was deployed from elsewhere: `ps`, `top`, `down` and the rest."""
+    known = known_addresses(papers) if papers else {}
+    with Fleet(read_hosts(words, papers, known)) as fleet:
+        labels = attach(graph, fleet)
+    click.echo(f"{graph}: runs on {', '.join(labels)}")
+
+
 @click.command("down")
 @click.argument("graph")
 def down_command(graph: str) -> None:
     """Stop a graph on all its boxes."""
     known = remembered()
     if graph not in known:
-        raise RunError(f"no graph {graph} was brought up from here{suggest(graph, known)}")
+        raise RunError(
+            f"no graph {graph} was brought up from here{suggest(graph, known)}; `fovea attach` "
+            "finds others"
+        )
     missing = down(graph, known[graph])
     if missing:
         raise RunError("; ".join(missing))
@@ -133,4 +159,11 @@ def _add(
     click.echo(f"deploy with --papers {folder / person(names[0])}")
 
 
-fleet_commands = (agent_command, up_command, down_command, secure_commands, export_command)
+fleet_commands = (
+    agent_command,
+    up_command,
+    attach_command,
+    down_command,
+    secure_commands,
+    export_command,
+)

@@ -6,6 +6,7 @@ as a file here travels as its checksum; the box has the file, or takes it if it 
 
 import getpass
 import json
+import logging
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,12 +26,12 @@ from pipeline.fleet.names import ANYBODY, agent_key, check_label, endpoint
 from pipeline.fleet.placement import check_labels, marks
 from pipeline.fleet.secure import ADDRESSES, Papers
 from pipeline.graph.plan import Plan
-from pipeline.run.rundir import base
 
 PATIENCE_S = 5.0  # until an agent must have answered
 DOWN_S = 20.0  # stopping takes as long as the slowest operator's close
 READY_S = 90.0
 T = TypeVar("T")
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -132,19 +133,49 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
     endpoints: dict[str, str] = {}
     for label in used:
         endpoints.update(_prepare(fleet, label, question, files))
+    points = {label: fleet.hosts.points[label] for label in used}
+    before = remembered().get(plan.name)
+    remember(plan.name, Hosts(points, fleet.hosts.papers, {n.name: n.host for n in plan.nodes}))
     started: list[str] = []
     try:
         for label in used:
-            others = {o: fleet.hosts.points[o] for o in used if o != label}
+            others = {other: point for other, point in points.items() if other != label}
             started.append(label)
-            fleet.ask(label, "start", wire.Start(text, endpoints, others), type(None), DOWN_S)
+            order = wire.Start(text, wire.Versions.ours(), signs, endpoints, others)
+            fleet.ask(label, "start", order, type(None), DOWN_S)
         _await(fleet, plan.name, used)
-    except FoveaError:
-        for label in started:
-            _down(fleet, label, plan.name)
+    except BaseException:  # Ctrl-C too
+        left = [why for label in started if (why := _down(fleet, label, plan.name))]
+        for why in left:
+            log.error("%s may still run: %s", plan.name, why)
+        if not left and before is None:
+            forget(plan.name)
         raise
-    points = {label: fleet.hosts.points[label] for label in used}
-    remember(plan.name, Hosts(points, fleet.hosts.papers, {n.name: n.host for n in plan.nodes}))
+    if before is not None:
+        _leave(plan.name, before, used)
+
+
+def _leave(graph: str, before: Hosts, used: Iterable[str]) -> None:
+    """End what another graph of the name still runs where this one has nothing to do."""
+    points = {label: point for label, point in before.points.items() if label not in used}
+    if not points:
+        return
+    with Fleet(replace(before, points=points)) as fleet:
+        for label in points:
+            if why := _down(fleet, label, graph):
+                log.error("%s of before may still run: %s", graph, why)
+
+
+def attach(graph: str, fleet: Fleet) -> list[str]:
+    """Remember a graph that somebody else deployed: its boxes; raises `RunError` for none."""
+    states = fleet.states(graph)
+    found = {label: said[0] for label, said in states.items() if said and isinstance(said, list)}
+    if not found:
+        raise RunError(f"{graph}: does not run on {', '.join(states)}")
+    points = {label: fleet.hosts.points[label] for label in found}
+    nodes = {node.name: label for label, state in found.items() for node in state.nodes}
+    remember(graph, Hosts(points, fleet.hosts.papers, nodes))
+    return sorted(found)
 
 
 def down(graph: str, hosts: Hosts) -> list[str]:
@@ -260,7 +291,9 @@ def _down(fleet: Fleet, label: str, graph: str) -> str:
 
 
 def _memory() -> Path:
-    return base() / "fleet.json"
+    folder = Path.home() / ".local" / "state" / "fovea"  # as long as the boxes keep what they run
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return folder / "fleet.json"
 
 
 def _write(graphs: Mapping[str, Hosts]) -> None:

@@ -61,6 +61,7 @@ def agent_yaml(
         f"label: {label}",
         f"address: {json.dumps(address)}" if address else "",
         "papers: ." if address else "",
+        "state: state # what runs here and the weights it was sent, kept over a restart",
         f"people: {json.dumps(list(people))}",
         f"boxes: {json.dumps(list(others))}",
         "operators: # what may run here, each with the checksum of its files, or: any",

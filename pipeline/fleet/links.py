@@ -35,6 +35,21 @@ def end_points(
     return dict(zip(names, free, strict=False))
 
 
+def own_end_points(part: Plan, free: Mapping[str, str], asked: Mapping[str, str]) -> dict[str, str]:
+    """Where the processes here shall listen; raises `RunError` when that was not said."""
+    lacking = sorted(set(free) - set(asked))
+    if lacking:
+        raise RunError(f"{part.name}: no address for {lacking[0]}")
+    return {name: asked[name] for name in free}
+
+
+def check_papers(part: Plan, papers: Papers | None) -> None:
+    """Raise `SettingsError` unless every process that speaks with other hosts has papers."""
+    for node in filter(part.is_here, part.nodes):
+        if papers and place(node) in borders(part):
+            Papers.of(papers.folder / "nodes" / node_holder(part.name, node))
+
+
 def networks(
     part: Plan, own: Mapping[str, str], theirs: Mapping[str, str], papers: Papers | None
 ) -> dict[str, Network]:

@@ -20,8 +20,11 @@ _MOST = 1 << 63
 class Mirror:
     """The crossing edges of one box with one other."""
 
-    def __init__(self, plan: Plan, ledger: Ledger, other: str, starts: int = 1) -> None:
-        self._ledger, self.other, self._plan = ledger, other, plan
+    def __init__(
+        self, plan: Plan, ledger: Ledger, other: str, starts: int = 1, mark: str = ""
+    ) -> None:
+        """`starts`: how often this box has begun; `mark`: of the graph, the same on all boxes."""
+        self._ledger, self.other, self._mark = ledger, other, mark
         self.out = [e for e in plan.edges if _between(plan, e) == (plan.here, other)]
         self.into = [e for e in plan.edges if _between(plan, e) == (other, plan.here)]
         self._number = starts << 32  # what is told after a new start counts as newer
@@ -39,11 +42,11 @@ class Mirror:
             return None
         self._said = said
         self._number += 1
-        return Accounts(self._number, ready, written, read)
+        return Accounts(self._number, self._mark, ready, written, read)
 
     def hear(self, heard: Accounts) -> None:
         """Put the other's halves beside ours; what is not the other's to tell is left out."""
-        if heard.number <= self._heard:
+        if heard.number <= self._heard or heard.mark != self._mark:
             return
         self._heard = heard.number
         self._put(heard.written, self.into, WRITTEN)
@@ -61,7 +64,7 @@ class Mirror:
         edges = self._ledger.edges
         shared = [*self.out, *self.into]
         return Accounts(
-            0, True,
+            0, self._mark, True,
             {e.index: _values(edges[e.index], WRITTEN) for e in shared},
             {e.index: _values(edges[e.index], READ) for e in shared},
         )  # fmt: skip
@@ -102,7 +105,7 @@ def adopt(plan: Plan, ledger: Ledger, told: Iterable[Accounts]) -> None:
         if plan.crosses(edge):
             account.sent = newest  # the reader there will find that some are missing
         else:
-            account.sent = account.seen = account.lost_in_crash = newest
+            account.base = newest  # it begins now; its numbers go on
 
 
 def _between(plan: Plan, edge: Edge) -> tuple[str, str]:

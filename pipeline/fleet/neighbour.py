@@ -3,10 +3,8 @@
 import logging
 import threading
 import time
-from dataclasses import replace
 
-from pipeline.bus.clocks import Clocks
-from pipeline.bus.ledger import Ledger
+from pipeline.bus.clocks import Reading
 from pipeline.bus.network import Network
 from pipeline.bus.session import Sender, Session
 from pipeline.errors import FoveaError, MessageError
@@ -14,7 +12,6 @@ from pipeline.fleet import wire
 from pipeline.fleet.clock import Estimate, Offset
 from pipeline.fleet.mirror import Mirror
 from pipeline.fleet.names import agent_key, box
-from pipeline.graph.plan import Plan
 
 PING_S = 0.2
 LOST_S = 1.2  # without an answer for this long a box is lost
@@ -26,20 +23,20 @@ class Neighbour:
     """The link of this box with one other."""
 
     def __init__(
-        self, graph: str, plan: Plan, ledger: Ledger, clocks: Clocks, label: str, point: str,
-        way: Network, starts: int,
-    ) -> None:  # fmt: skip
-        self.label, self._graph, self._own = label, graph, plan.here
-        self.mirror = Mirror(plan, ledger, label, starts)
-        self._reading = clocks.readings[label]
+        self, graph: str, own: str, mirror: Mirror, reading: Reading, way: Network
+    ) -> None:
+        """`own`: the label of this box; `reading`: where its clock is told; `way`: to its agent."""
+        self.label, self._graph, self._own = mirror.other, graph, own
+        self.mirror, self._reading = mirror, reading
         self._offset = Offset()
-        self._session = Session.across(replace(way, connect=(point,)))
+        self._session = Session.across(way)
         self._telling: Sender = self._session.sender(self._key(f"accounts/{graph}"), urgent=True)
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._watch, name=f"ping-{label}")
+        self._thread = threading.Thread(target=self._watch, name=f"ping-{self.label}")
         self.answered_s = time.monotonic()
         self.lost = False
         self.losses = 0
+        self.broken = ""  # why nobody looks after the link any more
         self.estimate: Estimate | None = None
 
     def begin(self) -> None:
@@ -60,6 +57,11 @@ class Neighbour:
         if accounts is not None and self._telling.matching():
             self._telling.send(wire.encode(accounts))
 
+    def hear(self, accounts: wire.Accounts) -> None:
+        """The other box tells its accounts; while it counts as lost nobody listens."""
+        if not self.lost:
+            self.mirror.hear(accounts)
+
     def recall(self) -> wire.Accounts | None:
         """What the other box knows of the edges between the two; None when it knows nothing."""
         question = wire.encode(wire.Named(self._graph))
@@ -73,11 +75,16 @@ class Neighbour:
         return agent_key(self.label, box(self._own), verb)
 
     def _watch(self) -> None:
-        while not self._stop.wait(PING_S):
-            self._ping()
-            silent_s = time.monotonic() - self.answered_s
-            if self.lost != (silent_s > LOST_S):
-                self._change(silent_s)
+        try:
+            while not self._stop.wait(PING_S):
+                self._ping()
+                self._note_clock()
+                silent_s = time.monotonic() - self.answered_s
+                if self.lost != (silent_s > LOST_S):
+                    self._change(silent_s)
+        except Exception as error:
+            log.exception("%s: the link with box %s broke", self._graph, self.label)
+            self.broken = f"the link with box {self.label} broke: {type(error).__name__}: {error}"
 
     def _change(self, silent_s: float) -> None:
         self.lost = not self.lost
@@ -87,6 +94,13 @@ class Neighbour:
             log.error("%s: box %s is lost: silent for %.1f s", self._graph, self.label, silent_s)
         else:
             log.warning("%s: box %s is back", self._graph, self.label)
+
+    def _note_clock(self) -> None:
+        """What is known of the other clock, less sure as time goes by."""
+        self.estimate = self._offset.estimate(time.monotonic_ns())
+        if self.estimate is not None:
+            self._reading.offset_ns = self.estimate.offset_ns
+            self._reading.error_ns = self.estimate.error_ns
 
     def _ping(self) -> None:
         ping = wire.encode(wire.Ping(time.monotonic_ns()))
@@ -100,7 +114,3 @@ class Neighbour:
             return
         self.answered_s = time.monotonic()
         self._offset.add(pong.sent_ns, pong.came_ns, pong.left_ns, back_ns)
-        self.estimate = self._offset.estimate(back_ns)
-        if self.estimate is not None:
-            self._reading.offset_ns = self.estimate.offset_ns
-            self._reading.error_ns = self.estimate.error_ns

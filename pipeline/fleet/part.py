@@ -3,13 +3,13 @@
 import logging
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 from pipeline.bus.clocks import Clocks
 from pipeline.bus.network import Network
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.mirror import adopt
+from pipeline.fleet.mirror import Mirror, adopt
 from pipeline.fleet.neighbour import Neighbour
 from pipeline.fleet.wire import Accounts
 from pipeline.graph.plan import Plan
@@ -20,6 +20,8 @@ from pipeline.run.supervisor import Supervisor
 WAIT_FOR_OTHERS_S = 60.0  # then the source begins without them
 TELL_S = 0.004  # how often accounts are looked at: the credit of lossless edges goes with it
 ANYWAY_S = 0.25
+END_S = 20.0
+AGAIN_S = (1.0, 30.0)  # first and longest pause before a part that worked once begins again
 STARTS_EPOCHS = 1000  # between two starts of a box, so that what an earlier one sent is told apart
 log = logging.getLogger(__name__)
 
@@ -31,7 +33,11 @@ class PartSupervisor(Supervisor):
         super().__init__(plan, folder=folder, first_epoch=first_epoch)
         self.neighbours: tuple[Neighbour, ...] = ()
         self._since_s = time.monotonic()
-        self.clocks = Clocks.create(self._run.folder / CLOCKS, plan.here, plan.hosts)
+        try:
+            self.clocks = Clocks.create(self._run.folder / CLOCKS, plan.here, plan.hosts)
+        except OSError as error:
+            self.close()
+            raise RunError(f"{CLOCKS}: cannot be made: {error.strerror}") from error
 
     @property
     def ready(self) -> bool:
@@ -46,17 +52,19 @@ class PartSupervisor(Supervisor):
 
 @dataclass
 class Part:
-    """A part from its start to its end. `stop` may be called by any thread."""
+    """A part from its start to its end. `stop` and `end` may be called by any thread."""
 
     plan: Plan
-    starts: int
+    mark: str  # of the graph as it was asked for: boxes that run another have other accounts
     networks: Mapping[str, Network]
     boxes: Mapping[str, str]  # label -> end point of the agent
     way: Network  # to those agents, without end points
+    begins: Callable[[], int]  # counts one more start, also beyond the end of the agent
     phase: str = "starting"
     failure: str = ""
     supervisor: PartSupervisor | None = None
     neighbours: dict[str, Neighbour] = field(default_factory=dict)
+    _proven: bool = False  # it has worked once: then it tries again when it fails
     _stop: threading.Event = field(default_factory=threading.Event)
     _thread: threading.Thread | None = None
 
@@ -70,84 +78,101 @@ class Part:
         self._thread = threading.Thread(target=self._run, name=f"part-{self.plan.name}")
         self._thread.start()
 
-    def end(self) -> None:
-        """Stop everything here and wait for it."""
+    def stop(self) -> None:
+        """Let everything here come to its end."""
         self._stop.set()
+
+    def end(self) -> None:
+        """Likewise, and wait for it; raises `RunError` when that takes too long."""
+        self.stop()
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(END_S)
+            if self._thread.is_alive():
+                raise RunError(f"{self.plan.name}: did not end within {END_S:.0f} s")
 
     def hear(self, label: str, accounts: Accounts) -> None:
         """Another box tells of its accounts."""
         if (neighbour := self.neighbours.get(label)) is not None:
-            neighbour.mirror.hear(accounts)
+            neighbour.hear(accounts)
 
-    def _run(self) -> None:
-        try:
-            supervisor = PartSupervisor(self.plan, self.folder, self.starts * STARTS_EPOCHS)
-            with supervisor:
-                self._keep(supervisor)
-            self.phase = "stopped"
-        except FoveaError as error:
-            self._fail(str(error))
-        except Exception as error:
-            log.exception("%s: its supervisor broke", self.plan.name)
-            self._fail(f"{type(error).__name__}: {error}")
-        finally:
-            self.supervisor = None
-
-    def _fail(self, why: str) -> None:
+    def fail(self, why: str) -> None:
+        """It does not run, for that reason."""
         self.phase, self.failure = "failed", why
         log.error("%s: %s", self.plan.name, why)
 
-    def _keep(self, supervisor: PartSupervisor) -> None:
-        supervisor.networks = dict(self.networks)
-        graph = self.plan.name
-        self.neighbours = {
-            label: Neighbour(
-                graph,
-                self.plan,
-                supervisor.ledger,
-                supervisor.clocks,
-                label,
-                point,
-                self.way,
-                self.starts,
-            )
-            for label, point in self.boxes.items()
-        }
-        supervisor.neighbours = tuple(self.neighbours.values())
-        telling = threading.Thread(target=self._tell, args=(supervisor,), name=f"tell-{graph}")
+    def _run(self) -> None:
+        pause_s = AGAIN_S[0]
+        while not self._stop.is_set():
+            self._run_once()
+            if not self._proven or self._stop.wait(pause_s):
+                return
+            pause_s = min(2 * pause_s, AGAIN_S[1])
+
+    def _run_once(self) -> None:
         try:
-            if self.starts > 1:
+            starts = self.begins()
+            self._proven = self._proven or starts > 1
+            epochs = starts * STARTS_EPOCHS
+            supervisor = PartSupervisor(self.plan, self.folder, epochs)
+            with supervisor:
+                self._keep(supervisor, starts)
+            self.phase = "stopped"
+        except FoveaError as error:
+            self.fail(str(error))
+        except Exception as error:
+            log.exception("%s: its supervisor broke", self.plan.name)
+            self.fail(f"{type(error).__name__}: {error}")
+        finally:
+            self.supervisor = None
+
+    def _keep(self, supervisor: PartSupervisor, starts: int) -> None:
+        supervisor.networks = dict(self.networks)
+        graph, done = self.plan.name, threading.Event()
+        self.neighbours = {}
+        telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
+        try:
+            for label, point in self.boxes.items():
+                mirror = Mirror(self.plan, supervisor.ledger, label, starts, self.mark)
+                way = replace(self.way, connect=(point,))
+                clock = supervisor.clocks.readings[label]
+                self.neighbours[label] = Neighbour(graph, self.plan.here, mirror, clock, way)
+            supervisor.neighbours = tuple(self.neighbours.values())
+            if starts > 1:
                 told = [n.recall() for n in supervisor.neighbours]
-                adopt(self.plan, supervisor.ledger, [t for t in told if t is not None])
+                mine = [t for t in told if t is not None and t.mark == self.mark]
+                adopt(self.plan, supervisor.ledger, mine)
             self.supervisor = supervisor
             for neighbour in supervisor.neighbours:
                 neighbour.begin()
             telling.start()
             self._supervise(supervisor)
         finally:
-            self._stop.set()
+            done.set()
             if telling.is_alive():
                 telling.join()
-            for neighbour in supervisor.neighbours:
+            for neighbour in self.neighbours.values():
                 neighbour.close()
 
     def _supervise(self, supervisor: PartSupervisor) -> None:
         supervisor.begin_all()
         while not self._stop.is_set():
             supervisor.tick()
-            if supervisor.failure:
-                raise RunError(supervisor.failure)
+            broken = [n.broken for n in supervisor.neighbours if n.broken]
+            if supervisor.failure or broken:
+                raise RunError(supervisor.failure or broken[0])
             if self.phase == "starting" and supervisor.all_going:
-                self.phase = "running"
+                self.phase, self.failure, self._proven = "running", "", True
                 log.info("%s: %d processes run", self.plan.name, len(supervisor.slots))
 
-    def _tell(self, supervisor: PartSupervisor) -> None:
+    def _tell(self, supervisor: PartSupervisor, done: threading.Event) -> None:
         anyway_s = 0.0
-        while not self._stop.wait(TELL_S):
-            now_s = time.monotonic()
-            anyway = now_s - anyway_s > ANYWAY_S
-            anyway_s = now_s if anyway else anyway_s
-            for neighbour in supervisor.neighbours:
-                neighbour.tell(ready=supervisor.ready, anyway=anyway)
+        try:
+            while not done.wait(TELL_S):
+                now_s = time.monotonic()
+                anyway = now_s - anyway_s > ANYWAY_S
+                anyway_s = now_s if anyway else anyway_s
+                for neighbour in supervisor.neighbours:
+                    neighbour.tell(ready=supervisor.ready, anyway=anyway)
+        except Exception as error:
+            log.exception("%s: accounts are told no more", self.plan.name)
+            supervisor.failure = f"accounts are told no more: {type(error).__name__}: {error}"

@@ -1,25 +1,20 @@
 """Which part of a graph runs on which box, and whether a box may run its part.
 
-A plan that came over the wire is looked at from the ground up: names, numbers, code, settings,
-ports. The operators of other boxes are never loaded.
+Of a plan that came over the wire first the form is checked, then code, settings and ports of the
+nodes here. The operators of other boxes are never loaded.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from pipeline import codec
 from pipeline import settings as checked
-from pipeline.bus.clocks import MOST_HOSTS
 from pipeline.contract import inputs_of, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
 from pipeline.fleet.allow import Allowed
-from pipeline.fleet.names import check_label, check_name
+from pipeline.fleet.form import check_form
 from pipeline.graph.plan import Edge, Node, Plan, load_operator
-
-MOST_NODES, MOST_EDGES = 128, 512
-_PORT = re.compile(r"[A-Za-z_]\w{0,62}")
 
 
 def part_of(plan: Plan, label: str) -> Plan:
@@ -89,7 +84,7 @@ def marks(plan: Plan, label: str = "") -> dict[str, str]:
 
 def inspect(plan: Plan, label: str, allowed: Allowed, over: Mapping[str, Any]) -> Plan:
     """The part a box would run, its settings those of this box; raises for what may not run."""
-    _check_form(plan, label)
+    check_form(plan, label)
     nodes = []
     for node in plan.nodes:
         if node.host == label:
@@ -98,6 +93,8 @@ def inspect(plan: Plan, label: str, allowed: Allowed, over: Mapping[str, Any]) -
     part = part_of(replace(plan, nodes=tuple(nodes)), label)
     for edge in plan.edges:
         _check_ends(plan, edge, label)
+    for node in filter(part.is_here, part.nodes):
+        _check_given(plan, node)
     part.order()
     return part
 
@@ -120,35 +117,6 @@ def _inspected(node: Node, allowed: Allowed, own: Mapping[str, Any]) -> dict[str
     return values
 
 
-def _check_form(plan: Plan, label: str) -> None:
-    check_name(plan.name, "name")
-    if plan.clock != "realtime":
-        raise GraphError(f"{plan.name}: clock: expected realtime between hosts, got {plan.clock}")
-    if not 0 < len(plan.nodes) <= MOST_NODES or len(plan.edges) > MOST_EDGES:
-        raise GraphError(
-            f"{plan.name}: expected 1 to {MOST_NODES} nodes and up to {MOST_EDGES} edges, got "
-            f"{len(plan.nodes)} and {len(plan.edges)}"
-        )
-    if len(plan.hosts) > MOST_HOSTS or label not in plan.hosts or plan.here:
-        raise GraphError(f"{plan.name}: hosts: expected {label} among them, got {plan.hosts}")
-    for host in plan.hosts:
-        check_label(host, "hosts")
-    names = set()
-    for index, node in enumerate(plan.nodes):
-        check_name(node.name, "nodes")
-        check_name(node.process, f"{node.name}.group")
-        if node.index != index or node.name in names or node.host not in plan.hosts:
-            raise GraphError(f"{node.name}: expected a node with a place of its own")
-        names.add(node.name)
-    for index, edge in enumerate(plan.edges):
-        if edge.index != index or not {edge.source, edge.target} <= names:
-            raise GraphError(f"{edge.end}: expected an edge between two nodes")
-        if not _PORT.fullmatch(edge.input) or not _PORT.fullmatch(edge.output):
-            raise GraphError(f"{edge.end}: expected names of ports")
-        if not 1 <= edge.depth <= 64 or (edge.command and edge.keep != "latest"):
-            raise GraphError(f"{edge.end}: expected a depth of 1 to 64, latest for a command")
-
-
 def _check_ends(plan: Plan, edge: Edge, label: str) -> None:
     """The ports here exist and are what the edge says."""
     if plan.node(edge.source).host == label:
@@ -165,3 +133,10 @@ def _check_ends(plan: Plan, edge: Edge, label: str) -> None:
         same = ("join", "optional", "command", "tap")
         if any(getattr(port, name) != getattr(edge, name) for name in same):
             raise SettingsError(f"{edge.end}: expected the input as it is declared")
+
+
+def _check_given(plan: Plan, node: Node) -> None:
+    given = plan.inputs(node.name)
+    for name, port in inputs_of(load_operator(node.operator)).items():
+        if name not in given and port.join and not (port.optional or port.command):
+            raise GraphError(f"{node.name}.inputs.{name}: required, got nothing")

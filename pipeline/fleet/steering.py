@@ -49,7 +49,8 @@ class Steering:
     def swap(self, part: Part, order: SwapOrder, reply: Reply) -> None:
         """Have a node swapped and reply when that is done; raises `FoveaError`."""
         _here(part, order.node)
-        if part.supervisor is None:
+        supervisor = part.supervisor
+        if supervisor is None:
             raise RunError(f"{part.plan.name}: does not run just now, try again")
         if order.operator:
             self._allowed.check_code(order.operator, f"{order.node}.operator")
@@ -59,7 +60,7 @@ class Steering:
         def done(result: bytes) -> None:
             reply(wire.answered(msgspec.Raw(result)))
 
-        part.supervisor.desk.ask(msgspec.json.encode(order), done)
+        supervisor.desk.ask(msgspec.json.encode(order), done)
 
     def _ask(self, part: Part, asked: wire.ToNode, payload: bytes, reply: Reply) -> None:
         try:

@@ -23,7 +23,7 @@ NoNewPrivileges=yes
 ProtectSystem=strict
 ProtectHome=read-only
 # run folders lie in /tmp, which has to be the one that `fovea ps` on this box looks into
-ReadWritePaths=/tmp /dev/shm {folder}
+ReadWritePaths=/tmp /dev/shm {state}
 RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
 LimitNOFILE=65536
 LimitMEMLOCK=infinity
@@ -33,8 +33,10 @@ WantedBy=multi-user.target
 """
 
 
-def agent_unit(config: Path, user: str = "fovea") -> str:
-    """The unit for an agent with that file."""
+def agent_unit(config: Path, state: Path, user: str = "fovea") -> str:
+    """The unit for an agent with that file, which keeps its state there."""
     config = config.resolve()
     command = Path(sys.executable).parent / "fovea"
-    return UNIT.format(command=command, config=config, folder=config.parent, user=user)
+    return UNIT.format(
+        command=command, config=config, folder=config.parent, state=state.resolve(), user=user
+    )

@@ -67,6 +67,8 @@ class Start(msgspec.Struct, forbid_unknown_fields=True):
     """Run your part of the plan."""
 
     plan: str
+    versions: Versions
+    marks: dict[str, str]  # as it was prepared for
     endpoints: dict[str, str]  # of all processes that listen
     boxes: dict[str, str]  # label -> end point of its agent
 
@@ -140,6 +142,7 @@ class Accounts(msgspec.Struct, forbid_unknown_fields=True, array_like=True):
     """One box's half of the accounts of the edges that cross: edge -> counters in fixed order."""
 
     number: int  # rises with every message of one start
+    mark: str  # of the graph that runs there: another one has other edges
     ready: bool  # every process there has opened its operators
     written: dict[int, tuple[int, ...]]
     read: dict[int, tuple[int, ...]]

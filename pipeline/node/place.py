@@ -69,6 +69,9 @@ def _check_inputs(plan: Plan, node: Node, operator: type[Operator[Any, Any]], pl
 
 
 def _sent(plan: Plan, edge: Edge) -> str:
+    if not plan.is_here(plan.node(edge.source)):  # its code is none of ours; its marks agreed
+        reader = load_operator(plan.node(edge.target).operator)
+        return _path(inputs_of(reader)[edge.input].message)
     return _path(outputs_of(load_operator(plan.node(edge.source).operator))[edge.output])
 
 

@@ -47,7 +47,7 @@ class Process:
 
     def __init__(self, job: Assignment, events: TextIO) -> None:
         self._job, self._events = job, events
-        self._nodes = [n for n in job.plan.nodes if n.process == job.process]
+        self._nodes = list(job.nodes)
         path = Path(job.memory_folder) / f"{job.prefix}ledger"
         self._ledger = Ledger.open(path)
         self._hosts: list[Host] = []
@@ -221,7 +221,7 @@ def main() -> None:
     faulthandler.register(signal.SIGUSR1)  # the supervisor asks before it kills a stalled node
     sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
     path = job.plan.command_path()
-    if path and not any(n.name in path for n in job.plan.nodes if n.process == job.process):
+    if path and not any(n.name in path for n in job.nodes):
         os.nice(ASIDE_NICENESS)
     process = Process(job, events)
     threading.Thread(target=_obey, args=(process,), daemon=True).start()

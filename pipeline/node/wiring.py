@@ -51,6 +51,12 @@ class Assignment:
         """What the graph says, and what a predecessor was told since."""
         return {**node.settings, **kept(self.kept_in(node))}
 
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        """The nodes of the process."""
+        here = filter(self.plan.is_here, self.plan.nodes)
+        return tuple(node for node in here if node.process == self.process)
+
     def door(self, node: str, instance: int) -> Path:
         """Where an instance of a node receives."""
         return Path(self.run_folder) / f"{node}.{instance}.door"

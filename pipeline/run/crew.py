@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 
 from pipeline.bus.ledger import EdgeAccount, Ledger
 from pipeline.bus.network import Network
+from pipeline.errors import RunError
 from pipeline.graph.plan import Plan, is_source
 from pipeline.node.place import place_of
 from pipeline.node.wiring import Assignment
@@ -33,11 +34,12 @@ class Crew:
         self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
         self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
         self._run = RunFolder.claim(folder or plan.name)
-        self.ledger = Ledger.create(
-            MEMORY / f"{self._run.prefix}ledger",
-            len(plan.edges),
-            len(plan.nodes),
-        )
+        try:
+            path = MEMORY / f"{self._run.prefix}ledger"
+            self.ledger = Ledger.create(path, len(plan.edges), len(plan.nodes))
+        except RunError:
+            self._run.release()
+            raise
         self._events: Events = queue.SimpleQueue()
         self._spare = Spare(self._spawn)
         self._judge = Judge()
@@ -95,7 +97,7 @@ class Crew:
         trial: bool = False,
     ) -> Assignment:
         """What a process of that slot has to do; `checked`: it must fit the edges that run now."""
-        mine = [n for n in self.plan.nodes if n.process == slot.name]
+        mine = self.plan.processes()[slot.name]
         return Assignment(
             plan=plan,
             process=slot.name,
@@ -151,7 +153,7 @@ class Crew:
         """A process for an assignment; a `fresh` one has imported what is on disk now."""
         if fresh:
             self._spare.refresh()
-        mine = {n.operator.partition(":")[0] for n in job.plan.nodes if n.process == job.process}
+        mine = {n.operator.partition(":")[0] for n in job.nodes}
         popen = self._spare.take() or self._spawn(mine if fresh else ())
         return Child(popen, job, self._events)
 

@@ -33,7 +33,11 @@ class Supervisor(Crew):
     ) -> None:
         """As for a `Crew`; takes orders from now on."""
         super().__init__(plan, frames=frames, folder=folder, first_epoch=first_epoch)
-        self._hub = Session(self._run.folder, "hub")
+        try:
+            self._hub = Session(self._run.folder, "hub")
+        except RunError:
+            self._run.release()
+            raise
         self.desk = Desk(self)
         self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.desk.ask)
         self.summaries: dict[str, dict[str, Any]] = {}

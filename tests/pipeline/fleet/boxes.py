@@ -52,7 +52,7 @@ def plan_of(folder: Path, text: str = TRIO) -> Plan:
 
 
 def box_of(label: str, others: Sequence[str], folder: Path, **more: object) -> Box:
-    values = {"operators": ALLOWED, **more}
+    values = {"operators": ALLOWED, "state": str(folder / f"state-{label}"), **more}
     file = AgentFile(label=label, boxes=tuple(others), **values)  # type: ignore[arg-type]
     return Box(file, folder)
 
@@ -99,5 +99,6 @@ def state_of(fleet: Fleet, label: str, graph: str = "trio") -> wire.State:
     return state
 
 
-def handled(fleet: Fleet, label: str, node: str) -> int:
-    return next(n.handled for n in state_of(fleet, label).nodes if n.name == node)
+def handled(fleet: Fleet, label: str, node: str, graph: str = "trio") -> int:
+    nodes = state_of(fleet, label, graph).nodes
+    return next((n.handled for n in nodes if n.name == node), 0)

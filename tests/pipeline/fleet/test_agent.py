@@ -1,5 +1,6 @@
 """Agents on one machine, over sockets of this user: a graph is laid over them and looked after."""
 
+import hashlib
 import os
 import signal
 from collections.abc import Callable, Iterator
@@ -16,11 +17,20 @@ from pipeline.console.changing import ask
 from pipeline.console.operating import replan, tell
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
-from pipeline.fleet.deploy import Fleet, down, read_hosts, remembered, up
+from pipeline.fleet.deploy import (
+    Fleet,
+    attach,
+    down,
+    read_hosts,
+    remembered,
+    send_weights,
+    up,
+)
 from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.run.rundir import base
 from pipeline.run.swap import SwapOrder
 from tests.pipeline.fleet.boxes import (
+    TRIO,
     Running,
     box_of,
     boxes,
@@ -32,6 +42,11 @@ from tests.pipeline.fleet.boxes import (
 )
 
 LABELS = ("sensor", "compute", "viewer")
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))  # what is remembered of deployed graphs
 
 
 @pytest.fixture
@@ -167,6 +182,116 @@ def test_a_box_that_ends_is_told_and_takes_its_part_up_again(
     until(lambda: state_of(fleet, "viewer").phase == "running")
     until(lambda: handled(fleet, "viewer", "count") > 10)
     down("trio", fleet.hosts)
+
+
+def test_another_graph_of_the_name_takes_the_place_of_the_first_when_asked_to(
+    fleet: Fleet, tmp_path: Path
+) -> None:
+    up(fleet, plan_of(tmp_path))
+    until(lambda: handled(fleet, "viewer", "count") > 10)
+
+    fewer = "\n".join(TRIO.split("\n")[: TRIO.split("\n").index("  count:")]) + "\n"
+    fewer = fewer.replace("[sensor, compute, viewer]", "[sensor, compute]")
+    up(fleet, plan_of(tmp_path, fewer.replace("rate_hz: 30", "rate_hz: 20")), again=True)
+
+    until(lambda: handled(fleet, "compute", "steer") > 10)
+    assert fleet.states()["viewer"] == []  # where the other one ran and this one does not
+    edge = next(e for e in state_of(fleet, "compute").edges if e.end == "work.frame")
+    assert edge.account["offered"] < 200  # its own, not those of the graph before
+    down("trio", fleet.hosts)
+
+
+def test_two_graphs_share_a_box_and_both_go_on_after_it_began_again(
+    three: dict[str, Running], fleet: Fleet, tmp_path: Path
+) -> None:
+    for name in ("zoo", "ant"):
+        up(fleet, plan_of(tmp_path, TRIO.replace("name: trio", f"name: {name}")))
+
+    three["compute"].stop()
+    three["compute"] = Running(box_of("compute", LABELS, tmp_path))
+
+    for name in ("zoo", "ant"):
+        until(lambda name=name: isinstance(fleet.states(name)["compute"], list))  # type: ignore[misc]
+        until(lambda name=name: fleet.states(name)["compute"] != [])  # type: ignore[misc]
+        before = handled(fleet, "compute", "steer", name)
+        until(lambda n=name, b=before: handled(fleet, "compute", "steer", n) > b + 5)  # type: ignore[misc]
+        down(name, fleet.hosts)
+
+
+def test_code_of_an_operator_that_breaks_breaks_no_agent(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise OverflowError("by some settings' own checks")
+
+    with monkeypatch.context() as patch, pytest.raises(RunError, match="prepare broke: Overflow"):
+        patch.setattr("pipeline.fleet.agent.inspect", broken)
+        up(fleet, plan_of(tmp_path))
+
+    up(fleet, plan_of(tmp_path))
+    down("trio", fleet.hosts)
+
+
+def test_a_damaged_state_stops_one_graph_and_not_the_box(tmp_path: Path) -> None:
+    own = box_of("sensor", LABELS, tmp_path)
+    own.state.mkdir(parents=True, exist_ok=True)
+    for name, text in {"a": "[]", "b": "", "c": '{"plan": 3}'}.items():
+        (own.state / f"{name}.graph").write_text(text)
+    try:
+        with boxes(tmp_path, *LABELS), fleet_of(*LABELS) as fleet:
+            up(fleet, plan_of(tmp_path))
+            down("trio", fleet.hosts)
+    finally:
+        for name in "abc":
+            (own.state / f"{name}.graph").unlink()
+
+
+def test_who_gives_up_waiting_leaves_nothing_running(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pipeline.fleet.deploy._await", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        up(fleet, plan_of(tmp_path))
+
+    assert fleet.states() == {label: [] for label in LABELS}
+    assert remembered() == {}
+
+
+def test_a_graph_that_another_desk_deployed_is_found(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    up(fleet, plan_of(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path / "elsewhere"))
+    assert remembered() == {}
+
+    assert attach("trio", fleet) == sorted(LABELS)
+
+    assert remembered()["trio"].nodes["count"] == "viewer"
+    assert down("trio", remembered()["trio"]) == []
+    with pytest.raises(RunError, match="trio: does not run on"):
+        attach("trio", fleet)
+
+
+def test_weights_that_a_box_allows_and_has_not_are_sent(tmp_path: Path) -> None:
+    file = tmp_path / "network.onnx"
+    file.write_bytes(b"a network")
+    digest = hashlib.sha256(b"a network").hexdigest()
+    own = box_of("sensor", LABELS, tmp_path, weights={digest: ""})
+    running = Running(own)
+    try:
+        with fleet_of("sensor") as fleet:
+            lacks = wire.Lacks((digest, "0" * 64))
+            assert fleet.ask("sensor", "lacks", lacks, tuple[str, ...]) == (digest,)
+            send_weights(fleet, "sensor", (digest,), {digest: file})
+            assert fleet.ask("sensor", "lacks", lacks, tuple[str, ...]) == ()
+            with pytest.raises(FoveaError, match="not on the allow list"):
+                fleet.ask("sensor", "weights", b"another", str)
+    finally:
+        running.stop()
+        (own.state / "weights" / digest).unlink()
 
 
 def test_a_box_without_an_agent_is_named(tmp_path: Path) -> None:

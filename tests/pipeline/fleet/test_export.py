@@ -45,7 +45,7 @@ def test_systemd_units_are_units(tmp_path: Path) -> None:
     texts = systemd(plan_of(tmp_path), "graph.yaml").split("\n# ")
 
     assert len(texts) == 4
-    for text in [*texts, agent_unit(tmp_path / "agent.yaml")]:
+    for text in [*texts, agent_unit(tmp_path / "agent.yaml", tmp_path / "state")]:
         unit = configparser.ConfigParser(strict=True, interpolation=None)
         unit.optionxform = str  # type: ignore[assignment,method-assign]
         unit.read_string(text[text.index("[Unit]") :])

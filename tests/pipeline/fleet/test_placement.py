@@ -1,6 +1,7 @@
 """Nodes are placed by label, and a box runs only what it allows: nothing by the wire's word."""
 
 import hashlib
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from pipeline.fleet.clock import DRIFT, Offset
 from pipeline.fleet.mirror import Mirror, adopt
 from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, part_of
 from pipeline.fleet.wire import read_plan, write_plan
-from pipeline.graph.plan import Plan
+from pipeline.graph.plan import Plan, Restart
+from pipeline.node.place import place_of
 from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
 
 
@@ -85,6 +87,13 @@ def test_a_node_lets_others_do_what_the_graph_says_and_nothing_else(tmp_path: Pa
     }
 
 
+def nested(levels: int) -> list[Any]:
+    value: list[Any] = []
+    for _ in range(levels):
+        value = [value]
+    return value
+
+
 def evil(plan: Plan, node: str, **changes: Any) -> Plan:
     nodes = tuple(replace(n, **changes) if n.name == node else n for n in plan.nodes)
     return replace(plan, nodes=nodes)
@@ -103,6 +112,15 @@ def evil(plan: Plan, node: str, **changes: Any) -> Plan:
         ({"name": "../work"}, "expected a name"),
         ({"group": "a/b"}, "expected a name"),
         ({"index": 7}, "expected a node with a place of its own"),
+        ({"settings": {"sleep_s": "new.rrd"}}, "expected no path from outside"),
+        ({"settings": {"sleep_s": {"a/b": 1}}}, "expected no path from outside"),
+        ({"settings": {"sleep_s": "os:system "}}, "is not on the allow list"),
+        ({"settings": {"sleep_s": "foo-bar:Thing"}}, "is not on the allow list"),
+        ({"settings": {"sleep_s": nested(40)}}, "no more than 32 levels"),
+        ({"threads": 10**9}, r"work\.threads: expected 1 to 64"),
+        ({"stall_s": -1.0}, r"work\.stall_s: expected"),
+        ({"memory_mb": float("nan")}, r"work\.memory_mb: expected"),
+        ({"restart": Restart(backoff_s=-1e9)}, r"work\.restart\.backoff_s: expected"),
     ],
 )
 def test_a_box_refuses_code_paths_and_names_that_it_does_not_know(
@@ -112,6 +130,53 @@ def test_a_box_refuses_code_paths_and_names_that_it_does_not_know(
 
     with pytest.raises(FoveaError, match=said):
         inspect(plan, "compute", allowed(tmp_path), {})
+
+
+def test_a_process_over_two_hosts_is_refused_by_both(tmp_path: Path) -> None:
+    plan = evil(plan_of(tmp_path), "count", group="work", operator="this:s")
+
+    for label in ("compute", "viewer"):
+        with pytest.raises(GraphError, match=r"expected the host of its group"):
+            inspect(plan, label, allowed(tmp_path), {})
+
+
+def test_the_code_of_another_box_is_never_loaded_here(tmp_path: Path) -> None:
+    sys.modules.pop("this", None)
+    plan = evil(plan_of(tmp_path), "capture", operator="this:s")
+
+    part = inspect(plan, "compute", allowed(tmp_path), {})
+    place_of(part, part.node("work"))
+
+    assert "this" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"wait_ms": 1e308}, r"work\.frame\.wait_ms: expected"),
+        ({"depth": 65}, r"work\.frame\.depth: expected 1 to 64"),
+        ({"input": "left"}, "no input left"),
+    ],
+)
+def test_an_edge_that_no_loader_makes_is_refused(
+    change: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    plan = plan_of(tmp_path)
+    edges = tuple(replace(e, **change) if e.end == "work.frame" else e for e in plan.edges)
+
+    with pytest.raises(GraphError, match=said):
+        inspect(replace(plan, edges=edges), "compute", allowed(tmp_path), {})
+
+
+def test_two_writers_of_one_input_and_an_input_without_are_refused(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path)
+    twice = (*plan.edges, replace(plan.edges[1], index=len(plan.edges)))
+    short = tuple(e for e in plan.edges if e.end != "pair.left")
+    short = tuple(replace(e, index=i) for i, e in enumerate(short))
+
+    for edges, said in ((twice, "expected one edge"), (short, r"pair\.inputs\.left: required")):
+        with pytest.raises(GraphError, match=said):
+            inspect(replace(plan, edges=edges), "compute", allowed(tmp_path), {})
 
 
 def test_code_that_is_not_what_was_allowed_is_refused(tmp_path: Path) -> None:
@@ -208,3 +273,50 @@ def test_a_box_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path
     assert fresh.edges[edge].sent == 20
     siblings = sensor.readers("capture", "context")
     assert {fresh.edges[e.index].sent for e in siblings} == {20}
+
+
+def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) -> None:
+    text = TRIO + "  near:\n    operator: tests.toys:Count\n    host: sensor\n"
+    text += "    inputs: {frame: capture.context}\n"
+    sensor, viewer = (part_of(plan_of(tmp_path, text), name) for name in ("sensor", "viewer"))
+    old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
+    far, near = (
+        next(e.index for e in sensor.edges if e.end == end) for end in ("count.frame", "near.frame")
+    )
+    old.edges[far].sent = old.edges[far].seen = old.edges[far].delivered = 20
+
+    adopt(sensor, fresh, [Mirror(viewer, old, "sensor").whole()])
+
+    assert (fresh.edges[near].sent, fresh.edges[near].lost_in_crash) == (0, 0)
+    assert fresh.edges[near].base == 20
+
+
+def test_what_another_graph_of_that_name_counts_is_not_heard(tmp_path: Path) -> None:
+    plan = part_of(plan_of(tmp_path), "sensor")
+    ledger = private_ledger(len(plan.edges), len(plan.nodes))
+    theirs = Mirror(part_of(plan_of(tmp_path), "viewer"), ledger, "sensor", mark="old")
+    mine = private_ledger(len(plan.edges), len(plan.nodes))
+    edge = next(e.index for e in plan.edges if e.end == "count.frame")
+    ledger.edges[edge].reader_epoch = 7
+
+    told = theirs.tell(ready=True, anyway=True)
+    assert told is not None
+    Mirror(plan, mine, "viewer", mark="new").hear(told)
+    assert mine.edges[edge].reader_epoch == 0
+
+    Mirror(plan, mine, "viewer", mark="old").hear(told)
+    assert mine.edges[edge].reader_epoch == 7
+
+
+def test_a_clock_that_begins_anew_is_believed_at_once() -> None:
+    clock = Offset()
+    for k in range(64):
+        now = k * 200_000_000
+        clock.add(now, now + 10**12, now + 10**12, now + 100_000)
+
+    now = 64 * 200_000_000
+    clock.add(now, 5_000_000, 5_000_000, now + 5_000_000)
+
+    seen = clock.estimate(now + 5_000_000)
+    assert seen is not None
+    assert abs(seen.offset_ns - (2_500_000 - now)) <= seen.error_ns
