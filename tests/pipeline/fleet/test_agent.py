@@ -224,11 +224,13 @@ def test_code_of_an_operator_that_breaks_breaks_no_agent(
     def broken(*_: object) -> None:
         raise OverflowError("by some settings' own checks")
 
-    with monkeypatch.context() as patch, pytest.raises(RunError, match="prepare broke: Overflow"):
+    plan = plan_of(tmp_path)
+    with monkeypatch.context() as patch:
         patch.setattr("pipeline.fleet.agent.inspect", broken)
-        up(fleet, plan_of(tmp_path))
+        with pytest.raises(RunError, match="prepare broke: Overflow"):
+            up(fleet, plan)
 
-    up(fleet, plan_of(tmp_path))
+    up(fleet, plan)
     down("trio", fleet.hosts)
 
 
