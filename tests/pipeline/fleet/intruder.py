@@ -20,7 +20,7 @@ FORGED = ("fovea/trio/steer/out/bytes", "fovea/trio/capture/context/bytes")
 ASKED = [
     f"fovea/@agent/{label}/{who}/{verb}"
     for label in ("sensor", "compute")
-    for who in ("person.tester", "box.compute", "person.intruder")
+    for who in ("person.tester", "box.compute", "person.intruder", "box.viewer")
     for verb in ("about", "start", "down", "state")
 ]
 
@@ -50,7 +50,7 @@ def main(papers: str, points: list[str], seconds: float) -> dict[str, object]:
     forged = b"\x97\x02\x01\xce\x7f\xff\xff\xff\x01\xc4\x08forged!!\xc0\x90"
     answers: dict[str, str] = {}
     for key in ASKED:
-        data = session.ask(key, wire.encode(wire.Named("trio")), 0.15)
+        data = session.ask(key, question(key.rpartition("/")[2]), 0.15)
         if data is not None:
             answers[key] = data.decode(errors="replace")[:80]
     connections = flood_of_connections(points)
@@ -70,6 +70,15 @@ def main(papers: str, points: list[str], seconds: float) -> dict[str, object]:
         "read": dict(seen), "answers": answers, "sent": sent, "half_open": len(connections),
         "readers_matched": reached,
     }  # fmt: skip
+
+
+def question(verb: str) -> bytes:
+    """What an agent would have to answer, if it answered him."""
+    if verb == "about":
+        return wire.encode(wire.Nothing())
+    if verb == "start":
+        return wire.encode(wire.Start("{}", wire.Versions.ours(), {}, {}, {}))
+    return wire.encode(wire.Named("trio"))
 
 
 def flood_of_connections(points: list[str]) -> list[socket.socket]:

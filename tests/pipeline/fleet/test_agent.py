@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from pipeline.bus.network import LOCAL
 from pipeline.console.asking import ask_node, fleet_health
 from pipeline.console.asking import tell as tell_node
 from pipeline.console.changing import ask
@@ -40,6 +41,7 @@ from tests.pipeline.fleet.boxes import (
     state_of,
     until,
 )
+from tests.pipeline.run.bad_link import BadLink
 
 LABELS = ("sensor", "compute", "viewer")
 
@@ -294,6 +296,38 @@ def test_weights_that_a_box_allows_and_has_not_are_sent(tmp_path: Path) -> None:
     finally:
         running.stop()
         (own.state / "weights" / digest).unlink()
+
+
+def test_a_box_behind_a_bad_link_is_missed_and_found_again(
+    three: dict[str, Running], tmp_path: Path
+) -> None:
+    near = base() / f"bad-{os.getpid()}.sock"
+    far = Path(three["viewer"].agent.box.endpoint.removeprefix(LOCAL))
+    hosts = read_hosts(("sensor", "compute", f"viewer={LOCAL}{near}"), None)
+
+    def lost() -> bool:
+        return {b.label: b.lost for b in state_of(fleet, "sensor").boxes}["viewer"]
+
+    def goes_on(label: str, node: str) -> None:
+        before = handled(fleet, label, node)
+        until(lambda: handled(fleet, label, node) > before + 10)
+
+    with BadLink(near, far) as link, Fleet(hosts) as fleet:
+        up(fleet, plan_of(tmp_path))
+        link.delay_s, link.loss = 0.03, 0.1
+        goes_on("viewer", "count")
+        assert not lost()
+        link.delay_s, link.loss = 0.0, 0.0
+
+        for worse, better in ((link.stalled.set, link.stalled.clear), (link.cut, link.mend)):
+            worse()
+            until(lost)
+            goes_on("compute", "steer")  # nobody waits for it
+            better()
+            until(lambda: not lost())
+            goes_on("viewer", "count")
+        down("trio", hosts)
+    near.unlink(missing_ok=True)
 
 
 def test_a_box_without_an_agent_is_named(tmp_path: Path) -> None:

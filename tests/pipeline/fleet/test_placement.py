@@ -13,9 +13,9 @@ from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.fleet.access import edge_key, node_permits
 from pipeline.fleet.allow import MARK, Allowed, code_digest
 from pipeline.fleet.clock import DRIFT, Offset
-from pipeline.fleet.mirror import Mirror, adopt
+from pipeline.fleet.mirror import READ, WRITTEN, Mirror, adopt
 from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, part_of
-from pipeline.fleet.wire import read_plan, write_plan
+from pipeline.fleet.wire import Accounts, read_plan, write_plan
 from pipeline.graph.plan import Plan, Restart
 from pipeline.node.place import place_of
 from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
@@ -289,6 +289,20 @@ def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) 
 
     assert (fresh.edges[near].sent, fresh.edges[near].lost_in_crash) == (0, 0)
     assert fresh.edges[near].base == 20
+
+
+def test_a_box_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -> None:
+    plan = part_of(plan_of(tmp_path), "sensor")
+    ledger = private_ledger(len(plan.edges), len(plan.nodes))
+    everything = {e.index: (99,) * len(WRITTEN) for e in plan.edges}
+    halves = {e.index: (99,) * len(READ) for e in plan.edges}
+
+    Mirror(plan, ledger, "viewer").hear(Accounts(1, "", True, everything, halves))
+
+    for edge in plan.edges:
+        account = ledger.edges[edge.index]
+        assert account.sent == 0  # it writes nothing here
+        assert account.seen == (99 if edge.end == "count.frame" else 0)
 
 
 def test_what_another_graph_of_that_name_counts_is_not_heard(tmp_path: Path) -> None:
