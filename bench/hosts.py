@@ -51,8 +51,12 @@ class World(Hosts):
         for _line in issue_for(self.authority, addresses, [self.plan], [PERSON]):
             pass
         super().__enter__()
-        for label in self.plan.hosts:
-            self.begin(label)
+        try:
+            for label in self.plan.hosts:
+                self.begin(label)
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:

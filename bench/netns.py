@@ -48,6 +48,14 @@ class Hosts:
         self._running: list[subprocess.Popen[str]] = []
 
     def __enter__(self) -> "Hosts":
+        try:
+            self._make()
+        except BaseException:  # nobody leaves what was never entered
+            self._remove()
+            raise
+        return self
+
+    def _make(self) -> None:
         switch = f"{self._stem}-switch"
         _ip("netns", "add", switch)
         _ip("-n", switch, "link", "add", "br0", "type", "bridge")
@@ -62,7 +70,11 @@ class Hosts:
             _ip("-n", inside, "link", "set", "eth0", "up")
             _ip("-n", inside, "link", "set", "lo", "up")
             self.home(name).mkdir(parents=True, exist_ok=True)
-        return self
+
+    def _remove(self) -> None:
+        for name in [*self.addresses, "switch"]:
+            words = ["ip", "netns", "del", f"{self._stem}-{name}"]  # some may not be there yet
+            subprocess.run(words, check=False, capture_output=True)
 
     def __exit__(self, *_: object) -> None:
         for one in self._running:
@@ -74,8 +86,7 @@ class Hosts:
             except subprocess.TimeoutExpired:
                 one.kill()
                 one.wait()
-        for name in [*self.addresses, "switch"]:
-            subprocess.run(["ip", "netns", "del", f"{self._stem}-{name}"], check=False)
+        self._remove()
 
     def home(self, name: str) -> Path:
         """The host's folder for what would lie in /tmp."""
