@@ -8,7 +8,7 @@ from typing import Any
 
 import psutil
 
-from pipeline.run.rundir import MEMORY, base, running
+from pipeline.run.rundir import LOGS, MEMORY, base, running
 from pipeline.run.supervisor import Supervisor
 
 
@@ -26,14 +26,21 @@ class Traces:
 
     def files(self) -> list[str]:
         """Shared memory and sockets; to be asked for after the end. Logs are meant to stay."""
-        kept = {".log", ".old"}
-        mine = [p for p in self.folder.iterdir() if p.name != "lock" and p.suffix not in kept]
-        return sorted(p.name for p in [*MEMORY.glob(f"{self.prefix}*"), *mine])
+        return sorted([*(p.name for p in MEMORY.glob(f"{self.prefix}*")), *remains(self.folder)])
 
     def orphans(self) -> list[int]:
         """Processes that live after the end."""
         listed = psutil.process_iter(["cmdline"])
         return [p.pid for p in listed if self.prefix in (p.info["cmdline"] or [])]
+
+
+def remains(folder: Path) -> list[str]:
+    """Files below a folder, whatever they are called, but for what is meant to stay there."""
+    return sorted(
+        path.name
+        for path in folder.rglob("*")
+        if path.name != "lock" and path.suffix not in LOGS and not path.is_dir()
+    )
 
 
 def unbalanced(edges: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import psutil
 
-from bench.aftermath import Traces, rest, unbalanced
+from bench.aftermath import Traces, remains, rest, unbalanced
 from bench.hosts import World
 from pipeline.bus.histogram import Histogram
 from pipeline.bus.ledger import Ledger, NodeAccount
@@ -153,13 +153,19 @@ class ThreeHosts(Ground):
 
     def __enter__(self) -> "ThreeHosts":
         self._world.__enter__()
-        self._world.up()
+        try:
+            self._world.up()
+            self._open()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _open(self) -> None:
         for box in self.boxes:
             self._prefixes[box] = str(self._noted(box)["prefix"])
-            root = Path(f"/proc/{self._world.agents[box].pid}/root")  # a memory folder of its own
-            path = root / MEMORY.relative_to("/") / f"{self._prefixes[box]}ledger"
+            path = self._memory_folder(box) / f"{self._prefixes[box]}ledger"
             self._ledgers[box] = Ledger.open(path)
-        return self
 
     def __exit__(self, *caught: Any) -> None:
         if not self._ended:
@@ -203,10 +209,9 @@ class ThreeHosts(Ground):
         edges = [self._report(edge.index) for edge in self._plan.edges]
         loop = {"latency_ms": self.commands.summary()}
         self._world.fovea("down", self._plan.name)
-        self.__exit__(None, None, None)
-        kept = {".log", ".old", ".lock"}
-        homes = [self._world.home(box) for box in self.boxes]
-        left = [p.name for h in homes for p in h.rglob("*.*") if p.suffix not in kept]
+        left = [name for box in self.boxes for name in self._memory(box)]  # goes with the agent
+        self.__exit__()
+        left += [name for box in self.boxes for name in remains(self._world.home(box))]
         listed = [(p.pid, p.info["cmdline"] or []) for p in psutil.process_iter(["cmdline"])]
         prefixes = set(self._prefixes.values())
         return {
@@ -229,6 +234,14 @@ class ThreeHosts(Ground):
                 for e, n in zip(edges, fair, strict=True)
             ]
         )
+
+    def _memory_folder(self, box: str) -> Path:
+        """Every box has one of its own, which is seen through its agent."""
+        root = Path(f"/proc/{self._world.agents[box].pid}/root")
+        return root / MEMORY.relative_to("/")
+
+    def _memory(self, box: str) -> list[str]:
+        return [f"{box}: {path.name}" for path in self._memory_folder(box).iterdir()]
 
     def _noted(self, box: str) -> dict[str, Any]:
         (path,) = self._world.home(box).glob(f"fovea-*/{self._plan.name}@{box}/run.json")

@@ -26,6 +26,7 @@ from pipeline.bus.pool import remove_pools
 from pipeline.errors import RunError
 
 MEMORY = Path("/dev/shm")
+LOGS = (".log", ".old")
 KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
 CLAIM_S = 0.5  # who looks whether a graph runs has its lock for a moment
 log = logging.getLogger(__name__)
@@ -106,10 +107,10 @@ def leftovers() -> list[str]:
     found = []
     for folder in sorted(base().iterdir()):
         lock = _locked(folder, fcntl.LOCK_SH)  # so that two who look see the same
-        if lock is not None:
-            os.close(lock)
+        if lock is not None:  # held until it was looked into, or a sweep takes the folder away
             if (folder / "run.json").exists() or _remains(folder):
                 found.append(folder.name)
+            os.close(lock)
     return found
 
 
@@ -170,9 +171,11 @@ def _remove_remains(folder: Path) -> None:
 
 
 def _remains(folder: Path) -> list[Path]:
-    """What a run leaves beside its logs: sockets, and settings that were changed meanwhile."""
+    """Whatever a run leaves beside its lock, its facts and its logs, also files not known here."""
     return [
-        path for kind in ("sock", "sock.lock", "door", "live") for path in folder.glob(f"*.{kind}")
+        path
+        for path in folder.iterdir()
+        if path.name not in ("lock", "run.json") and path.suffix not in LOGS and not path.is_dir()
     ]
 
 
