@@ -101,7 +101,7 @@ def run(
     if report:
         report.write_text(json.dumps(result, indent=1))
     if save:
-        console.print(f"recording: {save}, open it with: rerun {save}")
+        console.print(f"recording: {save}, open it with: rerun {save}", markup=False)
     if result.get("failure"):
         raise click.ClickException(result["failure"])
 
@@ -120,10 +120,11 @@ def check(graph: Path | None, schema: bool, **laid: Any) -> None:
     else:
         console.print(
             f"{graph}: {plan.name}, {len(plan.nodes)} nodes in {len(plan.processes())} processes, "
-            f"{len(plan.edges)} edges, {plan.clock}"
+            f"{len(plan.edges)} edges, {plan.clock}",
+            markup=False,
         )
         for line in running.advice(plan):
-            console.print(line)
+            console.print(line, markup=False)
 
 
 @commands.command()

@@ -8,6 +8,7 @@ FoveaError
 ├── DriverError     a sensor, a file or a data set does not deliver
 ├── WeightsError    a network's weights are absent or not the ones named
 └── RunError        a running graph cannot go on
+    └── Silent      who was asked does not answer in time
 
 A message says where, what, what was expected and what was got.
 """
@@ -43,3 +44,7 @@ class WeightsError(FoveaError):
 
 class RunError(FoveaError):
     """A running graph cannot go on."""
+
+
+class Silent(RunError):
+    """Who was asked does not answer in time."""

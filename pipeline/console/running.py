@@ -24,7 +24,8 @@ REFRESH_S = 0.25
 
 def inline(plan: Plan, frames: int, console: Console) -> Report:
     """Run in this thread, frame by frame."""
-    columns = (SpinnerColumn(), TextColumn(plan.name), MofNCompleteColumn(), TimeElapsedColumn())
+    name = TextColumn("{task.description}", markup=False)
+    columns = (SpinnerColumn(), name, MofNCompleteColumn(), TimeElapsedColumn())
     with InlineRunner(plan) as runner, Progress(*columns, console=console) as progress:
         task = progress.add_task(plan.name, total=frames or None)
         for _seq in runner.run(frames):
@@ -35,7 +36,7 @@ def inline(plan: Plan, frames: int, console: Console) -> Report:
 def processes(plan: Plan, frames: int, duration_s: float, console: Console) -> Report:
     """Run as processes until the source ends, a limit, Ctrl-C or SIGTERM."""
     with _interruptible() as interrupted, Supervisor(plan, frames=frames) as supervisor:
-        with console.status(f"{plan.name}: starting {len(plan.processes())} processes"):
+        with console.status(Text(f"{plan.name}: starting {len(plan.processes())} processes")):
             supervisor.start()
         shown_s = 0.0
         with Live(console=console, auto_refresh=False, transient=True) as live:

@@ -16,6 +16,7 @@ import psutil
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import Ledger, private_ledger
@@ -46,7 +47,7 @@ def process_table() -> Table:
                 used = [f"{sum(seen.cpu_times()[:2]):.1f}", f"{seen.memory_info().rss / 1e6:.0f}"]
             except psutil.Error:
                 used = ["gone", ""]
-            table.add_row(graph, process, nodes, str(pid), *used)
+            table.add_row(Text(graph), Text(process), Text(nodes), str(pid), *used)
     return table
 
 
@@ -161,10 +162,10 @@ def _top_tables(facts: dict[str, Any], ledger: Ledger, rates: list[float]) -> Gr
         account, hertz = ledger.edges[names["index"]], rates[names["index"]]
         shown = account.report()
         dropped = ", ".join(f"{n} {why}" for why, n in shown["dropped"].items())
-        broken = " [red]broken[/]" if account.broken else ""
+        broken = (" broken", "red") if account.broken else ""
         edges.add_row(
-            f"{names['from']} -> {names['to']}{broken}", f"{hertz:.1f}", str(shown["offered"]),
-            str(shown["delivered"]), dropped, str(shown["in_flight"]),
+            Text.assemble(f"{names['from']} -> {names['to']}", broken), f"{hertz:.1f}",
+            str(shown["offered"]), str(shown["delivered"]), dropped, str(shown["in_flight"]),
             str(shown["lost_in_crash"]), f"{account.age.summary()['p50']:.1f} ms",
         )  # fmt: skip
     nodes = Table(title="nodes")
@@ -174,7 +175,7 @@ def _top_tables(facts: dict[str, Any], ledger: Ledger, rates: list[float]) -> Gr
         node = ledger.nodes[facts_of["index"]]
         times = node.histograms["handler"].summary()
         nodes.add_row(
-            facts_of["name"], node.condition, str(node.epoch), str(node.handled),
+            Text(facts_of["name"]), node.condition, str(node.epoch), str(node.handled),
             str(node.last_seq), f"{times['p50']:.2f} / {times['p99']:.2f}",
         )  # fmt: skip
     return Group(edges, nodes)

@@ -17,11 +17,11 @@ import msgspec
 
 from pipeline.bus.network import Network
 from pipeline.bus.session import Session
-from pipeline.errors import FoveaError, GraphError, RunError, SettingsError
+from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, Silent
 from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
 from pipeline.fleet.agent_file import local_endpoint
-from pipeline.fleet.allow import MARK, file_digest, is_path
+from pipeline.fleet.allow import MARK, MOST_WEIGHTS_BYTES, file_digest, is_path
 from pipeline.fleet.names import ANYBODY, agent_key, check_label, endpoint
 from pipeline.fleet.placement import check_labels, marks
 from pipeline.fleet.secure import ADDRESSES, Papers
@@ -98,11 +98,11 @@ class Fleet:
     def ask(
         self, label: str, verb: str, question: Any, cls: type[T], patience_s: float = PATIENCE_S
     ) -> T:
-        """What an agent answers; raises `RunError` with its reason, or when it is silent."""
+        """What an agent answers; raises `RunError` with its reason, `Silent` when there is none."""
         data = question if isinstance(question, bytes) else wire.encode(question)
         found = self._session.ask(agent_key(label, self._holder, verb), data, patience_s)
         if found is None:
-            raise RunError(
+            raise Silent(
                 f"{label}: no agent answers at {self.hosts.points[label]} within "
                 f"{patience_s:.0f} s; it does not run, or {self._holder} may not ask it"
             )
@@ -220,10 +220,15 @@ def carried(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Path]]
 def send_weights(
     fleet: Fleet, label: str, digests: Iterable[str], files: Mapping[str, Path]
 ) -> None:
-    """Give a box the weights that it allows and has not; raises `GraphError` without the file."""
+    """Give a box the weights that it allows and has not; raises `GraphError` for what cannot go."""
     for digest in digests:
         if digest not in files:
             raise GraphError(f"{label}: weights {digest[:12]}… are neither there nor here")
+        if (size := files[digest].stat().st_size) > MOST_WEIGHTS_BYTES:
+            raise GraphError(
+                f"{label}: {files[digest]}: expected up to {MOST_WEIGHTS_BYTES >> 20} MiB of "
+                f"weights to send, got {size >> 20}; copy the file there and name it in agent.yaml"
+            )
         fleet.ask(label, "weights", files[digest].read_bytes(), str, READY_S)
 
 
@@ -286,8 +291,16 @@ def _down(fleet: Fleet, label: str, graph: str) -> str:
     try:
         fleet.ask(label, "down", wire.Named(graph), type(None), DOWN_S)
     except FoveaError as error:
-        return "" if "no graph" in str(error) else str(error)
+        return str(error) if isinstance(error, Silent) or _is_on(fleet, label, graph) else ""
     return ""
+
+
+def _is_on(fleet: Fleet, label: str, graph: str) -> bool:
+    """Whether a box runs a graph, as far as is known."""
+    try:
+        return graph in fleet.ask(label, "about", wire.Nothing(), wire.About).graphs
+    except FoveaError:
+        return True
 
 
 def _memory() -> Path:

@@ -95,8 +95,9 @@ def _edge_table(report: Report) -> Table:
     for edge in report["edges"]:
         dropped = ", ".join(f"{n} {reason}" for reason, n in edge["dropped"].items()) or "0"
         table.add_row(
-            edge["from"], edge["to"], edge["keep"], str(edge["offered"]), str(edge["delivered"]),
-            dropped, str(edge["in_flight"]), str(edge["lost_in_crash"]), _pair(edge["age_ms"]),
+            Text(edge["from"]), Text(edge["to"]), edge["keep"], str(edge["offered"]),
+            str(edge["delivered"]), dropped, str(edge["in_flight"]), str(edge["lost_in_crash"]),
+            _pair(edge["age_ms"]),
         )  # fmt: skip
     return table
 
@@ -108,7 +109,7 @@ def _stage_table(report: Report) -> Table:
         table.add_column(name, justify="right")
     for stage in report["stages"]:
         table.add_row(
-            stage["node"], _pair(stage["latency_ms"]), _pair(stage["hop_ms"]),
+            Text(stage["node"]), _pair(stage["latency_ms"]), _pair(stage["hop_ms"]),
             f"{stage['rate_hz']:.1f}", f"{stage['cpu_percent']:.0f}", f"{stage['rss_mb']:.0f}",
         )  # fmt: skip
     return table
