@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.bus.network import LARGEST_BYTES
 from pipeline.errors import SettingsError, WeightsError
 
 ANY = "any"  # instead of a checksum: whatever version is installed
 MARK = "sha256:"
-MOST_WEIGHTS_BYTES = 512 << 20
+MOST_WEIGHTS_BYTES = LARGEST_BYTES - (1 << 20)  # they travel as one message
 DEEPEST = 32  # of a setting's value
 _NAME_OF_FILE = re.compile(r".*\.[^\W\d]\w{0,9}", re.DOTALL)  # it ends like one
 _DIGEST = re.compile(r"[0-9a-f]{64}")
