@@ -288,3 +288,21 @@ class Stillborn(Count):
 
 class Nosy(Steer):
     """What no box allows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSettings:
+    """A file, now and another one later."""
+
+    weights: str = ""
+    spare: str = ""
+
+
+class Model(Operator[ModelSettings, None]):
+    """Would look with its file."""
+
+    live = ("weights",)
+    frame = Input(Frame, keep="latest")
+
+    def on_frame(self, frame: Frame) -> None:
+        pass

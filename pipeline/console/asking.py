@@ -9,11 +9,13 @@ import click
 import msgspec
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from pipeline.commands import COMMAND, Outcome, read_outcome, write_order
 from pipeline.console.watching import find
 from pipeline.errors import RunError
-from pipeline.fleet.remote import ask_there, is_deployed
+from pipeline.fleet.deploy import remembered
+from pipeline.fleet.remote import ask_there, health_there, is_deployed
 from pipeline.graph.overlay import read_value
 from pipeline.node.health import HEALTH, Health, read_health
 from pipeline.node.interface import SCHEMA, read_interface
@@ -29,8 +31,8 @@ QUICK_S = 2.0  # what transports answer by themselves; a process that is frozen 
 @click.argument("graph", required=False)
 @click.option("--json", "as_json", is_flag=True, help="One object per node.")
 def health_command(graph: str | None, as_json: bool) -> None:
-    """Ask every node of a running graph, or of all of them, how it is."""
-    names = [find(graph)[0]] if graph else sorted(running())
+    """Ask every node of a running graph, or of all of them, how it is; on all boxes."""
+    names = [graph] if graph else sorted({*running(), *remembered()})
     if not names:
         raise RunError("expected a running graph, got none")
     found = {name: fleet_health(name) for name in names}
@@ -41,7 +43,7 @@ def health_command(graph: str | None, as_json: bool) -> None:
         Console().print(health_table(found))
     mute = [f"{g}/{n}" for g, nodes in found.items() for n, h in nodes.items() if h is None]
     if mute:
-        raise RunError(f"no answer for {QUICK_S:.0f} s from {', '.join(mute)}")
+        raise RunError(f"no answer from {', '.join(mute)}")
 
 
 @click.command("schema")
@@ -78,7 +80,9 @@ def tell(graph: str, node: str, command: str, arguments: Mapping[str, Any]) -> O
 
 
 def fleet_health(graph: str) -> dict[str, Health | None]:
-    """What every node of a running graph says, by one question; None for who is silent."""
+    """What every node of a running graph says, here or on boxes; None for who is silent."""
+    if is_deployed(graph) and graph not in running():
+        return health_there(graph)
     name, facts = find(graph)
     key = partial(key_of, facts["graph"])
     wanted = {key(node["name"], HEALTH): node["name"] for node in facts["nodes"]}
@@ -108,13 +112,14 @@ def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
     for graph, nodes in found.items():
         for node, health in nodes.items():
             if health is None:
-                table.add_row(graph, node, "", "", "", "", "", "[red]no answer[/]")
+                silent = Text("no answer", "red")
+                table.add_row(Text(graph), Text(node), "", "", "", "", "", silent)
                 continue
             broken = [f"{end} lost messages it was promised" for end in health.broken]
             wrong = "; ".join(filter(None, [health.complaint, *broken]))
             table.add_row(
-                graph, node, str(health.pid), str(health.epoch), health.state,
-                str(health.last_seq), f"{health.own_mb:.0f}", wrong,
+                Text(graph), Text(node), str(health.pid), str(health.epoch), Text(health.state),
+                str(health.last_seq), f"{health.own_mb:.0f}", Text(wrong),
             )  # fmt: skip
     return table
 

@@ -7,11 +7,14 @@ from typing import Any
 import click
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from pipeline.console.asking import ask_node
 from pipeline.errors import RunError
+from pipeline.fleet.remote import is_deployed, set_there
 from pipeline.graph.overlay import read_change
 from pipeline.node.live import CONFIG, Answer, read_answer, write_question
+from pipeline.run.rundir import running
 
 
 @click.command("set")
@@ -35,6 +38,8 @@ def set_command(graph: str, changes: tuple[str, ...]) -> None:
 
 def ask(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
     """A node's answer; raises `RunError` when there is no such node, or none that answers."""
+    if changes and is_deployed(graph) and graph not in running():
+        return set_there(graph, node, changes)
     return read_answer(ask_node(graph, node, CONFIG, write_question(changes)))
 
 
@@ -44,5 +49,5 @@ def table(answer: Answer) -> Table:
     for column in ("setting", "value", "live"):
         shown.add_column(column)
     for name, value in answer.settings.items():
-        shown.add_row(name, json.dumps(value), "yes" if name in answer.live else "")
+        shown.add_row(Text(name), Text(json.dumps(value)), "yes" if name in answer.live else "")
     return shown

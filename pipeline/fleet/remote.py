@@ -1,18 +1,22 @@
 """Questions and orders from a desk to nodes of a graph that runs on several boxes."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, cast
 
 import msgspec
 
-from pipeline.errors import RunError
+from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.deploy import READY_S, Fleet, carried, remembered, send_weights
+from pipeline.node.health import HEALTH, Health, read_health
+from pipeline.node.live import CONFIG, Answer, read_answer, write_question
 from pipeline.run.swap import SwapOrder
 from pipeline.settings import suggest
 
 ASK_S = 8.0  # the node's own patience, and the way
+AT_ONCE = 4  # nodes; one that hangs must not hold up the others
 
 
 def is_deployed(graph: str) -> bool:
@@ -23,19 +27,68 @@ def is_deployed(graph: str) -> bool:
 def ask_there(graph: str, node: str, question: str, payload: bytes) -> bytes:
     """What a node on one of the boxes answers; raises `FoveaError` with the reason."""
     with _way(graph, node) as (fleet, label):
-        asked = wire.ToNode(graph, node, cast(wire.Question, question), payload)
-        return fleet.ask(label, "node", asked, wire.Said, ASK_S).payload
+        return _ask(fleet, label, graph, node, question, payload)
+
+
+def set_there(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
+    """Change live settings; files go along as at `fovea up`. Raises `FoveaError` with the reason.
+
+    What is no live setting is refused before a file is sent.
+    """
+    with _way(graph, node) as (fleet, label):
+        moved, files = carried(changes)
+        if files:
+            live = read_answer(_ask(fleet, label, graph, node, CONFIG, b"")).live
+            _check_live(graph, node, [n for n in changes if moved[n] != changes[n]], live)
+            _send(fleet, label, files)
+        return read_answer(_ask(fleet, label, graph, node, CONFIG, write_question(moved)))
 
 
 def swap_there(graph: str, order: SwapOrder, patience_s: float) -> dict[str, Any]:
     """Have a node on one of the boxes swapped; raises `FoveaError` with the reason."""
     with _way(graph, order.node) as (fleet, label):
         changes, files = carried(order.changes)
-        lacking = fleet.ask(label, "lacks", wire.Lacks(tuple(files)), tuple[str, ...])
-        send_weights(fleet, label, lacking, files)
+        _send(fleet, label, files)
         order = msgspec.structs.replace(order, changes=changes)
         asked = wire.Change(graph, order)
         return fleet.ask(label, "swap", asked, dict[str, Any], max(patience_s, READY_S))
+
+
+def health_there(graph: str) -> dict[str, Health | None]:
+    """What every node on every box says; None for who is silent, or whose box is."""
+    hosts = remembered()[graph]
+    with Fleet(hosts) as fleet, ThreadPoolExecutor(AT_ONCE) as pool:
+        there = {label for label, said in fleet.states(graph).items() if not isinstance(said, str)}
+
+        def health(node: str) -> Health | None:
+            label = hosts.nodes[node]
+            if label not in there:
+                return None
+            try:
+                return read_health(_ask(fleet, label, graph, node, HEALTH, b""))
+            except FoveaError:
+                return None
+
+        return dict(zip(hosts.nodes, pool.map(health, hosts.nodes), strict=True))
+
+
+def _ask(fleet: Fleet, label: str, graph: str, node: str, question: str, payload: bytes) -> bytes:
+    asked = wire.ToNode(graph, node, cast(wire.Question, question), payload)
+    return fleet.ask(label, "node", asked, wire.Said, ASK_S).payload
+
+
+def _send(fleet: Fleet, label: str, files: Mapping[str, Any]) -> None:
+    lacking = fleet.ask(label, "lacks", wire.Lacks(tuple(files)), tuple[str, ...])
+    send_weights(fleet, label, lacking, files)
+
+
+def _check_live(graph: str, node: str, names: Collection[str], live: Collection[str]) -> None:
+    for name in names:
+        if name not in live:
+            raise RunError(
+                f"{node}.{name}: cannot change while the node runs; "
+                f"`fovea swap {graph} {node} --set {name}=…` starts another one with it"
+            )
 
 
 @contextmanager

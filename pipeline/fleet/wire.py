@@ -93,7 +93,7 @@ class Log(msgspec.Struct, forbid_unknown_fields=True):
     lines: tuple[str, ...]
 
 
-Question = Literal["@config", "@command", "@schema"]
+Question = Literal["@config", "@command", "@schema", "@health"]
 
 
 class ToNode(msgspec.Struct, forbid_unknown_fields=True):
