@@ -2,6 +2,7 @@
 
 import logging
 import signal
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,12 @@ from pipeline.fleet.deploy import (
 )
 from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import KINDS, engines
-from pipeline.fleet.names import check_label, check_name, person
+from pipeline.fleet.names import check_holder, check_label, check_name, node_holder, person
+from pipeline.fleet.placement import borders, place
 from pipeline.fleet.unit import agent_unit
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan
 from pipeline.settings import suggest
 
 GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
@@ -136,7 +139,7 @@ def init_command(folder: Path, **named: Any) -> None:
 @click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--person", "people", multiple=True, metavar="NAME")
 def add_command(folder: Path, **named: Any) -> None:
-    """Make papers that are missing in the folder of an authority."""
+    """Make papers that are missing in the folder of an authority; renew those that end soon."""
     _add(folder, fresh=False, **named)
 
 
@@ -151,12 +154,20 @@ def _add(
     names = tuple(check_name(name, "--person") for name in people or (default_person(),))
     plans = [load(graph) for graph in graphs]
     check_addressed(folder, addresses, plans)
+    for holder in (*map(person, names), *_node_holders(plans)):
+        check_holder(holder)
     if fresh:
         secure.create(folder)
-    for line in issue_for(folder, addresses, plans, names):
+    for line in (*issue_for(folder, addresses, plans, names), *secure.renew(folder)):
         click.echo(line)
     click.echo(f"copy each box's folder to the box, keep {folder / 'ca.key'} away from all of them")
     click.echo(f"deploy with --papers {folder / person(names[0])}")
+
+
+def _node_holders(plans: Iterable[Plan]) -> Iterator[str]:
+    for plan in plans:
+        crossing = borders(plan)
+        yield from (node_holder(plan.name, n) for n in plan.nodes if place(n) in crossing)
 
 
 fleet_commands = (

@@ -8,6 +8,7 @@ from pipeline.graph.loader import LABEL
 from pipeline.graph.plan import Node
 
 ANYBODY = "local"  # who asks over a unix socket that only this user can reach
+MOST_LETTERS = 64  # of a common name: RFC 5280, ub-common-name
 PORT = 7447  # where an agent listens unless it is told otherwise
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
 _HOST = re.compile(r"(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.-]+?)(?::(\d{1,5}))?")
@@ -24,8 +25,22 @@ def person(name: str) -> str:
 
 
 def node_holder(graph: str, node: Node) -> str:
-    """The holder that the process of a node is."""
-    return f"node.{graph}.{node.process}"
+    """The holder that the process of a node is; raises `SettingsError` for names it cannot have.
+
+    A dot within a name is written `+`, which no name has: `a.b`, `c` is not `a`, `b.c`.
+    """
+    names = check_name(graph, "name"), check_name(node.process, "nodes")
+    return ".".join(("node", *(name.replace(".", "+") for name in names)))
+
+
+def check_holder(holder: str) -> str:
+    """A name that a certificate can bear; raises `SettingsError`."""
+    if len(holder) > MOST_LETTERS:
+        raise SettingsError(
+            f"{holder}: expected a name of up to {MOST_LETTERS} characters, as certificates have, "
+            f"got {len(holder)}; shorten what it is made of"
+        )
+    return holder
 
 
 def agent_key(label: str, holder: str, verb: str) -> str:

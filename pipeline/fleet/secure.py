@@ -5,11 +5,13 @@
     <folder>/person.<name>/addresses.json        where the boxes are: label -> address
 
 The common name of a certificate says who speaks: `box.<label>`, `node.<graph>.<process>` or
-`person.<name>`. The access lists of `pipeline.fleet.access` go by these names, never by addresses.
+`person.<name>`, as `pipeline.fleet.names` writes them. The access lists of `pipeline.fleet.access`
+go by these names, never by addresses.
 """
 
 import datetime
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,9 +21,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from pipeline.errors import RunError, SettingsError
+from pipeline.fleet.names import check_holder
 
 AUTHORITY_DAYS = 3650
 HOLDER_DAYS = 825
+RENEWAL = datetime.timedelta(days=90)  # before the end
 SKEW = datetime.timedelta(days=1)  # a box whose clock is behind must not refuse its own
 COMMON_NAME = "fovea authority"
 ADDRESSES = "addresses.json"
@@ -67,10 +71,10 @@ class Papers:
 
 def create(folder: Path) -> None:
     """Make the authority; raises `RunError` where there is one already."""
-    if (folder / "ca.key").exists():
-        raise RunError(f"{folder}: expected a folder without an authority, got one with ca.key")
+    if (folder / "ca.pem").exists():
+        raise RunError(f"{folder}: expected a folder without an authority, got one with ca.pem")
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    key = ec.generate_private_key(ec.SECP256R1())
+    key = _key(folder / "ca.key")
     name = _name(COMMON_NAME)
     certificate = (
         _draft(name, name, key, AUTHORITY_DAYS)
@@ -78,19 +82,58 @@ def create(folder: Path) -> None:
         .add_extension(_usage(signs=True), critical=True)
         .sign(key, hashes.SHA256())
     )
-    _write(folder / "ca.key", _private(key))
-    (folder / "ca.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    _publish(folder / "ca.pem", certificate)
 
 
-def issue(own: Path, folder: Path, holder: str) -> Papers:
-    """Make key and certificate of a holder in a folder of its own, unless it has them."""
-    if (own / "own.key").exists():
-        return Papers.of(own)
+def issue(own: Path, folder: Path, holder: str, days: int = HOLDER_DAYS) -> Papers:
+    """Make key and certificate of a holder in a folder of its own, unless it has them.
+
+    The certificate is written last: what was interrupted is made whole by the next call. Raises
+    `SettingsError` for a holder whose name no certificate can bear.
+    """
+    if not all(path.exists() for path in _files(own)):
+        _certify(own, folder, check_holder(holder), days)
+    return Papers.of(own)
+
+
+def renew(folder: Path) -> Iterator[str]:
+    """Certify anew, for the same keys, who has papers below an authority's folder that end soon."""
+    for path in sorted(folder.rglob("own.pem")):
+        ends = _certificate(path).not_valid_after_utc
+        if ends - datetime.datetime.now(datetime.UTC) < RENEWAL:
+            _certify(path.parent, folder, holder_of(path), HOLDER_DAYS)
+            yield (
+                f"{path.parent}: renewed for {HOLDER_DAYS} days, as it ends on {ends:%Y-%m-%d}; "
+                "copy it to its holder again"
+            )
+
+
+def holder_of(certificate: Path) -> str:
+    """The common name of a certificate; raises `SettingsError` for a file that is none."""
+    names = _certificate(certificate).subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    if not names:
+        raise SettingsError(f"{certificate}: expected a certificate with a common name, got none")
+    return str(names[0].value)
+
+
+def _certificate(path: Path) -> x509.Certificate:
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise SettingsError(f"{path}: expected a certificate, got none: {error}") from error
+
+
+def _files(own: Path) -> tuple[Path, ...]:
+    papers = Papers(own)
+    return papers.key, papers.authority, papers.certificate
+
+
+def _certify(own: Path, folder: Path, holder: str, days: int) -> None:
     authority, authority_key = _authority(folder)
     own.mkdir(mode=0o700, parents=True, exist_ok=True)
-    key = ec.generate_private_key(ec.SECP256R1())
+    key = _key(own / "own.key")
     certificate = (
-        _draft(_name(holder), authority.subject, key, HOLDER_DAYS)
+        _draft(_name(holder), authority.subject, key, days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(signs=False), critical=True)
         .add_extension(
@@ -102,32 +145,36 @@ def issue(own: Path, folder: Path, holder: str) -> Papers:
         .add_extension(x509.SubjectAlternativeName([x509.DNSName(holder)]), critical=False)
         .sign(authority_key, hashes.SHA256())
     )  # fmt: skip
-    _write(own / "own.key", _private(key))
-    (own / "own.pem").write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
     (own / "ca.pem").write_bytes((folder / "ca.pem").read_bytes())
-    return Papers.of(own)
+    _publish(own / "own.pem", certificate)
 
 
-def holder_of(certificate: Path) -> str:
-    """The common name of a certificate; raises `SettingsError` for a file that is none."""
-    try:
-        read = x509.load_pem_x509_certificate(certificate.read_bytes())
-        return str(read.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
-    except (OSError, ValueError, IndexError) as error:
-        raise SettingsError(f"{certificate}: expected a certificate, got none: {error}") from error
+def _key(path: Path) -> ec.EllipticCurvePrivateKey:
+    """The key that is there, or a new one; raises `SettingsError` for something else."""
+    if not path.exists():
+        key = ec.generate_private_key(ec.SECP256R1())
+        _write(path, _private(key))
+        return key
+    return _read_key(path)
 
 
 def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     try:
-        certificate = x509.load_pem_x509_certificate((folder / "ca.pem").read_bytes())
-        key = serialization.load_pem_private_key((folder / "ca.key").read_bytes(), None)
-    except (OSError, ValueError) as error:
+        return _certificate(folder / "ca.pem"), _read_key(folder / "ca.key")
+    except SettingsError as error:
         raise SettingsError(
             f"{folder}: expected an authority made by `fovea secure init`: {error}"
         ) from error
+
+
+def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    try:
+        key = serialization.load_pem_private_key(path.read_bytes(), None)
+    except (OSError, ValueError) as error:
+        raise SettingsError(f"{path}: expected a private key, got none: {error}") from error
     if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise SettingsError(f"{folder}/ca.key: expected an elliptic-curve key, got another")
-    return certificate, key
+        raise SettingsError(f"{path}: expected an elliptic-curve key, got another")
+    return key
 
 
 def _draft(
@@ -165,8 +212,17 @@ def _private(key: ec.EllipticCurvePrivateKey) -> bytes:
     )
 
 
+def _publish(path: Path, certificate: x509.Certificate) -> None:
+    part = path.with_name(f"{path.name}.part")
+    part.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    part.rename(path)
+
+
 def _write(path: Path, secret: bytes) -> None:
-    """Never readable by others, not even for a moment."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    """Never readable by others, not even for a moment, and never half of it."""
+    part = path.with_name(f"{path.name}.part")
+    part.unlink(missing_ok=True)
+    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "wb") as file:
         file.write(secret)
+    part.rename(path)

@@ -1,0 +1,95 @@
+"""Papers: made whole after an interruption, renewed before they end, and each of one holder."""
+
+import datetime
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from cryptography import x509
+
+from pipeline.errors import SettingsError
+from pipeline.fleet import secure
+from pipeline.fleet.commands import secure_commands
+from pipeline.fleet.names import node_holder
+from tests.pipeline.fleet.boxes import TRIO, plan_of
+
+
+def ends(papers: secure.Papers) -> datetime.datetime:
+    return x509.load_pem_x509_certificate(papers.certificate.read_bytes()).not_valid_after_utc
+
+
+def test_papers_that_end_soon_are_renewed_for_the_same_key_and_others_are_not(
+    tmp_path: Path,
+) -> None:
+    secure.create(tmp_path)
+    soon = secure.issue(tmp_path / "box.a", tmp_path, "box.a", days=89)
+    inner = secure.issue(tmp_path / "box.a/nodes/node.g.n", tmp_path, "node.g.n", days=10)
+    late = secure.issue(tmp_path / "box.b", tmp_path, "box.b", days=91)
+    key, before = soon.key.read_bytes(), late.certificate.read_bytes()
+
+    words = ["add", str(tmp_path), "--person", "alice"]
+    done = CliRunner().invoke(secure_commands, words, catch_exceptions=False)
+
+    assert {line for line in done.output.splitlines() if "renewed for 825 days" in line} == {
+        line for line in done.output.splitlines() if "box.a" in line
+    }
+    wanted = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=800)
+    assert ends(soon) > wanted
+    assert ends(inner) > wanted
+    assert (soon.holder, soon.key.read_bytes()) == ("box.a", key)
+    assert late.certificate.read_bytes() == before
+    assert not list(secure.renew(tmp_path))
+
+
+@pytest.mark.parametrize("lost", ["own.pem", "ca.pem", "own.key"])
+def test_papers_whose_making_was_interrupted_are_made_whole(lost: str, tmp_path: Path) -> None:
+    secure.create(tmp_path)
+    own = secure.issue(tmp_path / "box.a", tmp_path, "box.a").folder
+    (own / lost).unlink()
+    (own / f"{lost}.part").write_text("half of it")
+
+    papers = secure.issue(own, tmp_path, "box.a")
+
+    certificate = x509.load_pem_x509_certificate(papers.certificate.read_bytes())
+    authority = x509.load_pem_x509_certificate(papers.authority.read_bytes())
+    certificate.verify_directly_issued_by(authority)
+    assert certificate.public_key() == secure._key(papers.key).public_key()
+
+
+def test_an_authority_whose_making_was_interrupted_is_made_whole(tmp_path: Path) -> None:
+    secure.create(tmp_path)
+    (tmp_path / "ca.pem").unlink()
+
+    secure.create(tmp_path)
+
+    assert secure.issue(tmp_path / "box.a", tmp_path, "box.a").holder == "box.a"
+
+
+def test_a_name_that_no_certificate_can_bear_is_told_before_anything_is_made(
+    tmp_path: Path,
+) -> None:
+    graph, folder = tmp_path / "graph.yaml", tmp_path / "ca"
+    graph.write_text(TRIO.replace("name: trio", f"name: {'a' * 60}"))
+    boxes = [f"--box={label}=h" for label in ("sensor", "compute", "viewer")]
+
+    with pytest.raises(SettingsError, match=r"expected a name of up to 64 characters, .* got 73"):
+        CliRunner().invoke(
+            secure_commands, ["init", str(folder), *boxes, f"--graph={graph}"],
+            catch_exceptions=False,
+        )  # fmt: skip
+
+    assert not folder.exists()
+    with pytest.raises(SettingsError, match="up to 64 characters"):
+        secure.issue(tmp_path / "own", tmp_path, "person." + "x" * 58)
+
+
+def test_no_two_nodes_have_the_same_holder(tmp_path: Path) -> None:
+    node = plan_of(tmp_path).nodes[0]
+
+    one = node_holder("a.b", replace(node, name="c"))
+    other = node_holder("a", replace(node, name="b.c"))
+
+    assert (one, other) == ("node.a+b.c", "node.a.b+c")
+    with pytest.raises(SettingsError, match="expected a name"):
+        node_holder("a+b", node)
