@@ -2,7 +2,6 @@
 
 import logging
 import signal
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +23,11 @@ from pipeline.fleet.deploy import (
 )
 from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import KINDS, engines
-from pipeline.fleet.names import check_holder, check_label, check_name, node_holder, person
-from pipeline.fleet.placement import borders, place
+from pipeline.fleet.names import check_holder, check_label, check_name, person
+from pipeline.fleet.shipping import Desk, holders
 from pipeline.fleet.unit import agent_unit
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
-from pipeline.graph.plan import Plan
 from pipeline.settings import suggest
 
 GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
@@ -113,9 +111,19 @@ def down_command(graph: str) -> None:
 @click.command("export")
 @click.argument("engine", type=engines())
 @GRAPH
-def export_command(engine: str, graph: Path) -> None:
+@click.option(
+    "--papers",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("papers"),
+    show_default=True,
+    help="The folder of `fovea secure`.",
+)
+@click.option("--person", "name", metavar="NAME", help="Who deploys; without it, you.")
+def export_command(engine: str, graph: Path, papers: Path, name: str | None) -> None:
     """Print a graph's boxes as units or manifests for an engine of your own."""
-    click.echo(KINDS[engine](load(graph), str(graph)), nl=False)
+    who = check_name(name or default_person(), "--person")
+    desk = Desk(graph.resolve(), papers.resolve(), who)
+    click.echo(KINDS[engine](load(graph), desk), nl=False)
 
 
 @click.group("secure")
@@ -154,7 +162,8 @@ def _add(
     names = tuple(check_name(name, "--person") for name in people or (default_person(),))
     plans = [load(graph) for graph in graphs]
     check_addressed(folder, addresses, plans)
-    for holder in (*map(person, names), *_node_holders(plans)):
+    nodes = [holder for p in plans for label in p.hosts for holder in holders(p, label)]
+    for holder in (*map(person, names), *nodes):
         check_holder(holder)
     if fresh:
         secure.create(folder)
@@ -162,12 +171,6 @@ def _add(
         click.echo(line)
     click.echo(f"copy each box's folder to the box, keep {folder / 'ca.key'} away from all of them")
     click.echo(f"deploy with --papers {folder / person(names[0])}")
-
-
-def _node_holders(plans: Iterable[Plan]) -> Iterator[str]:
-    for plan in plans:
-        crossing = borders(plan)
-        yield from (node_holder(plan.name, n) for n in plan.nodes if place(n) in crossing)
 
 
 fleet_commands = (

@@ -1,19 +1,30 @@
-"""What is printed for other engines has every box, its memory and its papers; it is well formed."""
+"""What is printed for other engines works: every file that is read there is where it is read."""
 
 import configparser
+import os
+import re
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from ruamel.yaml import YAML
 
-from pipeline.errors import RunError, SettingsError
+from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
-from pipeline.fleet.deploy import read_hosts
+from pipeline.fleet.commands import export_command
+from pipeline.fleet.deploy import default_person, read_hosts
 from pipeline.fleet.draft import check_addressed, issue_for
-from pipeline.fleet.export import compose, k8s, memory_mb, systemd
-from pipeline.fleet.unit import agent_unit
+from pipeline.fleet.export import compose, k8s, systemd
+from pipeline.fleet.links import networks
+from pipeline.fleet.placement import part_of, place
+from pipeline.fleet.secure import Papers
+from pipeline.fleet.shipping import AGENT, Desk, memory_mb
+from pipeline.graph.loader import load
+from pipeline.graph.plan import Plan
 from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
 
 ALONE = TRIO.replace("hosts: [sensor, compute, viewer]\n", "")
@@ -21,44 +32,196 @@ for _label in ("sensor", "compute", "viewer"):
     ALONE = ALONE.replace(f"    host: {_label}\n", "")
 
 
-def test_compose_has_a_service_per_box_with_shared_memory_of_its_own(tmp_path: Path) -> None:
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    """Papers as `fovea secure init` makes them, and the graph they are for."""
     plan = plan_of(tmp_path)
+    papers = tmp_path / "papers"
+    secure.create(papers)
+    for _line in issue_for(papers, {label: label for label in plan.hosts}, [plan], ["alice"]):
+        pass
+    return Desk(tmp_path / "graph.yaml", papers, "alice")
 
-    services: dict[str, Any] = YAML(typ="safe").load(compose(plan, "graph.yaml"))["services"]
+
+def expect_agent(plan: Plan, label: str, folder: Path) -> None:
+    """Everything that the agent of a box reads is there, and is its own."""
+    own = read(folder / "agent.yaml")
+    assert own.endpoint == f"tls/{label}:7447"
+    assert own.papers is not None
+    part = part_of(plan, label)
+    points = {place(node): "tls/somewhere:7500" for node in plan.nodes}
+    here = networks(part, points, points, own.papers)
+    assert set(here) == {n.process for n in plan.nodes if n.host == label}
+    for process, network in here.items():
+        holder = Papers.of(Path(network.papers)).holder
+        assert holder == f"node.trio.{process}"
+
+
+def expect_deploy(words: Sequence[str], root: Path) -> None:
+    """Everything that `fovea up` reads is where its options say."""
+    at = [root / word.removeprefix("/") for word in words]
+    assert words[:2] == ["fovea", "up"]
+    assert load(at[2]).name == "trio"
+    papers = at[words.index("--papers") + 1]
+    assert Papers.of(papers).holder == "person.alice"
+    hosts = read_hosts([words[words.index("--hosts") + 1]], papers, ["sensor"])
+    assert hosts.points == {n: f"tls/{n}:7447" for n in ("sensor", "compute", "viewer")}
+
+
+def test_compose_mounts_papers_and_graph_where_they_are_read(desk: Desk, tmp_path: Path) -> None:
+    plan = load(desk.graph)
+    services: dict[str, Any] = YAML(typ="safe").load(compose(plan, desk))["services"]
 
     assert set(services) == {"sensor", "compute", "viewer", "deploy"}
-    assert services["sensor"]["shm_size"] == f"{memory_mb(plan, 'sensor')}mb"
-    assert "sensor=sensor:7447" in " ".join(services["deploy"]["command"])
+    for name, service in services.items():
+        root = tmp_path / "roots" / name
+        for volume in service["volumes"]:
+            source, target, *_ = volume.split(":")
+            path = root / target.removeprefix("/")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if Path(source).is_absolute():
+                path.symlink_to(source)
+        assert service["user"] == f"{os.getuid()}:{os.getgid()}"  # whose keys they are
+        if name == "deploy":
+            expect_deploy(service["command"], root)
+        else:
+            assert service["shm_size"] == f"{memory_mb(plan, name)}mb"
+            assert (service["hostname"], service["command"]) == (name, list(AGENT))
+            expect_agent(plan, name, root / "etc/fovea")
 
 
-def test_k8s_has_a_pod_per_box_and_never_two_owners_of_a_sensor(tmp_path: Path) -> None:
-    documents = list(YAML(typ="safe").load_all(k8s(plan_of(tmp_path), "graph.yaml")))
+def test_k8s_mounts_papers_and_graph_where_they_are_read(desk: Desk, tmp_path: Path) -> None:
+    plan, text = load(desk.graph), k8s(load(desk.graph), desk)
+    documents = list(YAML(typ="safe").load_all(text))
+    made = secrets_of(text)
+    config = {d["metadata"]["name"]: d["data"] for d in documents if d["kind"] == "ConfigMap"}
+
+    for document in documents:
+        if document["kind"] not in ("Deployment", "Job"):
+            continue
+        pod = document["spec"]["template"]["spec"]
+        root = tmp_path / "roots" / document["metadata"]["name"]
+        words = mount(pod, root, made, config)
+        if document["kind"] == "Job":
+            expect_deploy(words, root)
+        else:
+            assert words == list(AGENT)
+            expect_agent(plan, pod["hostname"], root / "etc/fovea")
+
+
+def secrets_of(text: str) -> dict[str, dict[str, bytes]]:
+    """What the printed commands make: of a folder, its files and none of its folders."""
+    made = {}
+    for line in text.splitlines():
+        words = shlex.split(line.removeprefix("# ")) if line.startswith("# kubectl create") else []
+        if words:
+            folder = Path(words[5].removeprefix("--from-file="))
+            made[words[4]] = {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
+            assert all(re.fullmatch(r"[-._a-zA-Z0-9]+", key) for key in made[words[4]])
+    return made
+
+
+def mount(
+    pod: dict[str, Any], root: Path, made: Mapping[str, Any], config: Mapping[str, Any]
+) -> list[str]:
+    """Lay a pod's volumes out below a folder; what its container runs."""
+    volumes = {volume["name"]: volume for volume in pod["volumes"]}
+    (container,) = pod["containers"]
+    for at in container["volumeMounts"]:
+        volume = volumes[at["name"]]
+        if "configMap" in volume:
+            files = {k: v.encode() for k, v in config[volume["configMap"]["name"]].items()}
+        elif "secret" in volume:
+            files = made[volume["secret"]["secretName"]]
+        else:
+            files = projected(volume.get("projected", {"sources": []})["sources"], made)
+        for name, data in files.items():
+            path = root / at["mountPath"].removeprefix("/") / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+            path.chmod(0o400)
+    return list(container["command"])
+
+
+def projected(sources: Sequence[Any], made: Mapping[str, Any]) -> dict[str, bytes]:
+    files: dict[str, bytes] = {}
+    for source in sources:
+        data = made[source["secret"]["name"]]
+        items = source["secret"].get("items") or [{"key": k, "path": k} for k in data]
+        files.update({item["path"]: data[item["key"]] for item in items})
+    return files
+
+
+def test_k8s_has_a_pod_per_box_and_never_two_owners_of_a_sensor(desk: Desk) -> None:
+    documents = list(YAML(typ="safe").load_all(k8s(load(desk.graph), desk)))
 
     kinds = [document["kind"] for document in documents]
-    assert kinds == ["Deployment", "Service"] * 3 + ["Job"]
+    assert kinds == ["ConfigMap", *["Deployment", "Service"] * 3, "Job"]
     assert {d["spec"]["strategy"]["type"] for d in documents if d["kind"] == "Deployment"} == {
         "Recreate"
     }
 
 
-def test_systemd_units_are_units(tmp_path: Path) -> None:
-    texts = systemd(plan_of(tmp_path), "graph.yaml").split("\n# ")
+def test_a_box_that_kubernetes_cannot_name_is_told(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, TRIO.replace("viewer", "Viewer_2"))
 
-    assert len(texts) == 4
-    for text in [*texts, agent_unit(tmp_path / "agent.yaml", tmp_path / "state")]:
+    with pytest.raises(GraphError, match="hosts: Viewer_2: expected small letters"):
+        k8s(plan, Desk(tmp_path / "graph.yaml", tmp_path, "alice"))
+
+
+def units(text: str) -> list[configparser.ConfigParser]:
+    found = []
+    for part in text.split("[Unit]")[1:]:
         unit = configparser.ConfigParser(strict=True, interpolation=None)
         unit.optionxform = str  # type: ignore[assignment,method-assign]
-        unit.read_string(text[text.index("[Unit]") :])
-        assert unit["Service"]["ExecStart"]
+        unit.read_string(f"[Unit]{part}")
         assert unit["Install"]["WantedBy"] == "multi-user.target"
+        assert Path(unit["Service"]["ExecStart"].split()[0]).is_absolute()
+        found.append(unit)
+    return found
+
+
+def test_systemd_units_name_files_wherever_they_are_started(desk: Desk) -> None:
+    *agents, deploy = units(systemd(load(desk.graph), desk))
+
+    assert len(agents) == 3
+    for unit in agents:
+        assert unit["Service"]["ExecStart"].endswith("agent --config /etc/fovea/agent.yaml")
+        assert unit["Service"]["WorkingDirectory"] == "/etc/fovea"
+    words = shlex.split(deploy["Service"]["ExecStart"])
+    assert load(Path(words[2])).name == "trio"
+    assert Papers.of(Path(words[words.index("--papers") + 1])).holder == "person.alice"
+    assert all(Path(words[i]).is_absolute() for i in (0, 2, 4))
+    assert Path(deploy["Service"]["WorkingDirectory"]) == Path.cwd()
+    for label in ("sensor", "compute", "viewer"):
+        assert f"{desk.box(label)} is to be /etc/fovea" in systemd(load(desk.graph), desk)
+        expect_agent(load(desk.graph), label, desk.box(label))
+
+
+def test_who_deploys_is_you_unless_you_say_who(desk: Desk) -> None:
+    words = ["compose", str(desk.graph), f"--papers={desk.papers}"]
+
+    own = CliRunner().invoke(export_command, words, catch_exceptions=False).output
+    other = CliRunner().invoke(export_command, [*words, "--person=bob"], catch_exceptions=False)
+
+    assert f"{desk.papers}/person.{default_person()}:" in own
+    assert f"{desk.papers}/person.bob:" in other.output
 
 
 def test_a_graph_without_hosts_is_one_service(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, ALONE)
+    desk = Desk(tmp_path / "graph.yaml", tmp_path, "alice")
 
-    assert list(YAML(typ="safe").load(compose(plan, "g.yaml"))["services"]) == ["trio"]
-    assert "fovea run g.yaml" in systemd(plan, "g.yaml")
-    assert YAML(typ="safe").load(k8s(plan, "g.yaml"))["kind"] == "Deployment"
+    (service,) = YAML(typ="safe").load(compose(plan, desk))["services"].values()
+    assert service["command"] == ["fovea", "run", "/etc/fovea/graph/graph.yaml"]
+    assert service["volumes"] == [f"{desk.graph}:/etc/fovea/graph/graph.yaml:ro"]
+    (unit,) = units(systemd(plan, desk))
+    assert unit["Service"]["ExecStart"].endswith(f"run {desk.graph}")
+    config, deployment = YAML(typ="safe").load_all(k8s(plan, desk))
+    root = tmp_path / "root"
+    data = {config["metadata"]["name"]: config["data"]}
+    words = mount(deployment["spec"]["template"]["spec"], root, {}, data)
+    assert load(root / words[2].removeprefix("/")).name == "trio"
 
 
 def test_papers_and_agent_files_allow_what_the_graph_has_on_that_box_and_no_more(

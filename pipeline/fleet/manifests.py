@@ -1,0 +1,174 @@
+"""A graph for Kubernetes: deployments, services and a job, and how their secrets are made.
+
+A secret holds no folders, so every holder of papers has one of its own, and a projected volume lays
+them out as an agent expects them.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import GraphError
+from pipeline.fleet.shipping import (
+    AGENT,
+    ETC,
+    GRAPH,
+    IMAGE,
+    PERSON,
+    STATE,
+    Desk,
+    comments,
+    holders,
+    memory_mb,
+    papers_words,
+    run_words,
+    up_words,
+)
+from pipeline.graph.plan import Plan
+
+_DNS = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")
+PAPERS = ("ca.pem", "own.pem", "own.key")
+Part = tuple[dict[str, Any], dict[str, Any]]  # a volume, and where a container mounts it
+
+
+def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
+    """What is to be typed before, and the documents; raises `GraphError` for a box's label."""
+    graph = _config(plan, desk)
+    mounted = _volume(
+        "graph", {"configMap": {"name": graph["metadata"]["name"]}}, str(Path(GRAPH).parent)
+    )
+    if not plan.hosts:
+        pod = _pod(run_words(), [_memory(plan, ""), mounted])
+        return "", [graph, _deployment(_slug(plan.name), pod)]
+    documents = [graph]
+    for label in plan.hosts:
+        parts = [_memory(plan, label), _papers(plan, label), _state()]
+        pod = {"hostname": _checked(label), **_pod(AGENT, parts)}
+        pod["nodeSelector"] = {"fovea/box": label}
+        documents += [_deployment(label, pod), _service(label)]
+    secret = {"secret": {"secretName": _own_secret(plan), "defaultMode": 0o400}}
+    pod = _pod(up_words(plan), [_volume("person", secret, PERSON), mounted])
+    documents.append(
+        {
+            "apiVersion": "batch/v1", "kind": "Job",
+            "metadata": {"name": f"fovea-up-{_slug(plan.name)}"},
+            "spec": {"template": {"spec": {**pod, "restartPolicy": "OnFailure"}}},
+        }
+    )  # fmt: skip
+    words = [papers_words(plan, desk), *_secrets(plan, desk), *_machines(plan)]
+    return "".join(comments("before:", *words)), documents
+
+
+def _secrets(plan: Plan, desk: Desk) -> Iterator[Sequence[str]]:
+    folders = [(_own_secret(plan), desk.own)]
+    for label in plan.hosts:
+        folders.append((_secret(label), desk.box(label)))
+        folders += [
+            (_secret(label, number), desk.box(label) / "nodes" / holder)
+            for number, holder in enumerate(holders(plan, label))
+        ]
+    for name, folder in folders:
+        yield "kubectl", "create", "secret", "generic", name, f"--from-file={folder}"
+
+
+def _machines(plan: Plan) -> Iterator[Sequence[str]]:
+    for label in plan.hosts:
+        yield "kubectl", "label", "node", f"MACHINE-OF-{label}", f"fovea/box={label}"
+
+
+def _papers(plan: Plan, label: str) -> Part:
+    sources: list[dict[str, Any]] = [{"secret": {"name": _secret(label)}}]
+    for number, holder in enumerate(holders(plan, label)):
+        items = [{"key": name, "path": f"nodes/{holder}/{name}"} for name in PAPERS]
+        sources.append({"secret": {"name": _secret(label, number), "items": items}})
+    projected = {"projected": {"sources": sources, "defaultMode": 0o400}}
+    return _volume("papers", projected, ETC)
+
+
+def _memory(plan: Plan, label: str) -> Part:
+    limit = f"{memory_mb(plan, label)}Mi"
+    memory = {"emptyDir": {"medium": "Memory", "sizeLimit": limit}}
+    return _volume("shm", memory, "/dev/shm")
+
+
+def _state() -> Part:
+    return _volume("state", {"emptyDir": {}}, STATE)
+
+
+def _volume(name: str, kind: dict[str, Any], folder: str) -> Part:
+    return {"name": name, **kind}, {"name": name, "mountPath": folder}
+
+
+def _pod(command: Sequence[str], parts: Sequence[Part]) -> dict[str, Any]:
+    return {
+        "containers": [
+            {
+                "name": "fovea", "image": IMAGE, "command": list(command),
+                "volumeMounts": [mount for _, mount in parts],
+                "securityContext": {
+                    # keys are readable for their owner only, and secrets are root's
+                    "runAsUser": 0,
+                    "allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]},
+                },
+            }
+        ],
+        "volumes": [volume for volume, _ in parts],
+    }  # fmt: skip
+
+
+def _deployment(name: str, pod: dict[str, Any]) -> dict[str, Any]:
+    labels = {"app": "fovea", "box": name}
+    return {
+        "apiVersion": "apps/v1", "kind": "Deployment", "metadata": {"name": f"fovea-{name}"},
+        "spec": {
+            "replicas": 1,
+            "strategy": {"type": "Recreate"},  # a sensor has one owner
+            "selector": {"matchLabels": labels},
+            "template": {"metadata": {"labels": labels}, "spec": pod},
+        },
+    }  # fmt: skip
+
+
+def _service(label: str) -> dict[str, Any]:
+    return {
+        "apiVersion": "v1", "kind": "Service", "metadata": {"name": label},
+        "spec": {
+            "clusterIP": "None", "publishNotReadyAddresses": True,
+            "selector": {"app": "fovea", "box": label},
+        },
+    }  # fmt: skip
+
+
+def _config(plan: Plan, desk: Desk) -> dict[str, Any]:
+    return {
+        "apiVersion": "v1", "kind": "ConfigMap",
+        "metadata": {"name": f"fovea-{_slug(plan.name)}"},
+        "data": {Path(GRAPH).name: desk.graph.read_text()},
+    }  # fmt: skip
+
+
+def _secret(label: str, number: int | None = None) -> str:
+    return f"fovea-{label}" if number is None else f"fovea-{label}.{number}"
+
+
+def _own_secret(plan: Plan) -> str:
+    return f"fovea-up-{_slug(plan.name)}"
+
+
+def _checked(label: str) -> str:
+    if not _DNS.fullmatch(label):
+        raise GraphError(
+            f"hosts: {label}: expected small letters, digits and -, a letter first, as services "
+            "of Kubernetes are named"
+        )
+    return label
+
+
+def _slug(name: str) -> str:
+    """A name as Kubernetes may have it.
+
+    >>> _slug("My_graph.2")
+    'my-graph-2'
+    """
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "graph"

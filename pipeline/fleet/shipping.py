@@ -1,0 +1,76 @@
+"""What a graph needs in somebody else's engine: memory, papers, the command that deploys it."""
+
+import math
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.fleet.names import PORT, node_holder, person
+from pipeline.fleet.placement import borders, place
+from pipeline.graph.plan import Plan, slots
+
+IMAGE = "fovea:latest"
+ETC = "/etc/fovea"  # papers and agent.yaml of a box, as they are in its folder
+GRAPH = f"{ETC}/graph/graph.yaml"
+PERSON = f"{ETC}/person"
+STATE = "/tmp"  # what runs, for the next start of the agent, lies beside the run folders
+LARGEST_FRAME_MB = 64  # per slot, where nobody knows how big pictures will be
+SPARE_MB = 64
+AGENT = ("fovea", "agent", "--config", f"{ETC}/agent.yaml")
+
+
+@dataclass(frozen=True)
+class Desk:
+    """Where the files lie that have to be shipped, and who deploys. Paths are absolute."""
+
+    graph: Path
+    papers: Path  # folder by `fovea secure`
+    person: str
+
+    def box(self, label: str) -> Path:
+        """The papers and the agent.yaml of a box."""
+        return self.papers / f"box.{label}"
+
+    @property
+    def own(self) -> Path:
+        """The papers of who deploys."""
+        return self.papers / person(self.person)
+
+
+def memory_mb(plan: Plan, label: str) -> int:
+    """Shared memory that a box's frame pools may take, if every picture is the largest."""
+    outputs = {(e.source, e.output) for e in plan.edges if plan.node(e.source).host == label}
+    count = sum(slots(plan.readers(*output)) for output in outputs)
+    return SPARE_MB + math.ceil(count * LARGEST_FRAME_MB)
+
+
+def holders(plan: Plan, label: str) -> list[str]:
+    """The nodes of a box that have papers: those with an edge to another one."""
+    crossing = borders(plan)
+    here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
+    return list(dict.fromkeys(node_holder(plan.name, node) for node in here))
+
+
+def run_words() -> list[str]:
+    """What a container runs for a graph without hosts."""
+    return ["fovea", "run", GRAPH]
+
+
+def up_words(plan: Plan) -> list[str]:
+    """What a container runs to deploy to boxes that their labels resolve to."""
+    hosts = ",".join(f"{label}={label}:{PORT}" for label in plan.hosts)
+    return ["fovea", "up", GRAPH, "--papers", PERSON, "--hosts", hosts, "--replace"]
+
+
+def papers_words(plan: Plan, desk: Desk) -> list[str]:
+    """What makes papers for boxes that are reached by their labels."""
+    boxes = [f"--box={label}={label}" for label in plan.hosts]
+    return ["fovea", "secure", "init", str(desk.papers), f"--graph={desk.graph}", *boxes,
+            f"--person={desk.person}"]  # fmt: skip
+
+
+def comments(*lines: str | Sequence[str]) -> Iterator[str]:
+    """Lines to be read first; of words, a command to be typed."""
+    for line in lines:
+        yield f"# {line if isinstance(line, str) else shlex.join(line)}\n"
