@@ -2,6 +2,7 @@
 
 import logging
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,17 +37,20 @@ GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
 @click.command("agent")
 @click.option("--config", type=click.Path(path_type=Path, dir_okay=False), help="The agent's file.")
 @click.option("--label", default="", help="Without a file: the label of this box.")
+@click.option("--state", type=click.Path(path_type=Path, file_okay=False), help="Instead of its.")
 @click.option("--unit", is_flag=True, help="Print a systemd unit and leave.")
-def agent_command(config: Path | None, label: str, unit: bool) -> None:
+def agent_command(config: Path | None, label: str, state: Path | None, unit: bool) -> None:
     """Run parts of graphs on this box for those who may deploy them."""
     if unit:
         config = config or Path("agent.yaml")
-        state = read(config).state if config.is_file() else config.resolve().parent
-        click.echo(agent_unit(config, state), nl=False)
+        known = read(config).state if config.is_file() else config.resolve().parent
+        click.echo(agent_unit(config, state or known), nl=False)
         return
     if config is None and not label:
         raise click.UsageError("give --config FILE or --label LABEL")
     own = read(config) if config else Box(AgentFile(label=label), Path.cwd())
+    if state:
+        own = replace(own, file=replace(own.file, state=str(state.resolve())))
     with Agent(own) as agent:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: agent.stop())

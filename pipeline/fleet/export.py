@@ -44,7 +44,7 @@ def systemd(plan: Plan, desk: Desk) -> str:
         _titled(
             f"{label}: fovea-agent.service; {desk.box(label)} is to be {ETC} there, of the user "
             "fovea",
-            agent_unit(Path(f"{ETC}/agent.yaml")),
+            agent_unit(Path(f"{ETC}/agent.yaml"), Path(f"{ETC}/state")),
         )
         for label in plan.hosts
     ]

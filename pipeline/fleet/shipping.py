@@ -17,7 +17,7 @@ PERSON = f"{ETC}/person"
 STATE = "/tmp"  # what runs, for the next start of the agent, lies beside the run folders
 LARGEST_FRAME_MB = 64  # per slot, where nobody knows how big pictures will be
 SPARE_MB = 64
-AGENT = ("fovea", "agent", "--config", f"{ETC}/agent.yaml")
+AGENT = ("fovea", "agent", "--config", f"{ETC}/agent.yaml", "--state", f"{STATE}/state")
 
 
 @dataclass(frozen=True)
