@@ -3,16 +3,20 @@
 The only file that knows ONNX Runtime.
 """
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from pipeline.errors import WeightsError
 from pipeline.weights import pull_hint
+
+# else the library gives this machine a number and reports each session to its maker
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+import onnxruntime  # noqa: E402 - it reads that when it is imported
 
 
 class Network:
