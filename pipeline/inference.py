@@ -16,7 +16,7 @@ from pipeline.weights import pull_hint
 
 # else the library gives this machine a number and reports each session to its maker
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-import onnxruntime  # noqa: E402 - it reads that when it is imported
+import onnxruntime  # it reads that when it is imported
 
 
 class Network:
