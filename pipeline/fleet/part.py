@@ -109,6 +109,7 @@ class Part:
             pause_s = min(2 * pause_s, AGAIN_S[1])
 
     def _run_once(self) -> None:
+        self.phase = "starting"
         try:
             starts = self.begins()
             self._proven = self._proven or starts > 1

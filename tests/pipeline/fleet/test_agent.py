@@ -27,6 +27,7 @@ from pipeline.fleet.deploy import (
     send_weights,
     up,
 )
+from pipeline.fleet.part import PartSupervisor
 from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.run.rundir import base
 from pipeline.run.swap import SwapOrder
@@ -233,6 +234,28 @@ def test_code_of_an_operator_that_breaks_breaks_no_agent(
             up(fleet, plan)
 
     up(fleet, plan)
+    down("trio", fleet.hosts)
+
+
+def test_a_part_that_worked_once_tries_again_when_it_cannot_begin(
+    three: dict[str, Running], fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    up(fleet, plan_of(tmp_path))
+    three["sensor"].stop()
+    failures = []
+
+    def begin(*words: Any) -> PartSupervisor:
+        if not failures:
+            failures.append("the camera is not there yet")
+            raise RunError(failures[0])
+        return PartSupervisor(*words)
+
+    monkeypatch.setattr("pipeline.fleet.part.PartSupervisor", begin)
+    three["sensor"] = Running(box_of("sensor", LABELS, tmp_path))
+
+    until(lambda: fleet.states("trio")["sensor"])
+    until(lambda: state_of(fleet, "sensor").phase == "running")
+    assert failures
     down("trio", fleet.hosts)
 
 
