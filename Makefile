@@ -18,7 +18,7 @@ demo: $(VENV)/.installed
 	@echo "look at it: $(BIN)/rerun demo.rrd"
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow

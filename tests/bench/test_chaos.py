@@ -11,7 +11,7 @@ from bench.chaos import main
 from bench.grounds import OneHost, ThreeHosts
 from bench.netns import permitted
 from tests.pipeline.fleet.boxes import TRIO
-from tests.pipeline.run.test_runtime import LOOP
+from tests.toy_graphs import LOOP
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline.run.test_runtime import LOOP
+from tests.toy_graphs import LOOP
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
 

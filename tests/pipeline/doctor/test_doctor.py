@@ -37,7 +37,7 @@ from pipeline.graph.overlay import Overlay
 from pipeline.run.rundir import MEMORY, leftovers, running, sweep
 from pipeline.run.supervisor import Supervisor
 from tests.pipeline.run.namespaces import with_small_mounts
-from tests.pipeline.run.test_runtime import CHAIN, KILLED, LOOP, go, handled, plan_of, wait_for
+from tests.toy_graphs import CHAIN, KILLED, LOOP, ended, go, handled, plan_of, until, wait_for
 
 
 def verdicts(findings: list[Finding]) -> dict[str, str]:
@@ -174,7 +174,7 @@ def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
     sweep()
     assert plan.name not in leftovers()
     assert not [p for p in unclaimed(prefixes) if p.name.startswith(facts["prefix"])]
-    assert not frozen.is_running() or frozen.status() == psutil.STATUS_ZOMBIE
+    until(lambda: ended(frozen.pid))
 
 
 def test_where_shared_memory_is_too_small_the_doctor_says_how_much_is_needed(

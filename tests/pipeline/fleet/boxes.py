@@ -1,8 +1,7 @@
 """Boxes to test with: agents in threads of this process, each with nodes of its own."""
 
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from pipeline.fleet.deploy import Fleet, read_hosts
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
 
-PATIENCE_S = 60.0
 TOYS = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")
 ALLOWED = {f"tests.toys:{name}": ANY for name in TOYS}
 TRIO = """
@@ -85,13 +83,6 @@ def boxes(folder: Path, *labels: str) -> Iterator[dict[str, Running]]:
 
 def fleet_of(*labels: str) -> Fleet:
     return Fleet(read_hosts(labels, None))
-
-
-def until(holds: Callable[[], object], patience_s: float = PATIENCE_S) -> None:
-    end = time.monotonic() + patience_s
-    while not holds():
-        assert time.monotonic() < end, "it did not come true"
-        time.sleep(0.02)
 
 
 def state_of(fleet: Fleet, label: str, graph: str = "trio") -> wire.State:

@@ -40,9 +40,9 @@ from tests.pipeline.fleet.boxes import (
     handled,
     plan_of,
     state_of,
-    until,
 )
 from tests.pipeline.run.bad_link import BadLink
+from tests.toy_graphs import until
 
 LABELS = ("sensor", "compute", "viewer")
 

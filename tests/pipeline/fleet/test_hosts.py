@@ -13,7 +13,8 @@ from bench.netns import permitted
 from pipeline import RunError
 from pipeline.fleet import secure
 from pipeline.fleet.names import person
-from tests.pipeline.fleet.boxes import TRIO, until
+from tests.pipeline.fleet.boxes import TRIO
+from tests.toy_graphs import until
 
 pytestmark = pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here")
 AHEAD_S = 1000

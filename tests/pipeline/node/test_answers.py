@@ -18,7 +18,7 @@ from pipeline.console.asking import ask_node, fleet_health, tell
 from pipeline.node.interface import SCHEMA, interface, read_interface
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import header
-from tests.pipeline.run.test_runtime import LOOP, go, handled, plan_of, wait_for
+from tests.toy_graphs import LOOP, go, handled, plan_of, wait_for
 from tests.toys import Pass, WorkSettings
 
 

@@ -15,7 +15,7 @@ from pipeline.contract import live_of
 from pipeline.node.live import Live, kept, read_answer, write_question
 from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
-from tests.pipeline.run.test_runtime import LOOP, go, handled, plan_of, wait_for
+from tests.toy_graphs import LOOP, go, handled, plan_of, wait_for
 from tests.toys import Pass, WorkSettings
 
 

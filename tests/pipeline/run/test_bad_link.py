@@ -1,13 +1,14 @@
 """A link that delays, loses, stalls or breaks costs its far reader; the writer never waits."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from pipeline.bus.session import Sender, Session
 from tests.pipeline.run.bad_link import BadLink
+from tests.toy_graphs import until
 
 PICTURE = bytes(1_000_000)
 
@@ -49,13 +50,6 @@ def far(tmp_path: Path) -> Iterator[Far]:
     made = Far(tmp_path)
     yield made
     made.close()
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 20) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "timed out"
-        time.sleep(0.005)
 
 
 def test_a_delay_is_a_delay_and_order_holds(far: Far) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.pipeline.run.test_runtime import LOOP
+from tests.toy_graphs import LOOP
 
 ROOT = Path(__file__).resolve().parents[3]
 ASKED_FOR_FILES = {  # a file's age is by that clock, and so is a certificate's
@@ -21,7 +21,7 @@ import os, signal, sys, time
 from pathlib import Path
 from pipeline.console.asking import fleet_health
 from pipeline.graph.loader import load
-from tests.pipeline.run.test_runtime import assert_accounts_add_up, go, handled, wait_for
+from tests.toy_graphs import assert_accounts_add_up, go, handled, wait_for
 
 def during(supervisor):
     wait_for(supervisor, lambda: handled(supervisor, "steer") > 10)

@@ -3,13 +3,14 @@
 import secrets
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
 from pipeline.run.rundir import MEMORY
 from tests.pipeline.run.namespaces import with_small_mounts
-from tests.pipeline.run.test_runtime import LOOP
+from tests.toy_graphs import LOOP
 
 WRITER = """
 import os, sys
@@ -26,7 +27,7 @@ from pathlib import Path
 from pipeline.console.asking import tell
 from pipeline.console.changing import ask
 from pipeline.graph.loader import load
-from tests.pipeline.run.test_runtime import assert_accounts_add_up, go, handled, wait_for
+from tests.toy_graphs import assert_accounts_add_up, go, handled, wait_for
 
 def during(supervisor):
     wait_for(supervisor, lambda: handled(supervisor, "steer") > 3)
@@ -69,10 +70,9 @@ def test_a_log_is_bounded_and_holds_what_libraries_print(tmp_path: Path) -> None
 
 
 def test_on_a_full_disk_nodes_break_come_back_and_lose_only_words(
-    graph: Path, tmp_path: Path
+    graph: Path,
 ) -> None:
-    small = tmp_path / "small"
-    small.mkdir()
+    small = Path(tempfile.mkdtemp())  # short: the paths of sockets are bounded
 
     done = with_small_mounts(
         {small: "300k"}, "-c", IN_FULL_FOLDER, str(graph), str(small), TMPDIR=str(small)

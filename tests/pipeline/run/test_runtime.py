@@ -1,102 +1,30 @@
 """Graphs as real processes on the real bus: they lose nothing they promised to keep."""
 
 import os
-import secrets
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import psutil
 import pytest
 
 from pipeline import RunError
-from pipeline.graph.loader import load
-from pipeline.graph.overlay import Overlay
-from pipeline.graph.plan import Plan
 from pipeline.run.inline import InlineRunner
-from pipeline.run.report import Report, compose
 from pipeline.run.rundir import MEMORY, base, running
 from pipeline.run.supervisor import Supervisor
-
-LOOP = """\
-nodes:
-  ticker:
-    operator: tests.toys:Ticker
-    inputs: {schedule: steer}
-    settings: {rate_hz: 60, side_px: 120}
-  work:
-    operator: tests.toys:Pass
-    inputs: {frame: ticker.context}
-  pair:
-    operator: tests.toys:Pair
-    inputs: {left: work, right: ticker.roi}
-  steer:
-    operator: tests.toys:Steer
-    inputs: {percept: pair}
-"""
-CHAIN = """\
-nodes:
-  ticker:
-    operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 120}
-  count:
-    operator: tests.toys:Count
-    inputs: {frame: {from: ticker.roi, depth: 60}}
-  glance:
-    operator: tests.toys:Pass
-    inputs: {frame: ticker.roi}
-"""
-
-
-def plan_of(tmp_path: Path, text: str, **overlay: Any) -> Plan:
-    path = tmp_path / "graph.yaml"
-    path.write_text(f"name: test-{secrets.token_hex(3)}\n{text}")
-    return load(path, Overlay(**overlay))
-
-
-def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = None) -> Report:
-    with Supervisor(plan, frames=frames) as supervisor:
-        supervisor.start()
-        if during:
-            during(supervisor)
-        deadline = time.monotonic() + 60
-        while not supervisor.finished and time.monotonic() < deadline:
-            supervisor.tick()
-        supervisor.finish()
-        supervisor.stop()
-        report = compose(
-            plan, supervisor.ledger, supervisor.summaries, {}, duration_s=1,
-            restarts=supervisor.restarts,
-        )  # fmt: skip
-        report["failure"] = supervisor.failure
-        report["summaries"] = supervisor.summaries
-    return report
-
-
-def edge(report: Report, end: str) -> dict[str, Any]:
-    return next(e for e in report["edges"] if e["to"] == end)
-
-
-def assert_accounts_add_up(report: Report) -> None:
-    for e in report["edges"]:
-        ends = e["delivered"] + sum(e["dropped"].values()) + e["lost_in_crash"]
-        assert e["offered"] == ends, e
-        assert e["in_flight"] == 0, e
-
-
-def wait_for(supervisor: Supervisor, condition: Callable[[], bool], timeout_s: float = 15) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "timed out"
-        supervisor.tick()
-
-
-def handled(supervisor: Supervisor, node: str) -> int:
-    return supervisor.ledger.nodes[supervisor.plan.node(node).index].handled
+from tests.toy_graphs import (
+    CHAIN,
+    KILLED,
+    LOOP,
+    assert_accounts_add_up,
+    edge,
+    go,
+    handled,
+    plan_of,
+    wait_for,
+)
 
 
 def test_the_loop_closes_and_every_account_adds_up(tmp_path: Path) -> None:
@@ -110,11 +38,15 @@ def test_the_loop_closes_and_every_account_adds_up(tmp_path: Path) -> None:
 
 
 def test_nothing_is_left_behind(tmp_path: Path) -> None:
-    before = set(os.listdir(MEMORY))
+    plan, seen = plan_of(tmp_path, LOOP), set()
 
-    go(plan_of(tmp_path, LOOP), 10)
+    def during(_: Supervisor) -> None:
+        seen.add(running()[plan.name]["prefix"])
 
-    assert {n for n in set(os.listdir(MEMORY)) - before if n.startswith("fovea-")} == set()
+    go(plan, 10, during)
+
+    (prefix,) = seen
+    assert [name for name in os.listdir(MEMORY) if name.startswith(prefix)] == []
     assert not [p for p in psutil.Process().children() if "pipeline.node.process" in p.cmdline()]
 
 
@@ -300,19 +232,6 @@ def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
 
     assert report["loop"]["commands"] > 20  # of 60; a busy machine leaves some out
     assert_accounts_add_up(report)
-
-
-KILLED = """
-import sys
-from pathlib import Path
-from pipeline.graph.loader import load
-from pipeline.run.supervisor import Supervisor
-supervisor = Supervisor(load(Path(sys.argv[1])))
-supervisor.start()
-print("running", flush=True)
-while True:
-    supervisor.tick()
-"""
 
 
 def test_a_killed_supervisor_takes_its_children_along_and_the_next_start_sweeps(

@@ -13,7 +13,7 @@ import pytest
 from pipeline import RunError
 from pipeline.run.rundir import base, running
 from pipeline.run.supervisor import Supervisor
-from tests.pipeline.run.test_runtime import (
+from tests.toy_graphs import (
     CHAIN,
     KILLED,
     LOOP,

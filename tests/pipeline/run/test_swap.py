@@ -18,7 +18,7 @@ from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
-from tests.pipeline.run.test_runtime import (
+from tests.toy_graphs import (
     LOOP,
     assert_accounts_add_up,
     edge,

@@ -12,12 +12,13 @@ from pipeline.console.operating import replan
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.run.supervisor import Supervisor
-from tests.pipeline.run.test_runtime import (
+from tests.toy_graphs import (
     assert_accounts_add_up,
     edge,
     go,
     handled,
     plan_of,
+    until,
     wait_for,
 )
 
@@ -71,15 +72,6 @@ def operating(
             raise broken[0]
 
     return during
-
-
-def until(condition: Callable[[], bool]) -> None:
-    gate = threading.Event()
-    for _ in range(1500):
-        if condition():
-            return
-        gate.wait(0.01)
-    raise AssertionError("timed out")
 
 
 def test_a_consumer_is_added_and_removed_and_the_others_do_not_stutter(tmp_path: Path) -> None:

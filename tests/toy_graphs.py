@@ -1,0 +1,117 @@
+"""Small graphs of the toys, and how a test runs one and waits for what shall happen in it."""
+
+import secrets
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan
+from pipeline.run.report import Report, compose
+from pipeline.run.supervisor import Supervisor
+
+LOOP = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    inputs: {schedule: steer}
+    settings: {rate_hz: 60, side_px: 120}
+  work:
+    operator: tests.toys:Pass
+    inputs: {frame: ticker.context}
+  pair:
+    operator: tests.toys:Pair
+    inputs: {left: work, right: ticker.roi}
+  steer:
+    operator: tests.toys:Steer
+    inputs: {percept: pair}
+"""
+CHAIN = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {rate_hz: 60, side_px: 120}
+  count:
+    operator: tests.toys:Count
+    inputs: {frame: {from: ticker.roi, depth: 60}}
+  glance:
+    operator: tests.toys:Pass
+    inputs: {frame: ticker.roi}
+"""
+KILLED = """
+import sys
+from pathlib import Path
+from pipeline.graph.loader import load
+from pipeline.run.supervisor import Supervisor
+supervisor = Supervisor(load(Path(sys.argv[1])))
+supervisor.start()
+print("running", flush=True)
+while True:
+    supervisor.tick()
+"""
+
+
+def plan_of(tmp_path: Path, text: str, **overlay: Any) -> Plan:
+    path = tmp_path / "graph.yaml"
+    path.write_text(f"name: test-{secrets.token_hex(3)}\n{text}")
+    return load(path, Overlay(**overlay))
+
+
+def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = None) -> Report:
+    with Supervisor(plan, frames=frames) as supervisor:
+        supervisor.start()
+        if during:
+            during(supervisor)
+        deadline = time.monotonic() + 60
+        while not supervisor.finished and time.monotonic() < deadline:
+            supervisor.tick()
+        supervisor.finish()
+        supervisor.stop()
+        report = compose(
+            plan, supervisor.ledger, supervisor.summaries, {}, duration_s=1,
+            restarts=supervisor.restarts,
+        )  # fmt: skip
+        report["failure"] = supervisor.failure
+        report["summaries"] = supervisor.summaries
+    return report
+
+
+def edge(report: Report, end: str) -> dict[str, Any]:
+    return next(e for e in report["edges"] if e["to"] == end)
+
+
+def assert_accounts_add_up(report: Report) -> None:
+    for e in report["edges"]:
+        ends = e["delivered"] + sum(e["dropped"].values()) + e["lost_in_crash"]
+        assert e["offered"] == ends, e
+        assert e["in_flight"] == 0, e
+
+
+def wait_for(supervisor: Supervisor, condition: Callable[[], bool], timeout_s: float = 15) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "timed out"
+        supervisor.tick()
+
+
+def handled(supervisor: Supervisor, node: str) -> int:
+    return supervisor.ledger.nodes[supervisor.plan.node(node).index].handled
+
+
+def until(holds: Callable[[], object], patience_s: float = 60.0) -> None:
+    end = time.monotonic() + patience_s
+    while not holds():
+        assert time.monotonic() < end, "it did not come true"
+        time.sleep(0.005)
+
+
+def ended(pid: int) -> bool:
+    """A killed process takes a moment, and nobody may have asked yet how it ended."""
+    try:
+        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
