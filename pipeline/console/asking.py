@@ -23,6 +23,7 @@ from pipeline.node.wiring import key_of
 from pipeline.run.rundir import running
 from pipeline.run.visiting import ask_on, visit
 from pipeline.settings import suggest
+from pipeline.terminal import lean_table
 
 QUICK_S = 2.0  # what transports answer by themselves; a process that is frozen does not
 
@@ -106,9 +107,8 @@ def ask_node(graph: str, node: str, question: str, payload: bytes) -> bytes:
 
 def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
     """A line per node: who does not answer, who stalls, who loses."""
-    table = Table()
-    for column in ("graph", "node", "pid", "epoch", "state", "frame", "own MB", "what is wrong"):
-        table.add_column(column)
+    columns = ("graph", "node", "pid", "epoch", "state", "frame", "own MB", "what is wrong")
+    table = lean_table(left=columns)
     for graph, nodes in found.items():
         for node, health in nodes.items():
             if health is None:

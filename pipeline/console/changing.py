@@ -15,6 +15,7 @@ from pipeline.fleet.remote import is_deployed, set_there
 from pipeline.graph.overlay import read_change
 from pipeline.node.live import CONFIG, Answer, read_answer, write_question
 from pipeline.run.rundir import running
+from pipeline.terminal import lean_table
 
 
 @click.command("set")
@@ -45,9 +46,7 @@ def ask(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
 
 def table(answer: Answer) -> Table:
     """Every setting of a node and whether it can be changed now."""
-    shown = Table()
-    for column in ("setting", "value", "live"):
-        shown.add_column(column)
+    shown = lean_table(left=("setting", "value", "live"))
     for name, value in answer.settings.items():
         shown.add_row(Text(name), Text(json.dumps(value)), "yes" if name in answer.live else "")
     return shown

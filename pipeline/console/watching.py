@@ -30,15 +30,14 @@ from pipeline.messages import Message
 from pipeline.node.wiring import key_of
 from pipeline.run.rundir import MEMORY, base, running
 from pipeline.settings import suggest
+from pipeline.terminal import lean_table, not_delivered, pair
 
 QUIET_S = 10.0  # without a message for this long, echo says so and leaves
 
 
 def process_table() -> Table:
     """Every process of every running graph of this user."""
-    table = Table()
-    for name in ("graph", "process", "nodes", "pid", "CPU s", "RSS MB"):
-        table.add_column(name)
+    table = lean_table(left=("graph", "process", "nodes"), right=("pid", "CPU s", "RSS MB"))
     for graph, facts in running().items():
         for process, pid in facts["pids"].items():
             nodes = ", ".join(n["name"] for n in facts["nodes"] if n["process"] == process)
@@ -155,28 +154,24 @@ def _refreshed(facts: dict[str, Any], ledger: Ledger, every_s: float) -> Iterato
 
 
 def _top_tables(facts: dict[str, Any], ledger: Ledger, rates: list[float]) -> Group:
-    edges = Table(title="edges")
-    for column in ("edge", "Hz", "offered", "delivered", "dropped", "in flight", "lost", "age p50"):
-        edges.add_column(column)
+    accounts = ("Hz", "offered", "delivered", "rest", "age ms")
+    edges = lean_table("edges, p50", left=("from", "to"), right=accounts)
     for names in facts["edges"]:
         account, hertz = ledger.edges[names["index"]], rates[names["index"]]
         shown = account.report()
-        dropped = ", ".join(f"{n} {why}" for why, n in shown["dropped"].items())
         broken = (" broken", "red") if account.broken else ""
         edges.add_row(
-            Text.assemble(f"{names['from']} -> {names['to']}", broken), f"{hertz:.1f}",
-            str(shown["offered"]), str(shown["delivered"]), dropped, str(shown["in_flight"]),
-            str(shown["lost_in_crash"]), f"{account.age.summary()['p50']:.1f} ms",
+            Text(names["from"]), Text.assemble(names["to"], broken), f"{hertz:.1f}",
+            str(shown["offered"]), str(shown["delivered"]), not_delivered(shown),
+            f"{account.age.summary()['p50']:.1f}",
         )  # fmt: skip
-    nodes = Table(title="nodes")
-    for column in ("node", "state", "epoch", "handled", "last seq", "handler p50 / p99 ms"):
-        nodes.add_column(column)
+    work = ("epoch", "handled", "last seq", "handler ms")
+    nodes = lean_table("nodes, p50/p99", left=("node", "state"), right=work)
     for facts_of in facts["nodes"]:
         node = ledger.nodes[facts_of["index"]]
-        times = node.histograms["handler"].summary()
         nodes.add_row(
             Text(facts_of["name"]), node.condition, str(node.epoch), str(node.handled),
-            str(node.last_seq), f"{times['p50']:.2f} / {times['p99']:.2f}",
+            str(node.last_seq), pair(node.histograms["handler"].summary()),
         )  # fmt: skip
     return Group(edges, nodes)
 

@@ -7,6 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.fleet.wire import BoxState, EdgeState, NodeState, State
+from pipeline.terminal import lean_table, not_delivered, pair
 
 Said = Sequence[State] | str  # of one box: what runs there, or why that is not known
 LOST = "lost"
@@ -39,9 +40,8 @@ def silence(why: str, nodes: Sequence[str]) -> str:
 
 def process_table() -> Table:
     """An empty one; `process_rows` fills it."""
-    return _table(
-        "boxes", "graph", "box", "state", "process", "nodes", "pid", "CPU s", "RSS MB", "restarts"
-    )
+    left = ("graph", "box", "state", "process", "nodes")
+    return lean_table("boxes", left=left, right=("pid", "CPU s", "RSS MB", "restarts"))
 
 
 def process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tuple[Cell, ...]]:
@@ -63,13 +63,12 @@ def top_tables(
     before: Mapping[str, Said], now: Mapping[str, Said], seconds: float, nodes: Mapping[str, str]
 ) -> Group:
     """Edges, nodes and clocks of all boxes; `nodes`: node -> label, as they were brought up."""
-    edges = _table(
-        "edges", "edge", "box", "Hz", "delivered", "dropped", "in flight", LOST, "age p50"
-    )
-    table = _table(
-        "nodes", "node", "box", "state", "handled", "handler p50 / p99 ms", "hop p50 / p99 ms"
-    )
-    boxes = _table("boxes", "box", "sees", "", "round trip", "its clock is ahead")
+    accounts = ("Hz", "delivered", "rest", "age ms")
+    edges = lean_table("edges, p50", left=("from", "to", "box"), right=accounts)
+    work = ("handled", "handler ms", "hop ms")
+    table = lean_table("nodes, p50/p99", left=("node", "box", "state"), right=work)
+    clock = ("round trip", "its clock is ahead")
+    boxes = lean_table("boxes", left=("box", "sees", ""), right=clock)
     earlier = {
         (label, edge.end): edge.sent
         for label, said in before.items()
@@ -97,13 +96,6 @@ def add_rows(table: Table, graph: str, rows: Iterator[tuple[Cell, ...]]) -> None
         _add(table, graph, *row)
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title)
-    for column in columns:
-        table.add_column(column)
-    return table
-
-
 def _add(table: Table, *cells: Cell) -> None:
     """What comes from outside is no markup: `[/dev/video0]` would end a style that never began."""
     table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in cells))
@@ -124,21 +116,18 @@ def _edge_row(
 ) -> tuple[Cell, ...]:
     rate = (edge.sent - earlier.get((label, edge.end), edge.sent)) / seconds
     account = edge.account
-    dropped = ", ".join(f"{n} {why}" for why, n in account["dropped"].items())
     broken = (" broken", "red") if edge.broken else ""
     error = f" ± {edge.age_error_ms:.1f}" if edge.age_error_ms else ""
     return (
-        Text.assemble(f"{edge.origin} -> {edge.end}", broken), label, f"{rate:.1f}",
-        str(account["delivered"]), dropped, str(account["in_flight"]),
-        str(account["lost_in_crash"]), f"{edge.age_ms['p50']:.1f}{error} ms",
+        edge.origin, Text.assemble(edge.end, broken), label, f"{rate:.1f}",
+        str(account["delivered"]), not_delivered(account), f"{edge.age_ms['p50']:.1f}{error}",
     )  # fmt: skip
 
 
 def _node_row(label: str, node: NodeState) -> tuple[Cell, ...]:
     return (
         node.name, label, node.condition, str(node.handled),
-        f"{node.handler_ms['p50']:.2f} / {node.handler_ms['p99']:.2f}",
-        f"{node.hop_ms['p50']:.2f} / {node.hop_ms['p99']:.2f}",
+        pair(node.handler_ms), pair(node.hop_ms),
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from rich.text import Text
 from pipeline.bus.ledger import Ledger
 from pipeline.graph.plan import Node, Plan, sources
 from pipeline.run.child import Sample
+from pipeline.terminal import lean_table, not_delivered, pair
 
 Report = dict[str, Any]
 
@@ -87,29 +88,24 @@ def _cpu_percent(samples: Sequence[Sample]) -> float:
 
 
 def _edge_table(report: Report) -> Table:
-    table = Table(title="edges: offered = delivered + dropped + in flight + lost in a crash")
-    for name in ("from", "to", "keep"):
-        table.add_column(name)
-    for name in ("offered", "delivered", "dropped", "in flight", "lost", "age ms p50 / p99"):
-        table.add_column(name, justify="right")
+    table = lean_table(
+        "edges: offered = delivered + the rest, p50/p99",
+        left=("from", "to", "keep"), right=("offered", "delivered", "rest", "age ms"),
+    )  # fmt: skip
     for edge in report["edges"]:
-        dropped = ", ".join(f"{n} {reason}" for reason, n in edge["dropped"].items()) or "0"
         table.add_row(
             Text(edge["from"]), Text(edge["to"]), edge["keep"], str(edge["offered"]),
-            str(edge["delivered"]), dropped, str(edge["in_flight"]), str(edge["lost_in_crash"]),
-            _pair(edge["age_ms"]),
+            str(edge["delivered"]), not_delivered(edge), pair(edge["age_ms"], 1),
         )  # fmt: skip
     return table
 
 
 def _stage_table(report: Report) -> Table:
-    table = Table(title="stages")
-    table.add_column("node")
-    for name in ("handler ms p50 / p99", "hop ms p50 / p99", "rate Hz", "CPU %", "RSS MB"):
-        table.add_column(name, justify="right")
+    right = ("handler ms", "hop ms", "rate Hz", "CPU %", "RSS MB")
+    table = lean_table("stages, p50/p99", left=("node",), right=right)
     for stage in report["stages"]:
         table.add_row(
-            Text(stage["node"]), _pair(stage["latency_ms"]), _pair(stage["hop_ms"]),
+            Text(stage["node"]), pair(stage["latency_ms"]), pair(stage["hop_ms"]),
             f"{stage['rate_hz']:.1f}", f"{stage['cpu_percent']:.0f}", f"{stage['rss_mb']:.0f}",
         )  # fmt: skip
     return table
@@ -119,9 +115,9 @@ def _lines(report: Report) -> list[Text]:
     lines = []
     if loop := report.get("loop"):
         lines.append(
-            f"loop, picture ready -> command accepted: {_pair(loop['latency_ms'])} ms p50 / p99, "
-            f"overhead {_pair(loop['overhead_ms'])} ms, waiting for a core "
-            f"{_pair(loop['cpu_wait_ms'])} ms, {loop['commands']} commands"
+            f"loop, picture ready -> command accepted: {pair(loop['latency_ms'])} ms p50 / p99, "
+            f"overhead {pair(loop['overhead_ms'])} ms, waiting for a core "
+            f"{pair(loop['cpu_wait_ms'])} ms, {loop['commands']} commands"
         )
     for key in ("frames", "pixels", "commands"):
         if key in report:
@@ -136,10 +132,6 @@ def _lines(report: Report) -> list[Text]:
         counts = ", ".join(f"{name} {count}" for name, count in report["restarts"].items())
         lines.append(f"restarts: {counts}")
     return [Text(line) for line in lines]
-
-
-def _pair(summary: Mapping[str, float]) -> str:
-    return f"{summary['p50']:.2f} / {summary['p99']:.2f}"
 
 
 def _share(value: Any) -> str:
