@@ -42,6 +42,18 @@ nodes:
     operator: tests.toys:Pass
     inputs: {frame: ticker.roi}
 """
+LOSSLESS = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {rate_hz: 60, side_px: 120}
+  work:
+    operator: tests.toys:PassEvery
+    inputs: {frame: {from: ticker.context, depth: 60}}
+  count:
+    operator: tests.toys:Count
+    inputs: {frame: {from: work, depth: 60}}
+"""
 KILLED = """
 import sys
 from pathlib import Path

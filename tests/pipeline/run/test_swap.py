@@ -20,6 +20,7 @@ from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from tests.toy_graphs import (
     LOOP,
+    LOSSLESS,
     assert_accounts_add_up,
     edge,
     go,
@@ -27,20 +28,6 @@ from tests.toy_graphs import (
     plan_of,
     wait_for,
 )
-
-CHAIN = """\
-nodes:
-  ticker:
-    operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 120}
-  work:
-    operator: tests.toys:PassEvery
-    inputs: {frame: {from: ticker.context, depth: 60}}
-  count:
-    operator: tests.toys:Count
-    inputs: {frame: {from: work, depth: 60}}
-"""
-
 
 TALLY = """\
 nodes:
@@ -77,7 +64,7 @@ def test_no_frame_is_lost_and_none_comes_twice(tmp_path: Path) -> None:
     results: Results = []
     orders = [SwapOrder(node="work", probation=5) for _ in range(2)]
 
-    report = go(plan_of(tmp_path, CHAIN), 0, swapping(results, *orders))
+    report = go(plan_of(tmp_path, LOSSLESS), 0, swapping(results, *orders))
 
     assert [r["refused"] for r in results] == ["", ""]
     assert report["summaries"]["count"] == {"seen": list(range(exposed(report))), "torn": 0}
@@ -159,7 +146,7 @@ def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
         assert supervisor.pid("work") == old
         supervisor.finish()
 
-    report = go(plan_of(tmp_path, CHAIN), 0, during)
+    report = go(plan_of(tmp_path, LOSSLESS), 0, during)
 
     assert "ended by signal SIGKILL" in results[0]["refused"]
     assert report["summaries"]["count"] == {"seen": list(range(exposed(report))), "torn": 0}
@@ -182,7 +169,7 @@ def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> N
     }  # fmt: skip
     orders = [SwapOrder(node="work", **words) for words in refusals.values()]  # type: ignore[arg-type]
 
-    report = go(plan_of(tmp_path, CHAIN), 0, swapping(results, *orders))
+    report = go(plan_of(tmp_path, LOSSLESS), 0, swapping(results, *orders))
 
     for said, result in zip(refusals, results, strict=True):
         assert said in result["refused"]
@@ -192,7 +179,7 @@ def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> N
 
 
 def test_a_node_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
-    with Supervisor(plan_of(tmp_path, CHAIN)) as supervisor:
+    with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
         with pytest.raises(RunError, match="no node wrk, did you mean 'work'"):
             supervisor.desk.take(SwapOrder(node="wrk"), lambda _: None)
         with pytest.raises(RunError, match="work: does not run just now"):
@@ -256,7 +243,7 @@ def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: P
 
 
 def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, CHAIN)
+    plan = plan_of(tmp_path, LOSSLESS)
     told: list[str] = []
 
     def operate() -> None:
@@ -283,7 +270,7 @@ def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> Non
 def test_an_order_that_the_end_of_the_run_overtakes_is_answered(tmp_path: Path) -> None:
     results: Results = []
 
-    with Supervisor(plan_of(tmp_path, CHAIN)) as supervisor:
+    with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
         supervisor.start()
         supervisor.desk.take(SwapOrder(node="work"), lambda a: results.append(json.loads(a)))
         supervisor.tick()

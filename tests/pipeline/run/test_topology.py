@@ -13,6 +13,7 @@ from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.run.supervisor import Supervisor
 from tests.toy_graphs import (
+    LOSSLESS,
     assert_accounts_add_up,
     edge,
     go,
@@ -22,18 +23,6 @@ from tests.toy_graphs import (
     wait_for,
 )
 
-GRAPH = """\
-nodes:
-  ticker:
-    operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 120}
-  work:
-    operator: tests.toys:PassEvery
-    inputs: {frame: {from: ticker.context, depth: 60}}
-  count:
-    operator: tests.toys:Count
-    inputs: {frame: {from: work, depth: 60}}
-"""
 SECOND = """\
 nodes:
   second:
@@ -75,7 +64,7 @@ def operating(
 
 
 def test_a_consumer_is_added_and_removed_and_the_others_do_not_stutter(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, GRAPH)
+    plan = plan_of(tmp_path, LOSSLESS)
     lost: list[int] = []
 
     def acts(order: Order, supervisor: Supervisor) -> None:
@@ -103,7 +92,7 @@ def test_a_consumer_is_added_and_removed_and_the_others_do_not_stutter(tmp_path:
 
 
 def test_an_edge_is_rewired_between_two_frames(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, GRAPH, changes=("work.every=1000000",))
+    plan = plan_of(tmp_path, LOSSLESS, changes=("work.every=1000000",))
 
     def acts(order: Order, supervisor: Supervisor) -> None:
         before = supervisor.pid("count")
@@ -142,7 +131,7 @@ def test_an_edge_is_rewired_between_two_frames(tmp_path: Path) -> None:
 def test_what_the_loader_would_refuse_is_refused(
     tmp_path: Path, edit: Callable[..., Plan], words: str, said: str
 ) -> None:
-    plan = plan_of(tmp_path, GRAPH)
+    plan = plan_of(tmp_path, LOSSLESS)
 
     with pytest.raises(FoveaError) as refusal:
         edit(plan, addition(tmp_path, words) if edit is with_nodes else words)
@@ -151,7 +140,7 @@ def test_what_the_loader_would_refuse_is_refused(
 
 
 def test_an_addition_that_does_not_start_leaves_the_graph_as_it_was(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, GRAPH)
+    plan = plan_of(tmp_path, LOSSLESS)
     text = SECOND.replace("Count", "Stillborn")
 
     def acts(order: Order, supervisor: Supervisor) -> None:
