@@ -136,7 +136,7 @@ def remains() -> Iterator[Finding]:
     if dead:
         todo = "start any graph: it removes them; or `fovea doctor --sweep`"
         yield warning("left over", f"runs that were killed: {', '.join(dead)}", todo)
-    prefixes = {str(facts["prefix"]) for facts in running().values()}
+    prefixes = {str(facts["prefix"]) for facts in running().values()} | supervised()
     mine = [] if dead else sorted(unclaimed(prefixes))
     if mine:
         size_mb = sum(p.stat().st_size for p in mine) / 1e6
@@ -164,10 +164,28 @@ def unclaimed(prefixes: Iterable[str]) -> Iterator[Path]:
 def orphaned(prefixes: Iterable[str]) -> Iterator[psutil.Process]:
     """Node processes of this user whose run is not running."""
     known = set(prefixes)
-    for process in psutil.process_iter(["cmdline", "uids", "create_time"]):
+    for process, prefix in _node_processes():
+        if prefix not in known:
+            yield process
+
+
+def supervised() -> set[str]:
+    """Runs whose supervisor lives, wherever its folder is: in a container, for another TMPDIR."""
+    found = set()
+    for process, prefix in _node_processes():
+        with suppress(psutil.Error, OSError):
+            maps = Path(f"/proc/{process.ppid()}/maps").read_text()
+            if f"/{prefix}ledger" in maps:
+                found.add(prefix)
+    return found
+
+
+def _node_processes() -> Iterator[tuple[psutil.Process, str]]:
+    """Those of this user, each with the prefix of its run."""
+    for process in psutil.process_iter(["cmdline", "uids"]):
         words = process.info["cmdline"] or []
         if "pipeline.node.process" not in words or process.info["uids"].real != os.getuid():
             continue
         after = words[words.index("pipeline.node.process") + 1 :]
-        if after and after[0] not in known:
-            yield process
+        if after:
+            yield process, after[0]

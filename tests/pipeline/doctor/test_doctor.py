@@ -6,6 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from pipeline.doctor.installation import (
     python,
     remains,
     requirements,
+    supervised,
     unclaimed,
     versions,
 )  # fmt: skip
@@ -175,6 +177,26 @@ def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
     assert plan.name not in leftovers()
     assert not [p for p in unclaimed(prefixes) if p.name.startswith(facts["prefix"])]
     until(lambda: ended(frozen.pid))
+
+
+def test_a_graph_whose_folder_is_elsewhere_is_no_remains(tmp_path: Path) -> None:
+    plan_of(tmp_path, LOOP)
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
+    elsewhere = tempfile.mkdtemp()
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, env={**os.environ, "TMPDIR": elsewhere}
+    ) as supervisor:
+        assert supervisor.stdout is not None
+        supervisor.stdout.readline()
+        children = {child.pid for child in psutil.Process(supervisor.pid).children()}
+
+        found = supervised()
+        orphans = {p.pid for p in orphaned(found)}
+        supervisor.terminate()
+
+    assert len(children) >= 4
+    assert found
+    assert not orphans & children
 
 
 def test_where_shared_memory_is_too_small_the_doctor_says_how_much_is_needed(
