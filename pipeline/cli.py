@@ -2,6 +2,7 @@
 
 import json
 import logging
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -31,12 +32,14 @@ from pipeline.run.report import tables
 from pipeline.run.rundir import running as running_here
 from pipeline.weights import weights_commands
 
+ENDED = 128 + signal.SIGTERM
 console = Console()
 GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
 
 
 def main() -> None:
     """Entry point: one sentence and an exit status for every expected failure."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(ENDED))  # whatever is open is closed
     sys.path.insert(0, "")  # operators of the user's own lie in the folder they work in
     logging.basicConfig(
         level=logging.INFO, format="%(message)s", handlers=[RichHandler(show_path=False)]

@@ -23,7 +23,7 @@ def find(task: str) -> Path:
         return Path(task)
     known = [path.stem for path in sorted(SHIPPED.glob("*.yaml")) if commands_of(path)]
     if task not in known:
-        raise GraphError(f"no task {task}{suggest(task, known)}; there are {', '.join(known)}")
+        raise GraphError(f"no task {task}{suggest(task, known)}")
     return SHIPPED / f"{task}.yaml"
 
 

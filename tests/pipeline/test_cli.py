@@ -15,6 +15,21 @@ from tests.toy_graphs import LOOP
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
 
+NAP = """
+import time
+from pipeline import cli
+
+@cli.commands.command()
+def nap():
+    try:
+        print("asleep", flush=True)
+        time.sleep(60)
+    finally:
+        print("awake", flush=True)
+
+cli.main()
+"""
+
 
 def fovea(*words: str, timeout_s: float = 60) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
@@ -172,3 +187,16 @@ def test_sigterm_ends_a_run_like_ctrl_c(running: "subprocess.Popen[str]") -> Non
 
     assert running.returncode == 0
     assert "stages" in out
+
+
+def test_a_command_that_is_terminated_closes_what_it_opened() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", NAP, "nap"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "asleep\n"
+        process.terminate()
+
+        assert process.stdout.read() == "awake\n"
+
+    assert process.returncode == 128 + signal.SIGTERM
