@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
@@ -73,16 +74,22 @@ def judge(
     return hits, counts
 
 
-def collect(examples: Iterable[Example], settings: SaliencySettings) -> dict[str, Tally]:
-    """Run the operator over examples; a tally for each class, and `ball centre`."""
+def collect(
+    examples: Iterable[Example], settings: SaliencySettings, side: float = 1.0
+) -> dict[str, Tally]:
+    """Run the operator over examples; a tally for each class, and `ball centre`.
+
+    `side`: of the pictures it gets, over those of the examples: what a leaner context is worth.
+    """
     operator = Saliency(settings)
     operator.open()
     marks: dict[str, list[tuple[NDArray[np.float32], NDArray[np.bool_]]]] = {}
     present = dict.fromkeys((*NAMES, f"{BALL} centre"), 0)
     for seq, item in enumerate(examples):
         height_px, width_px = item.picture.shape[:2]
+        seen = item.picture if side == 1 else shrunk(item.picture, side)
         found = operator.on_frame(
-            Frame(header=header(seq), pixels=item.picture, window=(0, 0, width_px, height_px))
+            Frame(header=header(seq), pixels=seen, window=(0, 0, width_px, height_px))
         )
         for key in present:
             scores, hits = _mark(found, item, key)
@@ -98,6 +105,13 @@ def collect(examples: Iterable[Example], settings: SaliencySettings) -> dict[str
         )
         for key, rows in marks.items()
     }
+
+
+def shrunk(picture: NDArray[np.uint8], side: float) -> NDArray[np.uint8]:
+    """What a sensor reads that averages over larger areas."""
+    height_px, width_px = (max(1, round(length * side)) for length in picture.shape[:2])
+    small = cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.uint8)
 
 
 def _mark(
@@ -171,14 +185,16 @@ def sequence(folder: Path, stride: int, frames: tuple[int, int]) -> Iterator[Exa
     source.close()
 
 
-def report(examples: Iterable[Example], settings: SaliencySettings) -> dict[str, dict[str, float]]:
+def report(
+    examples: Iterable[Example], settings: SaliencySettings, side: float = 1.0
+) -> dict[str, dict[str, float]]:
     """Figures at the operating point of `settings`, and average precision over all confidences."""
     kept = list(examples)
-    working = collect(kept, settings)
+    working = collect(kept, settings, side)
     low = SaliencySettings(
         weights=settings.weights, names=settings.names, confidence=FLOOR, threads=settings.threads
     )
-    whole = collect(kept, low)
+    whole = collect(kept, low, side)
     table = {
         key: at_threshold(tally, 0.0) | {"average_precision": average_precision(whole[key])}
         for key, tally in working.items()
@@ -191,13 +207,23 @@ def report(examples: Iterable[Example], settings: SaliencySettings) -> dict[str,
     return table
 
 
-def choose(weights: Path, examples: Iterable[Example], threads: int) -> dict[str, float]:
+def choose(
+    weights: Path, examples: Iterable[Example], threads: int, side: float = 1.0
+) -> dict[str, float]:
     """Find each class's best confidence and write it into the network's metadata."""
     low = SaliencySettings(weights=str(weights), confidence=FLOOR, threads=threads)
-    tallies = collect(examples, low)
+    tallies = collect(examples, low, side)
     limits = {name: best_threshold(tallies[name]) for name in NAMES}
     describe(weights, {"confidence": str(limits)})
     return limits
+
+
+def share(text: str) -> float:
+    """Above 0 to 1."""
+    value = float(text)
+    if not 0 < value <= 1:
+        raise argparse.ArgumentTypeError(f"expected above 0 to 1, got {text}")
+    return value
 
 
 def main() -> None:
@@ -211,18 +237,19 @@ def main() -> None:
     parser.add_argument("--moments", type=int, default=12, help="pictures of each scene")
     parser.add_argument("--choose", action="store_true", help="choose thresholds, then score")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--side", type=share, default=1.0, help="of the context, over 480x270's")
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args()
     result: dict[str, object] = {"weights": given.weights.name}
     if given.choose:
         validation = tqdm(scenes(SEEDS["validation"], given.moments), desc="choose")
-        result["thresholds"] = choose(given.weights, validation, given.threads)
+        result["thresholds"] = choose(given.weights, validation, given.threads, given.side)
     settings = SaliencySettings(
         weights=str(given.weights), names=given.names, threads=given.threads
     )
     test = scenes(SEEDS["test"], given.moments)
     source = sequence(given.data, given.stride, given.frames) if given.data else test
-    table = report(tqdm(source, desc="score"), settings)
+    table = report(tqdm(source, desc="score"), settings, given.side)
     result |= {"on": given.data.name if given.data else "test scenes", "figures": table}
     for name, row in table.items():
         print(f"{name:12}", *(f"{figure} {value:.3f}" for figure, value in row.items()))

@@ -11,8 +11,12 @@ from operators.saliency.evaluate import (
     at_threshold,
     average_precision,
     best_threshold,
+    collect,
     judge,
+    scenes,
+    shrunk,
 )
+from operators.saliency.saliency import SaliencySettings
 
 PERSON = [10.0, 10.0, 20.0, 40.0]
 
@@ -95,3 +99,24 @@ def test_the_chosen_threshold_keeps_the_hits_and_drops_the_rest() -> None:
     found = tally((0.912, True), (0.805, True), (0.5, False), (0.4, False), present=2)
 
     assert best_threshold(found) == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(("side", "size_px"), [(0.7071, (339, 191)), (0.5, (240, 135))])
+def test_a_leaner_context_shows_the_same_field_in_fewer_pixels(
+    side: float, size_px: tuple[int, int]
+) -> None:
+    picture = np.zeros((270, 480, 3), np.uint8)
+    picture[:, 240:] = 200
+
+    small = shrunk(picture, side)
+
+    assert (small.shape[1], small.shape[0]) == size_px
+    assert small.mean() == pytest.approx(100, abs=1)
+
+
+def test_players_found_in_a_leaner_context_are_judged_where_they_are() -> None:
+    (pictured,) = scenes([60_000], 1)
+
+    players = collect([pictured], SaliencySettings(), 0.7071)["player"]
+
+    assert players.hits.sum() > players.present / 2
