@@ -15,7 +15,7 @@ import psutil
 from bench.aftermath import Traces, remains, rest, unbalanced
 from bench.hosts import World
 from pipeline.bus.histogram import Histogram
-from pipeline.bus.ledger import Ledger, NodeAccount
+from pipeline.bus.ledger import Ledger, NodeAccount, ledger_file
 from pipeline.graph.plan import Plan, sources
 from pipeline.run.report import compose
 from pipeline.run.rundir import MEMORY
@@ -164,7 +164,7 @@ class ThreeHosts(Ground):
     def _open(self) -> None:
         for box in self.boxes:
             self._prefixes[box] = str(self._noted(box)["prefix"])
-            path = self._memory_folder(box) / f"{self._prefixes[box]}ledger"
+            path = ledger_file(self._memory_folder(box), self._prefixes[box])
             self._ledgers[box] = Ledger.open(path)
 
     def __exit__(self, *caught: Any) -> None:

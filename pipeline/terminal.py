@@ -1,31 +1,59 @@
-"""Tables for a terminal: without lines between columns, so that names stay whole in 80 of them."""
+"""Tables for a terminal of 80 columns: no lines between columns, three figures to a number."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
 
-def lean_table(title: str = "", left: Sequence[str] = (), right: Sequence[str] = ()) -> Table:
-    """An empty table: columns of words, then columns of figures."""
+def lean_table(
+    title: str = "",
+    *,
+    names: Sequence[str] = (),
+    words: Sequence[str] = (),
+    figures: Sequence[str] = (),
+) -> Table:
+    """An empty table: columns of names, which stay whole, of words, which wrap, of figures."""
     table = Table(
         title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0
     )  # fmt: skip
-    for name in left:
+    for name in names:
+        table.add_column(name, no_wrap=True, overflow="fold")
+    for name in words:
         table.add_column(name, overflow="fold")
-    for name in right:
+    for name in figures:
         table.add_column(name, justify="right", overflow="fold")
     return table
 
 
-def pair(spread: Mapping[str, float], digits: int = 2) -> str:
+def brief(value: float) -> str:
+    """Three figures, as far as they are before the point or one or two behind it.
+
+    >>> brief(0.317), brief(4.8), brief(37.24), brief(1204.6)
+    ('0.32', '4.80', '37.2', '1205')
+    """
+    return f"{value:.{2 if value < 9.995 else 1 if value < 99.95 else 0}f}"
+
+
+def pair(spread: Mapping[str, float]) -> str:
     """Median and 99th percentile of a summary."""
-    return f"{spread['p50']:.{digits}f}/{spread['p99']:.{digits}f}"
+    return f"{brief(spread['p50'])}/{brief(spread['p99'])}"
 
 
-def not_delivered(account: Mapping[str, Any]) -> str:
-    """What became of the messages of an edge's account that nobody has handled."""
-    parts = [(f"dropped, {reason}", n) for reason, n in account["dropped"].items()]
-    parts += [("in flight", account["in_flight"]), ("lost in a crash", account["lost_in_crash"])]
-    return "; ".join(f"{n} {what}" for what, n in parts if n) or "0"
+def rest(account: Mapping[str, Any]) -> str:
+    """How many messages of an edge were not delivered; `losses` tells what became of them."""
+    return str(account["offered"] - account["delivered"])
+
+
+def losses(origin: str, end: str, account: Mapping[str, Any], *, broken: bool) -> Iterator[Text]:
+    """A line on an edge that dropped or lost messages; none on what is merely in flight."""
+    parts = [f"{n} dropped, {reason}" for reason, n in account["dropped"].items()]
+    if lost := account["lost_in_crash"]:
+        parts.append(f"{lost} lost in a crash")
+    line = Text("; ".join(parts))
+    if broken:
+        line.append("; " if parts else "").append("lost messages it was promised", "red")
+    if line:
+        yield Text.assemble(f"{origin} -> {end}: ", line)

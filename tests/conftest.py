@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.run.rundir import sweep
+
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
@@ -18,6 +20,7 @@ def own_runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("TMPDIR", str(tmp_path_factory.getbasetemp()))
         patch.setattr(tempfile, "tempdir", None)
         yield
+        sweep()
 
 
 @pytest.fixture

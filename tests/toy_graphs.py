@@ -118,7 +118,7 @@ def until(holds: Callable[[], object], patience_s: float = 60.0) -> None:
     end = time.monotonic() + patience_s
     while not holds():
         assert time.monotonic() < end, "it did not come true"
-        time.sleep(0.005)
+        time.sleep(0.02)
 
 
 def ended(pid: int) -> bool:

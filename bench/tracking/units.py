@@ -2,11 +2,10 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, wait
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from hashlib import sha256
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import Target, starts, targets
 from drivers.simulated.readout import Window
+from operators.training.workers import pool_of
 from pipeline.messages import Geometry, Tracks
 
 LOOK_S = 1.0  # between looks at what is done
@@ -68,7 +68,7 @@ def measured(
     keys = [key(case, protocol) for case in cases]
     places = {clip: [_place(folder, clip, key) for key in keys] for clip in clips}
     with (
-        ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
+        pool_of(jobs) as pool,
         tqdm(total=len(clips) * len(cases), desc="units", unit="unit", smoothing=0) as bar,
     ):
         bar.initial = _finished(places)
@@ -77,16 +77,12 @@ def measured(
             for clip, paths in places.items()
             if not all(path.exists() for path in paths)
         }
-        try:
-            while waiting:
-                done, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
-                for job in done:
-                    job.result()
-                bar.n = _finished(places)
-                bar.refresh()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)  # what runs now is finished, the rest not begun
-            raise
+        while waiting:
+            done, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
+            for job in done:
+                job.result()
+            bar.n = _finished(places)
+            bar.refresh()
     return [unit for paths in places.values() for path in paths for unit in _units(path)]
 
 

@@ -6,10 +6,8 @@ object's appearance at full resolution is kept too; a roll-out reveals it where 
 """
 
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import astuple, dataclass
 from functools import cached_property
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from operators.training.workers import pool_of
 from pipeline import Geometry, Percept, RoiFeatures, Tracks
 from pipeline.errors import FoveaError
 from pipeline.graph.loader import load
@@ -145,7 +144,7 @@ def record(
     folder.mkdir(parents=True, exist_ok=True)
     wanted = [folder / f"{seed}.npz" for seed in seeds]
     missing = [path for path in wanted if not path.exists()]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with pool_of(workers) as pool:
         jobs = [pool.submit(_record, path, frames, changes) for path in missing]
         for job in tqdm(jobs, desc="record", unit="clip", disable=not jobs):
             job.result()

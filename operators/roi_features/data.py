@@ -6,9 +6,7 @@ whatever is small and white (marks and crossings of lines, letters, bits of crow
 """
 
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -20,6 +18,7 @@ from drivers.soccer import SoccerScene
 from drivers.source import FrameSource, Truth
 from operators.roi_features.crops import cut, to_squares
 from operators.roi_features.model import CLASSES
+from operators.training.workers import pool_of
 from pipeline import Frame
 from pipeline.boxes import areas, centres, from_centres, intersections
 from pipeline.testing import header
@@ -202,7 +201,7 @@ def render(
     folder.mkdir(parents=True, exist_ok=True)
     wanted = {seed: folder / f"{seed}.npz" for seed in seeds}
     missing = [seed for seed, path in wanted.items() if not path.exists()]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with pool_of(workers) as pool:
         jobs = [pool.submit(_render_scene, seed, count, span, wanted[seed]) for seed in missing]
         for job in tqdm(jobs, desc="crops", unit="scene", disable=not jobs):
             job.result()

@@ -75,11 +75,11 @@ def judge(
 
 
 def collect(
-    examples: Iterable[Example], settings: SaliencySettings, side: float = 1.0
+    examples: Iterable[Example], settings: SaliencySettings, side_share: float = 1.0
 ) -> dict[str, Tally]:
     """Run the operator over examples; a tally for each class, and `ball centre`.
 
-    `side`: of the pictures it gets, over those of the examples: what a leaner context is worth.
+    `side_share`: side of the pictures it gets over that of the examples: a leaner context.
     """
     operator = Saliency(settings)
     operator.open()
@@ -87,7 +87,7 @@ def collect(
     present = dict.fromkeys((*NAMES, f"{BALL} centre"), 0)
     for seq, item in enumerate(examples):
         height_px, width_px = item.picture.shape[:2]
-        seen = item.picture if side == 1 else shrunk(item.picture, side)
+        seen = shrunk(item.picture, side_share)
         found = operator.on_frame(
             Frame(header=header(seq), pixels=seen, window=(0, 0, width_px, height_px))
         )
@@ -107,9 +107,9 @@ def collect(
     }
 
 
-def shrunk(picture: NDArray[np.uint8], side: float) -> NDArray[np.uint8]:
-    """What a sensor reads that averages over larger areas."""
-    height_px, width_px = (max(1, round(length * side)) for length in picture.shape[:2])
+def shrunk(picture: NDArray[np.uint8], side_share: float) -> NDArray[np.uint8]:
+    """What a sensor reads that averages over larger areas; the same picture for 1."""
+    height_px, width_px = (max(1, round(length * side_share)) for length in picture.shape[:2])
     small = cv2.resize(picture, (width_px, height_px), interpolation=cv2.INTER_AREA)
     return np.asarray(small, np.uint8)
 
@@ -186,15 +186,15 @@ def sequence(folder: Path, stride: int, frames: tuple[int, int]) -> Iterator[Exa
 
 
 def report(
-    examples: Iterable[Example], settings: SaliencySettings, side: float = 1.0
+    examples: Iterable[Example], settings: SaliencySettings, side_share: float = 1.0
 ) -> dict[str, dict[str, float]]:
     """Figures at the operating point of `settings`, and average precision over all confidences."""
     kept = list(examples)
-    working = collect(kept, settings, side)
+    working = collect(kept, settings, side_share)
     low = SaliencySettings(
         weights=settings.weights, names=settings.names, confidence=FLOOR, threads=settings.threads
     )
-    whole = collect(kept, low, side)
+    whole = collect(kept, low, side_share)
     table = {
         key: at_threshold(tally, 0.0) | {"average_precision": average_precision(whole[key])}
         for key, tally in working.items()
@@ -208,11 +208,11 @@ def report(
 
 
 def choose(
-    weights: Path, examples: Iterable[Example], threads: int, side: float = 1.0
+    weights: Path, examples: Iterable[Example], threads: int, side_share: float = 1.0
 ) -> dict[str, float]:
     """Find each class's best confidence and write it into the network's metadata."""
     low = SaliencySettings(weights=str(weights), confidence=FLOOR, threads=threads)
-    tallies = collect(examples, low, side)
+    tallies = collect(examples, low, side_share)
     limits = {name: best_threshold(tallies[name]) for name in NAMES}
     describe(weights, {"confidence": str(limits)})
     return limits
@@ -237,19 +237,22 @@ def main() -> None:
     parser.add_argument("--moments", type=int, default=12, help="pictures of each scene")
     parser.add_argument("--choose", action="store_true", help="choose thresholds, then score")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--side", type=share, default=1.0, help="of the context, over 480x270's")
+    parser.add_argument(
+        "--side-share", type=share, default=1.0,
+        help="side of the context over that of 480x270; with --choose thresholds are for it too",
+    )  # fmt: skip
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args()
-    result: dict[str, object] = {"weights": given.weights.name}
+    result: dict[str, object] = {"weights": given.weights.name, "side_share": given.side_share}
     if given.choose:
         validation = tqdm(scenes(SEEDS["validation"], given.moments), desc="choose")
-        result["thresholds"] = choose(given.weights, validation, given.threads, given.side)
+        result["thresholds"] = choose(given.weights, validation, given.threads, given.side_share)
     settings = SaliencySettings(
         weights=str(given.weights), names=given.names, threads=given.threads
     )
     test = scenes(SEEDS["test"], given.moments)
     source = sequence(given.data, given.stride, given.frames) if given.data else test
-    table = report(tqdm(source, desc="score"), settings, given.side)
+    table = report(tqdm(source, desc="score"), settings, given.side_share)
     result |= {"on": given.data.name if given.data else "test scenes", "figures": table}
     for name, row in table.items():
         print(f"{name:12}", *(f"{figure} {value:.3f}" for figure, value in row.items()))

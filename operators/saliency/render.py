@@ -8,8 +8,6 @@ to a place of their own.
 
 import argparse
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -20,6 +18,7 @@ from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from drivers.source import FrameSource
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
+from operators.training.workers import pool_of
 from pipeline.errors import FoveaError, SettingsError
 
 FULL_PX = (1920, 1080)
@@ -65,7 +64,7 @@ def render(seeds: Iterable[int], count: int, span: int, folder: Path, workers: i
     """Render `count` moments of each seed's scene into `folder`; seeds already there are kept."""
     folder.mkdir(parents=True, exist_ok=True)
     missing = [seed for seed in seeds if not (folder / f"{seed}.npz").exists()]
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with pool_of(workers) as pool:
         jobs = [pool.submit(_render_scene, seed, count, span, folder) for seed in missing]
         for job in tqdm(jobs, desc="render", unit="scene"):
             job.result()

@@ -124,6 +124,11 @@ class EdgeAccount(ctypes.Structure):
         }
 
 
+def ledger_file(folder: Path, prefix: str) -> Path:
+    """Where the accounts of a run lie, in the folder of its shared memory."""
+    return folder / f"{prefix}ledger"
+
+
 class NodeAccount(ctypes.Structure):
     """The state, the progress and the latencies of one node; the supervisor only announces it."""
 

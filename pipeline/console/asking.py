@@ -107,19 +107,21 @@ def ask_node(graph: str, node: str, question: str, payload: bytes) -> bytes:
 
 def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
     """A line per node: who does not answer, who stalls, who loses."""
-    columns = ("graph", "node", "pid", "epoch", "state", "frame", "own MB", "what is wrong")
-    table = lean_table(left=columns)
+    table = lean_table(
+        names=("graph", "node", "state"), words=("what is wrong",),
+        figures=("pid", "epoch", "frame", "own MB"),
+    )  # fmt: skip
     for graph, nodes in found.items():
         for node, health in nodes.items():
             if health is None:
                 silent = Text("no answer", "red")
-                table.add_row(Text(graph), Text(node), "", "", "", "", "", silent)
+                table.add_row(Text(graph), Text(node), "", silent)
                 continue
             broken = [f"{end} lost messages it was promised" for end in health.broken]
             wrong = "; ".join(filter(None, [health.complaint, *broken]))
             table.add_row(
-                Text(graph), Text(node), str(health.pid), str(health.epoch), Text(health.state),
-                str(health.last_seq), f"{health.own_mb:.0f}", Text(wrong),
+                Text(graph), Text(node), Text(health.state), Text(wrong), str(health.pid),
+                str(health.epoch), str(health.last_seq), f"{health.own_mb:.0f}",
             )  # fmt: skip
     return table
 

@@ -46,7 +46,7 @@ def ask(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
 
 def table(answer: Answer) -> Table:
     """Every setting of a node and whether it can be changed now."""
-    shown = lean_table(left=("setting", "value", "live"))
+    shown = lean_table(names=("setting",), words=("value", "live"))
     for name, value in answer.settings.items():
         shown.add_row(Text(name), Text(json.dumps(value)), "yes" if name in answer.live else "")
     return shown

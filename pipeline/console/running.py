@@ -18,6 +18,7 @@ from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report, compose
 from pipeline.run.supervisor import Supervisor
 from pipeline.settings import build
+from pipeline.terminal import pair
 
 REFRESH_S = 0.25
 
@@ -74,7 +75,7 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
     parts = [
         f"{elapsed_s:6.1f} s",
         f"frame {source.last_seq}",
-        f"loop {loop['p50']:.1f} / {loop['p99']:.1f} ms p50 / p99",
+        f"loop {pair(loop)} ms p50/p99",
         f"dropped {dropped}",
         f"restarts {sum(supervisor.restarts.values())}",
         *(words for words in supervisor.headlines.values() if words),

@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.bus.inport import InPort
-from pipeline.bus.ledger import Ledger, private_ledger
+from pipeline.bus.ledger import Ledger, ledger_file, private_ledger
 from pipeline.bus.outport import Arrival
 from pipeline.bus.pool import PoolReader
 from pipeline.bus.session import Session
@@ -30,14 +30,16 @@ from pipeline.messages import Message
 from pipeline.node.wiring import key_of
 from pipeline.run.rundir import MEMORY, base, running
 from pipeline.settings import suggest
-from pipeline.terminal import lean_table, not_delivered, pair
+from pipeline.terminal import brief, lean_table, losses, pair, rest
 
 QUIET_S = 10.0  # without a message for this long, echo says so and leaves
 
 
 def process_table() -> Table:
     """Every process of every running graph of this user."""
-    table = lean_table(left=("graph", "process", "nodes"), right=("pid", "CPU s", "RSS MB"))
+    table = lean_table(
+        names=("graph", "process"), words=("nodes",), figures=("pid", "CPU s", "RSS MB")
+    )
     for graph, facts in running().items():
         for process, pid in facts["pids"].items():
             nodes = ", ".join(n["name"] for n in facts["nodes"] if n["process"] == process)
@@ -155,25 +157,25 @@ def _refreshed(facts: dict[str, Any], ledger: Ledger, every_s: float) -> Iterato
 
 def _top_tables(facts: dict[str, Any], ledger: Ledger, rates: list[float]) -> Group:
     accounts = ("Hz", "offered", "delivered", "rest", "age ms")
-    edges = lean_table("edges, p50", left=("from", "to"), right=accounts)
+    edges = lean_table("edges, p50", names=("from", "to"), figures=accounts)
+    told: list[Text] = []
     for names in facts["edges"]:
         account, hertz = ledger.edges[names["index"]], rates[names["index"]]
         shown = account.report()
-        broken = (" broken", "red") if account.broken else ""
         edges.add_row(
-            Text(names["from"]), Text.assemble(names["to"], broken), f"{hertz:.1f}",
-            str(shown["offered"]), str(shown["delivered"]), not_delivered(shown),
-            f"{account.age.summary()['p50']:.1f}",
+            Text(names["from"]), Text(names["to"]), f"{hertz:.1f}", str(shown["offered"]),
+            str(shown["delivered"]), rest(shown), brief(account.age.summary()["p50"]),
         )  # fmt: skip
+        told += losses(names["from"], names["to"], shown, broken=bool(account.broken))
     work = ("epoch", "handled", "last seq", "handler ms")
-    nodes = lean_table("nodes, p50/p99", left=("node", "state"), right=work)
+    nodes = lean_table("nodes, p50/p99", names=("node", "state"), figures=work)
     for facts_of in facts["nodes"]:
         node = ledger.nodes[facts_of["index"]]
         nodes.add_row(
             Text(facts_of["name"]), node.condition, str(node.epoch), str(node.handled),
             str(node.last_seq), pair(node.histograms["handler"].summary()),
         )  # fmt: skip
-    return Group(edges, nodes)
+    return Group(edges, *told, nodes)
 
 
 def find(graph: str) -> tuple[str, dict[str, Any]]:
@@ -189,5 +191,4 @@ def find(graph: str) -> tuple[str, dict[str, Any]]:
 
 
 def _ledger(facts: dict[str, Any]) -> Ledger:
-    path = MEMORY / f"{facts['prefix']}ledger"
-    return Ledger.open(path)
+    return Ledger.open(ledger_file(MEMORY, facts["prefix"]))

@@ -15,6 +15,7 @@ import psutil
 from packaging.requirements import Requirement
 
 from pipeline import weights
+from pipeline.bus.ledger import ledger_file
 from pipeline.bus.session import Session
 from pipeline.doctor.finding import Finding, ok, warning, wrong
 from pipeline.errors import FoveaError
@@ -171,13 +172,25 @@ def orphaned(prefixes: Iterable[str]) -> Iterator[psutil.Process]:
 
 def supervised() -> set[str]:
     """Runs whose supervisor lives, wherever its folder is: in a container, for another TMPDIR."""
+    nodes = list(_node_processes())
+    pids = {process.pid for process, _ in nodes}
     found = set()
-    for process, prefix in _node_processes():
-        with suppress(psutil.Error, OSError):
-            maps = Path(f"/proc/{process.ppid()}/maps").read_text()
-            if f"/{prefix}ledger" in maps:
+    for process, prefix in nodes:
+        with suppress(psutil.Error):
+            parent = process.ppid()
+            if parent not in pids and _maps(parent, ledger_file(MEMORY, prefix).name):
                 found.add(prefix)
     return found
+
+
+def _maps(pid: int, name: str) -> bool:
+    """Whether a process has a file of that name in memory; who may not be asked has it."""
+    try:
+        return f"/{name}" in Path(f"/proc/{pid}/maps").read_text()
+    except PermissionError:
+        return True
+    except OSError:
+        return False
 
 
 def _node_processes() -> Iterator[tuple[psutil.Process, str]]:

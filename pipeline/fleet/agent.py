@@ -286,7 +286,7 @@ class Agent:
 
     def _check_free(self, plan: Plan, *, replace: bool) -> None:
         part = self.parts.get(plan.name)
-        if part is not None and part.phase in ("starting", "running") and not replace:
+        if part is not None and part.alive and not replace:
             raise RunError(f"{plan.name}: runs already; take it down first, or use --replace")
         if part is None and len(self.parts) >= MOST_GRAPHS:
             raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a box, got more")

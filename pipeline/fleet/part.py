@@ -73,6 +73,11 @@ class Part:
         """Its name among the graphs that run on this machine."""
         return f"{self.plan.name}@{self.plan.here}"
 
+    @property
+    def alive(self) -> bool:
+        """It runs, begins, or will try again."""
+        return self._thread is not None and self._thread.is_alive()
+
     def begin(self) -> None:
         """Run in a thread of its own."""
         self._thread = threading.Thread(target=self._run, name=f"part-{self.plan.name}")

@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.fleet.wire import BoxState, EdgeState, NodeState, State
-from pipeline.terminal import lean_table, not_delivered, pair
+from pipeline.terminal import brief, lean_table, losses, pair, rest
 
 Said = Sequence[State] | str  # of one box: what runs there, or why that is not known
 LOST = "lost"
@@ -40,8 +40,10 @@ def silence(why: str, nodes: Sequence[str]) -> str:
 
 def process_table() -> Table:
     """An empty one; `process_rows` fills it."""
-    left = ("graph", "box", "state", "process", "nodes")
-    return lean_table("boxes", left=left, right=("pid", "CPU s", "RSS MB", "restarts"))
+    return lean_table(
+        "boxes", names=("graph", "box"), words=("state", "process", "nodes"),
+        figures=("pid", "CPU s", "RSS MB", "restarts"),
+    )  # fmt: skip
 
 
 def process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tuple[Cell, ...]]:
@@ -63,12 +65,13 @@ def top_tables(
     before: Mapping[str, Said], now: Mapping[str, Said], seconds: float, nodes: Mapping[str, str]
 ) -> Group:
     """Edges, nodes and clocks of all boxes; `nodes`: node -> label, as they were brought up."""
-    accounts = ("Hz", "delivered", "rest", "age ms")
-    edges = lean_table("edges, p50", left=("from", "to", "box"), right=accounts)
+    accounts = ("Hz", "offered", "rest", "age ms")
+    edges = lean_table("edges, p50", names=("from", "to", "box"), figures=accounts)
     work = ("handled", "handler ms", "hop ms")
-    table = lean_table("nodes, p50/p99", left=("node", "box", "state"), right=work)
+    table = lean_table("nodes, p50/p99", names=("node", "box"), words=("state",), figures=work)
     clock = ("round trip", "its clock is ahead")
-    boxes = lean_table("boxes", left=("box", "sees", ""), right=clock)
+    boxes = lean_table("boxes", names=("box", "sees"), words=("",), figures=clock)
+    told: list[Text] = []
     earlier = {
         (label, edge.end): edge.sent
         for label, said in before.items()
@@ -81,13 +84,14 @@ def top_tables(
         for state in () if isinstance(said, str) else said:
             for edge in state.edges:
                 _add(edges, *_edge_row(label, edge, earlier, seconds))
+                told += losses(edge.origin, edge.end, edge.account, broken=edge.broken)
             for node in state.nodes:
                 _add(table, *_node_row(label, node))
             for other in state.boxes:
                 _add(boxes, *_box_row(label, other))
         for name in absent(said, nodes_of(nodes, label)):
             _add(table, name, label, _red(condition(said)), "", "", "")
-    return Group(edges, table, boxes)
+    return Group(edges, *told, table, boxes)
 
 
 def add_rows(table: Table, graph: str, rows: Iterator[tuple[Cell, ...]]) -> None:
@@ -115,12 +119,10 @@ def _edge_row(
     label: str, edge: EdgeState, earlier: Mapping[tuple[str, str], int], seconds: float
 ) -> tuple[Cell, ...]:
     rate = (edge.sent - earlier.get((label, edge.end), edge.sent)) / seconds
-    account = edge.account
-    broken = (" broken", "red") if edge.broken else ""
     error = f" ± {edge.age_error_ms:.1f}" if edge.age_error_ms else ""
     return (
-        edge.origin, Text.assemble(edge.end, broken), label, f"{rate:.1f}",
-        str(account["delivered"]), not_delivered(account), f"{edge.age_ms['p50']:.1f}{error}",
+        edge.origin, edge.end, label, f"{rate:.1f}", str(edge.account["offered"]),
+        rest(edge.account), f"{brief(edge.age_ms['p50'])}{error}",
     )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from typing import Any, TextIO
 from pydantic import TypeAdapter
 
 from pipeline import settings as checked
-from pipeline.bus.ledger import Ledger
+from pipeline.bus.ledger import Ledger, ledger_file
 from pipeline.bus.session import Session
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
@@ -48,7 +48,7 @@ class Process:
     def __init__(self, job: Assignment, events: TextIO) -> None:
         self._job, self._events = job, events
         self._nodes = list(job.nodes)
-        path = Path(job.memory_folder) / f"{job.prefix}ledger"
+        path = ledger_file(Path(job.memory_folder), job.prefix)
         self._ledger = Ledger.open(path)
         self._hosts: list[Host] = []
         self._operators: list[Operator[Any, Any]] = []

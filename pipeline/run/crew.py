@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from pipeline.bus.ledger import EdgeAccount, Ledger
+from pipeline.bus.ledger import EdgeAccount, Ledger, ledger_file
 from pipeline.bus.network import Network
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan, is_source
@@ -35,7 +35,7 @@ class Crew:
         self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
         self._run = RunFolder.claim(folder or plan.name)
         try:
-            path = MEMORY / f"{self._run.prefix}ledger"
+            path = ledger_file(MEMORY, self._run.prefix)
             self.ledger = Ledger.create(path, len(plan.edges), len(plan.nodes))
         except RunError:
             self._run.release()

@@ -1,6 +1,7 @@
 """The account of a run: ledger, samples and summaries to one plain dictionary, and to a table."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 from rich.console import Group
@@ -10,7 +11,7 @@ from rich.text import Text
 from pipeline.bus.ledger import Ledger
 from pipeline.graph.plan import Node, Plan, sources
 from pipeline.run.child import Sample
-from pipeline.terminal import lean_table, not_delivered, pair
+from pipeline.terminal import lean_table, losses, pair, rest
 
 Report = dict[str, Any]
 
@@ -55,7 +56,8 @@ def compose(
 
 def tables(report: Report) -> Group:
     """The report for a terminal: every edge's account, every stage's latency, the loop."""
-    return Group(_edge_table(report), _stage_table(report), *_lines(report))
+    told = (losses(e["from"], e["to"], e, broken=False) for e in report["edges"])
+    return Group(_edge_table(report), *chain(*told), _stage_table(report), *_lines(report))
 
 
 def _stage(
@@ -89,20 +91,20 @@ def _cpu_percent(samples: Sequence[Sample]) -> float:
 
 def _edge_table(report: Report) -> Table:
     table = lean_table(
-        "edges: offered = delivered + the rest, p50/p99",
-        left=("from", "to", "keep"), right=("offered", "delivered", "rest", "age ms"),
+        "edges: offered = delivered + rest (in flight, dropped or lost), p50/p99",
+        names=("from", "to"), words=("keep",), figures=("offered", "delivered", "rest", "age ms"),
     )  # fmt: skip
     for edge in report["edges"]:
         table.add_row(
             Text(edge["from"]), Text(edge["to"]), edge["keep"], str(edge["offered"]),
-            str(edge["delivered"]), not_delivered(edge), pair(edge["age_ms"], 1),
+            str(edge["delivered"]), rest(edge), pair(edge["age_ms"]),
         )  # fmt: skip
     return table
 
 
 def _stage_table(report: Report) -> Table:
-    right = ("handler ms", "hop ms", "rate Hz", "CPU %", "RSS MB")
-    table = lean_table("stages, p50/p99", left=("node",), right=right)
+    figures = ("handler ms", "hop ms", "rate Hz", "CPU %", "RSS MB")
+    table = lean_table("stages, p50/p99", names=("node",), figures=figures)
     for stage in report["stages"]:
         table.add_row(
             Text(stage["node"]), pair(stage["latency_ms"]), pair(stage["hop_ms"]),
@@ -115,7 +117,7 @@ def _lines(report: Report) -> list[Text]:
     lines = []
     if loop := report.get("loop"):
         lines.append(
-            f"loop, picture ready -> command accepted: {pair(loop['latency_ms'])} ms p50 / p99, "
+            f"loop, picture ready -> command accepted: {pair(loop['latency_ms'])} ms p50/p99, "
             f"overhead {pair(loop['overhead_ms'])} ms, waiting for a core "
             f"{pair(loop['cpu_wait_ms'])} ms, {loop['commands']} commands"
         )

@@ -1,5 +1,6 @@
 """Hosts in network namespaces: they are gone again, also when they could not all be made."""
 
+import os
 import subprocess
 from pathlib import Path
 
@@ -10,17 +11,17 @@ from bench.netns import Hosts, permitted
 pytestmark = pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here")
 
 
-def namespaces() -> set[str]:
+def own_namespaces() -> set[str]:
     shown = subprocess.run(["ip", "netns", "list"], capture_output=True, text=True, check=True)
-    return {line.split()[0] for line in shown.stdout.splitlines()}
+    names = {line.split()[0] for line in shown.stdout.splitlines()}
+    return {name for name in names if name.startswith(f"fv{os.getpid()}-")}
 
 
 def test_hosts_that_cannot_all_be_made_leave_no_namespace(tmp_path: Path) -> None:
-    before = namespaces()
     hosts = Hosts(tmp_path, "here", "there")
     hosts.home("there").touch()  # where a folder has to be made
 
     with pytest.raises(FileExistsError), hosts:
         pass
 
-    assert namespaces() <= before
+    assert own_namespaces() == set()

@@ -194,9 +194,9 @@ def test_a_command_that_is_terminated_closes_what_it_opened() -> None:
         [sys.executable, "-c", NAP, "nap"], stdout=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout is not None
-        assert process.stdout.readline() == "asleep\n"
+        begun = process.stdout.readline()
         process.terminate()
 
-        assert process.stdout.read() == "awake\n"
+        assert (begun, process.stdout.read()) == ("asleep\n", "awake\n")
 
     assert process.returncode == 128 + signal.SIGTERM

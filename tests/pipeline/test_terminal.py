@@ -2,33 +2,45 @@
 
 from pathlib import Path
 
+import pytest
 from rich.console import Console
 
 from pipeline.bus.ledger import Ledger
 from pipeline.graph.loader import load
 from pipeline.run.report import compose, tables
-from pipeline.terminal import not_delivered
+from pipeline.terminal import losses, rest
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_every_end_of_the_shipped_graph_stands_whole_in_80_columns(tmp_path: Path) -> None:
+@pytest.mark.parametrize("frames", [600, 54_000, 2_600_000])  # a day at 30 fps
+def test_every_name_and_figure_of_the_shipped_graph_stands_whole_in_80_columns(
+    tmp_path: Path, frames: int
+) -> None:
     plan = load(ROOT / "graphs" / "tracking.yaml")
     ledger = Ledger.create(tmp_path / "ledger", len(plan.edges), len(plan.nodes))
+    for account in ledger.edges:
+        account.sent, account.delivered, account.superseded = frames, frames - 7, 5
+        for age_ms in (23, 412):
+            account.age.add(age_ms * 1_000_000)
     console = Console(width=80)
 
     with console.capture() as caught:
         console.print(tables(compose(plan, ledger, {}, {}, duration_s=1.0)))
 
-    words = caught.get().split()
+    rows = [line.split() for line in caught.get().splitlines()]
     for edge in plan.edges:
-        assert edge.origin in words
-        assert edge.end in words
+        kept = [edge.origin, edge.end, edge.keep, str(frames), str(frames - 7), "7"]
+        assert kept in [row[:6] for row in rows]
+        assert f"{edge.origin} -> {edge.end}: 5 dropped, superseded" in caught.get()
 
 
-def test_whatever_was_not_delivered_is_named_and_nothing_else() -> None:
-    account = {"dropped": {"superseded": 3}, "in_flight": 0, "lost_in_crash": 1}
+def test_whatever_was_not_delivered_is_counted_and_what_was_lost_is_named() -> None:
+    account = {"offered": 9, "delivered": 4, "dropped": {"superseded": 3}, "lost_in_crash": 1}
+    whole = {"offered": 9, "delivered": 8, "dropped": {}, "lost_in_crash": 0}
 
-    assert not_delivered(account) == "3 dropped, superseded; 1 lost in a crash"
-    assert not_delivered({"dropped": {}, "in_flight": 2, "lost_in_crash": 0}) == "2 in flight"
-    assert not_delivered({"dropped": {}, "in_flight": 0, "lost_in_crash": 0}) == "0"
+    assert rest(account) == "5"
+    assert [line.plain for line in losses("a", "b.in", account, broken=True)] == [
+        "a -> b.in: 3 dropped, superseded; 1 lost in a crash; lost messages it was promised"
+    ]
+    assert list(losses("a", "b.in", whole, broken=False)) == []

@@ -179,24 +179,29 @@ def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
     until(lambda: ended(frozen.pid))
 
 
-def test_a_graph_whose_folder_is_elsewhere_is_no_remains(tmp_path: Path) -> None:
-    plan_of(tmp_path, LOOP)
-    command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
-    elsewhere = tempfile.mkdtemp()
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, env={**os.environ, "TMPDIR": elsewhere}
-    ) as supervisor:
-        assert supervisor.stdout is not None
-        supervisor.stdout.readline()
-        children = {child.pid for child in psutil.Process(supervisor.pid).children()}
+def test_a_graph_whose_folder_is_elsewhere_is_no_remains(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    plan, told = plan_of(tmp_path, LOOP), []
 
-        found = supervised()
-        orphans = {p.pid for p in orphaned(found)}
-        supervisor.terminate()
+    def during(supervisor: Supervisor) -> None:
+        facts = running()[plan.name]
+        for path in MEMORY.glob(f"{facts['prefix']}*"):
+            os.utime(path, (time.time() - 3600,) * 2)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("other")))
+            assert plan.name not in running()
+            told.extend([facts, supervised(), "\n".join(f.why for f in remains())])
+            told.append([p.pid for p in orphaned(supervised())])
+            told.append([p.name for p in unclaimed(supervised())])
 
-    assert len(children) >= 4
-    assert found
-    assert not orphans & children
+    go(plan, 20, during)
+
+    facts, found, words, orphans, files = told
+    assert facts["prefix"] in found
+    assert not set(facts["pids"].values()) & set(orphans)
+    assert not [name for name in files if name.startswith(facts["prefix"])]
+    assert not [pid for pid in facts["pids"].values() if str(pid) in words.split()]
 
 
 def test_where_shared_memory_is_too_small_the_doctor_says_how_much_is_needed(

@@ -85,6 +85,11 @@ def fleet_of(*labels: str) -> Fleet:
     return Fleet(read_hosts(labels, None))
 
 
+def phases(fleet: Fleet, label: str, graph: str = "trio") -> list[str]:
+    said = fleet.states(graph)[label]
+    return [] if isinstance(said, str) else [state.phase for state in said]
+
+
 def state_of(fleet: Fleet, label: str, graph: str = "trio") -> wire.State:
     (state,) = fleet.ask(label, "state", wire.Named(graph), tuple[wire.State, ...])
     return state

@@ -38,6 +38,7 @@ from tests.pipeline.fleet.boxes import (
     boxes,
     fleet_of,
     handled,
+    phases,
     plan_of,
     state_of,
 )
@@ -45,11 +46,6 @@ from tests.pipeline.run.bad_link import BadLink
 from tests.toy_graphs import until
 
 LABELS = ("sensor", "compute", "viewer")
-
-
-@pytest.fixture(autouse=True)
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))  # what is remembered of deployed graphs
 
 
 @pytest.fixture
@@ -214,8 +210,7 @@ def test_two_graphs_share_a_box_and_both_go_on_after_it_began_again(
     three["compute"] = Running(box_of("compute", LABELS, tmp_path))
 
     for name in ("zoo", "ant"):
-        until(lambda name=name: isinstance(fleet.states(name)["compute"], list))  # type: ignore[misc]
-        until(lambda name=name: fleet.states(name)["compute"] != [])  # type: ignore[misc]
+        until(lambda name=name: phases(fleet, "compute", name))  # type: ignore[misc]
         before = handled(fleet, "compute", "steer", name)
         until(lambda n=name, b=before: handled(fleet, "compute", "steer", n) > b + 5)  # type: ignore[misc]
         down(name, fleet.hosts)
@@ -253,8 +248,7 @@ def test_a_part_that_worked_once_tries_again_when_it_cannot_begin(
     monkeypatch.setattr("pipeline.fleet.part.PartSupervisor", begin)
     three["sensor"] = Running(box_of("sensor", LABELS, tmp_path))
 
-    until(lambda: fleet.states("trio")["sensor"])
-    until(lambda: state_of(fleet, "sensor").phase == "running")
+    until(lambda: phases(fleet, "sensor") == ["running"])
     assert failures
     down("trio", fleet.hosts)
 
