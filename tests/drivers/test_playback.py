@@ -68,7 +68,7 @@ def test_the_next_picture_is_made_while_the_reader_waits_for_its_time() -> None:
     found = play(source, Timing(rate_hz=25, realtime=True))
 
     origin_ns = found[0][1]
-    on_time = [abs(stamp - origin_ns - seq * 40_000_000) < 1_000_000 for seq, stamp in found]
+    on_time = [abs(stamp - origin_ns - seq * 40_000_000) < 5_000_000 for seq, stamp in found]
     assert sum(on_time) >= len(found) / 2
     assert len(found) >= 8
 
