@@ -185,6 +185,7 @@ class Host:
         if not side:
             critical = _critical(work)
             ahead = self.clocks.ahead_ns(critical.clock) or 0
+            waited = waited_on_the_way(critical, begun + ahead, waited)
             span = Span(
                 stage=self.name, received_ns=begun + ahead, done_ns=ended + ahead,
                 handler_ns=ended - begun, wait_ns=waited,
@@ -319,6 +320,12 @@ class Host:
         with self._lock:
             waited, self._arrived_wait_ns = self._arrived_wait_ns, 0
         return waited
+
+
+def waited_on_the_way(header: Header, now_ns: int, waited_ns: int) -> int:
+    """What of a wait lies between the stage before and now; the rest held up no message."""
+    since_ns = header.trace[-1].done_ns if header.trace else header.stamp_ns
+    return max(0, min(waited_ns, now_ns - since_ns))
 
 
 def _critical(work: Work) -> Header:

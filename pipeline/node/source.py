@@ -19,7 +19,7 @@ from pipeline.bus.outport import OutPort
 from pipeline.contract import Source, handler_of
 from pipeline.errors import PoolExhausted
 from pipeline.messages import Header, Message, Span, altered, stamped
-from pipeline.node.host import IDLE_S, WAIT_EVERY, Host
+from pipeline.node.host import IDLE_S, WAIT_EVERY, Host, waited_on_the_way
 
 DRAIN_S = 0.0001
 
@@ -138,6 +138,7 @@ class SourceHost(Host):
             handler_of(self.operator, (name,))(message)
             accepted = time.monotonic_ns()
             fold(self.commands, message)
+            waited = waited_on_the_way(message.header, begun, waited)
             self._count_loop(message.header, accepted, accepted - begun, waited)
         self._count_age(name, work.header, begun)
         self.settle(name, "delivered", work.arrived[name])

@@ -2,6 +2,7 @@
 
 import secrets
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import Ledger, private_ledger
 from pipeline.bus.outport import OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter, remove_pools
-from pipeline.node.host import MOST_ASKED, Host
+from pipeline.messages import Span
+from pipeline.node.host import MOST_ASKED, Host, waited_on_the_way
 from pipeline.testing import header
 from tests.pipeline.bus.test_outport import MEMORY, Wire
 from tests.toys import WorkSettings
@@ -94,3 +96,14 @@ def test_questions_do_not_pile_up_behind_a_handler_that_hangs(scene: Scene) -> N
     taken = [scene.host.between(lambda: None) for _ in range(MOST_ASKED + 2)]
 
     assert taken == [True] * MOST_ASKED + [False, False]
+
+
+@pytest.mark.parametrize(("waited_ns", "counted_ns"), [(3, 3), (5, 5), (900, 5)])
+def test_a_wait_for_a_core_counts_only_as_far_as_it_held_up_the_message(
+    waited_ns: int, counted_ns: int
+) -> None:
+    before = Span(stage="before", received_ns=100, done_ns=120, handler_ns=20, wait_ns=0)
+
+    assert waited_on_the_way(replace(header(0), trace=(before,)), 125, waited_ns) == counted_ns
+    assert waited_on_the_way(replace(header(0), stamp_ns=120), 125, waited_ns) == counted_ns
+    assert waited_on_the_way(replace(header(0), stamp_ns=130), 125, waited_ns) == 0
