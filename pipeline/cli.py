@@ -12,6 +12,7 @@ import click
 from rich.console import Console
 from rich.logging import RichHandler
 
+from pipeline.bus.session import silence
 from pipeline.console import running, watching
 from pipeline.console.asking import health_command, schema_command, tell_command
 from pipeline.console.changing import set_command
@@ -32,6 +33,7 @@ from pipeline.run.report import tables
 from pipeline.run.rundir import running as running_here
 from pipeline.weights import weights_commands
 
+LOGGING = ("run", "agent")  # whose output is a log; that of the others is an answer
 ENDED = 128 + signal.SIGTERM
 console = Console()
 GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
@@ -58,8 +60,11 @@ def main() -> None:
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="fovea")
-def commands() -> None:
+@click.pass_context
+def commands(context: click.Context) -> None:
     """Let an ultra-high-resolution image sensor decide, in real time, where to look."""
+    if context.invoked_subcommand not in LOGGING:
+        silence()
 
 
 def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:

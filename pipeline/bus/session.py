@@ -19,6 +19,7 @@ from pipeline.errors import RunError
 
 OnBytes = Callable[[bytes], None]
 OnQuestion = Callable[[bytes, OnBytes], None]  # the question, and how to reply
+LOGGED = "error,zenoh::net::protocol::gossip=off"  # which mistakes a peer that leaves for a fault
 AGAIN_S = 0.05  # a new session does not know at once who answers
 
 
@@ -189,8 +190,16 @@ _TRANSPORT: dict[str, object] = {
 }
 
 
+def silence() -> None:
+    """Let Zenoh print nothing in this process: for commands, whose standard output is an answer.
+
+    It goes before the first session; RUST_LOG, where it is set, has the last word.
+    """
+    zenoh.init_log_from_env_or("off")
+
+
 def _open(config: dict[str, object], what: str) -> zenoh.Session:
-    zenoh.init_log_from_env_or("error")
+    zenoh.init_log_from_env_or(LOGGED)
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as error:

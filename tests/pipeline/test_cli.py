@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from pipeline.cli import commands
 from tests.toy_graphs import LOOP
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
@@ -200,3 +202,15 @@ def test_a_command_that_is_terminated_closes_what_it_opened() -> None:
         assert (begun, process.stdout.read()) == ("asleep\n", "awake\n")
 
     assert process.returncode == 128 + signal.SIGTERM
+
+
+@pytest.mark.parametrize(("words", "levels"), [(["ps"], ["off"]), (["run", "none.yaml"], [])])
+def test_the_transport_prints_nothing_between_the_lines_of_an_answer(
+    words: list[str], levels: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("zenoh.init_log_from_env_or", said.append)
+
+    CliRunner().invoke(commands, words)
+
+    assert said == levels
