@@ -83,10 +83,13 @@ class Commands:
     type=click.FloatRange(1),
     help="Without a swap: the baseline. The procedural scene fills its cache for five minutes.",
 )
+@click.option(
+    "--pause-s", default=0.0, show_default=True, type=click.FloatRange(0), help="Between two."
+)
 @JSON
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], nodes: tuple[str, ...], count: int,
-    probation: int, warm_s: float, path: Path | None,
+    probation: int, warm_s: float, pause_s: float, path: Path | None,
 ) -> None:  # fmt: skip
     """Swap parts of a running graph so many times."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
@@ -96,11 +99,17 @@ def main(
         commands = Commands(plan)
         _rest(supervisor, warm_s)
         memory, quiet = [_memory(supervisor)], len(commands.seqs)
+        began_s, first = time.monotonic(), _exposed(supervisor)
         for turn in track(range(count * len(nodes)), "swapping"):
             node = nodes[turn % len(nodes)]
+            before = _left_out(supervisor, node)
             swaps.append(_swap(supervisor, SwapOrder(node=node, probation=probation)))
+            _rest(supervisor, pause_s)
+            after = _left_out(supervisor, node)
+            swaps[-1]["left_out"] = max((after[end] - before[end] for end in after), default=0)
             if not (turn + 1) % MEMORY_EVERY:
                 memory.append(_memory(supervisor))
+        fps = (_exposed(supervisor) - first) / (time.monotonic() - began_s)
         _rest(supervisor, 2.0)
         memory.append(_memory(supervisor))
         commands.close()
@@ -116,6 +125,8 @@ def main(
         "bench": "swap", **facts(), "graph": str(graph), "nodes": nodes, "count": count,
         "probation_frames": probation, **_losses(report["edges"], commands.seqs),
         "gap_ms": {n: _spread([s["gap_ms"] for s in done if s["node"] == n]) for n in nodes},
+        "fps": fps, "pause_s": pause_s,
+        "left_out": {n: _counted([s["left_out"] for s in done if s["node"] == n]) for n in nodes},
         "command_gap_ms": {
             "without_swaps": _spread(commands.gaps_ms()[: quiet - 1]),
             "while_swapping": _spread(commands.gaps_ms(quiet)),
@@ -140,6 +151,26 @@ def _swap(supervisor: Supervisor, order: SwapOrder) -> dict[str, Any]:
             raise click.ClickException(f"{order.node} was not swapped: {supervisor.failure}")
         supervisor.tick()
     return {**answers[0], "took_s": time.monotonic() - began_s}
+
+
+def _exposed(supervisor: Supervisor) -> int:
+    """Frames that the source has sent."""
+    return max(edge.sent for edge in supervisor.ledger.edges)
+
+
+def _left_out(supervisor: Supervisor, node: str) -> dict[str, int]:
+    """Messages that a node's `latest` inputs have dropped or lost so far, by input."""
+    reports = {
+        edge.end: supervisor.ledger.edges[edge.index].report()
+        for edge in supervisor.plan.inputs(node).values()
+        if edge.keep == "latest"
+    }
+    return {end: sum(r["dropped"].values()) + r["lost_in_crash"] for end, r in reports.items()}
+
+
+def _counted(values: list[int]) -> dict[str, int]:
+    """How many swaps left out that many messages on one input."""
+    return {str(value): values.count(value) for value in sorted(set(values))}
 
 
 def _rest(supervisor: Supervisor, seconds: float) -> None:
@@ -200,7 +231,9 @@ def _tables(result: dict[str, Any]) -> tuple[Table, Table]:
         f"{len(result['refused'])} refused; {result['frames']} frames; "
         f"lossless edges: {result['lost']} lost; "
         f"{result['doubled_commands']} commands doubled; {result['dropped_on_latest']} dropped "
-        f"where the latest counts; restarts {sum(result['restarts'].values())}"
+        f"where the latest counts; left out by a swap on one input (messages: swaps) "
+        f"{result['left_out']} at {result['fps']:.1f} fps; "
+        f"restarts {sum(result['restarts'].values())}"
     )
     memory = Table(title="the others, before -> after")
     for column in ("process", "RSS MB", "locked MB", "open files"):

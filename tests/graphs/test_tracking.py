@@ -1,9 +1,11 @@
 """The tracking graph as it ships: it keeps the ball in view, in line and as processes alike."""
 
 import json
+import shutil
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,8 @@ from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap import SwapOrder
+from tests.toy_graphs import handled, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 GRAPH = ROOT / "graphs" / "tracking.yaml"
@@ -88,6 +92,27 @@ def test_a_running_graph_tells_its_overlap_with_the_truth() -> None:
 
     assert supervisor.headlines["score"].startswith("IoU 0.")
     assert "IoU 0." in line
+
+
+def test_a_model_file_is_swapped_as_any_setting_and_a_missing_one_is_refused(
+    tmp_path: Path,
+) -> None:
+    other = shutil.copy(ROOT / "operators" / "saliency" / "detector.onnx", tmp_path / "other.onnx")
+    answers: list[dict[str, Any]] = []
+    with Supervisor(load(GRAPH)) as supervisor:
+        supervisor.start()
+        wait_for(supervisor, lambda: handled(supervisor, "saliency") > 3, 60)
+        for weights in (other, tmp_path / "none.onnx"):
+            order = SwapOrder(node="saliency", changes={"weights": str(weights)}, probation=5)
+            wanted = len(answers) + 1
+            supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+            wait_for(supervisor, partial(lambda count: len(answers) >= count, wanted), 60)
+        before = handled(supervisor, "saliency")
+        wait_for(supervisor, lambda: handled(supervisor, "saliency") > before + 5, 60)
+        supervisor.stop()
+
+    assert not answers[0]["refused"]
+    assert "no such weights" in answers[1]["refused"]
 
 
 def test_the_graph_runs_on_real_footage_in_real_time(tmp_path: Path, snmot: Path) -> None:
