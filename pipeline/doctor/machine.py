@@ -1,4 +1,4 @@
-"""The machine: shared memory, kernel locks, open files, cores, their governor, the clocks."""
+"""The machine: shared memory, kernel locks, open files, cores, their governor, clocks, ports."""
 
 import ctypes
 import fcntl
@@ -12,9 +12,11 @@ from pathlib import Path
 
 import psutil
 
+from pipeline.bus.network import AGENT_PORT, NODE_PORTS
 from pipeline.doctor.finding import Finding, ok, warning, wrong
 from pipeline.run.rundir import MEMORY
 
+NODE = "pipeline.node.process"
 LEAST_SHARED_MB = 64.0  # an eighth of what a container gives by default is hardly a graph
 LEAST_DISK_MB = 100.0
 LEAST_FILES = 256
@@ -35,6 +37,34 @@ def examine_machine(*, memory: Path = MEMORY, system: Path = SYS) -> Iterator[Fi
     yield governor(system)
     yield clock_source(system)
     yield wall_clock(_adjtimex())
+    yield ports(AGENT_PORT, NODE_PORTS)
+
+
+def ports(agent: int, nodes: tuple[int, int]) -> Finding:
+    """Whether what agents and nodes that reach other hosts listen on is free, or fovea's."""
+    what, wanted = "ports", {agent, *range(nodes[0], nodes[1] + 1)}
+    try:
+        found = psutil.net_connections("tcp")
+    except psutil.Error:
+        return warning(what, "what listens here is not told to this user", "run it as root")
+    strangers = sorted(
+        {c.laddr.port for c in found if c.status == psutil.CONN_LISTEN and not _is_fovea(c.pid)}
+        & wanted
+    )
+    if strangers:
+        taken = ", ".join(map(str, strangers))
+        todo = "for a graph over several boxes: other `address` and `ports` in agent.yaml"
+        return warning(what, f"something that is not this user's fovea listens on {taken}", todo)
+    return ok(what, f"{agent} and {nodes[0]}-{nodes[1]} are to be had; one host needs none")
+
+
+def _is_fovea(pid: int | None) -> bool:
+    """Whether this user may see that it is an agent, or a node of a graph."""
+    try:
+        words = psutil.Process(pid).cmdline() if pid else []
+    except psutil.Error:
+        return False
+    return any(Path(w).name == "fovea" or w in ("pipeline.cli", NODE) for w in words)
 
 
 def shared_memory(folder: Path) -> Finding:

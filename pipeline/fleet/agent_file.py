@@ -5,15 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import settings as checked
-from pipeline.bus.network import LOCAL
+from pipeline.bus.network import LOCAL, NODE_PORTS
 from pipeline.errors import GraphError, SettingsError
 from pipeline.fleet.allow import ANY, Allowed, is_digest
 from pipeline.fleet.names import box, check_label, check_name, endpoint, person
 from pipeline.fleet.secure import Papers
 from pipeline.graph.yaml_lines import YamlFile, plain
 from pipeline.run.rundir import base
-
-DEFAULT_PORTS = (7500, 7599)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +21,7 @@ class AgentFile:
     label: str
     address: str = ""  # HOST[:PORT] with papers; empty: a unix socket of this user
     papers: str = ""  # folder by `fovea secure`, relative to this file
-    ports: tuple[int, int] = DEFAULT_PORTS  # first and last, of nodes with an edge to another host
+    ports: tuple[int, int] = NODE_PORTS  # first and last, of nodes with an edge to another host
     people: tuple[str, ...] = ()  # who may deploy, by name
     boxes: tuple[str, ...] = ()  # labels of the boxes that may share a graph with it
     operators: dict[str, str] = field(default_factory=dict)  # module:Class -> sha256 or `any`

@@ -2,14 +2,13 @@
 
 import re
 
-from pipeline.bus.network import LOCAL
+from pipeline.bus.network import AGENT_PORT, LOCAL
 from pipeline.errors import SettingsError
 from pipeline.graph.loader import LABEL
 from pipeline.graph.plan import Node
 
 ANYBODY = "local"  # who asks over a unix socket that only this user can reach
 MOST_LETTERS = 64  # of a common name: RFC 5280, ub-common-name
-PORT = 7447  # where an agent listens unless it is told otherwise
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
 _HOST = re.compile(r"(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.-]+?)(?::(\d{1,5}))?")
 
@@ -71,9 +70,9 @@ def endpoint(address: str, where: str) -> str:
     if address.startswith(LOCAL):
         return address
     found = _HOST.fullmatch(address.removeprefix("tls/"))
-    if found is None or int(found[2] or PORT) > 65535:
+    if found is None or int(found[2] or AGENT_PORT) > 65535:
         raise SettingsError(f"{where}: expected HOST[:PORT], got {address!r}")
-    return f"tls/{found[1]}:{found[2] or PORT}"
+    return f"tls/{found[1]}:{found[2] or AGENT_PORT}"
 
 
 def host_part(point: str) -> str:

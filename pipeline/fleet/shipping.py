@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.fleet.names import PORT, node_holder, person
+from pipeline.bus.network import AGENT_PORT
+from pipeline.fleet.names import node_holder, person
 from pipeline.fleet.placement import borders, place
 from pipeline.graph.plan import Plan, slots
 
@@ -59,7 +60,7 @@ def run_words() -> list[str]:
 
 def up_words(plan: Plan) -> list[str]:
     """What a container runs to deploy to boxes that their labels resolve to."""
-    hosts = ",".join(f"{label}={label}:{PORT}" for label in plan.hosts)
+    hosts = ",".join(f"{label}={label}:{AGENT_PORT}" for label in plan.hosts)
     return ["fovea", "up", GRAPH, "--papers", PERSON, "--hosts", hosts, "--replace"]
 
 

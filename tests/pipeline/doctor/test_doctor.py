@@ -4,6 +4,7 @@ import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -32,6 +33,7 @@ from pipeline.doctor.machine import (
     governor,
     leases,
     open_files,
+    ports,
     shared_memory,
 )  # fmt: skip
 from pipeline.doctor.needs import crowd, examine_graph, message_bytes, pool_bytes, pools
@@ -177,6 +179,20 @@ def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
     assert plan.name not in leftovers()
     assert not [p for p in unclaimed(prefixes) if p.name.startswith(facts["prefix"])]
     until(lambda: ended(frozen.pid))
+
+
+def test_a_port_that_something_else_listens_on_is_named() -> None:
+    with socket.socket() as stranger:
+        stranger.bind(("127.0.0.1", 0))
+        taken = stranger.getsockname()[1]
+        before = ports(taken, (taken, taken))
+        stranger.listen()
+        held = ports(taken, (taken, taken))
+
+    assert before.verdict == "ok"
+    assert held.verdict == "warning"
+    assert str(taken) in held.why
+    assert "agent.yaml" in held.todo
 
 
 def test_a_graph_whose_folder_is_elsewhere_is_no_remains(
