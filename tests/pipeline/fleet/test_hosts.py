@@ -92,7 +92,11 @@ def test_a_lost_box_is_reported_within_two_seconds_and_its_nodes_come_back(world
 
     world.heard(seer, f"box {label} is back", since)
     before = node(world, label, "count")["handled"]
-    until(lambda: node(world, label, "count")["handled"] > before + 10)
+    try:
+        until(lambda: node(world, label, "count")["handled"] > before + 10)
+    except AssertionError as error:  # seen once: tell where the messages stand
+        logs = {name: world.log(name).read_text()[-1500:] for name in (seer, label)}
+        raise AssertionError(f"{error}\n{world.states()}\n{logs}") from error
 
 
 def test_a_box_that_was_switched_off_goes_on_where_the_books_of_the_others_stand(
