@@ -99,18 +99,17 @@ def main(
         commands = Commands(plan)
         _rest(supervisor, warm_s)
         memory, quiet = [_memory(supervisor)], len(commands.seqs)
+        dropped = _dropped(supervisor)
         began_s, first = time.monotonic(), _exposed(supervisor)
         for turn in track(range(count * len(nodes)), "swapping"):
             node = nodes[turn % len(nodes)]
-            before = _left_out(supervisor, node)
             swaps.append(_swap(supervisor, SwapOrder(node=node, probation=probation)))
             _rest(supervisor, pause_s)
-            after = _left_out(supervisor, node)
-            swaps[-1]["left_out"] = max((after[end] - before[end] for end in after), default=0)
             if not (turn + 1) % MEMORY_EVERY:
                 memory.append(_memory(supervisor))
         fps = (_exposed(supervisor) - first) / (time.monotonic() - began_s)
         _rest(supervisor, 2.0)
+        all_dropped = _dropped(supervisor)
         memory.append(_memory(supervisor))
         commands.close()
         supervisor.finish()
@@ -126,7 +125,11 @@ def main(
         "probation_frames": probation, **_losses(report["edges"], commands.seqs),
         "gap_ms": {n: _spread([s["gap_ms"] for s in done if s["node"] == n]) for n in nodes},
         "fps": fps, "pause_s": pause_s,
-        "left_out": {n: _counted([s["left_out"] for s in done if s["node"] == n]) for n in nodes},
+        "dropped_on_latest": {"without_swaps": dropped, "while_swapping": all_dropped - dropped},
+        "left_out": {
+            n: _counted([max(s["left_out"].values()) for s in done if s["node"] == n])
+            for n in nodes
+        },
         "command_gap_ms": {
             "without_swaps": _spread(commands.gaps_ms()[: quiet - 1]),
             "while_swapping": _spread(commands.gaps_ms(quiet)),
@@ -158,14 +161,14 @@ def _exposed(supervisor: Supervisor) -> int:
     return max(edge.sent for edge in supervisor.ledger.edges)
 
 
-def _left_out(supervisor: Supervisor, node: str) -> dict[str, int]:
-    """Messages that a node's `latest` inputs have dropped or lost so far, by input."""
-    reports = {
-        edge.end: supervisor.ledger.edges[edge.index].report()
-        for edge in supervisor.plan.inputs(node).values()
-        if edge.keep == "latest"
-    }
-    return {end: sum(r["dropped"].values()) + r["lost_in_crash"] for end, r in reports.items()}
+def _dropped(supervisor: Supervisor) -> int:
+    """Messages that came to nothing on all edges where the latest counts."""
+    found = 0
+    for edge in supervisor.plan.edges:
+        if edge.keep == "latest":
+            told = supervisor.ledger.edges[edge.index].report()
+            found += sum(told["dropped"].values()) + told["lost_in_crash"]
+    return found
 
 
 def _counted(values: list[int]) -> dict[str, int]:
@@ -202,9 +205,6 @@ def _losses(edges: list[dict[str, Any]], seqs: list[int]) -> dict[str, int]:
         "frames": max(e["offered"] for e in edges),
         "lost": sum(e["offered"] - e["delivered"] for e in lossless),
         "doubled_commands": len(seqs) - len(set(seqs)),
-        "dropped_on_latest": sum(
-            sum(e["dropped"].values()) + e["lost_in_crash"] for e in edges if e["keep"] == "latest"
-        ),
     }
 
 
@@ -231,8 +231,8 @@ def _tables(result: dict[str, Any]) -> tuple[Table, Table]:
         f"{len(result['refused'])} refused; {result['frames']} frames; "
         f"lossless edges: {result['lost']} lost; "
         f"{result['doubled_commands']} commands doubled; {result['dropped_on_latest']} dropped "
-        f"where the latest counts; left out by a swap on one input (messages: swaps) "
-        f"{result['left_out']} at {result['fps']:.1f} fps; "
+        f"where the latest counts; left out between the old part's last answer and the new one's "
+        f"first, on one input (messages: swaps) {result['left_out']}; {result['fps']:.1f} fps; "
         f"restarts {sum(result['restarts'].values())}"
     )
     memory = Table(title="the others, before -> after")

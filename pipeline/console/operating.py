@@ -120,9 +120,11 @@ def swap_lines(result: Mapping[str, Any]) -> list[str]:
     ['a: swapped after frame 7, stood still for 1.2 ms, state none, 30 frames of probation']
     """
     cut = f"after frame {result['seq']}" if "seq" in result else "by stopping and starting"
+    left_out: dict[str, int] = result.get("left_out", {})
     words = [
         f"{result['node']}: swapped {cut}",
         f"stood still for {result['gap_ms']:.1f} ms",
+        *(f"left out {count} of {name}" for name, count in left_out.items() if count),
         *([f"state {result['state']}"] if "state" in result else []),
         f"{result['proven_frames']} frames of probation",
     ]

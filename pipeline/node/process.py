@@ -37,6 +37,7 @@ from pipeline.node.source import SourceHost
 from pipeline.node.wiring import Assignment, Wiring
 
 ASIDE_NICENESS = 5  # of processes that no sensor command waits for
+AHEAD_NICENESS = 19  # of imports that nobody waits for yet
 HEADLINE_S = 1.0  # between two looks at what operators have to tell
 FAREWELL_S = 3.0  # after this the process ends whatever an operator does
 log = logging.getLogger(__name__)
@@ -235,7 +236,7 @@ def _import_ahead(modules: Iterable[str]) -> None:
 
     On Linux niceness belongs to a thread: the graph that runs keeps its cores meanwhile.
     """
-    os.nice(ASIDE_NICENESS)
+    os.nice(AHEAD_NICENESS)
     for module in modules:
         with contextlib.suppress(Exception):
             importlib.import_module(module)

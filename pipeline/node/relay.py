@@ -13,7 +13,7 @@ import types
 import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol, Union
+from typing import Any, NamedTuple, Protocol, Union
 
 import msgspec
 
@@ -56,6 +56,13 @@ class Cut(msgspec.Struct, forbid_unknown_fields=True):
     shadow: int = 0  # frames: do not stop, only say how far it is
 
 
+class First(NamedTuple):
+    """How the accounts stood when an instance took over."""
+
+    handled: int
+    dropped: dict[str, int]  # by input
+
+
 class Voice(Protocol):
     """The node's answers to questions, which only the instance that works may give."""
 
@@ -85,6 +92,7 @@ class Relay:
         self._wanted: Cut | None = None
         self._before: dict[str, Counted] = {}
         self._baton = b""
+        self._first: First | None = None  # its first answer is awaited
         if standby:
             host.account = _nowhere()
 
@@ -123,6 +131,11 @@ class Relay:
 
     def look(self) -> None:
         """Between two calls of handlers."""
+        ports = self._host.ports
+        if self._first is not None and self._account.handled > self._first.handled:
+            before, self._first = self._first.dropped, None
+            left_out = {name: port.dropped - before[name] for name, port in ports.items()}
+            self._say("answered", node=self._host.name, left_out=left_out)
         if self._wanted is not None and self._may_stop(self._wanted):
             cut, self._wanted = self._wanted, None
             try:
@@ -188,6 +201,8 @@ class Relay:
         state = self._read_state(baton.state)
         host.inbox.go_on_from(baton.marks)
         self._begin(host.epoch)
+        dropped = {name: port.dropped for name, port in host.ports.items()}
+        self._first = First(int(self._account.handled), dropped)
         for name, port in host.ports.items():
             port.take_over(baton.edges[name])
         gap_ms = (time.monotonic_ns() - baton.stopped_ns) / 1e6

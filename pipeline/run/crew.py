@@ -152,10 +152,19 @@ class Crew:
     def launch(self, job: Assignment, *, fresh: bool = False) -> Child:
         """A process for an assignment; a `fresh` one has imported what is on disk now."""
         if fresh:
-            self._spare.refresh()
+            self.refresh()
         mine = {n.operator.partition(":")[0] for n in job.nodes}
         popen = self._spare.take() or self._spawn(mine if fresh else ())
         return Child(popen, job, self._events)
+
+    def refresh(self) -> None:
+        """Give up the spare process when what it has imported was edited."""
+        self._spare.refresh()
+
+    @property
+    def warming(self) -> bool:
+        """Whether a spare process is still at its imports."""
+        return self._spare.warming
 
     def _spawn(self, modules: Collection[str]) -> "subprocess.Popen[bytes]":
         return spawn(self._run.prefix, self._run.folder, modules)

@@ -29,11 +29,16 @@ class Spare:
 
     def take(self) -> "subprocess.Popen[bytes] | None":
         """The spare, if it is through with its imports: it says so in its first line."""
-        stdout = self._popen.stdout if self._popen is not None else None
-        if stdout is None or not select.select([stdout], [], [], 0)[0]:
+        if self._popen is None or self.warming:
             return None
         spare, self._popen = self._popen, None
         return spare
+
+    @property
+    def warming(self) -> bool:
+        """Whether there is one that is not through."""
+        stdout = self._popen.stdout if self._popen is not None else None
+        return stdout is not None and not select.select([stdout], [], [], 0)[0]
 
     def refresh(self) -> None:
         """End it when what it has imported was edited since."""

@@ -24,6 +24,7 @@ from pipeline.run.slot import Slot
 from pipeline.settings import suggest
 
 START_S = 60.0
+SPARE_S = 10.0  # for the spare process to be through with its imports
 HEAR_S = 10.0  # for a node that works, to greet a successor
 CUT_S = 30.0
 SHADOW_S = 1.0  # per frame, at most
@@ -110,6 +111,7 @@ class Swap(Affair):
         old, before, plan = self._working(), crew.plan, self._changed()
         epoch = slot.epoch + 1
         job = crew.job(slot, plan, epoch, standby=True, checked=True)
+        yield from self._spare()
         new = self._other = crew.launch(job, fresh=True)
         yield from self.until(lambda: new.ready, START_S, "it was not ready", of=new)
         door = job.door(self._node.name, epoch)
@@ -142,10 +144,16 @@ class Swap(Affair):
         except RunError as error:
             yield from self._roll_back(new, old, before, epoch + 1)
             raise RunError(f"{error}; the old part goes on") from error
+        self.facts["left_out"] = self.heard(new).get("answered", {}).get("left_out", {})
         new.order("settle", node=self._node.name)
         yield from self._drained(epoch)
         old.tell("stop")
         yield from self.until(lambda: old.ended() is not None, ANSWER_S, "", must=False)
+
+    def _spare(self) -> Iterator[None]:
+        """Let a process that is half through with its imports finish them: two cost twice."""
+        self.crew.refresh()
+        yield from self.until(lambda: not self.crew.warming, SPARE_S, "", must=False)
 
     def _try(self, old: Child, new: Child, cut: dict[str, Any]) -> Iterator[None]:
         """Let the successor answer the same frames, and keep what came of it."""

@@ -70,12 +70,13 @@ def test_a_reader_stopped_for_a_second_on_a_lossless_edge_loses_nothing(tmp_path
         wait_for(supervisor, lambda: time.monotonic() > end)
         os.kill(supervisor.pid("count"), signal.SIGCONT)
 
-    report = go(plan_of(tmp_path, CHAIN), 100, freeze)
+    frames = 60  # a camera does not wait: the edge holds all, however long the machine sleeps
+    report = go(plan_of(tmp_path, CHAIN), frames, freeze)
 
     assert_accounts_add_up(report)
-    assert edge(report, "count.frame")["delivered"] == 100
+    assert edge(report, "count.frame")["delivered"] == frames
     assert edge(report, "count.frame")["dropped"] == {}
-    assert report["summaries"]["count"] == {"seen": list(range(100)), "torn": 0}
+    assert report["summaries"]["count"] == {"seen": list(range(frames)), "torn": 0}
 
 
 def test_a_writer_waits_for_a_stopped_lossless_reader(tmp_path: Path) -> None:
@@ -94,10 +95,10 @@ def test_a_writer_waits_for_a_stopped_lossless_reader(tmp_path: Path) -> None:
         assert relay.condition == "credit"
         os.kill(supervisor.pid("last"), signal.SIGCONT)
 
-    report = go(plan_of(tmp_path, text), 90, freeze)
+    report = go(plan_of(tmp_path, text), 60, freeze)
 
     assert_accounts_add_up(report)
-    assert report["summaries"]["last"] == {"seen": list(range(90)), "torn": 0}, report["edges"]
+    assert report["summaries"]["last"] == {"seen": list(range(60)), "torn": 0}, report["edges"]
 
 
 def test_a_source_that_cannot_wait_counts_an_overrun_on_every_edge(tmp_path: Path) -> None:
