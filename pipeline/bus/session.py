@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import zenoh
 
+from pipeline.bus.linger import hasten
 from pipeline.bus.network import Network
 from pipeline.errors import RunError
 
@@ -55,6 +56,9 @@ class Session:
         """A session with other hosts; opens at once, whoever is there already."""
         session = cls.__new__(cls)
         session._session = _open(network.config(), ", ".join(network.listen) or "network")
+        session._session.info.declare_link_events_listener(
+            zenoh.handlers.Callback(_hasten, indirect=False), history=True
+        )
         return session
 
     def sender(self, key: str, *, urgent: bool = False, patient: bool = False) -> Sender:
@@ -188,6 +192,10 @@ _TRANSPORT: dict[str, object] = {
     # transport's thread waits a few milliseconds for a core
     "link": {"tx": {"queue": {"size": {"data": 16, "real_time": 16}}}},
 }
+
+
+def _hasten(_event: zenoh.LinkEvent) -> None:
+    hasten()
 
 
 def silence() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 from bench.hosts import DESK, World
 from bench.netns import permitted
 from pipeline import RunError
+from pipeline.bus.network import LEASE_MS
 from pipeline.fleet import secure
 from pipeline.fleet.names import person
 from tests.pipeline.fleet.boxes import TRIO
@@ -97,6 +99,25 @@ def test_a_lost_box_is_reported_within_two_seconds_and_its_nodes_come_back(world
     except AssertionError as error:  # seen once: tell where the messages stand
         logs = {name: world.log(name).read_text()[-1500:] for name in (seer, label)}
         raise AssertionError(f"{error}\n{world.states()}\n{logs}") from error
+
+
+def test_a_cable_that_is_out_for_long_silences_no_other_box(world: World) -> None:
+    label, seer = "viewer", "sensor"
+    since = len(world.log(seer).read_text())
+
+    world.link(label, up=False)
+    try:
+        world.heard(seer, f"box {label} is lost", since)
+        time.sleep(LEASE_MS / 1000 + MISSED_S)  # the links have been given up by now
+        earlier = node(world, "compute", "work")["handled"]
+        until(lambda: node(world, "compute", "work")["handled"] > earlier + 10)
+    finally:
+        world.link(label, up=True)
+    world.heard(seer, f"box {label} is back", since)
+    before = node(world, label, "count")["handled"]
+    until(lambda: node(world, label, "count")["handled"] > before + 10)
+
+    assert "compute is lost" not in " ".join(world.log(seer).read_text()[since:].split())
 
 
 def test_a_box_that_was_switched_off_goes_on_where_the_books_of_the_others_stand(
