@@ -1,0 +1,32 @@
+"""A training's log goes on where its checkpoint does; the rate rises, then falls."""
+
+from pathlib import Path
+
+import pytest
+
+from operators.training.log import note, shorten
+from operators.training.schedule import warmed_cosine
+
+
+def test_what_came_after_the_checkpoint_is_forgotten(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    for step in (20, 40, 60):
+        note(log, step, step / 10, (0.5, 1 / 3))
+
+    shorten(log, 40)
+
+    assert log.read_text() == "20,2,0.5000,0.3333\n40,4,0.5000,0.3333\n"
+
+
+def test_without_a_log_there_is_nothing_to_forget(tmp_path: Path) -> None:
+    shorten(tmp_path / "log.csv", 40)
+
+    assert not (tmp_path / "log.csv").exists()
+
+
+def test_the_rate_rises_then_falls() -> None:
+    rates = [warmed_cosine(step, peak=1.0, warmup=10, steps=100) for step in range(100)]
+
+    assert rates.index(max(rates)) == 9
+    assert rates[0] == pytest.approx(0.1)
+    assert rates[-1] < 0.02
