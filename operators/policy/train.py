@@ -12,31 +12,33 @@ where p is next to 0, the expected utility alone has no gradient.
 """
 
 # mypy: disallow-untyped-decorators=False
-import csv
 import json
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from tqdm import tqdm
 
 from operators.policy.data import TRAIN_SEEDS, VALIDATION_SEEDS, Recording, record
 from operators.policy.learned import Rules, Selection, softmax
 from operators.policy.model import INPUTS, PARTS, PolicyNet, export
-from operators.policy.rollout import Choose, Episode, Late, Sample, roll, tasks, teacher
-from operators.policy.tokens import MOST_OBJECTS, Array, Objects, batched
+from operators.policy.pool import Pool
+from operators.policy.rollout import Choose, Episode, Late, roll, tasks, teacher
+from operators.policy.tokens import Array, Objects, batched
+from operators.training import checkpoint
+from operators.training.device import DEVICES, device_of, moved
+from operators.training.log import EVERY, note, shorten
+from operators.training.schedule import warmed_cosine
+from pipeline.errors import SettingsError
 
 CHECKPOINT_S = 45.0
 ROUNDS = 6
-FEATURES = ("roi", "context")  # kept in half precision
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,50 +62,12 @@ class TrainSettings:
     late: Late = field(default_factory=Late)
     seed: int = 1
     threads: int = 2
+    device: str = "auto"  # where the network is; clips are recorded on processors
     use: tuple[str, ...] = PARTS
     changes: tuple[str, ...] = ()  # of the recording graph, as --set takes them
 
-
-class Pool:
-    """Samples of the newest rounds in arrays of fixed width."""
-
-    def __init__(self, samples: Sequence[Sample]) -> None:
-        parts = [s.candidates for s in samples]
-        chunks: dict[str, list[NDArray[Any]]] = {name: [] for name in (*INPUTS, "worth")}
-        for start in range(0, len(samples), 512):
-            rows = slice(start, start + 512)
-            given = padded(parts[rows], [s.told for s in samples[rows]])
-            worth = np.zeros(
-                (len(parts[rows]), MOST_OBJECTS, samples[0].worth.shape[1]), np.float32
-            )
-            for row, sample in enumerate(samples[rows]):
-                worth[row, : len(sample.worth)] = sample.worth
-            for name, values in (given | {"worth": worth}).items():
-                chunks[name].append(values.astype(np.float16) if name in FEATURES else values)
-        self.arrays = {name: np.concatenate(values) for name, values in chunks.items()}
-
-    def __len__(self) -> int:
-        return len(self.arrays["mask"])
-
-    def batch(self, rows: NDArray[np.intp]) -> dict[str, Tensor]:
-        """Some of them as tensors."""
-        found = {}
-        for name, values in self.arrays.items():
-            chosen = values[rows]
-            found[name] = torch.from_numpy(
-                chosen.astype(np.float32) if name in FEATURES else chosen
-            )
-        return found
-
-
-def padded(moments: Sequence[Objects], told: Sequence[Array]) -> dict[str, NDArray[Any]]:
-    """As `batched`, always `MOST_OBJECTS` wide."""
-    given: dict[str, NDArray[Any]] = dict(batched(moments, told))
-    for name, values in given.items():
-        if name != "condition":
-            more = MOST_OBJECTS - values.shape[1]
-            given[name] = np.pad(values, [(0, 0), (0, more), *[(0, 0)] * (values.ndim - 2)])
-    return given
+    def __post_init__(self) -> None:
+        device_of(self.device)  # refused now, and not after the recording
 
 
 def loss_of(
@@ -120,24 +84,18 @@ def loss_of(
     return settings.imitation * (imitation * counts).sum() / steps - utility, utility
 
 
-def learning_rate(step: int, settings: TrainSettings) -> float:
-    """Linear warm-up, then half a cosine."""
-    rise = max(1, round(settings.warmup * settings.iterations))
-    if step < rise:
-        return settings.rate * (step + 1) / rise
-    share = (step - rise) / max(1, settings.iterations - rise)
-    return settings.rate * (1 + math.cos(math.pi * min(1.0, share))) / 2
-
-
 def chooser(net: PolicyNet) -> Choose:
-    """The network as roll-outs use it: many moments at once."""
+    """The network, where it is, as roll-outs use it: many moments at once."""
+    device = next(net.parameters()).device
 
     def choose(moments: Sequence[Objects], told: Sequence[Array]) -> Sequence[Array]:
         net.eval()
         given = batched(moments, told)
         with torch.no_grad():
-            answer = net(*(torch.from_numpy(np.asarray(given[name])) for name in INPUTS))
-        logits = answer.numpy()
+            answer = net(
+                *(moved(torch.from_numpy(np.asarray(given[name])), device) for name in INPUTS)
+            )
+        logits = answer.cpu().numpy()
         return [softmax(one[: len(m.ids)]) for one, m in zip(logits, moments, strict=True)]
 
     return choose
@@ -147,11 +105,14 @@ class Run:
     """A training: network, optimiser, place in the plan. A checkpoint holds all of it."""
 
     def __init__(self, settings: TrainSettings, net: PolicyNet) -> None:
+        self.device = device_of(settings.device)
         self.settings, self.net = settings, net
+        self.net.to(self.device)
         self.roller = {name: value.clone() for name, value in net.state_dict().items()}
         self.optimiser = torch.optim.AdamW(
             net.parameters(), lr=settings.rate, weight_decay=settings.decay
         )
+        self.parts = {"net": self.net, "optimiser": self.optimiser}
         self.step, self.elapsed_s = 0, 0.0
 
     @property
@@ -160,26 +121,20 @@ class Run:
 
     def save(self) -> None:
         """Write everything, atomically."""
-        state = {
-            "net": self.net.state_dict(),
-            "roller": self.roller,  # who drove this round's roll-outs
-            "optimiser": self.optimiser.state_dict(),
-            "step": self.step,
-            "elapsed_s": self.elapsed_s,
-        }
-        unfinished = self.path.with_suffix(".part")
-        torch.save(state, unfinished)
-        unfinished.rename(self.path)
+        checkpoint.save(
+            self.path,
+            self.parts,
+            roller=self.roller,  # who drove this round's roll-outs
+            step=self.step,
+            elapsed_s=self.elapsed_s,
+        )
 
     def resume(self) -> None:
         """Go on where a checkpoint stopped, if there is one."""
-        if not self.path.exists():
-            return
-        state = torch.load(self.path, weights_only=True)
-        self.net.load_state_dict(state["net"])
-        self.roller = state["roller"]
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.step, self.elapsed_s = state["step"], state["elapsed_s"]
+        state = checkpoint.resume(self.path, self.parts)
+        if state:
+            self.roller = state["roller"]
+            self.step, self.elapsed_s = state["step"], state["elapsed_s"]
 
 
 @dataclass
@@ -204,9 +159,9 @@ def round_of(run: Run, clips: Clips, number: int) -> Pool:
     episodes = clips.episodes(s.episodes, seed=1000 * s.seed + number)
     driver = PolicyNet(**run.net.sides, use=run.net.use)
     driver.load_state_dict(run.roller)
-    choose = chooser(driver) if number else teacher(episodes, 0.2, rng)
+    choose = chooser(driver.to(run.device)) if number else teacher(episodes, 0.2, rng)
     how: Selection = "sample" if number else "argmax"
-    return Pool(roll(episodes, choose, frames=s.length, how=how, rng=rng))
+    return Pool(roll(episodes, choose, frames=s.length, how=how, rng=rng), run.device)
 
 
 def coverage(net: PolicyNet, clips: Clips, *, count: int, seed: int) -> dict[str, float]:
@@ -231,24 +186,20 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
     torch.manual_seed(settings.seed)
     run = Run(settings, PolicyNet(**sides, use=settings.use))
     run.resume()
-    shorten(settings.out / "log.csv", run.step)
+    log = settings.out / "log.csv"
+    shorten(log, run.step)
     began = time.monotonic() - run.elapsed_s
     per_round = math.ceil(settings.iterations / ROUNDS)
     saved = time.monotonic()
-    with (
-        (settings.out / "log.csv").open("a", newline="") as file,
-        tqdm(total=settings.iterations, initial=run.step, desc="train", mininterval=2) as bar,
-    ):
-        log = csv.writer(file)
+    with tqdm(total=settings.iterations, initial=run.step, desc="train", mininterval=2) as bar:
         while run.step < settings.iterations:
             number = run.step // per_round
             pool = round_of(run, learn, number)
             while run.step < min(settings.iterations, (number + 1) * per_round):
                 loss, gained = advance(run, pool)
                 run.elapsed_s = time.monotonic() - began
-                if run.step % 20 == 0:
-                    log.writerow([run.step, f"{run.elapsed_s:.0f}", f"{loss:.4f}", f"{gained:.4f}"])
-                    file.flush()
+                if run.step % EVERY == 0:
+                    note(log, run.step, run.elapsed_s, (loss, gained))
                 bar.set_postfix_str(f"round {number} loss {loss:.3f} utility {gained:.3f}")
                 bar.update()
                 if time.monotonic() - saved > CHECKPOINT_S:
@@ -265,7 +216,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
     }
     (settings.out / "result.json").write_text(json.dumps(facts, indent=1) + "\n")
     say(json.dumps(facts))
-    plot(settings.out / "log.csv", settings.out / "training.png")
+    plot(log, settings.out / "training.png")
     return run.net
 
 
@@ -292,8 +243,11 @@ def advance(run: Run, pool: Pool) -> tuple[float, float]:
     s = run.settings
     rng = np.random.default_rng([s.seed, 11, run.step])
     given = pool.batch(rng.integers(len(pool), size=s.batch))
+    rise = max(1, round(s.warmup * s.iterations))
     for group in run.optimiser.param_groups:
-        group["lr"] = learning_rate(run.step, s)
+        group["lr"] = warmed_cosine(
+            run.step, peak=s.rate, warmup=rise, steps=s.iterations, lowest=0.0
+        )
     run.net.train()
     logits = run.net(*(given[name] for name in INPUTS))
     loss, gained = loss_of(logits, given["worth"], given["mask"], s)
@@ -305,14 +259,6 @@ def advance(run: Run, pool: Pool) -> tuple[float, float]:
     return float(loss.detach()), float(gained.detach())
 
 
-def shorten(log: Path, step: int) -> None:
-    """Forget what was logged after the checkpoint that a training goes on from."""
-    if log.exists():
-        lines = log.read_text().splitlines()
-        kept = [line for line in lines if int(line.partition(",")[0]) <= step]
-        log.write_text("".join(f"{line}\n" for line in kept))
-
-
 def plot(log: Path, picture: Path) -> None:
     """Loss and expected utility over the iterations."""
     import matplotlib
@@ -320,7 +266,7 @@ def plot(log: Path, picture: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    if not log.stat().st_size:
+    if not log.exists() or not log.stat().st_size:
         return
     rows = np.loadtxt(log, delimiter=",", ndmin=2)
     figure, axes = pyplot.subplots(1, 2, figsize=(9, 3), layout="constrained")
@@ -351,10 +297,11 @@ def _frames(option: str, text: str) -> tuple[int, ...]:
 @click.option("--use", default=",".join(PARTS), show_default=True, help="inputs; for ablations")
 @click.option("--delays", default=_told(Late.delays), show_default=True, help="frames, when late")
 @click.option("--replans", default=_told(Late.replans), show_default=True, help="Ta, when seldom")
+@click.option("--device", default="auto", show_default=True, help=DEVICES)
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE", help="of recording")
 def command(
-    data: Path, out: Path, use: str, delays: str, replans: str, changes: tuple[str, ...],
-    **numbers: float,
+    data: Path, out: Path, use: str, delays: str, replans: str, device: str,
+    changes: tuple[str, ...], **numbers: float,
 ) -> None:  # fmt: skip
     """See the module."""
     parts = tuple(part for part in use.split(",") if part)
@@ -362,7 +309,11 @@ def command(
         if part not in PARTS:
             raise click.UsageError(f"--use: expected some of {', '.join(PARTS)}, got {part}")
     late = Late(delays=_frames("--delays", delays), replans=_frames("--replans", replans))
-    settings = TrainSettings(data=data, out=out, use=parts, late=late, changes=changes, **numbers)  # type: ignore[arg-type]
+    plain = {"data": data, "out": out, "device": device, "changes": changes}
+    try:
+        settings = TrainSettings(use=parts, late=late, **plain, **numbers)  # type: ignore[arg-type]
+    except SettingsError as error:
+        raise click.UsageError(str(error)) from error
     export(train(settings), settings.out / "policy.onnx")
 
 

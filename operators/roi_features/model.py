@@ -7,15 +7,14 @@ tells what the object is, a false candidate included, and the features themselve
 """
 
 # mypy: disallow-subclassing-any=False
-from collections.abc import Mapping
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from operators.training.checkpoint import read
 from pipeline.errors import WeightsError
 
 FEATURES = 576
@@ -131,7 +130,7 @@ def load_imagenet(net: EncoderNet, path: Path) -> None:
     Both list the trunk's tensors in the order of its layers, under names of their own. Raises
     `WeightsError` naming the first that is missing or of another shape.
     """
-    state = read_state(path)
+    state = read(path)
     state = {str(name): value for name, value in state.get("state_dict", state).items()}
     given = {name: value for name, value in state.items() if not of_head(name)}
     own = {name: value for name, value in net.features.state_dict().items() if not of_head(name)}
@@ -147,22 +146,10 @@ def load_imagenet(net: EncoderNet, path: Path) -> None:
     take_plain(net.features[0])
 
 
-def read_state(path: Path) -> Mapping[str, Any]:
-    """What `torch.save` wrote of a network or a training; raises `WeightsError` otherwise."""
-    try:
-        state = torch.load(path, weights_only=True, map_location="cpu")
-    except Exception as error:  # torch raises many kinds for what is no state dict
-        reason = str(error).split("\n", 1)[0]
-        raise WeightsError(f"{path}: expected a state dict of tensors, got {reason}") from error
-    if not isinstance(state, Mapping):
-        raise WeightsError(f"{path}: expected a state dict of tensors, got {type(state).__name__}")
-    return state
-
-
 def load_checkpoint(net: EncoderNet, path: Path) -> None:
     """Take the weights of this network that its training left; raises `WeightsError`."""
     try:
-        net.load_state_dict(read_state(path)["net"])
+        net.load_state_dict(read(path)["net"])
     except (KeyError, RuntimeError) as error:
         raise WeightsError(f"{path}: expected a checkpoint of this encoder's training") from error
 

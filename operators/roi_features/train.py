@@ -11,13 +11,10 @@ valid, and only the verdict on candidates is learned anew.
 
 # mypy: disallow-untyped-decorators=False
 import argparse
-import csv
 import json
-import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -33,10 +30,13 @@ from operators.roi_features.model import (
     EncoderNet,
     load_checkpoint,
     load_imagenet,
-    read_state,
 )
+from operators.training import checkpoint
+from operators.training.device import DEVICES, device_of, moved
+from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
 from operators.training.photometric import degrade, recolour
+from operators.training.schedule import warmed_cosine
 from pipeline.errors import FoveaError, SettingsError
 
 TRAIN_SEEDS = 20_000  # no other part of the project uses them
@@ -66,6 +66,7 @@ class TrainSettings:
     minutes: float = 30.0
     init: Path | None = None  # ImageNet weights to begin with
     head_of: Path | None = None  # checkpoint whose features are kept
+    device: str = "auto"  # where the network is; crops are drawn on processors
 
     def __post_init__(self) -> None:
         if self.batch < OF_SCENE:
@@ -78,6 +79,7 @@ class TrainSettings:
         for name in ("moments", "steps", "threads"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
+        device_of(self.device)  # refused now, and not after the drawing
 
 
 def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.intp]:
@@ -122,7 +124,7 @@ def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
     vectors = F.normalize(vectors[known], dim=1)
     persons, scenes = persons[known], scenes[known]
     likeness = vectors @ vectors.T / TEMPERATURE
-    other = ~torch.eye(len(vectors), dtype=torch.bool)
+    other = ~torch.eye(len(vectors), dtype=torch.bool, device=vectors.device)
     rivals = (scenes[:, None] == scenes) & other
     same = rivals & (persons[:, None] == persons)
     spread = likeness.masked_fill(~rivals, -1e4).logsumexp(1, keepdim=True)
@@ -139,32 +141,25 @@ def losses(net: EncoderNet, given: dict[str, Tensor], weight: float) -> dict[str
     return {"what": what, "who": weight * who}  # of kept features it is only told
 
 
-def learning_rate(step: int, s: TrainSettings) -> float:
-    """Linear warm-up, then half a cosine."""
-    if step < s.warmup:
-        return s.rate * (step + 1) / s.warmup
-    share = (step - s.warmup) / max(1, s.steps - s.warmup)
-    return s.rate * (0.01 + 0.99 * (1 + math.cos(math.pi * min(1.0, share))) / 2)
-
-
 class Run:
     """Network, optimiser and place in the plan; a checkpoint holds all of it."""
 
     def __init__(self, settings: TrainSettings) -> None:
         torch.manual_seed(settings.seed)
-        self.settings = settings
+        self.settings, self.device = settings, device_of(settings.device)
         self.net = EncoderNet()
         if settings.init is not None:
             load_imagenet(self.net, settings.init)
         if settings.head_of is not None:
             load_checkpoint(self.net, settings.head_of)
             self.net.features.requires_grad_(False)
-        self.net = self.net.to(memory_format=torch.channels_last)
+        self.net = self.net.to(self.device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.AdamW(
             [p for p in self.net.parameters() if p.requires_grad],
             lr=settings.rate,
             weight_decay=settings.decay,
         )
+        self.parts = {"net": self.net, "optimiser": self.optimiser}
         self.step, self.elapsed_s = 0, 0.0
 
     @property
@@ -173,20 +168,13 @@ class Run:
 
     def save(self) -> None:
         """Write everything, atomically."""
-        parts: dict[str, Any] = {"net": self.net, "optimiser": self.optimiser}
-        state = {name: part.state_dict() for name, part in parts.items()}
-        unfinished = self.path.with_suffix(".part")
-        torch.save(state | {"step": self.step, "elapsed_s": self.elapsed_s}, unfinished)
-        unfinished.rename(self.path)
+        checkpoint.save(self.path, self.parts, step=self.step, elapsed_s=self.elapsed_s)
 
     def resume(self) -> None:
         """Go on where a checkpoint stopped, if there is one."""
-        if not self.path.exists():
-            return
-        state = read_state(self.path)
-        self.net.load_state_dict(state["net"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.step, self.elapsed_s = state["step"], state["elapsed_s"]
+        state = checkpoint.resume(self.path, self.parts)
+        if state:
+            self.step, self.elapsed_s = state["step"], state["elapsed_s"]
 
     def prepare(self) -> None:
         """Learn from here on; what is kept keeps its averages too."""
@@ -205,19 +193,14 @@ def train(settings: TrainSettings) -> EncoderNet:
     run.resume()
     run.prepare()
     began, saved = time.monotonic() - run.elapsed_s, time.monotonic()
-    with (
-        (settings.out / "log.csv").open("a", newline="") as file,
-        tqdm(total=settings.steps, initial=run.step, desc="train", mininterval=5) as bar,
-    ):
-        log = csv.writer(file)
+    log = settings.out / "log.csv"
+    shorten(log, run.step)
+    with tqdm(total=settings.steps, initial=run.step, desc="train", mininterval=5) as bar:
         while run.step < settings.steps and run.elapsed_s < settings.minutes * 60:
             figures = advance(run, crops)
             run.elapsed_s = time.monotonic() - began
-            if run.step % 20 == 0:
-                log.writerow(
-                    [run.step, f"{run.elapsed_s:.0f}", *(f"{v:.4f}" for v in figures.values())]
-                )
-                file.flush()
+            if run.step % EVERY == 0:
+                note(log, run.step, run.elapsed_s, figures.values())
             bar.set_postfix({name: f"{value:.3f}" for name, value in figures.items()})
             bar.update()
             if time.monotonic() - saved > CHECKPOINT_S:
@@ -240,14 +223,16 @@ def advance(run: Run, crops: Crops) -> dict[str, float]:
         )
         for row, turn in zip(rows, mirrored, strict=True)
     ]
-    given = {
-        "pictures": torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float().div_(255),
+    drawn = {
+        "pictures": torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2),
         "kinds": torch.from_numpy(crops.kinds[rows]),
         "persons": torch.from_numpy(crops.persons[rows]),
         "scenes": torch.from_numpy(crops.scenes[rows]),
     }
+    given = {name: moved(values, run.device) for name, values in drawn.items()}
+    given["pictures"] = given["pictures"].float().div_(255)
     for group in run.optimiser.param_groups:
-        group["lr"] = learning_rate(run.step, s)
+        group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
     parts = losses(run.net, given, s.identity)
     run.optimiser.zero_grad(set_to_none=True)
     torch.stack(list(parts.values())).sum().backward()
@@ -277,6 +262,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="checkpoint, log, roi_encoder.onnx")
     parser.add_argument("--init", type=Path, help="ImageNet weights to begin with")
     parser.add_argument("--head-of", type=Path, help="a checkpoint.pt: keep its features")
+    parser.add_argument("--device", default="auto", help=DEVICES)
     for name, made in TrainSettings.__dataclass_fields__.items():
         if isinstance(made.default, int | float):
             parser.add_argument(f"--{name}", type=type(made.default), default=made.default)

@@ -12,6 +12,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from operators.saliency.augment import augment
 from operators.saliency.example import CONTEXT_PX, INPUT_PX, Example
+from operators.training.device import moved
 
 TOP_PX = (INPUT_PX[1] - CONTEXT_PX[1]) // 2  # where the operator's letterbox puts the picture
 FILL = 114
@@ -25,6 +26,10 @@ class Batch:
     boxes: Tensor  # (B, M, 4) xyxy, input pixels
     labels: Tensor  # (B, M) index into NAMES, -1: none
     ignored: Tensor  # (B, M) bool: too hidden to count
+
+    def to(self, device: torch.device) -> "Batch":
+        """The same on a device."""
+        return Batch(**{name: moved(values, device) for name, values in vars(self).items()})
 
 
 class Rendered(Dataset[Example]):
@@ -95,13 +100,15 @@ def collate(examples: list[Example]) -> Batch:
     )
 
 
-def stream(folders: Iterable[Path], size: int, steps: range, *, seed: int) -> Iterator[Batch]:
-    """The batches of some steps of a training, prepared by a process beside it."""
+def stream(
+    folders: Iterable[Path], size: int, steps: range, *, seed: int, workers: int = 1
+) -> Iterator[Batch]:
+    """The batches of some steps of a training, prepared by processes beside it."""
     loader = DataLoader(
         Rendered(folders, seed=seed),
         batch_size=size,
         sampler=range(steps.start * size, steps.stop * size),
-        num_workers=1,
+        num_workers=workers,
         collate_fn=collate,
         prefetch_factor=6,
         multiprocessing_context="spawn",

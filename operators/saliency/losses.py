@@ -94,7 +94,7 @@ def ball_loss(raw: Raw, batch: Batch) -> tuple[Tensor, Tensor]:
     spread = (size.amax(1) / BALL_STRIDE * 0.4).clamp(0.7, 3)[:, None, None]
     bump = torch.exp(-away.square().sum(-1) / (2 * spread**2))
     centre = away.abs().amax(-1) <= 0.5
-    aim = torch.zeros(len(batch.labels), height, width)
+    aim = torch.zeros(len(batch.labels), height, width, device=cells.device)
     for place, near, peak in zip(item.tolist(), bump, centre, strict=True):
         aim[place] = torch.maximum(aim[place], torch.where(peak, 1.0, near.clamp(max=0.999)))
     logits = raw.heat[:, 0]
@@ -108,7 +108,7 @@ def ball_loss(raw: Raw, batch: Batch) -> tuple[Tensor, Tensor]:
     at = item[which]
     got = torch.cat([centres[at, :, y, x], sizes[at, :, y, x].log()], 1)
     want = torch.cat([middle[which], size[which].clamp(min=1).log()], 1)
-    scale = torch.tensor([1 / BALL_STRIDE, 1 / BALL_STRIDE, 1, 1])
+    scale = torch.tensor([1 / BALL_STRIDE, 1 / BALL_STRIDE, 1, 1]).to(cells.device)
     place_loss = F.smooth_l1_loss(got * scale, want * scale, reduction="sum", beta=0.1)
     return heat.sum() / max(len(item), 1), place_loss / max(len(which), 1)
 
@@ -116,7 +116,7 @@ def ball_loss(raw: Raw, batch: Batch) -> tuple[Tensor, Tensor]:
 def _counted(batch: Batch, balls: Tensor, cells: Tensor) -> Tensor:
     """(B, h, w): 0 around hidden balls, which may be found or not."""
     item, row = torch.nonzero(balls & batch.ignored, as_tuple=True)
-    counted = torch.ones(len(batch.labels), *cells.shape[:2])
+    counted = torch.ones(len(batch.labels), *cells.shape[:2], device=cells.device)
     for place, box in zip(item.tolist(), batch.boxes[item, row], strict=True):
         away = torch.maximum(box[:2] - cells, cells - box[2:]).amax(-1)
         counted[place][away < BALL_STRIDE] = 0
@@ -129,7 +129,9 @@ def losses(net_output: Raw, batch: Batch) -> dict[str, Tensor]:
     device = net_output.heat.device
     centres = torch.cat([cell_centres(height // s, width // s, s, device) for s in STRIDES])
     counts = [(height // s) * (width // s) for s in STRIDES]
-    reach = torch.cat([torch.full((n,), s * 0.4) for n, s in zip(counts, STRIDES, strict=True)])
+    reach = torch.cat(
+        [torch.full((n,), s * 0.4, device=device) for n, s in zip(counts, STRIDES, strict=True)]
+    )
     people, boxes = people_loss(net_output, batch, centres, reach)
     heat, place = ball_loss(net_output, batch)
     return {"people": people, "boxes": 2.0 * boxes, "heat": heat, "place": 2.0 * place}

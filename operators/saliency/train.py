@@ -1,15 +1,13 @@
 """Train the shipped detector on procedural scenes: `python -m operators.saliency.train --help`.
 
-Renders what is missing, trains on the processor in bfloat16, keeps a running mean of the weights,
+Renders what is missing, trains in bfloat16, keeps a running mean of the weights,
 writes a checkpoint every two minutes and goes on from it when started again. `--export` writes
 the ONNX file that fovea ships.
 """
 
 # mypy: disallow-untyped-decorators=False
 import argparse
-import csv
 import json
-import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +22,12 @@ from operators.saliency.example import INPUT_PX, NAMES
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.render import render
+from operators.training import checkpoint
+from operators.training.device import DEVICES, device_of
+from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
+from operators.training.schedule import warmed_cosine
+from pipeline.errors import FoveaError
 
 CHECKPOINT_S = 120.0
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
@@ -49,14 +52,10 @@ class TrainSettings:
     minutes: float = 75.0
     compiled: bool = False
     init: Path | None = None  # a checkpoint to begin with instead of random weights
+    device: str = "auto"  # where the network is; scenes are drawn on processors
 
-
-def learning_rate(step: int, settings: TrainSettings) -> float:
-    """Linear warm-up, then half a cosine down to a hundredth."""
-    if step < settings.warmup:
-        return settings.rate * (step + 1) / settings.warmup
-    share = min(1.0, (step - settings.warmup) / max(1, settings.steps - settings.warmup))
-    return settings.rate * (0.01 + 0.99 * (1 + math.cos(math.pi * share)) / 2)
+    def __post_init__(self) -> None:
+        device_of(self.device)  # refused now, and not after the drawing
 
 
 class Run:
@@ -64,9 +63,9 @@ class Run:
 
     def __init__(self, settings: TrainSettings) -> None:
         torch.manual_seed(settings.seed)
-        self.settings = settings
-        self.net = DetectorNet().to(memory_format=torch.channels_last)
-        self.mean = DetectorNet()
+        self.settings, self.device = settings, device_of(settings.device)
+        self.net = DetectorNet().to(self.device, memory_format=torch.channels_last)
+        self.mean = DetectorNet().to(self.device)
         self.mean.load_state_dict(self.net.state_dict())
         matrices = [p for p in self.net.parameters() if p.ndim > 1]
         others = [p for p in self.net.parameters() if p.ndim <= 1]
@@ -75,10 +74,10 @@ class Run:
             {"params": others, "weight_decay": 0.0},
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
-        self.step = 0
-        self.elapsed_s = 0.0
+        self.parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
+        self.step, self.elapsed_s = 0, 0.0
         if settings.init is not None:
-            state = torch.load(settings.init, weights_only=True)
+            state = checkpoint.read(settings.init)
             self.net.load_state_dict(state["mean"])
             self.mean.load_state_dict(state["mean"])
 
@@ -87,21 +86,12 @@ class Run:
         return self.settings.out / "checkpoint.pt"
 
     def save(self) -> None:
-        parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        state: dict[str, Any] = {name: part.state_dict() for name, part in parts.items()}
-        state |= {"step": self.step, "elapsed_s": self.elapsed_s}
-        unfinished = self.path.with_suffix(".part")
-        torch.save(state, unfinished)
-        unfinished.rename(self.path)
+        checkpoint.save(self.path, self.parts, step=self.step, elapsed_s=self.elapsed_s)
 
     def resume(self) -> None:
-        if not self.path.exists():
-            return
-        state = torch.load(self.path, weights_only=True)
-        self.net.load_state_dict(state["net"])
-        self.mean.load_state_dict(state["mean"])
-        self.optimiser.load_state_dict(state["optimiser"])
-        self.step, self.elapsed_s = state["step"], state["elapsed_s"]
+        state = checkpoint.resume(self.path, self.parts)
+        if state:
+            self.step, self.elapsed_s = state["step"], state["elapsed_s"]
 
     @torch.no_grad()
     def follow(self) -> None:
@@ -124,35 +114,35 @@ def train(settings: TrainSettings) -> None:
     run.net.train()
     forward = torch.compile(run.net) if settings.compiled else run.net
     started, saved = time.monotonic() - run.elapsed_s, time.monotonic()
-    with (settings.out / "log.csv").open("a", newline="") as file:
-        log = csv.writer(file)
-        steps = range(run.step, settings.steps)
-        batches = stream(settings.data, settings.batch, steps, seed=settings.seed)
-        bar = tqdm(batches, initial=run.step, total=settings.steps, mininterval=5)
-        for batch in bar:
-            parts = _advance(run, forward, batch)
-            run.elapsed_s = time.monotonic() - started
-            if run.step % 20 == 0:
-                figures = [f"{float(v):.4f}" for v in parts.values()]
-                log.writerow([run.step, f"{run.elapsed_s:.0f}", *figures])
-                file.flush()
-                bar.set_postfix_str(
-                    " ".join(f"{n} {v}" for n, v in zip(parts, figures, strict=True))
-                )
-            if time.monotonic() - saved > CHECKPOINT_S:
-                run.save()
-                saved = time.monotonic()
-            if run.elapsed_s > settings.minutes * 60:
-                break
+    log = settings.out / "log.csv"
+    shorten(log, run.step)
+    steps = range(run.step, settings.steps)
+    # beside a GPU the processors have nothing else to do
+    workers = 1 if run.device.type == "cpu" else settings.threads
+    batches = stream(settings.data, settings.batch, steps, seed=settings.seed, workers=workers)
+    bar = tqdm(batches, initial=run.step, total=settings.steps, mininterval=5)
+    for batch in bar:
+        parts = advance(run, forward, batch)
+        run.elapsed_s = time.monotonic() - started
+        if run.step % EVERY == 0:
+            figures = {name: float(part) for name, part in parts.items()}
+            note(log, run.step, run.elapsed_s, figures.values())
+            bar.set_postfix_str(" ".join(f"{n} {v:.4f}" for n, v in figures.items()))
+        if time.monotonic() - saved > CHECKPOINT_S:
+            run.save()
+            saved = time.monotonic()
+        if run.elapsed_s > settings.minutes * 60:
+            break
     run.save()
 
 
-def _advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
+def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     """One step of the optimiser; returns the parts of the loss."""
+    s, batch = run.settings, batch.to(run.device)
     for group in run.optimiser.param_groups:
-        group["lr"] = learning_rate(run.step, run.settings)
+        group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
     pictures = batch.pictures.float().div_(255)
-    with torch.autocast("cpu", torch.bfloat16):
+    with torch.autocast(run.device.type, torch.bfloat16):
         raw = forward(pictures)
     parts = losses(raw, batch)
     run.optimiser.zero_grad(set_to_none=True)
@@ -188,6 +178,7 @@ def main() -> None:
     parser.add_argument("--export", type=Path, help="write detector.onnx here, train nothing")
     parser.add_argument("--init", type=Path, help="checkpoint whose weights to begin with")
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
+    parser.add_argument("--device", default="auto", help=DEVICES)
     numbers = {"scenes": 320, "moments": 12, "span": 900, "steps": 4800, "batch": 16}
     numbers |= {"warmup": 300, "seed": 1, "threads": 2}
     for name, default in numbers.items():
@@ -196,7 +187,10 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=float, default=value)
     given = vars(parser.parse_args())
     target = given.pop("export")
-    settings = TrainSettings(**(given | {"data": tuple(given["data"])}))
+    try:
+        settings = TrainSettings(**(given | {"data": tuple(given["data"])}))
+    except FoveaError as error:
+        parser.error(str(error))
     if target is None:
         seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
         render(seeds, settings.moments, settings.span, settings.data[0], settings.threads)

@@ -24,7 +24,7 @@ def write(
     open_sides: Mapping[str, Mapping[int, str]] | None = None,
     **facts: str,
 ) -> None:
-    """Trace a network with example inputs; `facts` become metadata.
+    """Trace a network, wherever it is, with example inputs; `facts` become metadata.
 
     `open_sides` names the sides of inputs and outputs that may vary.
     """
@@ -32,7 +32,7 @@ def write(
         # the older exporter keeps the parameters' names, by which they can be loaded back
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
-            module.eval(),
+            deepcopy(module).cpu().eval(),
             tuple(given.values()),
             path,
             input_names=list(given),

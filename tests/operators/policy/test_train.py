@@ -11,12 +11,23 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 from click.testing import CliRunner
 
+from operators.policy import pool
 from operators.policy import train as training
 from operators.policy.data import Recording
 from operators.policy.learned import Chooser
 from operators.policy.model import PolicyNet, export
-from operators.policy.train import Clips, Run, TrainSettings, command, loss_of, round_of, train
+from operators.policy.train import (
+    Clips,
+    Run,
+    TrainSettings,
+    advance,
+    command,
+    loss_of,
+    round_of,
+    train,
+)
 from tests.operators.policy.test_rollout import ROI, recording
+from tests.operators.training.elsewhere import PLACE, pretended
 
 
 def settings(tmp_path: Path, **given: object) -> TrainSettings:
@@ -29,6 +40,7 @@ def settings(tmp_path: Path, **given: object) -> TrainSettings:
         "length": 8,
         "threads": 1,
         "rate": 1e-3,
+        "device": "cpu",
     }
     return TrainSettings(**(values | given))  # type: ignore[arg-type]
 
@@ -123,9 +135,43 @@ def test_a_round_is_the_same_for_the_same_roller(tmp_path: Path, clips: list[Rec
 
     first, again, other = (round_of(run, able, n) for n in (1, 1, 2))
 
-    assert np.array_equal(first.arrays["condition"], again.arrays["condition"])
-    assert not np.array_equal(first.arrays["condition"], other.arrays["condition"])
+    assert np.array_equal(first.kept["condition"], again.kept["condition"])
+    assert not np.array_equal(first.kept["condition"], other.kept["condition"])
     assert replace(given, seed=2) != given
+
+
+@pytest.mark.parametrize("room", [True, False])
+def test_a_round_elsewhere_is_the_round_here_and_mixes_no_devices(
+    tmp_path: Path, clips: list[Recording], monkeypatch: pytest.MonkeyPatch, room: bool
+) -> None:
+    given = settings(tmp_path)
+    able = Clips(recordings=clips, rules=training.Rules(roi_channels=ROI), settings=given)
+
+    def learned() -> tuple[Run, list[float]]:
+        torch.manual_seed(1)
+        run = Run(given, PolicyNet(roi_channels=ROI))
+        samples = round_of(run, able, 1)
+        return run, [figure for _ in range(3) for figure in advance(run, samples)]
+
+    _, wanted = learned()
+    monkeypatch.setattr(training, "device_of", lambda _: PLACE)
+    monkeypatch.setattr(pool, "has_room", lambda *_: room)
+    with pretended():
+        there, found = learned()
+
+    assert {p.device for p in there.net.parameters()} == {PLACE}
+    assert found == pytest.approx(wanted, rel=1e-3)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.usefixtures("clips")
+def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
+    export(train(settings(tmp_path, device="cuda"), say=lambda _: None), tmp_path / "policy.onnx")
+
+    net = train(settings(tmp_path, iterations=18), say=lambda _: None)
+
+    assert {p.device.type for p in net.parameters()} == {"cpu"}
+    assert Chooser(tmp_path / "policy.onnx").roi_channels == ROI
 
 
 @pytest.mark.parametrize(
@@ -133,6 +179,7 @@ def test_a_round_is_the_same_for_the_same_roller(tmp_path: Path, clips: list[Rec
     [
         ("--use", "roi,smell", "expected some of roi, global, motion, got smell"),
         ("--delays", "soon", "--delays: expected frames such as 1,2,4, got 'soon'"),
+        ("--device", "gpu", "device: expected auto, cpu, cuda, cuda:N or mps, got gpu"),
         ("--replans", "0", "--replans: expected frames such as 1,2,4, got '0'"),
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the train extra")
 import torch
 
+from operators.roi_features import train as training
 from operators.roi_features.data import NOBODY, Crops
 from operators.roi_features.model import CLASSES
 from operators.roi_features.train import (
@@ -18,9 +19,9 @@ from operators.roi_features.train import (
     batch_rows,
     changed,
     identity_loss,
-    learning_rate,
 )
 from pipeline import SettingsError, WeightsError
+from tests.operators.training.elsewhere import PLACE, pretended
 
 
 def crops_of(scenes: int, seed: int) -> Crops:
@@ -40,7 +41,7 @@ def crops_of(scenes: int, seed: int) -> Crops:
 
 def settings_in(folder: Path, **more: object) -> TrainSettings:
     """A training of few and small steps."""
-    return replace(TrainSettings(data=folder, out=folder, batch=48, steps=10), **more)  # type: ignore[arg-type]
+    return replace(TrainSettings(data=folder, out=folder, batch=48, steps=10, device="cpu"), **more)  # type: ignore[arg-type]
 
 
 def vectors(*angles_deg: float) -> torch.Tensor:
@@ -104,16 +105,6 @@ def test_crops_of_one_scene_are_relit_alike() -> None:
     assert abs(middle(5, 1) - middle(6, 1)).max() > 4
 
 
-def test_the_rate_rises_then_falls() -> None:
-    s = TrainSettings(data=Path(), out=Path(), steps=100, warmup=10, rate=1.0)
-
-    rates = [learning_rate(step, s) for step in range(100)]
-
-    assert rates.index(max(rates)) == 9
-    assert rates[0] == pytest.approx(0.1)
-    assert rates[-1] < 0.02
-
-
 def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
     crops = crops_of(scenes=4, seed=5)
     whole = Run(settings_in(tmp_path))
@@ -126,6 +117,39 @@ def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
 
     assert resumed.step == 1
     assert advance(resumed, crops) == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_step_elsewhere_is_the_step_here_and_mixes_no_devices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    crops = crops_of(scenes=4, seed=7)
+    here = Run(settings_in(tmp_path))
+    here.prepare()
+    monkeypatch.setattr(training, "device_of", lambda _: PLACE)
+
+    with pretended():
+        there = Run(settings_in(tmp_path))
+        there.prepare()
+        found = [advance(there, crops) for _ in range(2)]
+
+    assert {p.device for p in there.net.parameters()} == {PLACE}
+    assert found == [pytest.approx(advance(here, crops), rel=1e-3) for _ in range(2)]
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
+    crops = crops_of(scenes=4, seed=8)
+    there = Run(settings_in(tmp_path, device="cuda"))
+    there.prepare()
+    advance(there, crops)
+    there.save()
+
+    here = Run(settings_in(tmp_path))
+    here.resume()
+    here.prepare()
+
+    assert here.step == 1
+    assert advance(here, crops) == pytest.approx(advance(there, crops), rel=1e-2)
 
 
 def test_a_new_head_leaves_the_features_as_they_are(tmp_path: Path) -> None:
@@ -148,6 +172,7 @@ def test_a_new_head_leaves_the_features_as_they_are(tmp_path: Path) -> None:
         ({"batch": 8}, "batch: must be at least 24, got 8"),
         ({"scenes": 1}, "scenes: a batch of 48 needs at least 2, got 1"),
         ({"steps": 0}, "steps: must be at least 1, got 0"),
+        ({"device": "gpu"}, "device: expected auto, cpu, cuda, cuda:N or mps, got gpu"),
     ],
 )
 def test_a_training_that_cannot_be_is_refused(settings: dict[str, object], complaint: str) -> None:

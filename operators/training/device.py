@@ -1,0 +1,49 @@
+"""Where a training computes: a device's name -> the device, and tensors on their way to it."""
+
+import re
+
+import torch
+from torch import Tensor
+
+from pipeline.errors import SettingsError
+
+DEVICES = "auto, cpu, cuda, cuda:N or mps"
+KNOWN = re.compile(r"cpu|mps|cuda(:\d+)?")
+
+
+def device_of(name: str) -> torch.device:
+    """A device that is there; `auto` is CUDA where torch has it, else the processor.
+
+    Raises `SettingsError` for a name of none, and for one that torch does not see.
+
+    >>> device_of("cpu")
+    device(type='cpu')
+    """
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    if not KNOWN.fullmatch(name):
+        raise SettingsError(f"device: expected {DEVICES}, got {name}")
+    device = torch.device(name)
+    seen = torch.cuda.device_count()
+    if device.type == "cuda" and (device.index or 0) >= seen:
+        raise SettingsError(f"device: no CUDA device {device.index or 0} here, torch sees {seen}")
+    if device.type == "mps" and not torch.backends.mps.is_available():
+        raise SettingsError("device: no MPS device here")
+    return device
+
+
+def moved(values: Tensor, device: torch.device) -> Tensor:
+    """The same on a device; nothing is copied when it is there already."""
+    if device.type == "cuda" and values.device.type == "cpu":
+        # from pinned memory the copy runs beside what the processor does next
+        return values.pin_memory().to(device, non_blocking=True)
+    return values.to(device)
+
+
+def has_room(device: torch.device, size_bytes: int) -> bool:
+    """Whether a GPU holds that much and keeps as much again for computing."""
+    if device.type != "cuda":
+        return False
+    free, _ = torch.cuda.mem_get_info(device)
+    unused = torch.cuda.memory_reserved(device) - torch.cuda.memory_allocated(device)
+    return bool(2 * size_bytes <= free + unused)

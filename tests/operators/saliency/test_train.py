@@ -1,0 +1,88 @@
+"""The detector's training: its steps are the same on every device, and it goes on elsewhere."""
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+pytest.importorskip("onnx", reason="needs the train extra")
+import torch
+
+from operators.saliency import train as training
+from operators.saliency.data import Batch
+from operators.saliency.example import INPUT_PX, NAMES
+from operators.saliency.train import Run, TrainSettings, advance
+from pipeline import SettingsError
+from tests.operators.training.elsewhere import PLACE, pretended
+
+
+def settings_in(folder: Path, device: str = "cpu") -> TrainSettings:
+    return TrainSettings(data=(folder,), out=folder, steps=8, warmup=2, threads=1, device=device)
+
+
+def batch() -> Batch:
+    """Two pictures of noise with a person, a ball, and one of each that is too hidden to count."""
+    width, height = INPUT_PX
+    made = torch.Generator().manual_seed(1)
+    boxes = torch.tensor([[40.0, 60, 60, 110], [200, 100, 206, 106], [300, 90, 330, 150], [9] * 4])
+    boxes[3, 2:] = 14
+    ball = NAMES.index("ball")
+    return Batch(
+        pictures=torch.randint(0, 256, (2, 3, height, width), dtype=torch.uint8, generator=made),
+        boxes=boxes.repeat(2, 1, 1),
+        labels=torch.tensor([[0, ball, 1, ball], [1, -1, -1, -1]]),
+        ignored=torch.tensor([[False, False, True, True], [False] * 4]),
+    )
+
+
+def steps(run: Run, count: int = 1) -> list[float]:
+    run.net.train()
+    found = [advance(run, run.net, batch()) for _ in range(count)]
+    return [float(part) for parts in found for part in parts.values()]
+
+
+def test_a_step_elsewhere_is_the_step_here_and_mixes_no_devices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # no autocast for a device that is not there
+    monkeypatch.setattr(torch, "autocast", lambda *_: nullcontext())
+    wanted = steps(Run(settings_in(tmp_path)), 2)
+    monkeypatch.setattr(training, "device_of", lambda _: PLACE)
+
+    with pretended():
+        there = Run(settings_in(tmp_path))
+        found = steps(there, 2)
+
+    assert {p.device for p in (*there.net.parameters(), *there.mean.buffers())} == {PLACE}
+    assert found == pytest.approx(wanted, rel=1e-3)
+
+
+def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
+    whole = Run(settings_in(tmp_path))
+    steps(whole)
+    whole.save()
+
+    resumed = Run(settings_in(tmp_path))
+    resumed.resume()
+
+    assert resumed.step == 1
+    assert steps(resumed) == pytest.approx(steps(whole), rel=1e-3)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
+    there = Run(settings_in(tmp_path, "cuda"))
+    steps(there)
+    there.save()
+
+    here = Run(settings_in(tmp_path))
+    here.resume()
+
+    assert here.step == 1
+    assert steps(here) == pytest.approx(steps(there), rel=0.1)  # bfloat16
+
+
+def test_a_device_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SettingsError, match=r"device: expected auto, cpu, .* got gpu"):
+        settings_in(tmp_path, "gpu")

@@ -1,0 +1,97 @@
+"""A device is named or refused in a sentence; a checkpoint goes on wherever it is read."""
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+import torch
+from torch import nn
+
+from operators.training import checkpoint
+from operators.training.device import device_of, has_room, moved
+from pipeline import SettingsError, WeightsError
+from tests.operators.training.elsewhere import PLACE, pretended
+
+CPU = torch.device("cpu")
+
+
+@pytest.mark.parametrize("name", ["gpu", "", "CUDA", "cuda:", "cuda:-1", "cpu:0", "meta"])
+def test_a_name_of_no_device_is_refused(name: str) -> None:
+    with pytest.raises(SettingsError) as refused:
+        device_of(name)
+
+    assert str(refused.value) == f"device: expected auto, cpu, cuda, cuda:N or mps, got {name}"
+
+
+def test_a_device_that_is_not_there_is_refused() -> None:
+    seen = torch.cuda.device_count()
+
+    with pytest.raises(SettingsError) as refused:
+        device_of(f"cuda:{seen}")
+
+    assert str(refused.value) == f"device: no CUDA device {seen} here, torch sees {seen}"
+
+
+def test_auto_is_a_gpu_where_there_is_one() -> None:
+    assert device_of("auto").type == ("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def test_nothing_is_copied_on_the_processor() -> None:
+    values = torch.arange(3)
+
+    assert moved(values, CPU) is values
+    assert not has_room(CPU, 1)
+
+
+def test_devices_that_meet_are_caught_without_a_gpu() -> None:
+    with pretended():
+        there = torch.ones(3).to(PLACE) + torch.ones(3, device=PLACE)
+
+        assert there.device == PLACE
+        assert there.cpu().tolist() == [2, 2, 2]
+        with pytest.raises(RuntimeError, match="some tensors are here, others elsewhere"):
+            there + torch.ones(3)
+
+
+def trained() -> dict[str, nn.Module | torch.optim.Optimizer]:
+    """A network after one step, and its optimiser."""
+    net = nn.Linear(2, 1)
+    optimiser = torch.optim.AdamW(net.parameters())
+    net(torch.ones(1, 2)).sum().backward()
+    optimiser.step()
+    return {"net": net, "optimiser": optimiser}
+
+
+def test_a_training_gets_back_what_it_saved(tmp_path: Path) -> None:
+    first, second = trained(), trained()
+
+    checkpoint.save(tmp_path / "c.pt", first, step=7)
+    state = checkpoint.resume(tmp_path / "c.pt", second)
+
+    assert state["step"] == 7
+    assert torch.equal(first["net"].weight, second["net"].weight)  # type: ignore[arg-type, union-attr]
+    assert [path.name for path in tmp_path.iterdir()] == ["c.pt"]
+
+
+def test_where_nothing_was_saved_nothing_comes_back(tmp_path: Path) -> None:
+    assert checkpoint.resume(tmp_path / "c.pt", trained()) == {}
+
+
+def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "c.pt").write_text("nothing")
+
+    with pytest.raises(WeightsError, match=r"c\.pt: expected a state dict of tensors, got "):
+        checkpoint.resume(tmp_path / "c.pt", trained())
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_gpu_holds_what_it_has_room_for() -> None:
+    device = device_of("cuda")
+
+    there = moved(torch.arange(3), device)
+
+    assert there.device.type == "cuda"
+    assert there.tolist() == [0, 1, 2]
+    assert has_room(device, 1)
+    assert not has_room(device, 1 << 50)
