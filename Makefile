@@ -12,6 +12,7 @@ RUNS ?= runs
 DETECTOR ?=
 ENCODER ?=
 POLICY ?=
+DEVICE ?= auto
 
 demo: $(VENV)/.installed
 	$(BIN)/fovea run graphs/tracking.yaml --duration-s 20 --save demo.rrd
@@ -34,9 +35,11 @@ check: $(VENV)/.installed-dev
 # detector's training is compiled first.
 train: $(VENV)/.installed-train
 	$(BIN)/python -m operators.saliency.train --data $(RUNS)/detector/data --out $(RUNS)/detector \
-		$(if $(shell command -v g++),--compiled) $(DETECTOR)
-	$(BIN)/python -m operators.roi_features.train --data $(RUNS)/encoder/data --out $(RUNS)/encoder $(ENCODER)
-	$(BIN)/fovea train tracking --data $(RUNS)/policy/data --out $(RUNS)/policy $(POLICY) \
+		--device $(DEVICE) $(if $(shell command -v g++),--compiled) $(DETECTOR)
+	$(BIN)/python -m operators.roi_features.train --data $(RUNS)/encoder/data --out $(RUNS)/encoder \
+		--device $(DEVICE) $(ENCODER)
+	$(BIN)/fovea train tracking --data $(RUNS)/policy/data --out $(RUNS)/policy \
+		--device $(DEVICE) $(POLICY) \
 		--set saliency.weights=$(RUNS)/detector/detector.onnx \
 		--set roi_features.weights=$(RUNS)/encoder/roi_encoder.onnx
 
