@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.crowd import crowded
 from bench.tracking.budgets import acquisition
 from bench.tracking.clip import ClipName, read
 from bench.tracking.evaluate import GRAPH
@@ -18,7 +19,7 @@ from bench.tracking.stages import NEEDED, Camera, Stages
 from drivers.simulated.readout import Window
 from pipeline.boxes import centres, roi_window
 from pipeline.inference import Network
-from pipeline.messages import Frame, Tracks, altered
+from pipeline.messages import Frame, altered
 
 PAPER_MS = {"saliency": 55.0, "roi_features": 6.2, "association": 0.5, "policy": 3.0}
 FRAMES, SEED = 60, 70_000
@@ -86,7 +87,7 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES) -> Figures:
             stages.begin(camera.header(0), "policy")
             spent: list[float] = []
             for seq in range(frames):
-                crowd = crowded(tracks, count, seq)
+                crowd = altered(crowded(tracks, count), header=replace(tracks.header, seq=seq))
                 began_ns = time.perf_counter_ns()
                 whole = Frame(header=crowd.header, pixels=pictured.pixels, window=pictured.window)
                 looks = stages.tell("roi_features", roi=whole, tracks=crowd)
@@ -116,18 +117,6 @@ def _sides(network: Network, first: int, others: int) -> dict[str, NDArray[np.ge
         sides += [side if isinstance(side, int) else others for side in shape[1:]]
         found[name] = np.ones(sides, np.bool_ if name == "mask" else np.float32)
     return found
-
-
-def crowded(tracks: Tracks, count: int, seq: int) -> Tracks:
-    """`count` objects in frame `seq`, each like one of those that are really there."""
-    rows = np.arange(count) % len(tracks.ids)
-    names = ("labels", "scores", "boxes", "visible", "features", "predicted")
-    return altered(
-        tracks,
-        header=replace(tracks.header, seq=seq),
-        ids=np.arange(count, dtype=np.int32),
-        **{name: getattr(tracks, name)[rows] for name in names},
-    )
 
 
 def _timed(stages: Stages, spent: dict[str, list[float]], name: str, **messages: Any) -> Any:
