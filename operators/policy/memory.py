@@ -75,13 +75,12 @@ def fault(seen: RoiFeatures) -> str:
 
 def _judge(memory: Memory, seen: RoiFeatures) -> tuple[NDArray[np.int32], Array, NDArray[np.int32]]:
     """Verdicts with this look; whoever was looked at longest ago is forgotten first."""
+    now, then = np.nonzero(seen.ids[:, None] == memory.judged)
     before, genuine = np.zeros(len(seen.ids), np.int32), seen.genuine.copy()
-    for row, object_id in enumerate(seen.ids):
-        place = np.flatnonzero(memory.judged == object_id)
-        if len(place):
-            before[row] = memory.looks[place[0]]
-            genuine[row] += (1 - WEIGHT) * (memory.genuine[place[0]] - genuine[row])
-    others = ~np.isin(memory.judged, seen.ids)
+    before[now] = memory.looks[then]
+    genuine[now] += (1 - WEIGHT) * (memory.genuine[then] - genuine[now])
+    others = np.ones(len(memory.judged), np.bool_)
+    others[then] = False
     newest = slice(-memory.capacity, None)
     return (
         np.concatenate([memory.judged[others], seen.ids])[newest],

@@ -59,8 +59,8 @@ def one_hot(names: tuple[str, ...], wanted: Sequence[str]) -> Array:
 
 def objects(tracks: Tracks, roi: Array) -> Objects:
     """All tracks as candidates, at most `MOST_OBJECTS` by score; `roi` is (n, To, D)."""
-    rows = np.arange(len(tracks.ids))
-    if len(rows) > MOST_OBJECTS:
+    rows: slice | NDArray[np.intp] = slice(None)  # copies nothing
+    if len(tracks.ids) > MOST_OBJECTS:
         rows = np.sort(np.argsort(-tracks.scores, kind="stable")[:MOST_OBJECTS])
     geometry = tracks.header.geometry
     seen = tracks.visible[rows, :, None].astype(np.float32)
@@ -71,7 +71,7 @@ def objects(tracks: Tracks, roi: Array) -> Objects:
         boxes=np.concatenate([tell(tracks.boxes[rows], geometry), seen], -1),
         predicted=tell(tracks.predicted[rows], geometry),
         label=(tracks.labels[rows, None] == np.arange(CLASSES)).astype(np.float32),
-        place=np.zeros(len(rows), np.float32),
+        place=np.zeros(min(len(tracks.ids), MOST_OBJECTS), np.float32),
         path=tracks.predicted[rows],
     )
 
@@ -111,6 +111,9 @@ def batched(
         for name in ("roi", "context", "boxes", "predicted", "label", "place")
     }
     for name, shape in shapes.items():
+        if len(moments) == 1 and len(first.ids) == most:  # as it is while a graph runs
+            inputs[name] = getattr(first, name)[None]
+            continue
         padded = np.zeros((len(moments), most, *shape), np.float32)
         for row, moment in enumerate(moments):
             padded[row, : len(moment.ids)] = getattr(moment, name)

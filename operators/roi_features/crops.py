@@ -26,13 +26,13 @@ def to_squares(boxes: NDArray[np.float32], roi: Frame, margin: float) -> NDArray
 
 def cut(
     picture: NDArray[np.uint8], squares: NDArray[np.float32], side_px: tuple[int, int]
-) -> Iterator[NDArray[np.uint8]]:
+) -> Iterator[NDArray[np.float32]]:
     """Squares (n, 4) of a picture (h, w, 3), scaled to (width, height); outside it is grey.
 
-    Each may stand in the memory of the one before.
+    Whole numbers, 0..255. Each may stand in the memory of the one before.
     """
     width_px, height_px = side_px
-    canvas = np.empty((height_px, width_px, 3), np.uint8)
+    canvas = np.empty((height_px, width_px, 3), np.float32)
     sides = np.maximum(squares[:, 2:3] - squares[:, :1], 1.0)
     limits = picture.shape[1::-1] * 2
     parts = np.clip(np.round(squares), 0, limits).astype(int)
@@ -46,10 +46,20 @@ def cut(
         if not whole:
             canvas[:] = FILL
         if x0 < x1 and y0 < y1 and left < right and top < bottom:
-            # averaging what is shrunk keeps shirt numbers from breaking up
-            how = cv2.INTER_AREA if gain < 1 else cv2.INTER_LINEAR
-            scaled = cv2.resize(
-                picture[top:bottom, left:right], (x1 - x0, y1 - y0), interpolation=how
-            )
-            canvas[y0:y1, x0:x1] = scaled
+            scale = shrunk if gain < 1 else enlarged
+            canvas[y0:y1, x0:x1] = scale(picture[top:bottom, left:right], (x1 - x0, y1 - y0))
         yield canvas
+
+
+def shrunk(picture: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.generic]:
+    """A picture (h, w, 3) at (width, height), averaged: shirt numbers must not break up."""
+    if not picture.shape[1] % size_px[0] and not picture.shape[0] % size_px[1]:
+        return cv2.resize(picture, size_px, interpolation=cv2.INTER_AREA)
+    # OpenCV averages floats in two thirds of the time; only whole blocks are rounded another way
+    found = cv2.resize(picture.astype(np.float32), size_px, interpolation=cv2.INTER_AREA)
+    return np.rint(found, out=found)
+
+
+def enlarged(picture: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.generic]:
+    """A picture (h, w, 3) at (width, height), interpolated."""
+    return cv2.resize(picture, size_px, interpolation=cv2.INTER_LINEAR)

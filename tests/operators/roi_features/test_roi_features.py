@@ -12,9 +12,9 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from operators.roi_features import RoiEncoder
-from operators.roi_features.crops import FILL, cut, to_squares
+from operators.roi_features.crops import FILL, cut, shrunk, to_squares
 from pipeline import Frame, MessageError, RoiFeatures, SettingsError, Tracks, WeightsError
-from pipeline.testing import drive, header
+from pipeline.testing import drive, header, picture
 from tests.operators.networks import mean_encoder, verifying_encoder
 
 WINDOW = (480, 270, 960, 540)
@@ -155,6 +155,15 @@ def test_any_square_can_be_cut(corner: NDArray[np.float32], side: float, canvas_
     assert one.shape == other.shape == (canvas_px, canvas_px, 3)
     assert set(np.unique(one)) <= {FILL, 200}
     assert (other == 200).all()
+
+
+@pytest.mark.parametrize("side", [(64, 64), (65, 64), (97, 90), (96, 33)])
+def test_shrinking_gives_what_opencv_gives_for_bytes(side: tuple[int, int]) -> None:
+    crop = picture(*side, seed=1)
+
+    found = shrunk(crop, (32, 32))
+
+    assert np.array_equal(found, cv2.resize(crop, (32, 32), interpolation=cv2.INTER_AREA))
 
 
 def test_squares_keep_the_centre_and_cover_the_box() -> None:
