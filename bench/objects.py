@@ -3,7 +3,8 @@
 Runs a tracking graph of processes in real time with 1 to 25 objects (`bench/crowd.py`), several
 rounds in shuffled order. Printed by the number of objects: how many of them the ROI encoder
 described, its handler's time, the policy's, what the policy takes to note the looks, all three
-together, picture ready -> command accepted, overhead and drops.
+together; the processor's time of both processes for a frame, which tells a busy machine from a slow
+part; picture ready -> command accepted, overhead and drops.
 """
 
 import json
@@ -35,7 +36,7 @@ from pipeline.run.supervisor import Supervisor
 EVERYBODY = "policy.least_genuine=0"
 COLUMNS = {
     "encoded": "encoded", "encoder_ms": "encoder ms", "policy_ms": "policy ms",
-    "noting_ms": "noting ms", "together_ms": "together ms",
+    "noting_ms": "noting ms", "together_ms": "together ms", "processor_ms": "processor ms",
 }  # fmt: skip
 
 
@@ -88,8 +89,9 @@ def run(plan: Plan, frames: int) -> Report:
         supervisor.finish()
         supervisor.stop()
         report = compose(
-            plan, supervisor.ledger, supervisor.summaries, {}, duration_s=elapsed_s,
-            restarts=supervisor.restarts,
+            plan, supervisor.ledger, supervisor.summaries,
+            {name: supervisor.samples(name) for name in plan.processes()},
+            duration_s=elapsed_s, restarts=supervisor.restarts,
         )  # fmt: skip
         called = supervisor.ledger.nodes[plan.node("policy").index].histograms["handler"]
         plans = report["witness"]["policy"]["handler_ns"]
@@ -126,9 +128,17 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "noting_ms": noting,
         # the looks are noted at another moment: the two percentiles are added
         "together_ms": {share: round(both[share] + noting[share], 3) for share in both},
+        "processor_ms": round(median(map(processor_ms, runs)), 3),
         "loop": loop,
         "drops": sum(sum(edge["dropped"].values()) for one in runs for edge in one["edges"]),
     }
+
+
+def processor_ms(one: Mapping[str, Any]) -> float:
+    """What encoder and policy take of a core for a frame, bus and bookkeeping included."""
+    each_s = one["duration_s"] / max(1, max(edge["offered"] for edge in one["edges"]))
+    shares = (s["cpu_percent"] for s in one["stages"] if s["node"] in ("roi_features", "policy"))
+    return float(sum(shares)) / 100 * each_s * 1000
 
 
 def frames_of(witness: Mapping[str, Any], count: int) -> list[tuple[int, int, int]]:

@@ -75,13 +75,15 @@ def test_only_frames_with_the_whole_crowd_count() -> None:
     both = {"encoder": spans, "policy": {**spans, "objects": [0, 25, 25]}}
     loop = {name: {"p50": 20.0, "p99": 30.0} for name in ("latency_ms", "overhead_ms")}
     one = {"objects": 25, "witness": both, "noting_ms": {"p50": 0.25, "p99": 0.5}, "loop": loop,
-           "edges": [{"dropped": {"superseded": 2}}]}  # fmt: skip
+           "duration_s": 10.0, "stages": [{"node": "policy", "cpu_percent": 5.0}],
+           "edges": [{"offered": 250, "dropped": {"superseded": 2}}]}  # fmt: skip
 
     found = summarise([one])
 
     assert (found["frames"], found["encoded"], found["drops"]) == (2, 9, 2)
     assert found["encoder_ms"]["p50"] == found["policy_ms"]["p50"] == 7.0
     assert found["together_ms"]["p50"] == 14.25
+    assert found["processor_ms"] == 2.0
     assert found["loop"]["latency_ms_p50"]["median"] == 20.0
 
 
