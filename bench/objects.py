@@ -136,9 +136,9 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def processor_ms(one: Mapping[str, Any]) -> float:
     """What encoder and policy take of a core for a frame, bus and bookkeeping included."""
-    each_s = one["duration_s"] / max(1, max(edge["offered"] for edge in one["edges"]))
+    each_s: float = one["duration_s"] / max(1, max(edge["offered"] for edge in one["edges"]))
     shares = (s["cpu_percent"] for s in one["stages"] if s["node"] in ("roi_features", "policy"))
-    return float(sum(shares)) / 100 * each_s * 1000
+    return sum(float(share) for share in shares) / 100 * each_s * 1000
 
 
 def frames_of(witness: Mapping[str, Any], count: int) -> list[tuple[int, int, int]]:
