@@ -6,7 +6,8 @@ track is gone it moves with the camera until it is bound again to what the polic
 
 The place itself is a candidate too while its target is not in view. That is ours, not the paper's:
 a ball that lies still at the corner flag stays below a detector's threshold, and nothing but the
-prompt says where it is.
+prompt says where it is. Where somebody holds the target (`holding.py`), the place goes with them,
+for as long as they are there.
 """
 
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.policy.holding import PEOPLE, able, carried, holder_of
 from operators.policy.plan import PLACE
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, one_hot, tell
 from pipeline import Geometry, Tracks
@@ -26,6 +28,7 @@ ALIKE = 2.0  # what overlaps nothing binds to what is near, if their sides diffe
 GRACE = 8  # frames a prompt may wait for its track before that is worth a word
 SURE = 0.5  # probability from which a choice binds the prompt
 GROWTH = 0.1  # box sizes by which the doubt grows with every frame
+GRIP = 2  # sightings in the same hands before they are believed to hold it
 WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
 
 
@@ -36,6 +39,7 @@ class Wish:
     object_id: int = -1
     box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
     target: str = ""  # class name
+    held_by: tuple[str, ...] = PEOPLE  # classes of who may carry it about
 
     @property
     def one(self) -> bool:
@@ -62,6 +66,8 @@ class Prompt:
     seen_seq: int = -1  # when it was last seen, or asked for; -1: neither yet
     box: Array = field(default_factory=_nowhere)  # where it is believed to be, sensor pixels
     features: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (C,) when bound
+    holder: int = -1  # in whose hands it was last seen
+    grip: int = 0  # sightings there in succession
 
     @property
     def placed(self) -> bool:
@@ -82,15 +88,24 @@ def follow(before: Prompt, wish: Wish, tracks: Tracks, chosen: Choice) -> Prompt
     seq = tracks.header.seq
     now = before if before.asked_seq >= 0 else replace(before, asked_seq=seq)
     if now.seen_seq < 0 and wish.boxed:
-        now = replace(now, box=np.array(wish.box, np.float32), seen_seq=seq)
+        box = np.array(wish.box, np.float32)
+        holder = holder_of(box, tracks, able(tracks, wish.held_by, wish.target))
+        now = replace(now, box=box, seen_seq=seq, holder=holder, grip=GRIP)
     elif now.placed:
-        now = replace(now, box=now.box + np.tile(camera_motion(tracks), 2))
+        now = replace(now, box=now.box + np.tile(_motion(tracks, now), 2))
     row = _row(tracks, now.bound_id)
     if row < 0 or (not wish.one and chosen.probability >= SURE):
         found = _first(tracks, wish, now) if now.bound_id < 0 else -1
         found = found if found >= 0 else _again(tracks, wish, now, chosen)
         row = found if found >= 0 else row
-    return _bound(tracks, row, now) if row >= 0 else now
+    return _bound(tracks, row, now, wish) if row >= 0 else now
+
+
+def held(prompt: Prompt, tracks: Tracks) -> int:
+    """Row of whoever holds a target that is out of sight, -1: nobody does."""
+    row = _row(tracks, prompt.bound_id)
+    seen = row >= 0 and tracks.visible[row, -1]
+    return -1 if seen or prompt.grip < GRIP else _row(tracks, prompt.holder)
 
 
 def condition(prompt: Prompt, wish: Wish, tracks: Tracks) -> Array:
@@ -130,18 +145,24 @@ def place(
 ) -> Objects | None:
     """The prompted place as a candidate; None while its target is in view, and after `patience`.
 
+    Who holds the target is not given up while they are there.
+
     `looks` (To, D) is what the ROI lately showed of the target.
     """
     unseen = tracks.header.seq - prompt.seen_seq
-    row = _row(tracks, prompt.bound_id)
-    if not prompt.placed or unseen > patience or (row >= 0 and tracks.visible[row, -1]):
+    row, holder = _row(tracks, prompt.bound_id), held(prompt, tracks)
+    if not prompt.placed or (row >= 0 and tracks.visible[row, -1]):
+        return None
+    if holder < 0 and unseen > patience:
         return None
     observed, horizon = tracks.boxes.shape[1], tracks.predicted.shape[1]
-    motion = np.tile(camera_motion(tracks), 2)
-    ago = np.arange(1 - observed, 1, dtype=np.float32)[:, None]
-    ahead = np.arange(1, horizon + 1, dtype=np.float32)[:, None]
-    path = (prompt.box + ahead * motion).astype(np.float32)
-    past = tell((prompt.box + ago * motion).astype(np.float32), tracks.header.geometry)
+    motion = camera_motion(tracks)
+    moved = np.arange(1 - observed, 1, dtype=np.float32)[:, None] * motion
+    moves = np.arange(1, horizon + 1, dtype=np.float32)[:, None] * motion
+    if holder >= 0:
+        moved, moves = carried(tracks, holder)
+    path = (prompt.box + np.tile(moves, 2)).astype(np.float32)
+    past = tell((prompt.box + np.tile(moved, 2)).astype(np.float32), tracks.header.geometry)
     features = np.zeros(tracks.features.shape[2], np.float32)
     features[: len(prompt.features)] = prompt.features
     return Objects(
@@ -162,6 +183,14 @@ def camera_motion(tracks: Tracks) -> Array:
         return np.zeros(2, np.float32)
     motion = centres(tracks.predicted[:, 0]) - centres(tracks.boxes[:, -1])
     return np.asarray(np.median(motion, axis=0), np.float32)
+
+
+def _motion(tracks: Tracks, now: Prompt) -> Array:
+    """How far the place went since the frame before: with who holds it, else with the camera."""
+    row = held(now, tracks)
+    if row < 0 or tracks.boxes.shape[1] < 2:
+        return camera_motion(tracks)
+    return np.asarray(-carried(tracks, row)[0][-2])
 
 
 def _row(tracks: Tracks, object_id: int) -> int:
@@ -187,10 +216,15 @@ def in_box(boxes: Array, box: Array) -> int:
     overlap = iou(boxes, box[None])[:, 0]
     if overlap.max() >= BIND_IOU:
         return int(overlap.argmax())
-    size, sides = _size(box), np.sqrt(np.maximum(areas(boxes), 1))
     away = np.linalg.norm(centres(boxes) - centres(box), axis=1)
-    fit: NDArray[np.bool_] = (away <= size) & (np.maximum(sides / size, size / sides) <= ALIKE)
+    fit = (away <= _size(box)) & _alike(boxes, box)
     return int(np.where(fit, away, np.inf).argmin()) if fit.any() else -1
+
+
+def _alike(boxes: Array, box: Array) -> NDArray[np.bool_]:
+    """Which of `boxes` (n, 4) are about as large as `box` (4,): (n,)."""
+    size, sides = _size(box), np.sqrt(np.maximum(areas(boxes), 1))
+    return np.asarray(np.maximum(sides / size, size / sides) <= ALIKE)
 
 
 def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
@@ -201,6 +235,8 @@ def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
     wanted = now.label or wish.target
     if wanted and _name(tracks, row) != wanted:
         return -1
+    if not wanted and now.placed and not _alike(tracks.boxes[row, -1][None], now.box)[0]:
+        return -1  # of a box that was never bound nothing is known but its size
     return row if not wish.one or _near(tracks, row, now) else -1
 
 
@@ -222,18 +258,26 @@ def _reach(geometry: Geometry) -> float:
     return 0.25 * geometry.roi_width_px
 
 
-def _bound(tracks: Tracks, row: int, now: Prompt) -> Prompt:
+def _bound(tracks: Tracks, row: int, now: Prompt, wish: Wish) -> Prompt:
     """The prompt, with its target at `row`."""
-    visible = bool(tracks.visible[row, -1])
+    visible, label = bool(tracks.visible[row, -1]), now.label or _name(tracks, row)
+    box, holder, grip = tracks.boxes[row, -1], now.holder, now.grip
+    if visible:
+        holder = holder_of(box, tracks, able(tracks, wish.held_by, label))
+        grip = now.grip + 1 if holder == now.holder else 1
+    elif held(now, tracks) >= 0:
+        box = now.box  # with them, not where it was going before they caught it
     fresh = int(tracks.ids[row]) != now.bound_id
     first = fresh and not now.features.any()
     return replace(
         now,
         bound_id=int(tracks.ids[row]),
-        label=now.label or _name(tracks, row),
-        box=tracks.boxes[row, -1],
+        label=label,
+        box=box,
         seen_seq=tracks.header.seq if visible or now.seen_seq < 0 else now.seen_seq,
         features=tracks.features[row, -1].copy() if first else now.features,
+        holder=holder,
+        grip=grip,
     )
 
 

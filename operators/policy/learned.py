@@ -12,7 +12,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.conditioning import CONDITION, Choice, Prompt, Wish, condition, follow, place
+from operators.policy.conditioning import (
+    CONDITION,
+    Choice,
+    Prompt,
+    Wish,
+    condition,
+    follow,
+    held,
+    place,
+)
 from operators.policy.memory import Memory, recall, refuted
 from operators.policy.plan import Plan, field_centre, stay
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, batched, joined, objects, without
@@ -41,6 +50,7 @@ class Rules:
     patience: int = 64  # frames for which the place of a target out of sight stays a candidate
     least_genuine: float = 0.2
     roi_channels: int = 576
+    loyalty: float = 30.0  # how much likelier the object is that the prompt follows; 1: no more so
 
 
 class Chooser:
@@ -117,10 +127,26 @@ def observe(
     looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
     candidates = objects(tracks, looks[:-1])
     candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
+    if held(prompt, tracks) >= 0:  # where it was going before is nowhere
+        candidates = without(candidates, candidates.ids == prompt.bound_id)
     spot = place(prompt, wish, tracks, looks[-1], patience=rules.patience)
     if spot is not None:
         candidates = joined(candidates, spot)
     return replace(before, prompt=prompt), candidates, condition(prompt, wish, tracks)
+
+
+def loyal(probability: Array, candidates: Objects, prompt: Prompt, loyalty: float) -> Array:
+    """The network's belief (N, Tp) times the prompt's; each step's sum is 1 again.
+
+    The prompt follows its target by motion, the network knows it by its looks and its place. Among
+    players of one team looks tell little: who was meant a moment ago is still meant, unless the
+    network is `loyalty` times surer of somebody else.
+    """
+    own = candidates.ids == prompt.bound_id
+    if prompt.bound_id < 0 or not own.any():
+        return probability
+    raised = np.where(own[:, None], loyalty, np.float32(1)) * probability
+    return np.asarray(raised / raised.sum(0, keepdims=True), np.float32)
 
 
 def fault(tracks: Tracks) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from operators.policy.baselines import Turn, centred, round_robin
 from operators.policy.conditioning import Wish, unmet
+from operators.policy.holding import PEOPLE
 from operators.policy.learned import (
     SHIPPED,
     Chooser,
@@ -21,6 +22,7 @@ from operators.policy.learned import (
     Selection,
     decide,
     fault,
+    loyal,
     nothing,
     observe,
     pick,
@@ -44,6 +46,7 @@ class PolicySettings:
     weights: str = ""  # learned: an ONNX file of operators.policy.train; empty: the shipped one
     selection: Selection = "argmax"  # learned: the likeliest object, or one drawn by its chance
     seed: int = 0  # learned: of what is drawn
+    loyalty: float = 30.0  # learned: see `operators.policy.learned.loyal`; 1: the network alone
     least_genuine: float = 0.2  # learned: below it an object that was looked at is believed false
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id
@@ -55,7 +58,7 @@ class PolicySettings:
     place_patience: int = 64  # learned: frames for which the last place stays worth a look
     observed: int = 4  # To, frames of looks that are remembered
     threads: int = 1
-    held_by: tuple[str, ...] = ("player", "goalkeeper", "referee", "person")
+    held_by: tuple[str, ...] = PEOPLE  # classes of who may hold a target that is out of sight
 
     def __post_init__(self) -> None:
         for name in ("horizon", "dwell", "confirm", "observed", "threads"):
@@ -66,6 +69,8 @@ class PolicySettings:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
         if not 0 <= self.least_genuine <= 1:
             raise SettingsError(f"least_genuine: must be within 0..1, got {self.least_genuine}")
+        if self.loyalty < 1:
+            raise SettingsError(f"loyalty: must be at least 1, got {self.loyalty}")
         left, top, right, bottom = self.prompt_box
         if any(self.prompt_box) and not (left < right and top < bottom):
             raise SettingsError(
@@ -114,7 +119,9 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     def _look_for(self, s: PolicySettings) -> None:
         self._aim = Aim(object_id=s.target_id, box=s.prompt_box, target=s.target, held_by=s.held_by)
-        self._wish = Wish(object_id=s.target_id, box=s.prompt_box, target=s.target)
+        self._wish = Wish(
+            object_id=s.target_id, box=s.prompt_box, target=s.target, held_by=s.held_by
+        )
 
     def on_stream(self, header: Header) -> None:
         """Ids of another stream are other objects."""
@@ -176,11 +183,13 @@ class Policy(Operator[PolicySettings, Scanpath]):
             patience=s.place_patience,
             least_genuine=s.least_genuine,
             roi_channels=chooser.roi_channels,
+            loyalty=s.loyalty,
         )
         gaze, candidates, told = observe(state.gaze, self._wish, tracks, state.memory, rules)
         self._complain("prompt", unmet(gaze.prompt, self._wish, tracks))
         if len(candidates.ids):
-            probability = chooser(candidates, told)
+            believed = chooser(candidates, told)
+            probability = loyal(believed, candidates, gaze.prompt, rules.loyalty)
             rng = np.random.default_rng([s.seed, tracks.header.seq])
             picked = pick(probability, s.selection, rng)
             plan, gaze = decide(gaze, tracks, candidates, probability, picked)

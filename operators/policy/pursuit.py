@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.candidates import Sightings, count, nearest, none_seen, sizes, worth
+from operators.policy.holding import able
 from operators.policy.plan import PLACE, Plan, follow, future, of_class, stay
 from operators.policy.search import search
 from pipeline import Tracks
@@ -108,7 +109,7 @@ def regained(tracks: Tracks, now: Pursuit, aim: Aim, confirm: int) -> int:
         fit &= away <= (1 + GROWTH * gone) * sizes(now.box[None])
         value = -away.astype(np.float32)
     else:
-        value = worth(tracks, holders(tracks, aim, known))
+        value = worth(tracks, able(tracks, aim.held_by, known))
     return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
 
 
@@ -117,7 +118,7 @@ def challenged(tracks: Tracks, now: Pursuit, aim: Aim, confirm: int) -> Pursuit:
     fit = of_class(tracks, now.target or aim.target) & tracks.visible[:, -1]
     fit &= now.sightings.counts >= confirm
     own = row_of(tracks, now.locked)
-    value = worth(tracks, holders(tracks, aim, now.target))
+    value = worth(tracks, able(tracks, aim.held_by, now.target))
     best = int(np.where(fit, value, -np.inf).argmax())
     if not fit[best] or value[best] <= value[own] + MARGIN:
         return replace(now, rival=-1, rival_frames=0)
@@ -136,14 +137,14 @@ def noted(tracks: Tracks, row: int, now: Pursuit, aim: Aim) -> Pursuit:
         return replace(
             now, box=box, seen_seq=now.seen_seq if now.seen_seq >= 0 else tracks.header.seq
         )
-    able = np.flatnonzero(holders(tracks, aim, target))
-    at, _ = nearest(box, tracks.boxes[able, -1], HOLD_REACH * float(sizes(box[None])[0]))
+    rows = np.flatnonzero(able(tracks, aim.held_by, target))
+    at, _ = nearest(box, tracks.boxes[rows, -1], HOLD_REACH * float(sizes(box[None])[0]))
     return replace(
         now,
         target=target,
         box=box,
         seen_seq=tracks.header.seq,
-        holder=int(tracks.ids[able[at]]) if at >= 0 else -1,
+        holder=int(tracks.ids[rows[at]]) if at >= 0 else -1,
     )
 
 
@@ -162,15 +163,6 @@ def wait(tracks: Tracks, now: Pursuit, aim: Aim, *, patience: int, horizon: int)
     doubtful = from_centres(np.broadcast_to(centres(now.box), side.shape), side)
     places = search(header.geometry, centres(now.box), np.maximum(frames - patience - 1, 0))
     return stay(np.where((frames <= patience)[:, None], doubtful, places), horizon)
-
-
-def holders(tracks: Tracks, aim: Aim, target: str) -> NDArray[np.bool_]:
-    """Which tracks could hold the target: (n,). Nobody is held by one of the same class."""
-    could = np.zeros(len(tracks.ids), np.bool_)
-    if target not in aim.held_by:
-        for name in aim.held_by:
-            could |= of_class(tracks, name)
-    return could
 
 
 def row_of(tracks: Tracks, object_id: int) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 from operators.dispatch import plan_windows
 from operators.policy.conditioning import Wish
 from operators.policy.data import Recording
-from operators.policy.learned import Gaze, Rules, Selection, decide, nothing, observe, pick
+from operators.policy.learned import Gaze, Rules, Selection, decide, loyal, nothing, observe, pick
 from operators.policy.memory import blank, remember
 from operators.policy.plan import Plan
 from operators.policy.tokens import Array, Objects
@@ -113,6 +113,9 @@ class Episode:
     def act(self, probability: Array, how: Selection, rng: np.random.Generator) -> None:
         """Look where the policy says, and go on to the next frame."""
         if len(self._candidates.ids):
+            probability = loyal(
+                probability, self._candidates, self._gaze.prompt, self._rules.loyalty
+            )
             picked = pick(probability, how, rng)
             plan, self._gaze = decide(
                 self._gaze, self._tracks, self._candidates, probability, picked

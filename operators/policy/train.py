@@ -233,7 +233,8 @@ def recorded(settings: TrainSettings) -> tuple[Clips, Clips]:
             changes=settings.changes,
         )
         recordings = [Recording(path) for path in paths]
-        rules = Rules(roi_channels=recordings[0].sides["roi_channels"])
+        # the network alone: what loyalty would save it from is what it has to learn
+        rules = Rules(roi_channels=recordings[0].sides["roi_channels"], loyalty=1)
         groups.append(Clips(recordings=recordings, rules=rules, settings=settings))
     return groups[0], groups[1]
 

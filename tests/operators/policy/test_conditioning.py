@@ -81,6 +81,17 @@ def test_a_lost_target_is_bound_again_to_a_sure_choice_near_by_of_its_class() ->
     assert bound_to(10, 0.9) == 1  # too far
 
 
+def test_a_box_that_was_never_bound_is_not_bound_to_a_choice_of_another_size() -> None:
+    world = tracks(1, (8, 0, 150, 100, 0), (9, 1, 150, 100, 0))
+
+    def bound_to(object_id: int) -> int:
+        prompt = followed(BALL, tracks(0, *CROWD))
+        return follow(prompt, BALL, world, Choice(object_id=object_id, probability=0.9)).bound_id
+
+    assert bound_to(9) == -1
+    assert bound_to(8) == 8
+
+
 def test_a_class_is_whoever_of_it_the_policy_is_sure_of() -> None:
     world = tracks(1, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0), (3, 0, 900, 100, 0))
     wish = Wish(target="ball")

@@ -11,8 +11,8 @@ pytest.importorskip("torch", reason="needs the train extra")
 pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
-from operators.policy.conditioning import CHANNELS, CONDITION
-from operators.policy.learned import SHIPPED, Chooser, pick
+from operators.policy.conditioning import CHANNELS, CONDITION, Prompt
+from operators.policy.learned import SHIPPED, Chooser, loyal, pick
 from operators.policy.model import INPUTS, PolicyNet, example, export
 from operators.policy.policy import Policy, PolicySettings
 from operators.policy.tokens import MOST_OBJECTS, batched, objects
@@ -161,6 +161,27 @@ def test_drawing_follows_the_chances_and_the_seed() -> None:
     assert np.bincount(drawn, minlength=3) / 4000 == pytest.approx([0, 0.25, 0.75], abs=0.03)
     assert np.array_equal(drawn, again)
     assert not np.array_equal(drawn, other)
+
+
+def test_who_was_meant_stays_meant_unless_the_network_is_much_surer_of_another() -> None:
+    world = tracks(0, (1, 1, 100, 100, 0), (2, 1, 300, 100, 0))
+    candidates, prompt = objects(world, np.zeros((2, 4, 5), np.float32)), Prompt(bound_id=1)
+
+    def chosen(surer: float, *, loyalty: float = 30.0) -> list[int]:
+        believed = np.array([[1.0], [surer]], np.float32) / (1 + surer)
+        weighed = loyal(believed, candidates, prompt, loyalty)
+        assert np.allclose(weighed.sum(0), 1)
+        return candidates.ids[weighed.argmax(0)].tolist()
+
+    assert [chosen(29), chosen(31), chosen(2, loyalty=1)] == [[1], [2], [2]]
+
+
+def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
+    candidates = objects(tracks(0, (1, 1, 100, 100, 0)), np.zeros((1, 4, 5), np.float32))
+    believed = np.ones((1, 3), np.float32)
+
+    for prompt in (Prompt(), Prompt(bound_id=7)):
+        assert loyal(believed, candidates, prompt, 30) is believed
 
 
 def test_what_two_looks_found_to_be_nothing_is_no_candidate(weights: Path) -> None:

@@ -1,0 +1,100 @@
+"""A target in somebody's hands goes where they go."""
+
+from functools import reduce
+
+import numpy as np
+import pytest
+
+from operators.policy.conditioning import Choice, Prompt, Wish, follow, held, place
+from operators.policy.holding import PEOPLE, able, holder_of
+from operators.policy.plan import PLACE
+from pipeline import Tracks
+from tests.operators.policy.made_up import tracks
+
+LOOKS = np.zeros((4, 5), np.float32)
+BALL = Wish(box=(92, 92, 108, 108))
+SMALL = Wish(box=(94, 94, 106, 106))  # too small to be taken for who holds it
+CROWD = [(k, 1, 300.0 + 100 * k, 500.0, 0.0) for k in (12, 13, 14, 15)]
+
+
+def someone(
+    frame: int, speed: float = 5.0, y: float = 105.0
+) -> tuple[int, int, float, float, float]:
+    return (7, 1, 100 + frame * speed, y, speed)
+
+
+def after(*frames: Tracks, wish: Wish = BALL) -> Prompt:
+    return reduce(lambda prompt, world: follow(prompt, wish, world, Choice()), frames, Prompt())
+
+
+def caught(frames: int, y: float = 105.0) -> list[Tracks]:
+    """Seen three times in front of somebody, then not any more."""
+    seen = [tracks(k, (1, 0, 100 + 5 * k, 100, 5), someone(k, y=y), *CROWD) for k in range(3)]
+    return seen + [tracks(k, someone(k, y=y), *CROWD) for k in range(3, frames)]
+
+
+def test_what_is_in_the_upper_part_of_a_larger_person_is_in_their_hands() -> None:
+    world = tracks(0, (7, 1, 100, 105, 0), (8, 1, 110, 85, 0), (9, 0, 100, 100, 0))
+    could = able(world, PEOPLE, "ball")
+
+    assert holder_of(np.array([92, 92, 108, 108], np.float32), world, could) == 7
+    assert holder_of(np.array([92, 110, 108, 126], np.float32), world, could) == -1  # at their feet
+    assert holder_of(np.array([80, 85, 120, 125], np.float32), world, could) == -1  # as large
+    assert not able(world, PEOPLE, "player").any()
+
+
+def test_the_place_goes_with_whoever_holds_the_target_for_as_long_as_they_are_there() -> None:
+    frames = caught(90)
+    prompt = after(*frames)
+
+    spot = place(prompt, BALL, frames[-1], LOOKS, patience=24)
+
+    assert held(prompt, frames[-1]) == 0
+    assert prompt.box.tolist() == [92 + 5 * 89, 92, 108 + 5 * 89, 108]
+    assert spot is not None
+    assert spot.ids.tolist() == [PLACE]
+    assert spot.path[0, :2].tolist() == [[542, 92, 558, 108], [547, 92, 563, 108]]
+
+
+def test_what_lies_at_somebodys_feet_stays_when_they_leave() -> None:
+    frames = caught(10, y=85)
+    prompt = after(*frames)
+
+    assert held(prompt, frames[-1]) == -1
+    assert prompt.box.tolist() == [102, 92, 118, 108]
+
+
+def test_one_look_is_not_enough_but_a_prompt_is() -> None:
+    passing = [tracks(0, (1, 0, 100, 100, 5), *CROWD)]
+    passing += [tracks(1, (1, 0, 105, 100, 5), someone(1), *CROWD)]
+    passing += [tracks(2, someone(2), *CROWD)]
+    prompted = [tracks(k, someone(k), *CROWD) for k in range(3)]
+
+    assert held(after(*passing), passing[-1]) == -1
+    assert held(after(*prompted, wish=SMALL), prompted[-1]) == 0
+
+
+@pytest.mark.parametrize("gone", [caught(10)[-1], tracks(9, (1, 0, 145, 100, 5), someone(9))])
+def test_nobody_holds_what_is_seen_or_who_is_gone(gone: Tracks) -> None:
+    world = tracks(10, *CROWD) if len(gone.ids) == 5 else gone
+
+    assert held(follow(after(*caught(9)), BALL, world, Choice()), world) == -1
+
+
+def test_nobody_holds_it_when_no_class_may() -> None:
+    wish = Wish(box=BALL.box, held_by=())
+    frames = caught(10)
+
+    assert held(after(*frames, wish=wish), frames[-1]) == -1
+
+
+def test_a_track_that_is_only_foreseen_does_not_take_the_target_out_of_their_hands() -> None:
+    seen = caught(3)
+    coasting = [
+        tracks(k, (1, 0, 105 + 30 * k, 100, 30), someone(k), *CROWD, unseen=(1,))
+        for k in range(3, 6)
+    ]
+    prompt = after(*seen, *coasting)
+
+    assert prompt.bound_id == 1
+    assert prompt.box.tolist() == [117, 92, 133, 108]
