@@ -3,7 +3,8 @@
 Studies, each written by itself and gone on with where it stopped: all strategies at all budgets on
 held-out procedural clips and, with --soccernet, on real footage that nothing was trained on; late
 and rare plans, with and without prediction; the loop with one part after the other replaced by the
-truth; with --ablation NAME=FILE, policies that were not told everything; the time each part takes.
+truth; with --ablation NAME=FILE, policies that were not told everything; with --far FILE, a policy
+that was trained for plans 60 frames late; the time each part takes.
 `tables.md` and `tables.json` hold all studies that lie in the folder, each also beside them with a
 plot of its own. `--quick` tries everything on little: its figures say nothing.
 """
@@ -29,11 +30,27 @@ TOGETHER = ("detections+association",)  # what the policy would know from perfec
 NAMES = {
     "budgets": "Strategies at equal pixel budgets, held-out procedural clips",
     "soccernet": "The same, zero-shot on real footage",
-    "late": "Late and rare plans (delay in frames, Ta), with and without prediction, at 1/8",
+    "late": "Late and rare plans (delay in frames, Ta)",
+    "late-soccernet": "The same on real footage",
+    "late-hold": "The same at 1/8 without prediction: objects are foreseen where they are",
+    "late-hold-soccernet": "The same on real footage",
+    "far": "Plans 60 frames late, by a policy with a horizon of 200 frames",
+    "far-soccernet": "The same on real footage",
+    "far-hold": "The same at 1/8 without prediction",
+    "far-hold-soccernet": "The same on real footage",
     "limits": "What limits the rest: one part after the other replaced by the truth, at 1/8",
     "ablation": "Inputs of the policy left out, at 1/8",
     "run-time": "Time of each part, one thread",
 }
+
+
+LATE = ("--strategies", "foveated", "--sees", "both", "--replan", "1,4,8")
+HOLD = ("--budgets", "1/8", "--prediction", "hold")
+FAR = (  # the paper's long horizon, and episodes that such a plan can be late for
+    *("--delay", "0,60", "--longest", "240"),
+    *("--set", "association.observed=10", "--set", "association.horizon=200"),
+    *("--set", "policy.observed=10", "--set", "policy.horizon=200"),
+)
 
 
 def studies(
@@ -42,6 +59,7 @@ def studies(
     ablations: tuple[str, ...],
     policies: tuple[str, ...],
     *,
+    far: str = "",
     quick: bool = False,
 ) -> dict[str, list[str]]:
     """Options of `fovea eval tracking` by study."""
@@ -51,17 +69,35 @@ def studies(
     few = [*_drawn(max(1, clips // 3)), *at_eighth]
     if quick:
         few = [*many, *at_eighth]
-    late = ["--strategies", "foveated", "--delay", "0,2,13", "--replan", "1,4,8"]
     parts = [word for part in (*PARTS, *TOGETHER) for word in ("--replace", part)]
     found = {"budgets": [*many, *own]}
     if soccernet:
         found["soccernet"] = ["--data", soccernet, *own, *(many[4:] if quick else [])]
-    found["late"] = [*few, *late, "--prediction", "both", *own]
+    found |= _late(clips, soccernet, own, far, quick=quick)
     found["limits"] = [*few, "--strategies", "foveated,oracle,full", *parts, *own]
     if ablations:
         wanted = ["--strategies", "foveated,centred,round_robin,full"]
         whole = tuple(f"whole={given.rpartition('=')[2]}" for given in policies[:1])
         found["ablation"] = [*few, *wanted, *_policy((*whole, *ablations, "pursue=pursue"))]
+    return found
+
+
+def _late(
+    clips: int, soccernet: str, own: list[str], far: str, *, quick: bool
+) -> dict[str, list[str]]:
+    """Of fewer clips and starts: every delay with every Ta is followed anew."""
+    found = {}
+    drawn = {"": _drawn(1 if quick else max(1, clips // 5))}
+    many = {"": _drawn(1 if quick else max(1, clips // 15))}
+    real = {"-soccernet": ["--data", soccernet]} if soccernet else {}
+    short = ["--frames", "1-24"] if quick else []
+    for where, data in (drawn | real).items():
+        words = [*data, *LATE, "--delay", "0,2,13", "--every", "24", *own, *short]
+        found |= {f"late{where}": words, f"late-hold{where}": [*words, *HOLD]}
+    for where, data in (many | real if far else {}).items():
+        every = ["--every", "48"] if where else ["--every", "60", "--frames", "1-300"]
+        words = [*data, *LATE, *FAR, *every, "--policy", far, *short]
+        found |= {f"far{where}": words, f"far-hold{where}": [*words, *HOLD]}
     return found
 
 
@@ -88,6 +124,7 @@ def together(out: Path) -> None:
 @click.option("--soccernet", default="", help="a sequence's folder, or a folder of them")
 @click.option("--policy", multiple=True, help="as fovea eval tracking has it; the graph's own")
 @click.option("--ablation", multiple=True, help="NAME=FILE.onnx of operators.policy.train --use")
+@click.option("--far", default="", help="FILE.onnx of a policy that was trained for late plans")
 @click.option("--tracker", default="auto", show_default=True, help="as fovea eval tracking has it")
 @click.option("--only", multiple=True, type=click.Choice(list(NAMES)))
 @click.option("--quick", is_flag=True, help="one short clip: whether everything works")
@@ -98,6 +135,7 @@ def main(
     soccernet: str,
     policy: tuple[str, ...],
     ablation: tuple[str, ...],
+    far: str,
     tracker: str,
     only: tuple[str, ...],
     quick: bool,
@@ -105,7 +143,8 @@ def main(
 ) -> None:
     """See the module."""
     out.mkdir(parents=True, exist_ok=True)
-    for name, words in studies(clips, soccernet, ablation, policy, quick=quick).items():
+    wanted = studies(clips, soccernet, ablation, policy, far=far, quick=quick)
+    for name, words in wanted.items():
         if only and name not in only:
             continue
         click.echo(f"{NAMES[name]}:", err=True)

@@ -41,6 +41,9 @@ class Network:
     connect: tuple[str, ...] = ()
     papers: str = ""  # folder with ca.pem, own.pem, own.key; empty: unix sockets only
     permits: tuple[Permit, ...] = ()
+    patience_ms: int = (
+        0  # how long a message may wait for a link that takes nothing, then it is lost
+    )
 
     def config(self) -> dict[str, Any]:
         """What Zenoh is to be told; raises `SettingsError` for a network address without papers."""
@@ -49,6 +52,11 @@ class Network:
             if not point.startswith(wanted):
                 raise SettingsError(f"{point}: expected {wanted}… here")
         first, last = RETRY_MS
+        queue: dict[str, Any] = {"size": {"data": 16, "real_time": 16}}
+        if self.patience_ms:
+            wait_us = 1000 * self.patience_ms
+            drop = {"wait_before_drop": wait_us, "max_wait_before_drop_fragments": wait_us}
+            queue["congestion_control"] = {"drop": drop}
         config: dict[str, Any] = {
             "mode": "peer",
             "listen": {"endpoints": list(self.listen)},
@@ -68,8 +76,7 @@ class Network:
                     "accept_pending": HALF_OPEN, "max_sessions": MOST_SESSIONS,
                 },
                 "link": {
-                    "tx": {"lease": LEASE_MS, "keep_alive": 4,
-                           "queue": {"size": {"data": 16, "real_time": 16}}},
+                    "tx": {"lease": LEASE_MS, "keep_alive": 4, "queue": queue},
                     "rx": {"max_message_size": LARGEST_BYTES},
                     **({"tls": _tls(Path(self.papers))} if self.papers else {}),
                 },

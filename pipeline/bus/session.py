@@ -14,8 +14,8 @@ from typing import Any, Protocol
 
 import zenoh
 
-from pipeline.bus.linger import hasten
 from pipeline.bus.network import Network
+from pipeline.bus.sockets import hasten
 from pipeline.errors import RunError
 
 OnBytes = Callable[[bytes], None]

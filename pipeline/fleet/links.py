@@ -14,6 +14,8 @@ from pipeline.fleet.secure import Papers
 from pipeline.graph.plan import Plan
 from pipeline.run.rundir import base
 
+PATIENCE_MS = 1000  # a box that naps for less loses nothing on a lossless edge
+
 
 def local_end_points(part: Plan) -> dict[str, str]:
     """`label/process` -> a unix socket of this user."""
@@ -69,5 +71,6 @@ def networks(
             connect=tuple(sorted(theirs[o] for o in others if o < name)),
             papers=str(Papers.of(folder).folder) if folder else "",
             permits=node_permits(part, node.process),
+            patience_ms=PATIENCE_MS,
         )
     return found

@@ -10,30 +10,39 @@ from bench.tracking.evaluate import asked, command
 from bench.tracking.replaced import PARTS
 from bench.tracking.report import ROI_ALONE
 
+CLIPS = {"budgets": 30, "late": 6, "late-hold": 6, "far": 2, "far-hold": 2}
+
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Path) -> None:
     weights = tmp_path / "policy.onnx"
     weights.touch()
-    found = studies(30, "", (f"no-roi={weights}",), (f"{weights}",), quick=quick)
+    whole = f"{weights}"
+    found = studies(30, "", (f"no-roi={weights}",), (whole,), far=whole, quick=quick)
 
     rows = {}
     for name, words in found.items():
         with command.make_context(name, [*words, "--tracker", "correlation"]) as context:
             cases, _, clips, _ = asked(context.params)
-        assert len(clips) == (1 if quick else {"budgets": 30}.get(name, 10))
+        assert len(clips) == (1 if quick else CLIPS.get(name, 10))
         rows[name] = [case.name.removesuffix(ROI_ALONE) for case in cases]
 
-    assert set(found) == set(NAMES) - {"soccernet", "run-time"}
-    assert len(rows["late"]) == len(set(rows["late"])) == 3 * 3 * 2
+    real = {name for name in NAMES if name.endswith("soccernet")}
+    assert set(found) == set(NAMES) - real - {"run-time"}
+    delays, replans, budgets = 3, 3, 3
+    assert len(set(rows["late"])) == delays * replans
+    assert len(rows["late"]) == len(set(rows["late"])) * budgets
+    assert len(rows["late-hold"]) == delays * replans
+    assert len(rows["far"]) == 2 * replans * budgets
     assert {f"foveated + true {part}" for part in PARTS} < set(rows["limits"])
     assert {"foveated whole", "foveated no-roi", "foveated pursue"} < set(rows["ablation"])
 
 
 def test_real_footage_is_a_study_where_it_is_given() -> None:
-    found = studies(30, "FOLDER", (), ())
+    found = studies(30, "FOLDER", (), (), far="policy.onnx")
 
-    assert found["soccernet"][:2] == ["--data", "FOLDER"]
+    for name in (name for name in NAMES if name.endswith("soccernet")):
+        assert found[name][:2] == ["--data", "FOLDER"]
 
 
 def test_tables_hold_every_study_that_lies_in_the_folder(tmp_path: Path) -> None:
