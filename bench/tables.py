@@ -86,7 +86,7 @@ def _late(
     clips: int, soccernet: str, own: list[str], far: str, *, quick: bool
 ) -> dict[str, list[str]]:
     """Of fewer clips and starts: every delay with every Ta is followed anew."""
-    found = {}
+    found: dict[str, list[str]] = {}
     drawn = {"": _drawn(1 if quick else max(1, clips // 5))}
     many = {"": _drawn(1 if quick else max(1, clips // 15))}
     real = {"-soccernet": ["--data", soccernet]} if soccernet else {}

@@ -66,6 +66,7 @@ class Host:
         self.inbox = Inbox(inputs, self.settle, lockstep=lockstep, age_ns=self._age_ns)
         self._together = frozenset(joined(type(operator)))
         self._arrived_wait_ns = self._waiter = 0
+        self.answered = 0  # sets of joined inputs, by this instance
         self._handlers: dict[tuple[str, ...], Callable[..., Any]] = {}
         self.corewait = CoreWait()
         self.stopping = threading.Event()
@@ -191,6 +192,7 @@ class Host:
                 handler_ns=ended - begun, wait_ns=waited,
             )  # fmt: skip
             self.publish(answers, stamped(critical, epoch=self.epoch, span=span))
+            self.answered += 1
         if not (work.header.seq + 1) % WAIT_EVERY:
             self.corewait.since_last_ns()  # what was waited until now is not the next message's
         for name, ordinal in work.arrived.items():

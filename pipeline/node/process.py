@@ -34,7 +34,7 @@ from pipeline.node.logfile import log_to
 from pipeline.node.place import check_fit
 from pipeline.node.relay import read_cut
 from pipeline.node.source import SourceHost
-from pipeline.node.wiring import Assignment, Wiring
+from pipeline.node.wiring import ASIDE, Assignment, Wiring
 
 ASIDE_NICENESS = 5  # of processes that no sensor command waits for
 AHEAD_NICENESS = 19  # of imports that nobody waits for yet
@@ -211,6 +211,7 @@ def main() -> None:
     loader = threading.Thread(target=_import_ahead, args=(sys.argv[2:],))
     loader.start()
     loader.join()
+    _level()
     events.write('{"event": "idle"}\n')
     events.flush()
     line = sys.stdin.readline()
@@ -236,10 +237,19 @@ def _import_ahead(modules: Iterable[str]) -> None:
 
     On Linux niceness belongs to a thread: the graph that runs keeps its cores meanwhile.
     """
-    os.nice(AHEAD_NICENESS)
-    for module in modules:
+    wanted = set(modules)
+    if ASIDE in wanted:
+        os.nice(AHEAD_NICENESS)
+    for module in sorted(wanted - {ASIDE}):
         with contextlib.suppress(Exception):
             importlib.import_module(module)
+
+
+def _level() -> None:
+    """Let threads that were born in an import run like all others, where that may be asked for."""
+    for thread in os.listdir("/proc/self/task"):
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, int(thread), os.getpriority(os.PRIO_PROCESS, 0))
 
 
 def _obey(process: Process) -> None:

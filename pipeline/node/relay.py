@@ -57,10 +57,11 @@ class Cut(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class First(NamedTuple):
-    """How the accounts stood when an instance took over."""
+    """How it stood when an instance took over."""
 
-    handled: int
+    answered: int  # sets of joined inputs
     dropped: dict[str, int]  # by input
+    stopped_ns: int  # when the other one stopped, monotonic
 
 
 class Voice(Protocol):
@@ -132,10 +133,11 @@ class Relay:
     def look(self) -> None:
         """Between two calls of handlers."""
         ports = self._host.ports
-        if self._first is not None and self._account.handled > self._first.handled:
-            before, self._first = self._first.dropped, None
-            left_out = {name: port.dropped - before[name] for name, port in ports.items()}
-            self._say("answered", node=self._host.name, left_out=left_out)
+        if self._first is not None and self._host.answered > self._first.answered:
+            first, self._first = self._first, None
+            left_out = {name: port.dropped - first.dropped[name] for name, port in ports.items()}
+            answered_ms = (time.monotonic_ns() - first.stopped_ns) / 1e6
+            self._say("answered", node=self._host.name, left_out=left_out, answered_ms=answered_ms)
         if self._wanted is not None and self._may_stop(self._wanted):
             cut, self._wanted = self._wanted, None
             try:
@@ -202,7 +204,7 @@ class Relay:
         host.inbox.go_on_from(baton.marks)
         self._begin(host.epoch)
         dropped = {name: port.dropped for name, port in host.ports.items()}
-        self._first = First(int(self._account.handled), dropped)
+        self._first = First(host.answered, dropped, baton.stopped_ns)
         for name, port in host.ports.items():
             port.take_over(baton.edges[name])
         gap_ms = (time.monotonic_ns() - baton.stopped_ns) / 1e6

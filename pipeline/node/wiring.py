@@ -27,6 +27,9 @@ from pipeline.node.source import SourceHost
 CLOCKS = "clocks"  # the file in the run's folder that tells what other hosts' clocks show
 
 
+ASIDE = "--aside"  # said to a process that nobody waits for yet
+
+
 @dataclass(frozen=True, kw_only=True)
 class Assignment:
     """What the supervisor gives a process to do."""

@@ -17,7 +17,7 @@ from typing import Any
 import psutil
 from pydantic import TypeAdapter
 
-from pipeline.node.wiring import Assignment
+from pipeline.node.wiring import ASIDE, Assignment
 
 # numeric libraries would start a thread per core in every process
 _THREAD_LIMITS = (
@@ -37,11 +37,17 @@ class Sample:
     stopped: bool = False  # by a signal; it does nothing at all
 
 
-def spawn(prefix: str, folder: Path, modules: Collection[str]) -> "subprocess.Popen[bytes]":
-    """A process that imports what it may need and waits for its assignment."""
+def spawn(
+    prefix: str, folder: Path, modules: Collection[str], *, wanted: bool
+) -> "subprocess.Popen[bytes]":
+    """A process that imports what it may need and waits for its assignment.
+
+    Unless it is `wanted` at once, its imports leave the cores to others.
+    """
+    words = [prefix, *modules, *(() if wanted else (ASIDE,))]
     with (folder / "spare.log").open("ab") as log:
         return subprocess.Popen(
-            [sys.executable, "-m", "pipeline.node.process", prefix, *modules],
+            [sys.executable, "-m", "pipeline.node.process", *words],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=log,
@@ -112,7 +118,7 @@ class Child:
 
     def _write(self, line: str) -> None:
         assert self._popen.stdin is not None
-        with contextlib.suppress(OSError):  # it died: the next look will notice
+        with contextlib.suppress(OSError, ValueError):  # it died: the next look will notice
             self._popen.stdin.write(line.encode() + b"\n")
             self._popen.stdin.flush()
 

@@ -7,6 +7,7 @@ import queue
 import subprocess
 import time
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 
 from pydantic import TypeAdapter
@@ -41,7 +42,7 @@ class Crew:
             self._run.release()
             raise
         self._events: Events = queue.SimpleQueue()
-        self._spare = Spare(self._spawn)
+        self.spare = Spare(partial(self._spawn, wanted=False))
         self._judge = Judge()
         self.slots = {
             name: Slot(
@@ -75,7 +76,7 @@ class Crew:
 
     def begin(self, slot: Slot, *, plan: Plan | None = None, checked: bool = False) -> None:
         """Start a process as its next incarnation; `checked`: of a plan that is still to prove."""
-        slot.epoch += 1
+        slot.epoch = slot.promise()
         for node in slot.nodes:
             self.ledger.nodes[node.index].enter("starting")
         for account in self.accounts(slot, outgoing=True):
@@ -152,22 +153,13 @@ class Crew:
     def launch(self, job: Assignment, *, fresh: bool = False) -> Child:
         """A process for an assignment; a `fresh` one has imported what is on disk now."""
         if fresh:
-            self.refresh()
+            self.spare.refresh()
         mine = {n.operator.partition(":")[0] for n in job.nodes}
-        popen = self._spare.take() or self._spawn(mine if fresh else ())
+        popen = self.spare.take() or self._spawn(mine if fresh else (), wanted=True)
         return Child(popen, job, self._events)
 
-    def refresh(self) -> None:
-        """Give up the spare process when what it has imported was edited."""
-        self._spare.refresh()
-
-    @property
-    def warming(self) -> bool:
-        """Whether a spare process is still at its imports."""
-        return self._spare.warming
-
-    def _spawn(self, modules: Collection[str]) -> "subprocess.Popen[bytes]":
-        return spawn(self._run.prefix, self._run.folder, modules)
+    def _spawn(self, modules: Collection[str], *, wanted: bool) -> "subprocess.Popen[bytes]":
+        return spawn(self._run.prefix, self._run.folder, modules, wanted=wanted)
 
     def let_go(self, slot: Slot) -> None:
         """Let a process that is ready begin, if it may."""

@@ -20,15 +20,14 @@ class Spare:
 
     def keep(self, modules: Collection[str]) -> None:
         """See that there is one."""
-        if self._popen is not None and self._popen.poll() is not None:
-            close_pipes(self._popen)
-            self._popen = None
+        self._bury()
         if self._popen is None:
             self._since_s = time.time()
             self._popen = self._spawn(sorted(modules))
 
     def take(self) -> "subprocess.Popen[bytes] | None":
         """The spare, if it is through with its imports: it says so in its first line."""
+        self._bury()
         if self._popen is None or self.warming:
             return None
         spare, self._popen = self._popen, None
@@ -53,6 +52,11 @@ class Spare:
         self._popen.wait()
         close_pipes(self._popen)
         self._popen = None
+
+    def _bury(self) -> None:
+        if self._popen is not None and self._popen.poll() is not None:
+            close_pipes(self._popen)
+            self._popen = None
 
 
 def edited_since(moment_s: float) -> bool:

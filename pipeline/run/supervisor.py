@@ -94,7 +94,7 @@ class Supervisor(Crew):
     def stop(self) -> None:
         """Stop every process, collect what they have to say."""
         self._sample()
-        self._spare.dismiss()
+        self.spare.dismiss()
         children = [slot.child for slot in self.slots.values() if slot.child]
         children += self.desk.give_up()
         for child in children:
@@ -115,7 +115,7 @@ class Supervisor(Crew):
     def _keep_a_spare(self) -> None:
         if self.plan.clock == "realtime" and self.all_going:
             here = filter(self.plan.is_here, self.plan.nodes)
-            self._spare.keep({node.operator.partition(":")[0] for node in here})
+            self.spare.keep({node.operator.partition(":")[0] for node in here})
 
     def _hear(self) -> None:
         while True:

@@ -5,7 +5,7 @@ process, or owns a device, cannot stand by: it is stopped, then the other starte
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -108,20 +108,17 @@ class Swap(Affair):
 
     def _swap_hot(self) -> Iterator[None]:
         crew, slot, order = self.crew, self._slot, self._order
-        old, before, plan = self._working(), crew.plan, self._changed()
-        epoch = slot.epoch + 1
-        job = crew.job(slot, plan, epoch, standby=True, checked=True)
         yield from self._spare()
+        old, before, plan = self._working(), crew.plan, self._changed()
+        epoch = slot.promise()
+        job = crew.job(slot, plan, epoch, standby=True, checked=True)
         new = self._other = crew.launch(job, fresh=True)
-        yield from self.until(lambda: new.ready, START_S, "it was not ready", of=new)
+        yield from self._beside(old, lambda: new.ready, START_S, "it was not ready")
         door = job.door(self._node.name, epoch)
         for account in crew.accounts(slot):
             account.next_door = epoch
-        yield from self.until(
-            lambda: "standing" in self.heard(new),
-            HEAR_S,
-            "its inputs did not greet it",
-            of=new,
+        yield from self._beside(
+            old, lambda: "standing" in self.heard(new), HEAR_S, "its inputs did not greet it"
         )
         heard = self.heard(new)["standing"]["heard"]
         self.facts["ready_seq"] = int(self._account().last_seq)
@@ -141,10 +138,15 @@ class Swap(Affair):
             self.facts |= {k: taken[k] for k in ("seq", "gap_ms", "state")}
             self._switch(new, old, plan, epoch)
             yield from self._probation(new)
+            if self.facts["proven_frames"]:
+                yield from self.until(
+                    lambda: "answered" in self.heard(new), ANSWER_S, "", of=new, must=False
+                )
         except RunError as error:
-            yield from self._roll_back(new, old, before, epoch + 1)
+            yield from self._roll_back(new, old, before, slot.promise())
             raise RunError(f"{error}; the old part goes on") from error
-        self.facts["left_out"] = self.heard(new).get("answered", {}).get("left_out", {})
+        answered = self.heard(new).get("answered", {})
+        self.facts |= {k: answered[k] for k in ("left_out", "answered_ms") if k in answered}
         new.order("settle", node=self._node.name)
         yield from self._drained(epoch)
         old.tell("stop")
@@ -152,17 +154,32 @@ class Swap(Affair):
 
     def _spare(self) -> Iterator[None]:
         """Let a process that is half through with its imports finish them: two cost twice."""
-        self.crew.refresh()
-        yield from self.until(lambda: not self.crew.warming, SPARE_S, "", must=False)
+        spare = self.crew.spare
+        spare.refresh()
+        yield from self.until(lambda: not spare.warming, SPARE_S, "", must=False)
+        if spare.warming:  # it hangs
+            spare.dismiss()
+
+    def _beside(
+        self, old: Child, done: Callable[[], bool], limit_s: float, what: str
+    ) -> Iterator[None]:
+        """Wait for something of the successor, for as long as the old part works."""
+
+        def gone() -> bool:
+            return self._slot.child is not old or old.ended() is not None
+
+        yield from self.until(lambda: done() or gone(), limit_s, what, of=self._other)
+        if gone():
+            raise RunError(f"{self._node.name}: it ended meanwhile and starts again; try again")
 
     def _try(self, old: Child, new: Child, cut: dict[str, Any]) -> Iterator[None]:
         """Let the successor answer the same frames, and keep what came of it."""
         old.order("cut", node=self._node.name, cut=cut)
         limit_s = QUIET_S + SHADOW_S * cut["shadow"]
         heard = self.heard(old)
-        yield from self.until(
-            lambda: "shadowed" in self.heard(new) or "uncut" in heard, limit_s,
-            "the shadow run did not end", of=new,
+        yield from self._beside(
+            old, lambda: "shadowed" in self.heard(new) or "uncut" in heard, limit_s,
+            "the shadow run did not end",
         )  # fmt: skip
         if "uncut" in heard:
             raise RunError(f"{self._node.name}: {heard['uncut']['reason']}")
@@ -241,6 +258,7 @@ class Swap(Affair):
     # cold: stopped, then started
 
     def _swap_cold(self) -> Iterator[None]:
+        yield from self._spare()
         before, plan = self.crew.plan, self._changed()
         job = self.crew.job(self._slot, plan, self._slot.epoch, trial=True)
         trial = self._other = self.crew.launch(job, fresh=True)
@@ -249,6 +267,7 @@ class Swap(Affair):
         )
         self._other = None
         trial.reap(REAP_S)
+        yield from self._spare()  # while it waits nobody stands still
         self._owned = True
         yield from self._replace(plan)
         try:
@@ -334,7 +353,8 @@ class Swap(Affair):
         self.facts["proven_frames"] = int(account.handled - first)
 
     def _working(self) -> Child:
-        assert self._slot.child is not None
+        if self._slot.child is None:
+            raise RunError(f"{self._node.name}: does not run just now, try again")
         return self._slot.child
 
     def _account(self) -> NodeAccount:
