@@ -6,8 +6,7 @@ track is gone it moves with the camera until it is bound again to what the polic
 
 The place itself is a candidate too while its target is not in view. That is ours, not the paper's:
 a ball that lies still at the corner flag stays below a detector's threshold, and nothing but the
-prompt says where it is. Where somebody holds the target (`holding.py`), the place goes with them,
-for as long as they are there.
+prompt says where it is. Where somebody holds the target (`holding.py`), the place goes with them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -16,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.holding import PEOPLE, able, carried, holder_of
-from operators.policy.plan import PLACE
+from operators.policy.plan import PLACE, name_of, row_of
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, one_hot, tell
 from pipeline import Geometry, Tracks
-from pipeline.boxes import areas, centres, iou
+from pipeline.boxes import areas, centres, from_centres, iou
 
 CHANNELS = 64  # of the detector's feature map
 CONDITION = CHANNELS + BOX + CLASSES + 4
@@ -29,6 +28,7 @@ GRACE = 8  # frames a prompt may wait for its track before that is worth a word
 SURE = 0.5  # probability from which a choice binds the prompt
 GROWTH = 0.1  # box sizes by which the doubt grows with every frame
 GRIP = 2  # sightings in the same hands before they are believed to hold it
+PATIENCE = 250  # frames for which they are: a keeper may hold a ball for eight seconds
 WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
 
 
@@ -63,11 +63,18 @@ class Prompt:
     bound_id: int = -1  # the track that is believed to be the target
     label: str = ""  # its class, once known
     asked_seq: int = -1  # the first frame after the prompt; -1: not yet
+    at_seq: int = -1  # the frame for which all this holds
     seen_seq: int = -1  # when it was last seen, or asked for; -1: neither yet
     box: Array = field(default_factory=_nowhere)  # where it is believed to be, sensor pixels
     features: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (C,) when bound
     holder: int = -1  # in whose hands it was last seen
     grip: int = 0  # sightings there in succession
+    offset: Array = field(default_factory=lambda: np.zeros(2, np.float32))  # from their middle, px
+
+    @property
+    def gripped(self) -> bool:
+        """Whether it was last seen in somebody's hands for long enough."""
+        return self.holder >= 0 and self.grip >= GRIP
 
     @property
     def placed(self) -> bool:
@@ -86,14 +93,15 @@ class Choice:
 def follow(before: Prompt, wish: Wish, tracks: Tracks, chosen: Choice) -> Prompt:
     """The prompt after one more frame, for which the policy had chosen `chosen`."""
     seq = tracks.header.seq
-    now = before if before.asked_seq >= 0 else replace(before, asked_seq=seq)
+    frames = seq - before.at_seq if before.at_seq >= 0 else 1
+    asked_seq = before.asked_seq if before.asked_seq >= 0 else seq
+    now = replace(before, asked_seq=asked_seq, at_seq=seq)
     if now.seen_seq < 0 and wish.boxed:
-        box = np.array(wish.box, np.float32)
-        holder = holder_of(box, tracks, able(tracks, wish.held_by, wish.target))
-        now = replace(now, box=box, seen_seq=seq, holder=holder, grip=GRIP)
+        now = replace(now, box=np.array(wish.box, np.float32), seen_seq=seq)
+        now = replace(_taken(now, wish, wish.target, tracks), grip=GRIP)
     elif now.placed:
-        now = replace(now, box=now.box + np.tile(_motion(tracks, now), 2))
-    row = _row(tracks, now.bound_id)
+        now = replace(now, box=_moved(now, tracks, frames))
+    row = row_of(tracks, now.bound_id)
     if row < 0 or (not wish.one and chosen.probability >= SURE):
         found = _first(tracks, wish, now) if now.bound_id < 0 else -1
         found = found if found >= 0 else _again(tracks, wish, now, chosen)
@@ -103,9 +111,10 @@ def follow(before: Prompt, wish: Wish, tracks: Tracks, chosen: Choice) -> Prompt
 
 def held(prompt: Prompt, tracks: Tracks) -> int:
     """Row of whoever holds a target that is out of sight, -1: nobody does."""
-    row = _row(tracks, prompt.bound_id)
+    row = row_of(tracks, prompt.bound_id)
     seen = row >= 0 and tracks.visible[row, -1]
-    return -1 if seen or prompt.grip < GRIP else _row(tracks, prompt.holder)
+    late = tracks.header.seq - prompt.seen_seq > PATIENCE
+    return -1 if seen or late or not prompt.gripped else row_of(tracks, prompt.holder)
 
 
 def condition(prompt: Prompt, wish: Wish, tracks: Tracks) -> Array:
@@ -115,7 +124,7 @@ def condition(prompt: Prompt, wish: Wish, tracks: Tracks) -> Array:
     if prompt.placed:
         told[CHANNELS : CHANNELS + BOX] = tell(prompt.box, tracks.header.geometry)
     told[CHANNELS + BOX : -4] = one_hot(tracks.names, [prompt.label or wish.target])[0]
-    row = _row(tracks, prompt.bound_id)
+    row = row_of(tracks, prompt.bound_id)
     unseen = tracks.header.seq - prompt.seen_seq if prompt.seen_seq >= 0 else 0
     told[-4:] = (
         wish.one,
@@ -145,12 +154,11 @@ def place(
 ) -> Objects | None:
     """The prompted place as a candidate; None while its target is in view, and after `patience`.
 
-    Who holds the target is not given up while they are there.
-
-    `looks` (To, D) is what the ROI lately showed of the target.
+    The hands of whoever holds the target are looked at for longer. `looks` (To, D) is what the
+    ROI lately showed of the target.
     """
     unseen = tracks.header.seq - prompt.seen_seq
-    row, holder = _row(tracks, prompt.bound_id), held(prompt, tracks)
+    row, holder = row_of(tracks, prompt.bound_id), held(prompt, tracks)
     if not prompt.placed or (row >= 0 and tracks.visible[row, -1]):
         return None
     if holder < 0 and unseen > patience:
@@ -185,23 +193,28 @@ def camera_motion(tracks: Tracks) -> Array:
     return np.asarray(np.median(motion, axis=0), np.float32)
 
 
-def _motion(tracks: Tracks, now: Prompt) -> Array:
-    """How far the place went since the frame before: with who holds it, else with the camera."""
+def _moved(now: Prompt, tracks: Tracks, frames: int) -> Array:
+    """The place `frames` later: at whoever holds it, else moved with the camera."""
     row = held(now, tracks)
-    if row < 0 or tracks.boxes.shape[1] < 2:
-        return camera_motion(tracks)
-    return np.asarray(-carried(tracks, row)[0][-2])
+    if row < 0:
+        return now.box + frames * np.tile(camera_motion(tracks), 2)
+    middle = centres(tracks.boxes[row, -1]) + now.offset
+    return from_centres(middle, now.box[2:] - now.box[:2])
 
 
-def _row(tracks: Tracks, object_id: int) -> int:
-    rows = np.flatnonzero(tracks.ids == object_id)
-    return int(rows[0]) if object_id >= 0 and len(rows) else -1
+def _taken(now: Prompt, wish: Wish, label: str, tracks: Tracks) -> Prompt:
+    """The prompt, seen at its box: in whose hands is it?"""
+    holder = holder_of(now.box, tracks, able(tracks, wish.held_by, label))
+    grip = now.grip + 1 if holder == now.holder else 1
+    row = row_of(tracks, holder)
+    offset = centres(now.box) - centres(tracks.boxes[row, -1]) if row >= 0 else now.offset
+    return replace(now, holder=holder, grip=grip, offset=offset)
 
 
 def _first(tracks: Tracks, wish: Wish, now: Prompt) -> int:
     """Row of what was asked for by id or box, -1: not there."""
     if wish.object_id >= 0:
-        return _row(tracks, wish.object_id)
+        return row_of(tracks, wish.object_id)
     if not wish.one or not len(tracks.ids):
         return -1
     return in_box(tracks.boxes[:, -1], now.box)
@@ -229,13 +242,13 @@ def _alike(boxes: Array, box: Array) -> NDArray[np.bool_]:
 
 def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
     """Row of the policy's own choice where it may be the target, -1: it may not."""
-    row = _row(tracks, chosen.object_id)
+    row = row_of(tracks, chosen.object_id)
     if row < 0 or chosen.probability < SURE or not tracks.visible[row, -1]:
         return -1
     wanted = now.label or wish.target
-    if wanted and _name(tracks, row) != wanted:
+    if wanted and name_of(tracks, row) != wanted:
         return -1
-    if not wanted and now.placed and not _alike(tracks.boxes[row, -1][None], now.box)[0]:
+    if now.bound_id < 0 and now.placed and not _alike(tracks.boxes[row, -1][None], now.box)[0]:
         return -1  # of a box that was never bound nothing is known but its size
     return row if not wish.one or _near(tracks, row, now) else -1
 
@@ -260,27 +273,17 @@ def _reach(geometry: Geometry) -> float:
 
 def _bound(tracks: Tracks, row: int, now: Prompt, wish: Wish) -> Prompt:
     """The prompt, with its target at `row`."""
-    visible, label = bool(tracks.visible[row, -1]), now.label or _name(tracks, row)
-    box, holder, grip = tracks.boxes[row, -1], now.holder, now.grip
+    visible, label = bool(tracks.visible[row, -1]), now.label or name_of(tracks, row)
     if visible:
-        holder = holder_of(box, tracks, able(tracks, wish.held_by, label))
-        grip = now.grip + 1 if holder == now.holder else 1
-    elif held(now, tracks) >= 0:
-        box = now.box  # with them, not where it was going before they caught it
+        now = _taken(replace(now, box=tracks.boxes[row, -1]), wish, label, tracks)
+    elif not now.gripped:  # else it is with them, not where it was going before they caught it
+        now = replace(now, box=tracks.boxes[row, -1])
     fresh = int(tracks.ids[row]) != now.bound_id
     first = fresh and not now.features.any()
     return replace(
         now,
         bound_id=int(tracks.ids[row]),
         label=label,
-        box=box,
         seen_seq=tracks.header.seq if visible or now.seen_seq < 0 else now.seen_seq,
         features=tracks.features[row, -1].copy() if first else now.features,
-        holder=holder,
-        grip=grip,
     )
-
-
-def _name(tracks: Tracks, row: int) -> str:
-    label = int(tracks.labels[row])
-    return tracks.names[label] if 0 <= label < len(tracks.names) else ""

@@ -58,6 +58,18 @@ def of_class(tracks: Tracks, name: str) -> NDArray[np.bool_]:
     return np.asarray((tracks.labels == label) & (label >= 0), np.bool_)
 
 
+def row_of(tracks: Tracks, object_id: int) -> int:
+    """Row of an id, -1 when it is not there (or is no object)."""
+    rows = np.flatnonzero(tracks.ids == object_id)
+    return int(rows[0]) if object_id != PLACE and len(rows) else -1
+
+
+def name_of(tracks: Tracks, row: int) -> str:
+    """Class name of a track, empty when it has none."""
+    label = int(tracks.labels[row])
+    return tracks.names[label] if 0 <= label < len(tracks.names) else ""
+
+
 def scanpath(tracks: Tracks, plan: Plan) -> Scanpath:
     """The message."""
     probability = plan.probability

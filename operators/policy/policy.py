@@ -5,6 +5,7 @@ state that is replaced, never changed: the same tracks in, the same plans out.
 """
 
 import logging
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -69,8 +70,8 @@ class PolicySettings:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
         if not 0 <= self.least_genuine <= 1:
             raise SettingsError(f"least_genuine: must be within 0..1, got {self.least_genuine}")
-        if self.loyalty < 1:
-            raise SettingsError(f"loyalty: must be at least 1, got {self.loyalty}")
+        if not 1 <= self.loyalty < math.inf:
+            raise SettingsError(f"loyalty: must be at least 1 and finite, got {self.loyalty}")
         left, top, right, bottom = self.prompt_box
         if any(self.prompt_box) and not (left < right and top < bottom):
             raise SettingsError(
@@ -80,8 +81,9 @@ class PolicySettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyState:
-    """What a policy remembers from frame to frame."""
+    """What a policy remembers from frame to frame; of whom, says the wish."""
 
+    wish: Wish = field(default_factory=Wish)
     pursuit: Pursuit = field(default_factory=Pursuit)
     turn: Turn = field(default_factory=Turn)
     gaze: Gaze = field(default_factory=Gaze)
@@ -129,10 +131,12 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     def state(self) -> PolicyState:
         """Everything remembered."""
-        return self._state
+        return replace(self._state, wish=self._wish)
 
     def restore(self, state: PolicyState) -> None:
-        """Go on where another instance stopped."""
+        """Go on where another instance stopped; after another target, if it had another."""
+        if state.wish != self._wish:
+            state = replace(state, pursuit=Pursuit(), gaze=Gaze())
         self._state = state
 
     def on_features(self, features: RoiFeatures) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from operators.policy.candidates import Sightings, count, nearest, none_seen, sizes, worth
 from operators.policy.holding import able
-from operators.policy.plan import PLACE, Plan, follow, future, of_class, stay
+from operators.policy.plan import Plan, follow, future, name_of, of_class, row_of, stay
 from operators.policy.search import search
 from pipeline import Tracks
 from pipeline.boxes import centres, from_centres, iou
@@ -163,15 +163,3 @@ def wait(tracks: Tracks, now: Pursuit, aim: Aim, *, patience: int, horizon: int)
     doubtful = from_centres(np.broadcast_to(centres(now.box), side.shape), side)
     places = search(header.geometry, centres(now.box), np.maximum(frames - patience - 1, 0))
     return stay(np.where((frames <= patience)[:, None], doubtful, places), horizon)
-
-
-def row_of(tracks: Tracks, object_id: int) -> int:
-    """Row of an id, -1 when it is not there (or is no object)."""
-    rows = np.flatnonzero(tracks.ids == object_id)
-    return int(rows[0]) if object_id != PLACE and len(rows) else -1
-
-
-def name_of(tracks: Tracks, row: int) -> str:
-    """Class name of a track, empty when it has none."""
-    label = int(tracks.labels[row])
-    return tracks.names[label] if 0 <= label < len(tracks.names) else ""

@@ -15,6 +15,7 @@ def note(log: Path, step: int, elapsed_s: float, figures: Iterable[float]) -> No
 def shorten(log: Path, step: int) -> None:
     """Forget what was logged after the checkpoint that a training goes on from."""
     if log.exists():
-        lines = log.read_text().splitlines()
-        kept = [line for line in lines if int(line.partition(",")[0]) <= step]
+        told = [(line.partition(",")[0], line) for line in log.read_text().splitlines()]
+        # what is no number was torn when the machine went off
+        kept = [line for number, line in told if number.isdigit() and int(number) <= step]
         log.write_text("".join(f"{line}\n" for line in kept))

@@ -41,9 +41,8 @@ class Network:
     connect: tuple[str, ...] = ()
     papers: str = ""  # folder with ca.pem, own.pem, own.key; empty: unix sockets only
     permits: tuple[Permit, ...] = ()
-    patience_ms: int = (
-        0  # how long a message may wait for a link that takes nothing, then it is lost
-    )
+    # for so long a message waits for a link that takes nothing; then it is lost, and counted
+    patience_ms: int = 0
 
     def config(self) -> dict[str, Any]:
         """What Zenoh is to be told; raises `SettingsError` for a network address without papers."""

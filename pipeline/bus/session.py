@@ -28,7 +28,7 @@ class Sender(Protocol):
     """One key's writing end."""
 
     def send(self, payload: bytes) -> None:
-        """Hand over to the transport; never waits for a reader."""
+        """Hand over to the transport; waits for a reader only where the session has patience."""
         ...
 
     def matching(self) -> bool:
@@ -194,8 +194,9 @@ _TRANSPORT: dict[str, object] = {
 }
 
 
-def _hasten(_event: zenoh.LinkEvent) -> None:
-    hasten()
+def _hasten(event: zenoh.LinkEvent) -> None:
+    if event.kind == zenoh.SampleKind.PUT:
+        hasten(event.link.src, event.link.dst)
 
 
 def silence() -> None:

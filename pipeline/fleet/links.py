@@ -11,7 +11,7 @@ from pipeline.fleet.access import node_permits
 from pipeline.fleet.names import node_holder
 from pipeline.fleet.placement import borders, listeners, place
 from pipeline.fleet.secure import Papers
-from pipeline.graph.plan import Plan
+from pipeline.graph.plan import Node, Plan
 from pipeline.run.rundir import base
 
 PATIENCE_MS = 1000  # a box that naps for less loses nothing on a lossless edge
@@ -71,6 +71,12 @@ def networks(
             connect=tuple(sorted(theirs[o] for o in others if o < name)),
             papers=str(Papers.of(folder).folder) if folder else "",
             permits=node_permits(part, node.process),
-            patience_ms=PATIENCE_MS,
+            patience_ms=PATIENCE_MS if _promises(part, node) else 0,
         )
     return found
+
+
+def _promises(part: Plan, node: Node) -> bool:
+    """Whether the node's process sends anything across that may not be left out."""
+    mine = {n.name for n in part.nodes if n.process == node.process and part.is_here(n)}
+    return any(e.source in mine and e.keep == "every" and part.crosses(e) for e in part.edges)

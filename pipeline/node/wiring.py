@@ -229,9 +229,9 @@ class Wiring:
         here = self._session.sender(key, urgent=urgent, patient=patient)
         if self._border is None or not any(self._job.plan.crosses(e) for e in edges):
             return here
-        # never a patient one: Zenoh gives a link up that keeps such a sender waiting, twice, and
-        # the second time it takes the link that came after it along
-        return _Both(self._border.sender(key, urgent=urgent), here)
+        # not a patient one: Zenoh gives a link up that keeps such a sender waiting, twice, and the
+        # second time it takes the link that came after it along
+        return _Both(here, self._border.sender(key, urgent=urgent))
 
 
 def _hear(heard: Heard, name: str, arrival: Arrival) -> None:

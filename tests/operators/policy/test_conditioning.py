@@ -66,6 +66,12 @@ def test_without_a_track_the_place_moves_with_the_camera() -> None:
     assert prompt.seen_seq == 0
 
 
+def test_the_place_moves_for_every_frame_that_was_left_out() -> None:
+    prompt = followed(BALL, *(tracks(k, *CROWD) for k in (0, 1, 4)))
+
+    assert prompt.box.tolist() == [104, 92, 120, 108]
+
+
 def test_a_lost_target_is_bound_again_to_a_sure_choice_near_by_of_its_class() -> None:
     bound = tracks(0, (1, 0, 100, 100, 0))
     again = tracks(1, (8, 0, 130, 100, 0), (9, 1, 100, 100, 0), (10, 0, 900, 100, 0))

@@ -3,10 +3,11 @@
 from functools import reduce
 
 import numpy as np
-import pytest
 
-from operators.policy.conditioning import Choice, Prompt, Wish, follow, held, place
+from operators.policy.conditioning import PATIENCE, Choice, Prompt, Wish, follow, held, place
 from operators.policy.holding import PEOPLE, able, holder_of
+from operators.policy.learned import Gaze, Rules, observe
+from operators.policy.memory import blank
 from operators.policy.plan import PLACE
 from pipeline import Tracks
 from tests.operators.policy.made_up import tracks
@@ -74,11 +75,42 @@ def test_one_look_is_not_enough_but_a_prompt_is() -> None:
     assert held(after(*prompted, wish=SMALL), prompted[-1]) == 0
 
 
-@pytest.mark.parametrize("gone", [caught(10)[-1], tracks(9, (1, 0, 145, 100, 5), someone(9))])
-def test_nobody_holds_what_is_seen_or_who_is_gone(gone: Tracks) -> None:
-    world = tracks(10, *CROWD) if len(gone.ids) == 5 else gone
+def test_nobody_holds_what_is_seen() -> None:
+    world = tracks(9, (1, 0, 145, 100, 5), someone(9), *CROWD)
 
-    assert held(follow(after(*caught(9)), BALL, world, Choice()), world) == -1
+    assert held(after(*caught(9), world), world) == -1
+
+
+def test_nobody_holds_it_when_they_are_gone_and_who_is_back_holds_it_still() -> None:
+    gone, back = tracks(9, *CROWD), tracks(10, someone(10), *CROWD)
+
+    assert held(after(*caught(9), gone), gone) == -1
+    assert held(after(*caught(9), gone, back), back) == 0
+    assert after(*caught(9), gone, back).box.tolist() == [142, 92, 158, 108]
+
+
+def test_the_place_is_with_them_whatever_frames_are_left_out() -> None:
+    frames = caught(30)
+    some = [*frames[:3], *frames[3::4]]
+
+    assert after(*some).box.tolist() == [92 + 5 * 27, 92, 108 + 5 * 27, 108]
+    assert after(*some).at_seq == 27
+
+
+def test_hands_that_may_hold_it_are_given_up_at_last() -> None:
+    frames = caught(PATIENCE + 5)
+
+    assert held(after(*frames[:-3]), frames[-4]) == 0
+    assert held(after(*frames), frames[-1]) == -1
+
+
+def test_what_was_foreseen_of_it_is_no_candidate_while_it_is_held() -> None:
+    coasting = tracks(3, (1, 0, 195, 100, 30), someone(3), *CROWD, unseen=(1,))
+    gaze = Gaze(prompt=after(*caught(3)))
+
+    _, candidates, _ = observe(gaze, BALL, coasting, blank(8), Rules(roi_channels=5))
+
+    assert candidates.ids.tolist() == [7, *(row[0] for row in CROWD), PLACE]
 
 
 def test_nobody_holds_it_when_no_class_may() -> None:

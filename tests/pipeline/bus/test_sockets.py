@@ -2,27 +2,50 @@
 
 import socket
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
 
 from pipeline.bus.network import LEASE_MS
 from pipeline.bus.sockets import DEAD_MS, hasten
 
 
-def lingers(end: socket.socket) -> bool:
-    return struct.unpack("ii", end.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))[0] != 0
-
-
-def test_no_tcp_connection_lingers_or_waits_for_long_and_all_stay_open() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        near = socket.create_connection(server.getsockname())
+@contextmanager
+def connection(host: str) -> Iterator[tuple[socket.socket, socket.socket]]:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.create_server((host, 0), family=family) as server:
+        near = socket.create_connection(server.getsockname()[:2])
         far, _ = server.accept()
         with near, far:
             near.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
-            assert lingers(near)
+            yield near, far
 
-            assert hasten() >= 3
 
-            assert not lingers(near)
-            patience_ms = near.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
-            assert patience_ms == DEAD_MS < LEASE_MS
-            near.sendall(b"still there")
-            assert far.recv(11) == b"still there"
+def manners(end: socket.socket) -> tuple[bool, int]:
+    lingers = struct.unpack("ii", end.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))[0]
+    return bool(lingers), end.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+
+
+def locator(name: tuple[str, int]) -> str:
+    host, port = name[:2]
+    return f"tls/[{host}]:{port}" if ":" in host else f"tls/{host}:{port}"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
+def test_the_named_connection_neither_lingers_nor_waits_for_long_and_stays_open(host: str) -> None:
+    with connection(host) as (near, far), connection(host) as (foreign, _):
+        before = foreign.getblocking()
+
+        assert hasten(locator(near.getsockname()), locator(near.getpeername()))
+
+        assert manners(near) == (False, DEAD_MS)
+        assert DEAD_MS < LEASE_MS
+        assert manners(foreign) == (True, 0)
+        assert foreign.getblocking() is before
+        near.sendall(b"still there")
+        assert far.recv(11) == b"still there"
+
+
+def test_a_connection_that_is_gone_is_none() -> None:
+    assert not hasten("tls/127.0.0.1:1", "tls/127.0.0.1:2")
