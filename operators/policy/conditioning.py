@@ -185,6 +185,20 @@ def place(
     )
 
 
+def unlike(
+    prompt: Prompt, wish: Wish, tracks: Tracks, ids: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Which candidates (n,) cannot be what is in the box: of another size.
+
+    Nothing else is known of a box before it is bound; then looks, class and motion are.
+    """
+    refused = np.zeros(len(ids), np.bool_)
+    if wish.boxed and prompt.bound_id < 0 and prompt.placed:
+        other = tracks.ids[~_alike(tracks.boxes[:, -1], prompt.box)]
+        refused = np.isin(ids, other)
+    return refused
+
+
 def camera_motion(tracks: Tracks) -> Array:
     """By how much the picture moves in a frame: the median of all tracks, (2,) sensor pixels."""
     if len(tracks.ids) < WITNESSES or not tracks.predicted.shape[1]:

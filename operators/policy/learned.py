@@ -21,6 +21,7 @@ from operators.policy.conditioning import (
     follow,
     held,
     place,
+    unlike,
 )
 from operators.policy.memory import Memory, recall, refuted
 from operators.policy.plan import Plan, field_centre, stay
@@ -132,6 +133,7 @@ def observe(
     spot = place(prompt, wish, tracks, looks[-1], patience=rules.patience)
     if spot is not None:
         candidates = joined(candidates, spot)
+        candidates = without(candidates, unlike(prompt, wish, tracks, candidates.ids))
     return replace(before, prompt=prompt), candidates, condition(prompt, wish, tracks)
 
 
