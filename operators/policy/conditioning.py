@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.holding import PEOPLE, able, carried, holder_of
-from operators.policy.plan import PLACE, name_of, row_of
+from operators.policy.plan import PLACE, name_of, of_class, row_of
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, one_hot, tell
 from pipeline import Geometry, Tracks
 from pipeline.boxes import areas, centres, from_centres, iou
@@ -23,6 +23,7 @@ from pipeline.boxes import areas, centres, from_centres, iou
 CHANNELS = 64  # of the detector's feature map
 CONDITION = CHANNELS + BOX + CLASSES + 4
 BIND_IOU = 0.1
+BACK_IOU = 0.3
 ALIKE = 2.0  # what overlaps nothing binds to what is near, if their sides differ by less
 GRACE = 8  # frames a prompt may wait for its track before that is worth a word
 SURE = 0.5  # probability from which a choice binds the prompt
@@ -103,7 +104,7 @@ def follow(before: Prompt, wish: Wish, tracks: Tracks, chosen: Choice) -> Prompt
         now = replace(now, box=_moved(now, tracks, frames))
     row = row_of(tracks, now.bound_id)
     if row < 0 or (not wish.one and chosen.probability >= SURE):
-        found = _first(tracks, wish, now) if now.bound_id < 0 else -1
+        found = _first(tracks, wish, now) if now.bound_id < 0 else _back(tracks, wish, now)
         found = found if found >= 0 else _again(tracks, wish, now, chosen)
         row = found if found >= 0 else row
     return _bound(tracks, row, now, wish) if row >= 0 else now
@@ -185,9 +186,7 @@ def place(
     )
 
 
-def unlike(
-    prompt: Prompt, wish: Wish, tracks: Tracks, ids: NDArray[np.int32]
-) -> NDArray[np.bool_]:
+def unlike(prompt: Prompt, wish: Wish, tracks: Tracks, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
     """Which candidates (n,) cannot be what is in the box: of another size.
 
     Nothing else is known of a box before it is bound; then looks, class and motion are.
@@ -232,6 +231,18 @@ def _first(tracks: Tracks, wish: Wish, now: Prompt) -> int:
     if not wish.one or not len(tracks.ids):
         return -1
     return in_box(tracks.boxes[:, -1], now.box)
+
+
+def _back(tracks: Tracks, wish: Wish, now: Prompt) -> int:
+    """Row of whoever of its class is where the target has to be by now, -1: nobody, or not sure.
+
+    A track that ends and begins again is another track; the two boxes tell that it is the same.
+    """
+    if not wish.one or not len(tracks.ids) or now.gripped:
+        return -1
+    overlap = iou(tracks.boxes[:, -1], now.box[None])[:, 0]
+    overlap[~(of_class(tracks, now.label) & tracks.visible[:, -1])] = 0
+    return int(overlap.argmax()) if overlap.max() >= BACK_IOU else -1
 
 
 def in_box(boxes: Array, box: Array) -> int:

@@ -195,3 +195,17 @@ def test_no_prompt_no_place() -> None:
 
     assert place(followed(Wish(), world), Wish(), world, LOOKS, patience=3) is None
     assert not np.any(condition(Prompt(), Wish(), world))
+
+
+def test_who_stands_where_a_track_ended_is_who_it_was() -> None:
+    bound = [tracks(k, (1, 1, 100, 100, 0), *CROWD) for k in range(2)]
+    wish = Wish(box=(80, 80, 120, 120))
+
+    def bound_to(*here: tuple[int, int, float, float, float], unseen: tuple[int, ...] = ()) -> int:
+        return followed(wish, *bound, tracks(2, *here, *CROWD, unseen=unseen)).bound_id
+
+    assert bound_to((8, 1, 110, 100, 0)) == 8
+    assert bound_to((1, 1, 100, 100, 0), (8, 1, 100, 100, 0)) == 1  # it has not ended
+    assert bound_to((8, 1, 135, 100, 0)) == 1  # too far
+    assert bound_to((8, 0, 100, 100, 0)) == 1  # another class
+    assert bound_to((8, 1, 110, 100, 0), unseen=(8,)) == 1  # only foreseen
