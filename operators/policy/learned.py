@@ -12,19 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.conditioning import (
-    CONDITION,
-    Choice,
-    Prompt,
-    Wish,
-    condition,
-    follow,
-    held,
-    place,
-    unlike,
-)
+from operators.policy.conditioning import CONDITION, condition, place, unlike
 from operators.policy.memory import Memory, recall, refuted
 from operators.policy.plan import Plan, field_centre, stay
+from operators.policy.prompt import Choice, Prompt, Wish, follow, held
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, batched, joined, objects, without
 from pipeline import Tracks
 from pipeline.errors import MessageError, WeightsError

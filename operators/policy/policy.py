@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from operators.policy.baselines import Turn, centred, round_robin
-from operators.policy.conditioning import Wish, unmet
+from operators.policy.conditioning import unmet
 from operators.policy.holding import PEOPLE
 from operators.policy.learned import (
     SHIPPED,
@@ -31,6 +31,7 @@ from operators.policy.learned import (
 from operators.policy.memory import Memory, blank, remember
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.plan import Plan, no_proposal, scanpath
+from operators.policy.prompt import Wish
 from operators.policy.pursuit import Aim, Pursuit, pursue
 from operators.policy.tokens import MOST_OBJECTS
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks

@@ -12,11 +12,11 @@ from typing import Literal
 import numpy as np
 
 from operators.dispatch import plan_windows
-from operators.policy.conditioning import Wish
 from operators.policy.data import Recording
 from operators.policy.learned import Gaze, Rules, Selection, decide, loyal, nothing, observe, pick
 from operators.policy.memory import blank, remember
 from operators.policy.plan import Plan
+from operators.policy.prompt import Wish
 from operators.policy.tokens import Array, Objects
 from operators.policy.utility import gains
 from pipeline import RoiFeatures, Tracks

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from operators.policy.prompt import Choice, Prompt, Wish, follow
 from pipeline import Tracks
 from pipeline.testing import header
 
@@ -36,3 +37,11 @@ def tracks(
         predicted=boxes[:, 4:],
         names=NAMES,
     )
+
+
+def followed(wish: Wish, *frames: Tracks, chosen: Choice | None = None) -> Prompt:
+    """What became of a wish after these frames, for each of which the same was chosen."""
+    prompt = Prompt()
+    for world in frames:
+        prompt = follow(prompt, wish, world, chosen or Choice())
+    return prompt

@@ -4,11 +4,12 @@ from functools import reduce
 
 import numpy as np
 
-from operators.policy.conditioning import PATIENCE, Choice, Prompt, Wish, follow, held, place
+from operators.policy.conditioning import place
 from operators.policy.holding import PEOPLE, able, holder_of
 from operators.policy.learned import Gaze, Rules, observe
 from operators.policy.memory import blank
 from operators.policy.plan import PLACE
+from operators.policy.prompt import PATIENCE, Choice, Prompt, Wish, follow, held
 from pipeline import Tracks
 from tests.operators.policy.made_up import tracks
 

@@ -11,10 +11,11 @@ pytest.importorskip("torch", reason="needs the train extra")
 pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
-from operators.policy.conditioning import CHANNELS, CONDITION, Prompt
+from operators.policy.conditioning import CHANNELS, CONDITION
 from operators.policy.learned import SHIPPED, Chooser, loyal, pick
 from operators.policy.model import INPUTS, PolicyNet, example, export
 from operators.policy.policy import Policy, PolicySettings
+from operators.policy.prompt import Prompt
 from operators.policy.tokens import MOST_OBJECTS, batched, objects
 from pipeline import MessageError, RoiFeatures, Scanpath, Tracks, WeightsError
 from pipeline.codec import dumps, loads

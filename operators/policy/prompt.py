@@ -1,0 +1,227 @@
+"""Who is meant: a prompt (a box, a track id, a class) followed through time.
+
+A prompt is bound to a track and follows it. When the track is gone its place moves with the camera,
+or with whoever holds the target (`holding.py`), until it is bound again: to who stands there, or to
+what the policy itself chose.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.holding import PEOPLE, able, holder_of
+from operators.policy.plan import PLACE, name_of, of_class, row_of
+from operators.policy.tokens import Array
+from pipeline import Geometry, Tracks
+from pipeline.boxes import areas, centres, from_centres, iou
+
+BIND_IOU = 0.1
+BACK_IOU = 0.3
+ALIKE = 2.0  # what overlaps nothing binds to what is near, if their sides differ by less
+SURE = 0.5  # probability from which a choice binds the prompt
+GROWTH = 0.1  # box sizes by which the doubt grows with every frame
+GRIP = 2  # sightings in the same hands before they are believed to hold it
+PATIENCE = 250  # frames for which they are: a keeper may hold a ball for eight seconds
+WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wish:
+    """What was asked for: an id, else whoever is in a box, else a class; nothing: anybody."""
+
+    object_id: int = -1
+    box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
+    target: str = ""  # class name
+    held_by: tuple[str, ...] = PEOPLE  # classes of who may carry it about
+
+    @property
+    def one(self) -> bool:
+        """Whether one object is meant, and not any of a class."""
+        return self.object_id >= 0 or self.boxed
+
+    @property
+    def boxed(self) -> bool:
+        """Whether a box says who is meant; an id goes before it."""
+        return self.object_id < 0 and self.box[2] > self.box[0]
+
+
+def _nowhere() -> Array:
+    return np.zeros(4, np.float32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prompt:
+    """A wish and what became of it."""
+
+    bound_id: int = -1  # the track that is believed to be the target
+    label: str = ""  # its class, once known
+    asked_seq: int = -1  # the first frame after the prompt; -1: not yet
+    at_seq: int = -1  # the frame for which all this holds
+    seen_seq: int = -1  # when it was last seen, or asked for; -1: neither yet
+    box: Array = field(default_factory=_nowhere)  # where it is believed to be, sensor pixels
+    features: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (C,) when bound
+    holder: int = -1  # in whose hands it was last seen
+    grip: int = 0  # sightings there in succession
+    offset: Array = field(default_factory=lambda: np.zeros(2, np.float32))  # from their middle, px
+
+    @property
+    def gripped(self) -> bool:
+        """Whether it was last seen in somebody's hands for long enough."""
+        return self.holder >= 0 and self.grip >= GRIP
+
+    @property
+    def placed(self) -> bool:
+        """Whether a place is known."""
+        return bool(self.box[2] > self.box[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """What the policy chose for one frame."""
+
+    object_id: int = PLACE
+    probability: float = 0.0
+
+
+def follow(before: Prompt, wish: Wish, tracks: Tracks, chosen: Choice) -> Prompt:
+    """The prompt after one more frame, for which the policy had chosen `chosen`."""
+    seq = tracks.header.seq
+    frames = seq - before.at_seq if before.at_seq >= 0 else 1
+    asked_seq = before.asked_seq if before.asked_seq >= 0 else seq
+    now = replace(before, asked_seq=asked_seq, at_seq=seq)
+    if now.seen_seq < 0 and wish.boxed:
+        now = replace(now, box=np.array(wish.box, np.float32), seen_seq=seq)
+        now = replace(_taken(now, wish, wish.target, tracks), grip=GRIP)
+    elif now.placed:
+        now = replace(now, box=_moved(now, tracks, frames))
+    row = row_of(tracks, now.bound_id)
+    if row < 0 or (not wish.one and chosen.probability >= SURE):
+        found = _first(tracks, wish, now) if now.bound_id < 0 else _back(tracks, wish, now)
+        found = found if found >= 0 else _again(tracks, wish, now, chosen)
+        row = found if found >= 0 else row
+    return _bound(tracks, row, now, wish) if row >= 0 else now
+
+
+def held(prompt: Prompt, tracks: Tracks) -> int:
+    """Row of whoever holds a target that is out of sight, -1: nobody does."""
+    row = row_of(tracks, prompt.bound_id)
+    seen = row >= 0 and tracks.visible[row, -1]
+    late = tracks.header.seq - prompt.seen_seq > PATIENCE
+    return -1 if seen or late or not prompt.gripped else row_of(tracks, prompt.holder)
+
+
+def camera_motion(tracks: Tracks) -> Array:
+    """By how much the picture moves in a frame: the median of all tracks, (2,) sensor pixels."""
+    if len(tracks.ids) < WITNESSES or not tracks.predicted.shape[1]:
+        return np.zeros(2, np.float32)
+    motion = centres(tracks.predicted[:, 0]) - centres(tracks.boxes[:, -1])
+    return np.asarray(np.median(motion, axis=0), np.float32)
+
+
+def _moved(now: Prompt, tracks: Tracks, frames: int) -> Array:
+    """The place `frames` later: at whoever holds it, else moved with the camera."""
+    row = held(now, tracks)
+    if row < 0:
+        return now.box + frames * np.tile(camera_motion(tracks), 2)
+    middle = centres(tracks.boxes[row, -1]) + now.offset
+    return from_centres(middle, now.box[2:] - now.box[:2])
+
+
+def _taken(now: Prompt, wish: Wish, label: str, tracks: Tracks) -> Prompt:
+    """The prompt, seen at its box: in whose hands is it?"""
+    holder = holder_of(now.box, tracks, able(tracks, wish.held_by, label))
+    grip = now.grip + 1 if holder == now.holder else 1
+    row = row_of(tracks, holder)
+    offset = centres(now.box) - centres(tracks.boxes[row, -1]) if row >= 0 else now.offset
+    return replace(now, holder=holder, grip=grip, offset=offset)
+
+
+def _first(tracks: Tracks, wish: Wish, now: Prompt) -> int:
+    """Row of what was asked for by id or box, -1: not there."""
+    if wish.object_id >= 0:
+        return row_of(tracks, wish.object_id)
+    if not wish.one or not len(tracks.ids):
+        return -1
+    return in_box(tracks.boxes[:, -1], now.box)
+
+
+def _back(tracks: Tracks, wish: Wish, now: Prompt) -> int:
+    """Row of whoever of its class is where the target has to be by now, -1: nobody, or not sure.
+
+    A track that ends and begins again is another track; the two boxes tell that it is the same.
+    """
+    if not wish.one or not len(tracks.ids) or now.gripped:
+        return -1
+    overlap = iou(tracks.boxes[:, -1], now.box[None])[:, 0]
+    overlap[~(of_class(tracks, now.label) & tracks.visible[:, -1])] = 0
+    return int(overlap.argmax()) if overlap.max() >= BACK_IOU else -1
+
+
+def in_box(boxes: Array, box: Array) -> int:
+    """Which of `boxes` (n, 4) is meant by `box` (4,): the greatest overlap, else the nearest.
+
+    The nearest must be about as large, and not further than that; -1: none. A drawn prompt and a
+    ball of a few pixels hardly overlap.
+    """
+    overlap = iou(boxes, box[None])[:, 0]
+    if overlap.max() >= BIND_IOU:
+        return int(overlap.argmax())
+    away = np.linalg.norm(centres(boxes) - centres(box), axis=1)
+    fit = (away <= _size(box)) & alike(boxes, box)
+    return int(np.where(fit, away, np.inf).argmin()) if fit.any() else -1
+
+
+def alike(boxes: Array, box: Array) -> NDArray[np.bool_]:
+    """Which of `boxes` (n, 4) are about as large as `box` (4,): (n,)."""
+    size, sides = _size(box), np.sqrt(np.maximum(areas(boxes), 1))
+    return np.asarray(np.maximum(sides / size, size / sides) <= ALIKE)
+
+
+def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
+    """Row of the policy's own choice where it may be the target, -1: it may not."""
+    row = row_of(tracks, chosen.object_id)
+    if row < 0 or chosen.probability < SURE or not tracks.visible[row, -1]:
+        return -1
+    wanted = now.label or wish.target
+    if wanted and name_of(tracks, row) != wanted:
+        return -1
+    if now.bound_id < 0 and now.placed and not alike(tracks.boxes[row, -1][None], now.box)[0]:
+        return -1  # of a box that was never bound nothing is known but its size
+    return row if not wish.one or _near(tracks, row, now) else -1
+
+
+def _near(tracks: Tracks, row: int, now: Prompt) -> bool:
+    """Whether the target may have gone there since it was seen; nothing is near nowhere."""
+    if not now.placed:
+        return False
+    gone = tracks.header.seq - now.seen_seq
+    away = float(np.linalg.norm(centres(tracks.boxes[row, -1]) - centres(now.box)))
+    return away <= (1 + GROWTH * gone) * _size(now.box) + _reach(tracks.header.geometry)
+
+
+def _size(box: Array) -> float:
+    return max(float(np.sqrt(areas(box[None])[0])), 1.0)
+
+
+def _reach(geometry: Geometry) -> float:
+    """How far a target may have gone unseen: a part of the ROI, which was meant to show it."""
+    return 0.25 * geometry.roi_width_px
+
+
+def _bound(tracks: Tracks, row: int, now: Prompt, wish: Wish) -> Prompt:
+    """The prompt, with its target at `row`."""
+    visible, label = bool(tracks.visible[row, -1]), now.label or name_of(tracks, row)
+    if visible:
+        now = _taken(replace(now, box=tracks.boxes[row, -1]), wish, label, tracks)
+    elif not now.gripped:  # else it is with them, not where it was going before they caught it
+        now = replace(now, box=tracks.boxes[row, -1])
+    fresh = int(tracks.ids[row]) != now.bound_id
+    first = fresh and not now.features.any()
+    return replace(
+        now,
+        bound_id=int(tracks.ids[row]),
+        label=label,
+        seen_seq=tracks.header.seq if visible or now.seen_seq < 0 else now.seen_seq,
+        features=tracks.features[row, -1].copy() if first else now.features,
+    )

@@ -1,0 +1,116 @@
+"""A prompt: who is meant, and where they are believed to be."""
+
+import pytest
+
+from operators.policy.prompt import Choice, Prompt, Wish, camera_motion, follow
+from tests.operators.policy.made_up import followed, tracks
+
+BALL = Wish(box=(92, 92, 108, 108))
+CROWD = [(k, 1, 300.0 + 100 * k, 500.0, 3.0) for k in (2, 3, 4, 5)]
+
+
+def test_a_box_binds_to_the_track_it_overlaps_and_goes_with_it() -> None:
+    prompt = followed(BALL, *(tracks(k, (1, 0, 100 + 4 * k, 100, 4), *CROWD) for k in range(5)))
+
+    assert (prompt.bound_id, prompt.label, prompt.seen_seq) == (1, "ball", 4)
+    assert prompt.box.tolist() == [108, 92, 124, 108]
+
+
+def test_a_box_binds_late_when_its_object_is_found_late() -> None:
+    unseen = [tracks(k, *CROWD[:2]) for k in range(3)]
+
+    assert followed(BALL, *unseen).bound_id == -1
+    assert followed(BALL, *unseen, tracks(3, (7, 0, 100, 100, 0))).bound_id == 7
+
+
+@pytest.mark.parametrize(
+    ("track", "bound"),
+    [((7, 0, 112, 100, 0), 7), ((7, 0, 120, 100, 0), -1), ((7, 1, 125, 100, 0), -1)],
+    ids=["near", "too far", "near and too large"],
+)
+def test_a_box_that_overlaps_nothing_binds_to_what_is_near_and_alike(
+    track: tuple[int, int, float, float, float], bound: int
+) -> None:
+    assert followed(Wish(box=(92, 92, 106, 106)), tracks(0, track)).bound_id == bound
+
+
+def test_without_a_track_the_place_moves_with_the_camera() -> None:
+    prompt = followed(BALL, *(tracks(k, *CROWD) for k in range(3)))
+
+    assert camera_motion(tracks(0, *CROWD)).tolist() == [3, 0]
+    assert prompt.box.tolist() == [98, 92, 114, 108]
+    assert prompt.seen_seq == 0
+
+
+def test_the_place_moves_for_every_frame_that_was_left_out() -> None:
+    prompt = followed(BALL, *(tracks(k, *CROWD) for k in (0, 1, 4)))
+
+    assert prompt.box.tolist() == [104, 92, 120, 108]
+
+
+def test_a_lost_target_is_bound_again_to_a_sure_choice_near_by_of_its_class() -> None:
+    bound = tracks(0, (1, 0, 100, 100, 0))
+    again = tracks(1, (8, 0, 130, 100, 0), (9, 1, 100, 100, 0), (10, 0, 900, 100, 0))
+
+    def bound_to(object_id: int, probability: float) -> int:
+        prompt = followed(BALL, bound)
+        choice = Choice(object_id=object_id, probability=probability)
+        return follow(prompt, BALL, again, choice).bound_id
+
+    assert bound_to(8, 0.9) == 8
+    assert bound_to(8, 0.3) == 1  # not sure
+    assert bound_to(9, 0.9) == 1  # another class
+    assert bound_to(10, 0.9) == 1  # too far
+
+
+def test_a_box_that_was_never_bound_is_not_bound_to_a_choice_of_another_size() -> None:
+    world = tracks(1, (8, 0, 150, 100, 0), (9, 1, 150, 100, 0))
+
+    def bound_to(object_id: int) -> int:
+        prompt = followed(BALL, tracks(0, *CROWD))
+        return follow(prompt, BALL, world, Choice(object_id=object_id, probability=0.9)).bound_id
+
+    assert bound_to(9) == -1
+    assert bound_to(8) == 8
+
+
+def test_a_class_is_whoever_of_it_the_policy_is_sure_of() -> None:
+    world = tracks(1, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0), (3, 0, 900, 100, 0))
+    wish = Wish(target="ball")
+
+    first = follow(Prompt(), wish, world, Choice(object_id=3, probability=0.8))
+    other = follow(first, wish, world, Choice(object_id=1, probability=0.8))
+
+    assert (first.bound_id, other.bound_id) == (3, 1)
+    assert follow(Prompt(), wish, world, Choice(object_id=2, probability=0.8)).bound_id == -1
+
+
+def test_an_id_is_that_track() -> None:
+    world = tracks(0, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0))
+
+    assert followed(Wish(object_id=2), world).bound_id == 2
+    assert followed(Wish(object_id=5), world).bound_id == -1
+
+
+def test_an_id_goes_before_a_box_and_without_its_track_nothing_else_is_taken_for_it() -> None:
+    world = tracks(0, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0))
+    wish = Wish(object_id=5, box=BALL.box)
+
+    prompt = followed(wish, world, world, chosen=Choice(object_id=1, probability=0.9))
+
+    assert prompt.bound_id == -1
+    assert not prompt.placed
+
+
+def test_who_stands_where_a_track_ended_is_who_it_was() -> None:
+    bound = [tracks(k, (1, 1, 100, 100, 0), *CROWD) for k in range(2)]
+    wish = Wish(box=(80, 80, 120, 120))
+
+    def bound_to(*here: tuple[int, int, float, float, float], unseen: tuple[int, ...] = ()) -> int:
+        return followed(wish, *bound, tracks(2, *here, *CROWD, unseen=unseen)).bound_id
+
+    assert bound_to((8, 1, 110, 100, 0)) == 8
+    assert bound_to((1, 1, 100, 100, 0), (8, 1, 100, 100, 0)) == 1  # it has not ended
+    assert bound_to((8, 1, 135, 100, 0)) == 1  # too far
+    assert bound_to((8, 0, 100, 100, 0)) == 1  # another class
+    assert bound_to((8, 1, 110, 100, 0), unseen=(8,)) == 1  # only foreseen
