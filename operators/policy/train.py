@@ -31,7 +31,7 @@ from operators.policy.model import INPUTS, PARTS, PolicyNet, export
 from operators.policy.pool import Pool
 from operators.policy.rollout import Choose, Episode, Late, roll, tasks, teacher
 from operators.policy.tokens import Array, Objects, batched
-from operators.training import checkpoint
+from operators.training.checkpoint import Progress
 from operators.training.device import DEVICES, device_of, moved
 from operators.training.log import EVERY, note, shorten
 from operators.training.schedule import warmed_cosine
@@ -101,8 +101,8 @@ def chooser(net: PolicyNet) -> Choose:
     return choose
 
 
-class Run:
-    """A training: network, optimiser, place in the plan. A checkpoint holds all of it."""
+class Run(Progress):
+    """A training: network, optimiser, who drives the roll-outs of this round."""
 
     def __init__(self, settings: TrainSettings, net: PolicyNet) -> None:
         self.device = device_of(settings.device)
@@ -112,29 +112,7 @@ class Run:
         self.optimiser = torch.optim.AdamW(
             net.parameters(), lr=settings.rate, weight_decay=settings.decay
         )
-        self.parts = {"net": self.net, "optimiser": self.optimiser}
-        self.step, self.elapsed_s = 0, 0.0
-
-    @property
-    def path(self) -> Path:
-        return self.settings.out / "checkpoint.pt"
-
-    def save(self) -> None:
-        """Write everything, atomically."""
-        checkpoint.save(
-            self.path,
-            self.parts,
-            roller=self.roller,  # who drove this round's roll-outs
-            step=self.step,
-            elapsed_s=self.elapsed_s,
-        )
-
-    def resume(self) -> None:
-        """Go on where a checkpoint stopped, if there is one."""
-        state = checkpoint.resume(self.path, self.parts)
-        if state:
-            self.roller = state["roller"]
-            self.step, self.elapsed_s = state["step"], state["elapsed_s"]
+        super().__init__(settings.out, {"net": self.net, "optimiser": self.optimiser})
 
 
 @dataclass
@@ -185,7 +163,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
     clips_s = time.monotonic() - began
     torch.manual_seed(settings.seed)
     run = Run(settings, PolicyNet(**sides, use=settings.use))
-    run.resume()
+    run.roller = run.resume().get("roller", run.roller)
     log = settings.out / "log.csv"
     shorten(log, run.step)
     began = time.monotonic() - run.elapsed_s
@@ -203,10 +181,10 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
                 bar.set_postfix_str(f"round {number} loss {loss:.3f} utility {gained:.3f}")
                 bar.update()
                 if time.monotonic() - saved > CHECKPOINT_S:
-                    run.save()
+                    run.save(roller=run.roller)
                     saved = time.monotonic()
             run.roller = {name: value.clone() for name, value in run.net.state_dict().items()}
-            run.save()
+            run.save(roller=run.roller)
             del pool  # the next one is as large
             say(f"round {number}: {json.dumps(coverage(run.net, check, count=48, seed=7))}")
     facts = {

@@ -141,7 +141,7 @@ def losses(net: EncoderNet, given: dict[str, Tensor], weight: float) -> dict[str
     return {"what": what, "who": weight * who}  # of kept features it is only told
 
 
-class Run:
+class Run(checkpoint.Progress):
     """Network, optimiser and place in the plan; a checkpoint holds all of it."""
 
     def __init__(self, settings: TrainSettings) -> None:
@@ -159,22 +159,7 @@ class Run:
             lr=settings.rate,
             weight_decay=settings.decay,
         )
-        self.parts = {"net": self.net, "optimiser": self.optimiser}
-        self.step, self.elapsed_s = 0, 0.0
-
-    @property
-    def path(self) -> Path:
-        return self.settings.out / "checkpoint.pt"
-
-    def save(self) -> None:
-        """Write everything, atomically."""
-        checkpoint.save(self.path, self.parts, step=self.step, elapsed_s=self.elapsed_s)
-
-    def resume(self) -> None:
-        """Go on where a checkpoint stopped, if there is one."""
-        state = checkpoint.resume(self.path, self.parts)
-        if state:
-            self.step, self.elapsed_s = state["step"], state["elapsed_s"]
+        super().__init__(settings.out, {"net": self.net, "optimiser": self.optimiser})
 
     def prepare(self) -> None:
         """Learn from here on; what is kept keeps its averages too."""

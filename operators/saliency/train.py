@@ -58,7 +58,7 @@ class TrainSettings:
         device_of(self.device)  # refused now, and not after the drawing
 
 
-class Run:
+class Run(checkpoint.Progress):
     """Everything that a checkpoint holds."""
 
     def __init__(self, settings: TrainSettings) -> None:
@@ -74,24 +74,12 @@ class Run:
             {"params": others, "weight_decay": 0.0},
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
-        self.parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        self.step, self.elapsed_s = 0, 0.0
+        parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
+        super().__init__(settings.out, parts)
         if settings.init is not None:
             state = checkpoint.read(settings.init)
             self.net.load_state_dict(state["mean"])
             self.mean.load_state_dict(state["mean"])
-
-    @property
-    def path(self) -> Path:
-        return self.settings.out / "checkpoint.pt"
-
-    def save(self) -> None:
-        checkpoint.save(self.path, self.parts, step=self.step, elapsed_s=self.elapsed_s)
-
-    def resume(self) -> None:
-        state = checkpoint.resume(self.path, self.parts)
-        if state:
-            self.step, self.elapsed_s = state["step"], state["elapsed_s"]
 
     @torch.no_grad()
     def follow(self) -> None:

@@ -19,6 +19,25 @@ class Stateful(Protocol):
         """Take it back, to the device where this part is."""
 
 
+class Progress:
+    """How far a training has come: its parts, steps and seconds, all in one file."""
+
+    def __init__(self, out: Path, parts: Mapping[str, Stateful]) -> None:
+        self.path, self.parts = out / "checkpoint.pt", dict(parts)
+        self.step, self.elapsed_s = 0, 0.0
+
+    def save(self, **facts: object) -> None:
+        """Write everything, and these facts."""
+        save(self.path, self.parts, step=self.step, elapsed_s=self.elapsed_s, **facts)
+
+    def resume(self) -> Mapping[str, Any]:
+        """Go on where a checkpoint stopped, if there is one; returns all that was saved."""
+        state = resume(self.path, self.parts)
+        self.step = state.get("step", self.step)
+        self.elapsed_s = state.get("elapsed_s", self.elapsed_s)
+        return state
+
+
 def save(path: Path, parts: Mapping[str, Stateful], **facts: object) -> None:
     """Write the parts' states and the facts under their names, atomically."""
     unfinished = path.with_suffix(".part")
