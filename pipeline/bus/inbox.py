@@ -14,6 +14,7 @@ from pipeline.bus.outport import Arrival
 from pipeline.contract import Input
 from pipeline.messages import Header, Message
 
+GRACE_NS = 1_000_000_000  # after a loss: what is not lost of the frames before comes by then
 Settle = Callable[[str, str, int], None]  # input, fate ("delivered" or a drop's name), ordinal
 
 
@@ -70,6 +71,7 @@ class Inbox:
         self._sets: dict[int, _Set] = {}
         self._last: dict[str, int] = {}
         self._handled = -1
+        self._doomed: tuple[int, int] | None = None  # when sets up to which seq are given up
         self._stream, self._retired = "", deque[str](maxlen=16)
         self._fresh = False
         self._side: deque[tuple[str, Arrival]] = deque()
@@ -103,8 +105,21 @@ class Inbox:
         while len(self._sets) > self._depth:
             self._drop(min(self._sets), "unmatched")
 
+    def lost(self, name: str, now_ns: int) -> None:
+        """Some frames were lost on the way to an input: its member of a waiting set may never come.
+
+        Without this two lossless inputs that go back to one source could wait for each other for
+        ever: one for a frame that is lost, the other one's writer for the room that it takes.
+        """
+        lacking = [s for s, waiting in self._sets.items() if name not in waiting.arrivals]
+        if name in self._needed and lacking:
+            self._doomed = (now_ns + GRACE_NS, max(lacking))
+
     def take(self, now_ns: int) -> Work | None:
         """The next call to make, or None while nothing is complete."""
+        if self._doomed is not None and now_ns >= self._doomed[0]:
+            newest, self._doomed = self._doomed[1], None
+            self._give_up(lambda s: s <= newest and self._sets[s].complete_ns is None)
         if self._side and self._side_may_go():
             name, arrival = self._side.popleft()
             return self._work(arrival.header, {name: arrival})
@@ -127,10 +142,12 @@ class Inbox:
         return self._work(header, waiting.arrivals)
 
     def due_ns(self) -> int | None:
-        """When a set stops waiting for its optional members; None when none does."""
+        """When a set stops waiting for members that are optional or lost; None when none does."""
         times = [
             s.complete_ns + self._wait_ns for s in self._sets.values() if s.complete_ns is not None
         ]
+        if self._doomed is not None:
+            times.append(self._doomed[0])
         return min(times) if times and not self._lockstep else None
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import codec
-from pipeline.bus.envelope import HELLO, NOTHING, Envelope
+from pipeline.bus.envelope import GOES_ON, HELLO, LOST, NOTHING, Envelope
 from pipeline.bus.ledger import DROPS, EdgeAccount, private_ledger
 from pipeline.bus.outport import Arrival
 from pipeline.bus.pool import PoolReader
@@ -38,6 +38,7 @@ class InPort:
         self._careful = False
         self._tape: Tape | None = None
         self.also: Callable[[Envelope], None] | None = None  # a shadow's, while holding
+        self.on_loss: Callable[[], None] = lambda: None  # frames that were on their way are gone
         if holding:
             self._tape = Tape()
         else:  # what the predecessor had taken and not finished died with it
@@ -165,6 +166,8 @@ class InPort:
         if fresh:
             self._sender_epoch = envelope.epoch
             account.attached_epoch = self._epoch
+        if missing or (envelope.kind == HELLO and _tells_loss(envelope, fresh=fresh)):
+            self.on_loss()
         self._hand_on(envelope)
         self._tell_seen()
 
@@ -209,6 +212,12 @@ class InPort:
             raw = raw.copy()
             raw.flags.writeable = False
         return raw
+
+
+def _tells_loss(greeting: Envelope, *, fresh: bool) -> bool:
+    """Who died had frames in hand; who took over from a living one says that nothing is lost."""
+    said = bytes(greeting.body)
+    return said == LOST or (fresh and said != GOES_ON)
 
 
 def _cut(raw: NDArray[np.uint8], offset: int, nbytes: int) -> NDArray[np.uint8]:

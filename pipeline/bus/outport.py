@@ -84,11 +84,13 @@ class OutPort:
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
         self._doors = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
+        self._goes_on: bool | None = None  # True: from another instance, with what it had in hand
+        self._lost = False
         self._stuck_s = 0.0  # since when there is no credit, or the last knock
 
     def begin(self, epoch: int) -> None:
         """Speak for the node from now on, where whoever spoke before stopped."""
-        self._epoch = epoch
+        self._epoch, self._goes_on = epoch, True
         self._ordinal = max((r.account.base + r.account.sent for r in self.readers), default=0)
         self._doors = [(0, 0)] * len(self.readers)
         self._links.aim(())  # a reader takes what comes on its newest link last
@@ -142,9 +144,14 @@ class OutPort:
         doors = [(r.account.door, r.account.next_door) for r in self.readers]
         if doors != self._doors:
             self._aim(doors)
-        if self._links.connect() or waiting or self._stuck():
-            self._send(self._wrap(HELLO, None, None), ())
+        if self._links.connect() or waiting or self._stuck() or self._lost:
+            self._send(self._wrap(HELLO, None, False if self._lost else self._goes_on), ())
+            self._lost = False
         return not waiting
+
+    def has_lost(self) -> None:
+        """With the next greeting readers hear that some frames will not come; any thread."""
+        self._lost = True
 
     def send(self, message: Message | None, header: Header) -> None:
         """Publish a message, or with None the word that there is nothing for this exposure.

@@ -89,6 +89,13 @@ class Host:
         if threading.get_ident() != self._waiter:
             self._doors.wake()
 
+    def lost(self, name: str) -> None:
+        """Frames that were on their way to an input are gone: those after it have to know."""
+        with self._lock:
+            self.inbox.lost(name, time.monotonic_ns())
+        for port in self.outs.values():
+            port.has_lost()
+
     def rewire(self, name: str, account: EdgeAccount, port: InPort) -> None:
         """Let an input be another edge; to be called by the thread that calls the handlers."""
         with self._lock:

@@ -108,6 +108,9 @@ class SourceHost(Host):
         self.account.last_seq = header.seq
         self.account.histograms["handler"].add(ended - ready)
 
+    def lost(self, name: str) -> None:
+        """A command less; the frames come from here."""
+
     def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         """In real time an exposure cannot wait for memory."""
         return super().lend(port, shape, dtype) if self.lockstep else port.loan(shape, dtype)

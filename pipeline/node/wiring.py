@@ -203,7 +203,7 @@ class Wiring:
         return stop
 
     def _in_port(self, host: Host, edge: Edge, declared: Input, *, holding: bool = False) -> InPort:
-        return InPort(
+        port = InPort(
             declared.message,
             self._ledger.edges[edge.index],
             PoolReader(self._memory, f"{self._job.prefix}{edge.source}.{edge.output}"),
@@ -212,6 +212,8 @@ class Wiring:
             tap=edge.tap,
             holding=holding,
         )
+        port.on_loss = partial(host.lost, edge.input)
+        return port
 
     def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
         job = self._job

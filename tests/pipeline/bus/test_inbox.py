@@ -196,3 +196,44 @@ def test_a_histogram_of_nothing_is_zero() -> None:
     from pipeline.bus.histogram import BUCKETS, Histogram
 
     assert Histogram(np.zeros(BUCKETS, np.uint32)).summary() == {"p50": 0.0, "p99": 0.0}
+
+
+def test_after_a_loss_an_incomplete_set_is_given_up_when_its_member_had_time_to_come() -> None:
+    desk = Desk(left=EVERY, right=EVERY)
+    for seq in range(3):
+        desk.put("right", seq)
+    desk.put("left", 0)
+
+    desk.inbox.lost("left", now_ns=0)
+    desk.put("right", 3)
+    desk.put("left", 2)
+
+    assert desk.take(999) == 0
+    assert desk.take(999) == 2
+    assert desk.fates == [("right", "unmatched")]  # frame 1: the left one can come no more
+    assert desk.inbox.due_ns() is not None
+    assert desk.take(1001) is None
+    assert len(desk.inbox) == 1  # frame 3 came after the loss
+    assert desk.inbox.due_ns() is None
+
+
+def test_a_loss_where_nothing_waits_changes_nothing() -> None:
+    desk = Desk(left=EVERY, right=EVERY)
+
+    desk.inbox.lost("left", now_ns=0)
+    desk.put("right", 0)
+
+    assert desk.take(5000) is None
+    assert len(desk.inbox) == 1
+
+
+def test_a_set_whose_member_is_lost_is_given_up_after_a_second() -> None:
+    desk = Desk(left=EVERY, right=EVERY)
+    desk.put("right", 0)
+
+    desk.inbox.lost("left", now_ns=0)
+
+    assert desk.take(999) is None
+    assert desk.fates == []
+    assert desk.take(1001) is None
+    assert desk.fates == [("right", "unmatched")]

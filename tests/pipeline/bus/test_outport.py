@@ -29,10 +29,14 @@ class Wire:
     def __init__(self, *, matched: bool = False) -> None:
         self.sent: list[bytes] = []
         self.matched = matched
+        self.fresh = False
 
     def connect(self) -> bool:
-        """Always there."""
-        return False
+        """Whether a link is new."""
+        return self.fresh
+
+    def aim(self, *_: object) -> None:
+        """There is one reader."""
 
     def send(self, payload: bytes) -> list[int]:
         self.sent.append(payload)
@@ -289,3 +293,34 @@ def test_the_header_arrives_untouched(edge: Edge, change: dict[str, object]) -> 
 def test_an_envelope_of_another_version_is_refused() -> None:
     with pytest.raises(MessageError, match="version"):
         Envelope.parse(to_bytes([99, 1, 1, 1, b"", None, []]))
+
+
+def told_of_losses(edge: Edge) -> list[int]:
+    """Greets and carries; one entry for every loss that the reader heard of."""
+    told: list[int] = []
+    edge.port.on_loss = lambda: told.append(1)
+    edge.out.hello()
+    edge.carry()
+    return told
+
+
+def test_a_reader_hears_of_a_loss_once(edge: Edge) -> None:
+    edge.out.hello()
+    edge.carry()
+
+    edge.out.has_lost()
+
+    assert told_of_losses(edge) == [1]
+    assert told_of_losses(edge) == []
+
+
+def test_who_began_anew_has_lost_something_and_who_took_over_has_not(edge: Edge) -> None:
+    edge.out.hello()
+    edge.carry()
+
+    edge.wire.fresh = True
+    edge.out = edge.writer(2)
+    assert told_of_losses(edge) == [1]
+
+    edge.out.begin(3)
+    assert told_of_losses(edge) == []

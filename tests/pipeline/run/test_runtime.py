@@ -198,13 +198,56 @@ def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
                         "    stall_s: 0.5\n")  # fmt: skip
     plan = plan_of(tmp_path, text, changes=("work.hang_at=20",))
 
-    report = go(plan, 150)
+    def until_killed(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: bool(supervisor.restarts), 30)
+        again = handled(supervisor, "pair")
+        wait_for(supervisor, lambda: handled(supervisor, "pair") > again + 5)
+        supervisor.finish()
+
+    report = go(plan, 0, until_killed)
 
     assert report["restarts"] == {"work": 1}
     assert (
         "time.sleep" in (base() / plan.name / "work.log").read_text()
         or "toys.py" in (base() / plan.name / "work.log").read_text()
     )
+
+
+def test_what_two_lossless_ways_lost_on_one_of_them_is_not_waited_for_on_the_other(
+    tmp_path: Path,
+) -> None:
+    text = (
+        CHAIN.partition("  count:")[0]
+        + """\
+  work:
+    operator: tests.toys:PassEvery
+    inputs: {frame: {from: ticker.context, depth: 4}}
+  relay:
+    operator: tests.toys:PassEvery
+    inputs: {frame: {from: work, depth: 4}}
+  pair:
+    operator: tests.toys:PairEvery
+    inputs: {left: {from: relay, depth: 4}, right: {from: ticker.roi, depth: 4}}
+"""
+    )
+    plan = plan_of(tmp_path, text)
+
+    def freeze_and_kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "pair") > 5)
+        os.kill(supervisor.pid("work"), signal.SIGSTOP)  # frames pile up before it
+        end = time.monotonic() + 0.3
+        wait_for(supervisor, lambda: time.monotonic() > end)
+        os.kill(supervisor.pid("work"), signal.SIGKILL)
+        wait_for(supervisor, lambda: bool(supervisor.restarts), 30)
+        again = handled(supervisor, "pair")
+        wait_for(supervisor, lambda: handled(supervisor, "pair") > again + 10, 30)
+        supervisor.finish()
+
+    report = go(plan, 0, freeze_and_kill)
+
+    assert edge(report, "work.frame")["lost_in_crash"] > 0
+    assert edge(report, "pair.right")["dropped"]["unmatched"] > 0
+    assert_accounts_add_up(report)
 
 
 def test_a_graph_runs_once_at_a_time(tmp_path: Path) -> None:
