@@ -94,7 +94,7 @@ def _late(
     for where, data in (drawn | real).items():
         words = [*data, *LATE, "--delay", "0,2,13", "--every", "24", *own, *short]
         found |= {f"late{where}": words, f"late-hold{where}": [*words, *HOLD]}
-    for where, data in (many | real if far else {}).items():
+    for where, data in ((many | real) if far else {}).items():
         every = ["--every", "48"] if where else ["--every", "60", "--frames", "1-300"]
         words = [*data, *LATE, *FAR, *every, "--policy", far, *short]
         found |= {f"far{where}": words, f"far-hold{where}": [*words, *HOLD]}

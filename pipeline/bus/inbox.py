@@ -7,6 +7,7 @@ its members are counted as unmatched. No thread and no clock of its own: the cal
 
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import NamedTuple
 
 from pipeline.bus.clocks import Clocks
@@ -71,7 +72,7 @@ class Inbox:
         self._sets: dict[int, _Set] = {}
         self._last: dict[str, int] = {}
         self._handled = -1
-        self._doomed: tuple[int, int] | None = None  # when sets up to which seq are given up
+        self._doomed = deque[tuple[int, int]]()  # when incomplete sets up to which seq are given up
         self._stream, self._retired = "", deque[str](maxlen=16)
         self._fresh = False
         self._side: deque[tuple[str, Arrival]] = deque()
@@ -112,14 +113,15 @@ class Inbox:
         ever: one for a frame that is lost, the other one's writer for the room that it takes.
         """
         lacking = [s for s, waiting in self._sets.items() if name not in waiting.arrivals]
-        if name in self._needed and lacking:
-            self._doomed = (now_ns + GRACE_NS, max(lacking))
+        newest = self._doomed[-1][1] if self._doomed else -1
+        if name in self._needed and max(lacking, default=-1) > newest:
+            self._doomed.append((now_ns + GRACE_NS, max(lacking)))
 
     def take(self, now_ns: int) -> Work | None:
         """The next call to make, or None while nothing is complete."""
-        if self._doomed is not None and now_ns >= self._doomed[0]:
-            newest, self._doomed = self._doomed[1], None
-            self._give_up(lambda s: s <= newest and self._sets[s].complete_ns is None)
+        while self._doomed and now_ns >= self._doomed[0][0]:
+            _, newest = self._doomed.popleft()
+            self._give_up(partial(self._hopeless, newest))
         if self._side and self._side_may_go():
             name, arrival = self._side.popleft()
             return self._work(arrival.header, {name: arrival})
@@ -146,8 +148,8 @@ class Inbox:
         times = [
             s.complete_ns + self._wait_ns for s in self._sets.values() if s.complete_ns is not None
         ]
-        if self._doomed is not None:
-            times.append(self._doomed[0])
+        if self._doomed:
+            times.append(self._doomed[0][0])
         return min(times) if times and not self._lockstep else None
 
     @property
@@ -217,6 +219,7 @@ class Inbox:
             self._retired.append(self._stream)
         self._stream, self._fresh, self._handled = stream, True, -1
         self._last.clear()
+        self._doomed.clear()
         self._give_up(lambda _seq: True)
         while self._side:
             name, arrival = self._side.popleft()
@@ -251,6 +254,9 @@ class Inbox:
     def _give_up(self, doomed: Callable[[int], bool]) -> None:
         for seq in [s for s in self._sets if doomed(s)]:
             self._drop(seq, "unmatched")
+
+    def _hopeless(self, newest: int, seq: int) -> bool:
+        return seq <= newest and self._sets[seq].complete_ns is None
 
     def _drop(self, seq: int, reason: str) -> None:
         for name, arrival in self._sets.pop(seq).arrivals.items():

@@ -144,9 +144,9 @@ class OutPort:
         doors = [(r.account.door, r.account.next_door) for r in self.readers]
         if doors != self._doors:
             self._aim(doors)
-        if self._links.connect() or waiting or self._stuck() or self._lost:
-            self._send(self._wrap(HELLO, None, False if self._lost else self._goes_on), ())
-            self._lost = False
+        lost, self._lost = self._lost, False
+        if self._links.connect() or waiting or self._stuck() or lost:
+            self._send(self._wrap(HELLO, None, False if lost else self._goes_on), ())
         return not waiting
 
     def has_lost(self) -> None:

@@ -237,3 +237,28 @@ def test_a_set_whose_member_is_lost_is_given_up_after_a_second() -> None:
     assert desk.fates == []
     assert desk.take(1001) is None
     assert desk.fates == [("right", "unmatched")]
+
+
+def test_losses_that_follow_one_another_put_nothing_off() -> None:
+    desk = Desk(left=EVERY, right=EVERY)
+    for seq in range(3):
+        desk.put("right", seq)
+        desk.inbox.lost("left", now_ns=seq * 400_000_000)
+
+    given_up = []
+    for now_ms in (999, 1001, 1401, 1801):
+        desk.take(now_ms)
+        given_up.append(len(desk.fates))
+
+    assert given_up == [0, 1, 2, 3]
+
+
+def test_a_loss_of_one_stream_is_none_of_the_next() -> None:
+    desk = Desk(left=EVERY, right=EVERY)
+    desk.put("right", 5)
+    desk.inbox.lost("left", now_ns=0)
+
+    desk.put("right", 0, stream="t")
+
+    assert desk.take(2000) is None
+    assert len(desk.inbox) == 1
