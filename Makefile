@@ -23,6 +23,7 @@ test: $(VENV)/.installed-dev
 
 test-slow: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -n 2 -m hypothesis --hypothesis-profile search
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

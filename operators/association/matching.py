@@ -65,8 +65,8 @@ def near(
     distance = np.hypot(away[..., 0], away[..., 1])
     side = predicted[:, 2:] - predicted[:, :2]
     other = detected[:, 2:] - detected[:, :2]
-    ratio = (other[None] + 1e-6) / (side[:, None] + 1e-6)
-    alike = ((ratio > 0.5) & (ratio < 2.0)).all(-1)
+    less, more = np.minimum(side[:, None], other[None]), np.maximum(side[:, None], other[None])
+    alike = (more < 2 * less + 1e-6).all(-1)  # a ratio would fail on points
     closeness = 1 - distance / np.maximum(reach_px, 1e-6)[:, None]
     return np.asarray(np.where(alike, np.maximum(closeness, 0), 0), np.float32)
 

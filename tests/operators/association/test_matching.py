@@ -1,7 +1,7 @@
 """Which detection is which track."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from operators.association.matching import assign, match, near
@@ -85,6 +85,7 @@ box = st.tuples(*[st.floats(-50, 2000, width=32) for _ in range(4)])
 
 
 @given(st.lists(box, max_size=6), st.lists(box, max_size=6), st.integers(0, 2**32 - 1))
+@example([(0.0, 1e-6, 0.0, 0.0)], [(0.0, 0.0, 0.0, 0.0)], 0)
 def test_every_track_and_every_detection_is_paired_at_most_once(a, b, seed):
     tracks, found = boxes(*a), boxes(*b)
     same = np.random.default_rng(seed).random((len(a), len(b))) < 0.5
