@@ -20,11 +20,15 @@ from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import Target, starts, targets
 from drivers.simulated.readout import Window
 from operators.training.workers import pool_of
+from pipeline.fleet.allow import code_digest, file_digest
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
 from pipeline.messages import Geometry, Tracks
 
 LOOK_S = 1.0  # between looks at what is done
 PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
 NETWORKS = Path(__file__).parents[2] / "operators"
+CODE = ("bench.tracking", "drivers", "pipeline.boxes")  # beside the graph's own operators
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +69,8 @@ def measured(
 ) -> list[Unit]:
     """All units, from the folder where they are known, from work where they are not."""
     folder.mkdir(parents=True, exist_ok=True)
-    keys = [key(case, protocol) for case in cases]
+    code = code_of(Path(protocol.graph))
+    keys = [key(case, protocol, code) for case in cases]
     places = {clip: [_place(folder, clip, key) for key in keys] for clip in clips}
     with (
         pool_of(jobs) as pool,
@@ -164,17 +169,24 @@ def _same_gaze(case: Case) -> Case:
     return replace(case, name="", rules=replace(case.rules, context=True))
 
 
-def key(case: Case, protocol: Protocol) -> str:
-    """Tells units of a clip apart; another case, another protocol, other weights, another key."""
+def code_of(graph: Path) -> str:
+    """Digest of the code that figures come from; what was measured with other code is not known."""
+    operators = {node.operator for node in load(graph, Overlay(clock="lockstep")).nodes}
+    parts = [code_digest(module) for module in (*CODE, *sorted(operators))]
+    return sha256(" ".join(parts).encode()).hexdigest()
+
+
+def key(case: Case, protocol: Protocol, code: str) -> str:
+    """Tells units of a clip apart; another case, protocol, code, graph or network, another key."""
     values = [change.partition("=")[2] for change in case.changes]
     files = [Path(value) for value in values if value.endswith(".onnx")]
     if case.strategy in PLANNED:
         learned = case.strategy == "foveated" and "policy.strategy=pursue" not in case.changes
         shipped = sorted(NETWORKS.glob("*/*.onnx"))
         files += [path for path in shipped if learned or path.parent.name != "policy"]
-        files.append(Path(protocol.graph))
-    digests = [sha256(path.read_bytes()).hexdigest() for path in files]
-    return json.dumps([asdict(case), asdict(protocol), *digests], sort_keys=True)
+    digests = [file_digest(path) for path in (*files, Path(protocol.graph))]
+    of_all = asdict(replace(protocol, graph=""))  # the same file elsewhere is the same graph
+    return json.dumps([asdict(case), of_all, code, *digests], sort_keys=True)
 
 
 def _place(folder: Path, clip: ClipName, key: str) -> Path:

@@ -1,6 +1,7 @@
 """The evaluation: equal budgets, states told by the truth, honest intervals, the loop itself."""
 
 import json
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
-from bench.tracking.units import Case, Protocol, key
+from bench.tracking.units import Case, Protocol, code_of, key
 from drivers.source import Truth
 from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, RunError, SettingsError
@@ -283,19 +284,39 @@ def test_options_are_read_as_they_are_meant() -> None:
     assert policy_files(["a=pursue", "b=pursue"]) == {"a": "pursue", "b": "pursue"}
 
 
-def test_a_unit_is_another_with_other_weights_and_the_same_with_the_same(tmp_path: Path) -> None:
-    weights = tmp_path / "policy.onnx"
-    keys = []
-    for content in (b"a", b"b", b"a"):
-        weights.write_bytes(content)
-        changes = (f"policy.weights={weights}", "policy.strategy=learned")
-        case = Case(
-            strategy="foveated", budget="1/8", name="foveated", rules=Rules(), changes=changes
-        )
-        protocol = Protocol(graph=str(GRAPH), frames=(1, 9), kinds=("ball",))
-        keys.append(key(case, protocol))
+def test_a_unit_is_another_with_other_weights_code_or_graph(tmp_path: Path) -> None:
+    weights, copy = tmp_path / "policy.onnx", tmp_path / "copy.yaml"
+    changes = (f"policy.weights={weights}", "policy.strategy=learned")
+    case = Case(strategy="foveated", budget="1/8", name="foveated", rules=Rules(), changes=changes)
+    protocol = Protocol(graph=str(GRAPH), frames=(1, 9), kinds=("ball",))
 
-    assert keys[0] == keys[2] != keys[1]
+    def keyed(content: bytes, graph: str, code: str) -> str:
+        weights.write_bytes(content)
+        copy.write_text(graph)
+        return key(case, replace(protocol, graph=str(copy)), code)
+
+    first = keyed(b"a", GRAPH.read_text(), "one")
+    weights.write_bytes(b"a")
+
+    assert first == keyed(b"a", GRAPH.read_text(), "one") == key(case, protocol, "one")
+    others = {keyed(b"b", GRAPH.read_text(), "one"), keyed(b"a", GRAPH.read_text(), "two")}
+    others.add(keyed(b"a", GRAPH.read_text() + "\n", "one"))
+    assert len(others | {first}) == 4
+
+
+def test_what_was_measured_with_other_code_is_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "seer.py").write_text("def see(): return 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    graph = tmp_path / "tracking.yaml"
+    graph.write_text(GRAPH.read_text())
+    monkeypatch.setattr("bench.tracking.units.CODE", ("seer",))
+    before = code_of(graph)
+
+    (tmp_path / "seer.py").write_text("def see(): return 2\n")
+
+    assert code_of(graph) != before
 
 
 def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
