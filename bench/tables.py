@@ -39,6 +39,7 @@ NAMES = {
     "far-hold": "The same at 1/8 without prediction",
     "far-hold-soccernet": "The same on real footage",
     "limits": "What limits the rest: one part after the other replaced by the truth, at 1/8",
+    "limits-soccernet": "The same on real footage, eight players",
     "ablation": "Inputs of the policy left out, at 1/8",
     "run-time": "Time of each part, one thread",
 }
@@ -64,19 +65,21 @@ def studies(
 ) -> dict[str, list[str]]:
     """Options of `fovea eval tracking` by study."""
     own = _policy(policies)
-    many = [*_drawn(1 if quick else clips), *(["--frames", "1-24"] if quick else [])]
-    at_eighth = ["--budgets", "1/8", "--sees", "roi"]
-    few = [*_drawn(max(1, clips // 3)), *at_eighth]
-    if quick:
-        few = [*many, *at_eighth]
+    short = ["--frames", "1-24"] if quick else []
+    many = [*_drawn(1 if quick else clips), *short]
+    few = [*(many if quick else _drawn(max(1, clips // 3))), "--budgets", "1/8"]
     parts = [word for part in (*PARTS, *TOGETHER) for word in ("--replace", part)]
+    limits = ["--strategies", "foveated,oracle,full", "--sees", "both", *parts, *own]
     found = {"budgets": [*many, *own]}
     if soccernet:
-        found["soccernet"] = ["--data", soccernet, *own, *(many[4:] if quick else [])]
+        found["soccernet"] = ["--data", soccernet, *own, *short]
     found |= _late(clips, soccernet, own, far, quick=quick)
-    found["limits"] = [*few, "--strategies", "foveated,oracle,full", *parts, *own]
+    found["limits"] = [*few, *limits]
+    if soccernet:
+        crowd = ["--budgets", "1/8", "--players", "8", "--every", "24", *short]
+        found["limits-soccernet"] = ["--data", soccernet, *crowd, *limits]
     if ablations:
-        wanted = ["--strategies", "foveated,centred,round_robin,full"]
+        wanted = ["--strategies", "foveated,centred,round_robin,full", "--sees", "roi"]
         whole = tuple(f"whole={given.rpartition('=')[2]}" for given in policies[:1])
         found["ablation"] = [*few, *wanted, *_policy((*whole, *ablations, "pursue=pursue"))]
     return found
