@@ -67,32 +67,37 @@ def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
     return found
 
 
-def paired(units: Sequence[Unit], *, of: str, seed: int) -> list[Row]:
-    """One strategy against each other at the same budget (and against what has none)."""
+def paired(units: Sequence[Unit], *, planned: Sequence[str], seed: int) -> list[Row]:
+    """Differences between rows at the same budget (and to what has none), frame by frame.
+
+    The first of the rows `planned` is told against every other; those behind it, which differ from
+    it in one thing each, against what is not among them: all against all would be read by nobody.
+    """
     blocks = gathered(units, kept_only=True)
     found = []
-    for (target, strategy, budget), own in blocks.items():
-        if strategy != of:
-            continue
-        for (other_target, other, other_budget), theirs in blocks.items():
-            if other_target != target or other == of or other_budget not in (budget, "1"):
-                continue
-            roi = other.startswith(WITH_ROI)
-            if roi and of.endswith(ROI_ALONE) != other.endswith(ROI_ALONE):
-                continue
-            if not own.keys() & theirs.keys():
-                continue
-            middle, low, high = difference(own, theirs, seed=seed)
-            found.append(
-                {
-                    "target": target,
-                    "budget": budget,
-                    "strategy": of,
-                    "against": other,
-                    "difference": _round(middle),
-                    "ci95": [_round(low), _round(high)],
-                }
-            )
+    for of in planned:
+        alone = of.endswith(ROI_ALONE)
+        first = next(name for name in planned if name.endswith(ROI_ALONE) == alone)
+        told = {name for name in planned if of != first or name == of}
+        for (target, strategy, budget), own in blocks.items():
+            for (other_target, other, other_budget), theirs in blocks.items():
+                if strategy != of or other in told or other_target != target:
+                    continue
+                if other_budget not in (budget, "1") or not own.keys() & theirs.keys():
+                    continue
+                if other.startswith(WITH_ROI) and other.endswith(ROI_ALONE) != alone:
+                    continue
+                middle, low, high = difference(own, theirs, seed=seed)
+                found.append(
+                    {
+                        "target": target,
+                        "budget": budget,
+                        "strategy": of,
+                        "against": other,
+                        "difference": _round(middle),
+                        "ci95": [_round(low), _round(high)],
+                    }
+                )
     return found
 
 

@@ -28,7 +28,9 @@ from pipeline.messages import Geometry, Tracks
 LOOK_S = 1.0  # between looks at what is done
 PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
 NETWORKS = Path(__file__).parents[2] / "operators"
-CODE = ("bench.tracking", "drivers", "pipeline.boxes")  # beside the graph's own operators
+OWN = ("budgets", "clip", "episode", "replaced", "stages", "targets", "units")
+# what figures come from, beside the graph's own operators
+CODE = ("drivers", "pipeline.boxes", *(f"bench.tracking.{name}" for name in OWN))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ from bench.tracking.episode import Rules, run
 from bench.tracking.evaluate import command, interval, policy_files
 from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
+from bench.tracking.report import paired
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
 from bench.tracking.units import Case, Protocol, code_of, key
@@ -317,6 +318,25 @@ def test_what_was_measured_with_other_code_is_measured_again(
     (tmp_path / "seer.py").write_text("def see(): return 2\n")
 
     assert code_of(graph) != before
+
+
+def test_variants_are_paired_with_the_first_and_with_what_does_not_plan() -> None:
+    def unit(case: str) -> dict[str, object]:
+        iou = [0.5, 0.4]
+        episode = {"start": 0, "iou": iou, "kept": [True] * 2, "shown": iou, "state": ["seen"] * 2}
+        return {"clip": "c", "case": case, "kind": "player", "budget": "1/8", "episodes": [episode]}
+
+    planned = ["foveated", "foveated, ROI alone", "foveated + true policy", "foveated, late"]
+    units = [unit(case) for case in (*planned, "spatial", "oracle", "oracle, ROI alone")]
+
+    found = {(row["strategy"], row["against"]) for row in paired(units, planned=planned, seed=0)}
+
+    late, true = "foveated, late", "foveated + true policy"
+    assert found == {
+        *(("foveated", against) for against in (true, late, "spatial", "oracle")),
+        *(("foveated, ROI alone", against) for against in ("spatial", "oracle, ROI alone")),
+        *((of, against) for of in (true, late) for against in ("spatial", "oracle")),
+    }
 
 
 def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
