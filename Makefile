@@ -22,8 +22,8 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-slow: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m slow
-	$(BIN)/python -m pytest -n 2 -m hypothesis --hypothesis-profile search
+	$(BIN)/python -m pytest -m "slow and not hardware"
+	$(BIN)/python -m pytest -n 2 -m "hypothesis and not (slow or hardware)" --hypothesis-profile search
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

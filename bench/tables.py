@@ -25,6 +25,7 @@ from bench.tracking.evaluate import (
     tracker_changes,
 )
 from bench.tracking.replaced import PARTS
+from operators.policy.learned import SHIPPED
 
 TOGETHER = ("detections+association",)  # what the policy would know from perfect eyes
 NAMES = {
@@ -73,31 +74,31 @@ def studies(
     found = {"budgets": [*many, *own]}
     if soccernet:
         found["soccernet"] = ["--data", soccernet, *own, *short]
-    found |= _late(clips, soccernet, own, far, quick=quick)
+    found |= _late(clips, soccernet, own, far, short)
     found["limits"] = [*few, *limits]
     if soccernet:
         crowd = ["--budgets", "1/8", "--players", "8", "--every", "24", *short]
         found["limits-soccernet"] = ["--data", soccernet, *crowd, *limits]
     if ablations:
         wanted = ["--strategies", "foveated,centred,round_robin,full", "--sees", "roi"]
-        whole = tuple(f"whole={given.rpartition('=')[2]}" for given in policies[:1])
-        found["ablation"] = [*few, *wanted, *_policy((*whole, *ablations, "pursue=pursue"))]
+        whole = policies[0].rpartition("=")[2] if policies else str(SHIPPED)
+        rows = (f"whole={whole}", *ablations, "pursue=pursue")
+        found["ablation"] = [*few, *wanted, *_policy(rows)]
     return found
 
 
 def _late(
-    clips: int, soccernet: str, own: list[str], far: str, *, quick: bool
+    clips: int, soccernet: str, own: list[str], far: str, short: list[str]
 ) -> dict[str, list[str]]:
     """Of fewer clips and starts: every delay with every Ta is followed anew."""
     found: dict[str, list[str]] = {}
-    drawn = {"": _drawn(1 if quick else max(1, clips // 5))}
-    many = {"": _drawn(1 if quick else max(1, clips // 15))}
     real = {"-soccernet": ["--data", soccernet]} if soccernet else {}
-    short = ["--frames", "1-24"] if quick else []
+    drawn = {"": _drawn(1 if short else max(1, clips // 5))}
+    long = {"": _drawn(1 if short else max(1, clips // 15))}
     for where, data in (drawn | real).items():
         words = [*data, *LATE, "--delay", "0,2,13", "--every", "24", *own, *short]
         found |= {f"late{where}": words, f"late-hold{where}": [*words, *HOLD]}
-    for where, data in ((many | real) if far else {}).items():
+    for where, data in ((long | real) if far else {}).items():
         every = ["--every", "48"] if where else ["--every", "60", "--frames", "1-300"]
         words = [*data, *LATE, *FAR, *every, "--policy", far, *short]
         found |= {f"far{where}": words, f"far-hold{where}": [*words, *HOLD]}
@@ -147,6 +148,11 @@ def main(
     """See the module."""
     out.mkdir(parents=True, exist_ok=True)
     wanted = studies(clips, soccernet, ablation, policy, far=far, quick=quick)
+    if missing := sorted(set(only) - set(wanted) - {"run-time"}):
+        raise click.UsageError(
+            f"--only {missing[0]}: needs --soccernet, --ablation or --far; with what is given: "
+            f"{', '.join(wanted)}, run-time"
+        )
     for name, words in wanted.items():
         if only and name not in only:
             continue

@@ -181,7 +181,6 @@ def _evaluate(**given: Any) -> None:
     folder = given["work"] or (out.with_suffix(".work") if out else Path(".fovea-eval"))
     units = measured(clips, wanted, protocol, folder, jobs=given["jobs"])
     seed = protocol.seed
-    planned = list(dict.fromkeys(c.name for c in wanted if c.strategy == "foveated"))
     found = {
         **facts(),
         "graph": Path(protocol.graph).name,
@@ -195,7 +194,7 @@ def _evaluate(**given: Any) -> None:
         "budgets": [str(budget) for budget in budgets],
         "seed": seed,
         "rows": reporting.rows(units, seed=seed),
-        "paired": reporting.paired(units, planned=planned, seed=seed),
+        "paired": reporting.paired(units, wanted, seed=seed),
     }
     text = reporting.markdown(found)
     if out:

@@ -7,7 +7,7 @@ from typing import Any
 
 from bench.tracking.intervals import Block, block_of, difference, mean
 from bench.tracking.targets import HELD
-from bench.tracking.units import Unit
+from bench.tracking.units import Case, Unit
 from drivers.simulated.strategies import WITH_ROI
 
 Row = dict[str, Any]
@@ -67,38 +67,49 @@ def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
     return found
 
 
-def paired(units: Sequence[Unit], *, planned: Sequence[str], seed: int) -> list[Row]:
-    """Differences between rows at the same budget (and to what has none), frame by frame.
+def paired(units: Sequence[Unit], cases: Sequence[Case], *, seed: int) -> list[Row]:
+    """Differences between rows at the same budget (and to what has none), paired by block.
 
-    The first of the rows `planned` is told against every other; those behind it, which differ from
-    it in one thing each, against what is not among them: all against all would be read by nobody.
+    Each row of the policy is told against what is none of it, and against those that `varies`
+    finds: all against all would be read by nobody.
     """
     blocks = gathered(units, kept_only=True)
+    planned = {case.name: case for case in cases if case.strategy == "foveated"}
+    first = next(iter(planned.values()), None)
     found = []
-    for of in planned:
-        alone = of.endswith(ROI_ALONE)
-        first = next(name for name in planned if name.endswith(ROI_ALONE) == alone)
-        told = {name for name in planned if of != first or name == of}
-        for (target, strategy, budget), own in blocks.items():
-            for (other_target, other, other_budget), theirs in blocks.items():
-                if strategy != of or other in told or other_target != target:
-                    continue
-                if other_budget not in (budget, "1") or not own.keys() & theirs.keys():
-                    continue
-                if other.startswith(WITH_ROI) and other.endswith(ROI_ALONE) != alone:
-                    continue
-                middle, low, high = difference(own, theirs, seed=seed)
-                found.append(
-                    {
-                        "target": target,
-                        "budget": budget,
-                        "strategy": of,
-                        "against": other,
-                        "difference": _round(middle),
-                        "ci95": [_round(low), _round(high)],
-                    }
-                )
+    for (target, strategy, budget), own in blocks.items():
+        for (other_target, other, other_budget), theirs in blocks.items():
+            if strategy not in planned or other_target != target or strategy == other:
+                continue
+            if other_budget not in (budget, "1") or not own.keys() & theirs.keys():
+                continue
+            alone = (strategy.endswith(ROI_ALONE), other.endswith(ROI_ALONE))
+            if other.startswith(WITH_ROI) and alone[0] != alone[1]:
+                continue
+            if first and other in planned and not varies(planned[strategy], planned[other], first):
+                continue
+            middle, low, high = difference(own, theirs, seed=seed)
+            found.append(
+                {
+                    "target": target,
+                    "budget": budget,
+                    "strategy": strategy,
+                    "against": other,
+                    "difference": _round(middle),
+                    "ci95": [_round(low), _round(high)],
+                }
+            )
     return found
+
+
+def varies(case: Case, other: Case, first: Case) -> bool:
+    """Whether `other` differs from `case` in one thing, in which `case` is as the `first` row."""
+    ours, theirs, plain = (
+        (c.changes, c.replaced, c.rules.delay, c.rules.replan, c.rules.prediction)
+        for c in (case, other, first)
+    )
+    differ = [k for k, value in enumerate(ours) if value != theirs[k]]
+    return len(differ) == 1 and ours[differ[0]] == plain[differ[0]]
 
 
 def gathered(units: Iterable[Unit], *, kept_only: bool) -> dict[Key, dict[str, Block]]:

@@ -16,21 +16,24 @@ from bench.tracking.budgets import acquisition
 from bench.tracking.clip import ClipName, read
 from bench.tracking.episode import Rules, run
 from bench.tracking.replaced import Replaced
-from bench.tracking.stages import Camera, Stages, watched
+from bench.tracking.stages import NEEDED, Camera, Stages, watched
 from bench.tracking.targets import Target, starts, targets
 from drivers.simulated.readout import Window
 from operators.training.workers import pool_of
 from pipeline.fleet.allow import code_digest, file_digest
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Node
 from pipeline.messages import Geometry, Tracks
 
 LOOK_S = 1.0  # between looks at what is done
 PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
-NETWORKS = Path(__file__).parents[2] / "operators"
-OWN = ("budgets", "clip", "episode", "replaced", "stages", "targets", "units")
-# what figures come from, beside the graph's own operators
-CODE = ("drivers", "pipeline.boxes", *(f"bench.tracking.{name}" for name in OWN))
+OPERATORS = Path(__file__).parents[2] / "operators"
+CODE = (  # what figures come from, beside the operators that a case needs
+    *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
+    *(f"bench.tracking.{name}" for name in ("budgets", "clip", "episode", "replaced")),
+    *(f"bench.tracking.{name}" for name in ("stages", "targets", "units")),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +74,8 @@ def measured(
 ) -> list[Unit]:
     """All units, from the folder where they are known, from work where they are not."""
     folder.mkdir(parents=True, exist_ok=True)
-    code = code_of(Path(protocol.graph))
-    keys = [key(case, protocol, code) for case in cases]
-    places = {clip: [_place(folder, clip, key) for key in keys] for clip in clips}
+    keys = [key(case, protocol) for case in cases]
+    places = {clip: [_place(folder, clip, told) for told in keys] for clip in clips}
     with (
         pool_of(jobs) as pool,
         tqdm(total=len(clips) * len(cases), desc="units", unit="unit", smoothing=0) as bar,
@@ -171,27 +173,33 @@ def _same_gaze(case: Case) -> Case:
     return replace(case, name="", rules=replace(case.rules, context=True))
 
 
-def code_of(graph: Path) -> str:
-    """Digest of the code that figures come from; what was measured with other code is not known."""
-    operators = {node.operator for node in load(graph, Overlay(clock="lockstep")).nodes}
-    parts = [code_digest(module) for module in (*CODE, *sorted(operators))]
-    return sha256(" ".join(parts).encode()).hexdigest()
+def key(case: Case, protocol: Protocol) -> str:
+    """Tells units of a clip apart: all that their figures come from, by content.
+
+    Other settings, networks or code make another key, as far as the case needs the parts: a
+    strategy that plans nothing needs the tracker alone.
+    """
+    plan = load(Path(protocol.graph), Overlay(changes=case.changes, clock="lockstep"))
+    wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
+    nodes = [node for node in plan.nodes if node.name in wanted]
+    parts = [
+        [node.name, node.settings, code_digest(node.operator), *_networks(node)] for node in nodes
+    ]
+    code = [code_digest(module) for module in CODE]
+    common = asdict(replace(protocol, graph=""))  # of the graph, its parts count
+    whole = [asdict(case), common, code, parts, file_digest(OPERATORS / "weights.toml")]
+    return json.dumps(whole, sort_keys=True, default=str)
 
 
-def key(case: Case, protocol: Protocol, code: str) -> str:
-    """Tells units of a clip apart; another case, protocol, code, graph or network, another key."""
-    values = [change.partition("=")[2] for change in case.changes]
-    files = [Path(value) for value in values if value.endswith(".onnx")]
-    if case.strategy in PLANNED:
-        learned = case.strategy == "foveated" and "policy.strategy=pursue" not in case.changes
-        shipped = sorted(NETWORKS.glob("*/*.onnx"))
-        files += [path for path in shipped if learned or path.parent.name != "policy"]
-    digests = [file_digest(path) for path in (*files, Path(protocol.graph))]
-    of_all = asdict(replace(protocol, graph=""))  # the same file elsewhere is the same graph
-    return json.dumps([asdict(case), of_all, code, *digests], sort_keys=True)
+def _networks(node: Node) -> list[str]:
+    """Digests of the networks that lie beside a part's code, and of those its settings name."""
+    folder = OPERATORS / Path(*node.operator.partition(":")[0].split(".")[1:])
+    named = [Path(v) for v in node.settings.values() if isinstance(v, str) and v.endswith(".onnx")]
+    files = [*sorted(folder.glob("*.onnx")), *(path for path in named if path.is_file())]
+    return [file_digest(path) for path in files]
 
 
 def _place(folder: Path, clip: ClipName, key: str) -> Path:
     """Where a unit is kept."""
-    told = sha256(f"{key} {clip.seed} {clip.folder}".encode()).hexdigest()
-    return folder / f"{clip}-{told[:16]}.json"
+    digest = sha256(f"{key} {clip.seed} {clip.folder}".encode()).hexdigest()
+    return folder / f"{clip}-{digest[:16]}.json"

@@ -66,7 +66,7 @@ def near(
     side = predicted[:, 2:] - predicted[:, :2]
     other = detected[:, 2:] - detected[:, :2]
     less, more = np.minimum(side[:, None], other[None]), np.maximum(side[:, None], other[None])
-    alike = (more < 2 * less + 1e-6).all(-1)  # a ratio would fail on points
+    alike = (more <= 2 * less).all(-1)  # no ratio: a side may be 0, or turned over
     closeness = 1 - distance / np.maximum(reach_px, 1e-6)[:, None]
     return np.asarray(np.where(alike, np.maximum(closeness, 0), 0), np.float32)
 

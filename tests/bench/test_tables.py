@@ -4,11 +4,13 @@ import json
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
-from bench.tables import NAMES, studies, together
+from bench.tables import NAMES, main, studies, together
 from bench.tracking.evaluate import asked, command
 from bench.tracking.replaced import PARTS
 from bench.tracking.report import ROI_ALONE
+from tests.drivers.sequences import write_sequence
 
 CLIPS = {"budgets": 30, "late": 6, "late-hold": 6, "far": 2, "far-hold": 2}
 
@@ -38,11 +40,27 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
     assert {"foveated whole", "foveated no-roi", "foveated pursue"} < set(rows["ablation"])
 
 
-def test_real_footage_is_a_study_where_it_is_given() -> None:
-    found = studies(30, "FOLDER", (), (), far="policy.onnx")
+@pytest.mark.parametrize("quick", [False, True])
+def test_real_footage_is_a_study_where_it_is_given(quick: bool, tmp_path: Path) -> None:
+    game = "[Sequence]\nnum_tracklets=0\n"
+    folder = write_sequence(tmp_path / "clip", gt="", gameinfo=game)
+    weights = tmp_path / "policy.onnx"
+    weights.touch()
+    found = studies(30, str(folder), (), (), far=str(weights), quick=quick)
 
     for name in (name for name in NAMES if name.endswith("soccernet")):
-        assert found[name][:2] == ["--data", "FOLDER"]
+        with command.make_context(name, [*found[name], "--tracker", "correlation"]) as context:
+            cases, protocol, clips, _ = asked(context.params)
+        assert [clip.folder for clip in clips] == [str(folder)]
+        assert protocol.frames == ((1, 24) if quick else (1, 0))
+        assert cases
+
+
+def test_a_study_that_lacks_what_it_needs_is_refused(tmp_path: Path) -> None:
+    result = CliRunner().invoke(main, ["--out", str(tmp_path), "--only", "far"])
+
+    assert result.exit_code == 2
+    assert "--only far: needs" in result.output
 
 
 def test_tables_hold_every_study_that_lies_in_the_folder(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from bench.tracking.replaced import Replaced
 from bench.tracking.report import paired
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
-from bench.tracking.units import Case, Protocol, code_of, key
+from bench.tracking.units import Case, Protocol, key
 from drivers.source import Truth
 from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, RunError, SettingsError
@@ -285,58 +285,93 @@ def test_options_are_read_as_they_are_meant() -> None:
     assert policy_files(["a=pursue", "b=pursue"]) == {"a": "pursue", "b": "pursue"}
 
 
-def test_a_unit_is_another_with_other_weights_code_or_graph(tmp_path: Path) -> None:
-    weights, copy = tmp_path / "policy.onnx", tmp_path / "copy.yaml"
-    changes = (f"policy.weights={weights}", "policy.strategy=learned")
-    case = Case(strategy="foveated", budget="1/8", name="foveated", rules=Rules(), changes=changes)
-    protocol = Protocol(graph=str(GRAPH), frames=(1, 9), kinds=("ball",))
+def keyed(graph: Path = GRAPH, strategy: str = "foveated", *changes: str) -> str:
+    case = Case(strategy=strategy, budget="1/8", name="", rules=Rules(), changes=changes)
+    return key(case, Protocol(graph=str(graph), frames=(1, 9), kinds=("ball",)))
 
-    def keyed(content: bytes, graph: str, code: str) -> str:
+
+def test_a_unit_is_another_with_other_weights(tmp_path: Path) -> None:
+    weights, keys = tmp_path / "policy.onnx", []
+    for content in (b"a", b"b", b"a"):
         weights.write_bytes(content)
-        copy.write_text(graph)
-        return key(case, replace(protocol, graph=str(copy)), code)
+        keys.append(keyed(GRAPH, "foveated", f"policy.weights={weights}"))
 
-    first = keyed(b"a", GRAPH.read_text(), "one")
-    weights.write_bytes(b"a")
-
-    assert first == keyed(b"a", GRAPH.read_text(), "one") == key(case, protocol, "one")
-    others = {keyed(b"b", GRAPH.read_text(), "one"), keyed(b"a", GRAPH.read_text(), "two")}
-    others.add(keyed(b"a", GRAPH.read_text() + "\n", "one"))
-    assert len(others | {first}) == 4
+    assert keys[0] == keys[2] != keys[1]
 
 
-def test_what_was_measured_with_other_code_is_measured_again(
+def test_a_unit_is_the_same_in_another_place_and_another_with_other_settings(
+    tmp_path: Path,
+) -> None:
+    copy, other = tmp_path / "copy.yaml", tmp_path / "other.yaml"
+    copy.write_text(GRAPH.read_text() + "# a comment\n")
+    other.write_text(GRAPH.read_text().replace("target: ball", "target: referee"))
+
+    assert keyed(copy) == keyed() != keyed(other)
+    assert keyed(other, "spatial") == keyed(GRAPH, "spatial")
+
+
+def test_a_unit_is_another_once_the_code_of_a_part_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "seer.py").write_text("def see(): return 1\n")
+    code, graph = tmp_path / "seer.py", tmp_path / "tracking.yaml"
+    graph.write_text(GRAPH.read_text().replace("operators.policy:Policy", "seer:Policy"))
     monkeypatch.syspath_prepend(str(tmp_path))
-    graph = tmp_path / "tracking.yaml"
-    graph.write_text(GRAPH.read_text())
-    monkeypatch.setattr("bench.tracking.units.CODE", ("seer",))
-    before = code_of(graph)
+    code.write_text("from operators.policy import Policy\n")
+    before, plain = keyed(graph), keyed(graph, "spatial")
 
-    (tmp_path / "seer.py").write_text("def see(): return 2\n")
+    code.write_text("from operators.policy import Policy  # and more\n")
 
-    assert code_of(graph) != before
+    assert keyed(graph) != before
+    assert keyed(graph, "spatial") == plain
 
 
-def test_variants_are_paired_with_the_first_and_with_what_does_not_plan() -> None:
-    def unit(case: str) -> dict[str, object]:
-        iou = [0.5, 0.4]
-        episode = {"start": 0, "iou": iou, "kept": [True] * 2, "shown": iou, "state": ["seen"] * 2}
-        return {"clip": "c", "case": case, "kind": "player", "budget": "1/8", "episodes": [episode]}
-
-    planned = ["foveated", "foveated, ROI alone", "foveated + true policy", "foveated, late"]
-    units = [unit(case) for case in (*planned, "spatial", "oracle", "oracle, ROI alone")]
-
-    found = {(row["strategy"], row["against"]) for row in paired(units, planned=planned, seed=0)}
-
-    late, true = "foveated, late", "foveated + true policy"
-    assert found == {
-        *(("foveated", against) for against in (true, late, "spatial", "oracle")),
-        *(("foveated, ROI alone", against) for against in ("spatial", "oracle, ROI alone")),
-        *((of, against) for of in (true, late) for against in ("spatial", "oracle")),
+def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:
+    late, hold = Rules(delay=13), Rules(prediction=False)
+    rows = {
+        "foveated": Case(strategy="foveated", budget="1/8", name="foveated", rules=Rules()),
+        "late": Case(strategy="foveated", budget="1/8", name="late", rules=late),
+        "true": Case(
+            strategy="foveated", budget="1/8", name="true", rules=Rules(), replaced=("policy",)
+        ),
+        "hold": Case(strategy="foveated", budget="1/8", name="hold", rules=hold),
+        "late hold": Case(
+            strategy="foveated",
+            budget="1/8",
+            name="late hold",
+            rules=replace(late, prediction=False),
+        ),
+        "spatial": Case(strategy="spatial", budget="1/8", name="spatial", rules=Rules()),
     }
+    iou = dict(zip(rows, (0.5, 0.4, 0.6, 0.5, 0.3, 0.2), strict=True))
+
+    def unit(case: str, kind: str, budget: str, value: float) -> dict[str, object]:
+        told = {"iou": [value] * 2, "kept": [True] * 2, "shown": [1.0] * 2, "state": ["seen"] * 2}
+        episodes = [{"start": 0, **told}]
+        return {"clip": "c", "case": case, "kind": kind, "budget": budget, "episodes": episodes}
+
+    units = [
+        unit(case, kind, budget, value)
+        for case, value in iou.items()
+        for kind in ("player", "referee")
+        for budget in ("1/8", "1/16")
+    ]
+    units.append(unit("full", "player", "1", 0.7))
+
+    found = paired(units, list(rows.values()), seed=0)
+
+    at_eighth = [row for row in found if (row["target"], row["budget"]) == ("player", "1/8")]
+    told = {(row["strategy"], row["against"]): row["difference"] for row in at_eighth}
+    planned = ("foveated", "late", "true", "hold", "late hold")
+    assert told == pytest.approx(
+        {
+            **{("foveated", other): 0.5 - iou[other] for other in ("late", "true", "hold")},
+            ("late", "late hold"): 0.1,
+            ("hold", "late hold"): 0.2,
+            **{(of, "spatial"): iou[of] - 0.2 for of in planned},
+            **{(of, "full"): iou[of] - 0.7 for of in planned},
+        }
+    )
+    assert len(found) == 4 * len(at_eighth) - 2 * len(planned)  # no full row for the referee
 
 
 def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:

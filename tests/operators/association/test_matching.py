@@ -1,6 +1,7 @@
 """Which detection is which track."""
 
 import numpy as np
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -73,6 +74,25 @@ def test_nearness_is_one_at_the_centre_and_zero_at_the_reach():
     )
 
     np.testing.assert_allclose(value, [[1, 0.5, 0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("side", [8.0, 100.0])
+@pytest.mark.parametrize(("times", "alike"), [(0.49, 0), (0.5, 1), (2.0, 1), (2.01, 0)])
+def test_nearness_is_for_what_is_at_most_twice_as_large_or_half(side, times, alike):
+    tracks, middle, half = boxes((0, 0, side, side)), side / 2, side * times / 2
+    found = boxes((middle - half, 0, middle + half, side))
+
+    value = near(tracks, found, np.array([100], np.float32))
+
+    assert value == pytest.approx(alike, abs=1e-6)
+
+
+def test_points_may_be_near_and_boxes_turned_over_never():
+    points, turned = boxes((5, 5, 5, 5)), boxes((6, 6, 4, 4))
+    reach = np.array([10], np.float32)
+
+    assert near(points, points, reach) == 1
+    assert near(turned, turned, reach) == 0
 
 
 def test_the_greatest_total_overlap_wins_not_the_greedy_choice():
