@@ -1,10 +1,43 @@
 """Jobs beside a process end with it."""
 
+import subprocess
+import sys
 import time
+from collections.abc import Callable
+from pathlib import Path
 
+import psutil
 import pytest
 
 from operators.training.workers import pool_of
+
+PARENT = """
+import os, time
+from pathlib import Path
+from operators.training.workers import pool_of
+
+def job():
+    Path({told!r}).write_text(str(os.getpid()))
+    time.sleep(60)
+
+if __name__ == "__main__":
+    with pool_of(1) as pool:
+        pool.submit(job).result()
+"""
+
+
+def ended(pid: int) -> bool:
+    try:
+        return bool(psutil.Process(pid).status() == psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return True
+
+
+def wait_for(seen: Callable[[], object], timeout_s: float = 30.0) -> None:
+    end = time.monotonic() + timeout_s
+    while not seen():
+        assert time.monotonic() < end
+        time.sleep(0.02)
 
 
 def test_after_an_error_what_has_not_begun_never_does() -> None:
@@ -22,3 +55,21 @@ def test_every_job_is_done_where_nothing_goes_wrong() -> None:
         jobs = [pool.submit(divmod, number, 3) for number in range(10)]
 
     assert [job.result() for job in jobs] == [divmod(number, 3) for number in range(10)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel of Linux tells of a parent's end")
+def test_jobs_of_a_killed_process_end_with_it(tmp_path: Path) -> None:
+    told = tmp_path / "pid"
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT.format(told=str(told)))
+    parent = subprocess.Popen([sys.executable, str(script)])
+    try:
+        wait_for(lambda: told.exists() and told.read_text())
+        worker = int(told.read_text())
+
+        parent.kill()
+        parent.wait()
+
+        wait_for(lambda: ended(worker))
+    finally:
+        parent.kill()
