@@ -1,7 +1,6 @@
 """The evaluation: equal budgets, states told by the truth, honest intervals, the loop itself."""
 
 import json
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,10 +14,8 @@ from bench.tracking.episode import Rules, run
 from bench.tracking.evaluate import command, interval, policy_files
 from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
-from bench.tracking.report import paired
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
-from bench.tracking.units import Case, Protocol, key
 from drivers.source import Truth
 from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, RunError, SettingsError
@@ -283,95 +280,6 @@ def test_options_are_read_as_they_are_meant() -> None:
     assert interval("251-375") == (251, 375)
     assert policy_files(["pursue"]) == {"": "pursue"}
     assert policy_files(["a=pursue", "b=pursue"]) == {"a": "pursue", "b": "pursue"}
-
-
-def keyed(graph: Path = GRAPH, strategy: str = "foveated", *changes: str) -> str:
-    case = Case(strategy=strategy, budget="1/8", name="", rules=Rules(), changes=changes)
-    return key(case, Protocol(graph=str(graph), frames=(1, 9), kinds=("ball",)))
-
-
-def test_a_unit_is_another_with_other_weights(tmp_path: Path) -> None:
-    weights, keys = tmp_path / "policy.onnx", []
-    for content in (b"a", b"b", b"a"):
-        weights.write_bytes(content)
-        keys.append(keyed(GRAPH, "foveated", f"policy.weights={weights}"))
-
-    assert keys[0] == keys[2] != keys[1]
-
-
-def test_a_unit_is_the_same_in_another_place_and_another_with_other_settings(
-    tmp_path: Path,
-) -> None:
-    copy, other = tmp_path / "copy.yaml", tmp_path / "other.yaml"
-    copy.write_text(GRAPH.read_text() + "# a comment\n")
-    other.write_text(GRAPH.read_text().replace("target: ball", "target: referee"))
-
-    assert keyed(copy) == keyed() != keyed(other)
-    assert keyed(other, "spatial") == keyed(GRAPH, "spatial")
-
-
-def test_a_unit_is_another_once_the_code_of_a_part_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    code, graph = tmp_path / "seer.py", tmp_path / "tracking.yaml"
-    graph.write_text(GRAPH.read_text().replace("operators.policy:Policy", "seer:Policy"))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    code.write_text("from operators.policy import Policy\n")
-    before, plain = keyed(graph), keyed(graph, "spatial")
-
-    code.write_text("from operators.policy import Policy  # and more\n")
-
-    assert keyed(graph) != before
-    assert keyed(graph, "spatial") == plain
-
-
-def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:
-    late, hold = Rules(delay=13), Rules(prediction=False)
-    rows = {
-        "foveated": Case(strategy="foveated", budget="1/8", name="foveated", rules=Rules()),
-        "late": Case(strategy="foveated", budget="1/8", name="late", rules=late),
-        "true": Case(
-            strategy="foveated", budget="1/8", name="true", rules=Rules(), replaced=("policy",)
-        ),
-        "hold": Case(strategy="foveated", budget="1/8", name="hold", rules=hold),
-        "late hold": Case(
-            strategy="foveated",
-            budget="1/8",
-            name="late hold",
-            rules=replace(late, prediction=False),
-        ),
-        "spatial": Case(strategy="spatial", budget="1/8", name="spatial", rules=Rules()),
-    }
-    iou = dict(zip(rows, (0.5, 0.4, 0.6, 0.5, 0.3, 0.2), strict=True))
-
-    def unit(case: str, kind: str, budget: str, value: float) -> dict[str, object]:
-        told = {"iou": [value] * 2, "kept": [True] * 2, "shown": [1.0] * 2, "state": ["seen"] * 2}
-        episodes = [{"start": 0, **told}]
-        return {"clip": "c", "case": case, "kind": kind, "budget": budget, "episodes": episodes}
-
-    units = [
-        unit(case, kind, budget, value)
-        for case, value in iou.items()
-        for kind in ("player", "referee")
-        for budget in ("1/8", "1/16")
-    ]
-    units.append(unit("full", "player", "1", 0.7))
-
-    found = paired(units, list(rows.values()), seed=0)
-
-    at_eighth = [row for row in found if (row["target"], row["budget"]) == ("player", "1/8")]
-    told = {(row["strategy"], row["against"]): row["difference"] for row in at_eighth}
-    planned = ("foveated", "late", "true", "hold", "late hold")
-    assert told == pytest.approx(
-        {
-            **{("foveated", other): 0.5 - iou[other] for other in ("late", "true", "hold")},
-            ("late", "late hold"): 0.1,
-            ("hold", "late hold"): 0.2,
-            **{(of, "spatial"): iou[of] - 0.2 for of in planned},
-            **{(of, "full"): iou[of] - 0.7 for of in planned},
-        }
-    )
-    assert len(found) == 4 * len(at_eighth) - 2 * len(planned)  # no full row for the referee
 
 
 def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
