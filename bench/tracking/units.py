@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from hashlib import sha256
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import cv2
@@ -27,6 +28,7 @@ from pipeline.graph.plan import Node
 from pipeline.messages import Geometry, Tracks
 
 LOOK_S = 1.0  # between looks at what is done
+KEEP_S = 20.0  # between writings of a unit that is not finished: what an interruption may cost
 PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
 OPERATORS = Path(__file__).parents[2] / "operators"
 CODE = (  # what figures come from, beside the operators that a case needs
@@ -61,7 +63,8 @@ class Protocol:
 
 
 Gazes = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure
-Unit = dict[str, Any]  # clip, case, target, kind, episodes: [{start, iou, kept, shown, state}]
+Episode = dict[str, Any]  # start, iou, kept, shown, state
+Unit = dict[str, Any]  # clip, case, target, kind, episodes
 
 
 def measured(
@@ -127,17 +130,15 @@ def _measure(
                 if case.strategy in PLANNED and context not in seen:
                     seen[context] = watched(camera, stages, len(clip.truths), replaced)
                 gaze = looked.setdefault(_same_gaze(case), {})
+                draft = Draft(path.with_suffix(".part"))
+                known = seen.get(context, ())
                 done = [
-                    _followed(
-                        camera, stages, seen.get(context, ()), t, case, protocol, replaced, gaze
-                    )
+                    _followed(camera, stages, known, t, case, protocol, replaced, gaze, draft)
                     for t in subjects
                 ]
                 for unit in done:
                     unit |= {"clip": str(clip_name), "case": case.name, "budget": case.budget}
-                unfinished = path.with_suffix(".part")
-                unfinished.write_text(json.dumps(done))
-                unfinished.rename(path)
+                draft.finish(done, path)
 
 
 def _followed(
@@ -149,23 +150,60 @@ def _followed(
     protocol: Protocol,
     replaced: Replaced,
     gaze: Gazes,
+    draft: "Draft",
 ) -> Unit:
     episodes = []
     for start in starts(target, protocol.every):
+        if episode := draft.known(target.id, start):
+            episodes.append(episode)
+            continue
         looked = gaze.get((target.id, start), ())
         outcome = run(camera, stages, tracks, target, start, case.rules, replaced, looked)
         gaze[target.id, start] = outcome.windows
         if outcome.iou:
-            episodes.append(
-                {
-                    "start": start,
-                    "iou": [round(v, 4) if v == v else None for v in outcome.iou],
-                    "kept": outcome.kept,
-                    "shown": [round(v, 3) if v == v else None for v in outcome.shown],
-                    "state": list(target.state[start + 1 : start + 1 + len(outcome.iou)]),
-                }
-            )
+            episode = {
+                "start": start,
+                "iou": [round(v, 4) if v == v else None for v in outcome.iou],
+                "kept": outcome.kept,
+                "shown": [round(v, 3) if v == v else None for v in outcome.shown],
+                "state": list(target.state[start + 1 : start + 1 + len(outcome.iou)]),
+            }
+            episodes.append(episode)
+            draft.add(target.id, episode)
     return {"target": target.id, "kind": target.kind, "episodes": episodes}
+
+
+class Draft:
+    """The episodes of a unit that is not finished, in a file beside it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._written_s = path, monotonic()
+        self._episodes: dict[str, Episode] = {}
+        if path.exists():
+            self._episodes = json.loads(path.read_text())
+
+    def known(self, target: int, start: int) -> Episode | None:
+        """What an interrupted run found out about a start; None: nothing."""
+        return self._episodes.get(f"{target} {start}")
+
+    def add(self, target: int, episode: Episode) -> None:
+        """Take one in, and write all of them now and then."""
+        self._episodes[f"{target} {episode['start']}"] = episode
+        if monotonic() - self._written_s >= KEEP_S:
+            _write(self._path, self._episodes)
+            self._written_s = monotonic()
+
+    def finish(self, done: Sequence[Unit], path: Path) -> None:
+        """Write the finished unit; what was kept of it is needed no more."""
+        _write(path, done)
+        self._path.unlink(missing_ok=True)
+
+
+def _write(path: Path, content: Any) -> None:
+    """Whole or not at all."""
+    unfinished = path.with_suffix(f"{path.suffix}.new")
+    unfinished.write_text(json.dumps(content))
+    unfinished.rename(path)
 
 
 def _same_gaze(case: Case) -> Case:

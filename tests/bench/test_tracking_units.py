@@ -1,11 +1,12 @@
 """Units of an evaluation are known by what their figures come from."""
 
+import json
 from pathlib import Path
 
 import pytest
 
 from bench.tracking.episode import Rules
-from bench.tracking.units import Case, Protocol, key
+from bench.tracking.units import Case, ClipName, Draft, Protocol, key, measured
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
 
@@ -48,3 +49,37 @@ def test_a_unit_is_another_once_the_code_of_a_part_is(
 
     assert keyed(graph) != before
     assert keyed(graph, "spatial") == plain
+
+
+def test_an_unfinished_unit_keeps_what_it_has_found_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bench.tracking.units.KEEP_S", 0.0)
+    Draft(tmp_path / "unit.part").add(3, {"start": 8, "iou": [0.5]})
+
+    again = Draft(tmp_path / "unit.part")
+
+    assert again.known(3, 8) == {"start": 8, "iou": [0.5]}
+    assert again.known(3, 16) is again.known(2, 8) is None
+    again.finish([], tmp_path / "unit.json")
+    assert [path.name for path in tmp_path.iterdir()] == ["unit.json"]
+
+
+def test_an_interrupted_unit_goes_on_within_a_clip(tmp_path: Path) -> None:
+    clips, changes = [ClipName(seed=70_003)], ("tracker.method=correlation",)
+    case = Case(strategy="spatial", budget="1/8", name="spatial", rules=Rules(), changes=changes)
+    protocol = Protocol(graph=str(GRAPH), frames=(1, 20), kinds=("ball",))
+    (whole,) = measured(clips, [case], protocol, tmp_path, jobs=1)
+    (file,) = tmp_path.iterdir()
+    first, *others = whole["episodes"]
+    assert others
+    marked = {**first, "iou": [0.125] * len(first["iou"])}
+    file.with_suffix(".part").write_text(
+        json.dumps({f"{whole['target']} {first['start']}": marked})
+    )
+    file.unlink()
+
+    (again,) = measured(clips, [case], protocol, tmp_path, jobs=1)
+
+    assert again["episodes"] == [marked, *others]
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
