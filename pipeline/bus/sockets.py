@@ -14,6 +14,7 @@ import struct
 
 import psutil
 
+TCP = ("tcp", "tls")  # the protocols of locators that are a TCP connection
 DEAD_MS = 1500  # without an acknowledgement; less than the lease that Zenoh has with a peer
 _AT_ONCE = struct.pack("ii", 0, 0)
 End = tuple[str, int]  # address, port
@@ -23,8 +24,10 @@ def hasten(own: str, other: str) -> bool:
     """Let this process's TCP connection from one locator to another not outlive its cable.
 
     A locator is as Zenoh tells it, `tls/10.0.0.1:7447`; connections between others stay as they
-    are. True when there is one.
+    are, and so does what is no TCP connection. True when there is one.
     """
+    if own.partition("/")[0] not in TCP:
+        return False
     wanted = (_end(own), _end(other))
     for link in psutil.Process().net_connections("tcp"):
         if link.raddr and (_plain(*link.laddr), _plain(*link.raddr)) == wanted:

@@ -60,7 +60,9 @@ class Affair:
         late_s = time.monotonic() + limit_s
         while not done():
             if of is not None and (status := of.ended()) is not None:
-                yield from self.last_words(of)
+                yield from self.last_words(of, done)
+                if done():
+                    return
                 said = self.heard(of).get("failed", {}).get("error")
                 raise RunError(said or f"{of.name}: it ended by {ending(status)}")
             if time.monotonic() > late_s:
@@ -69,10 +71,10 @@ class Affair:
                 return
             yield
 
-    def last_words(self, child: Child) -> Iterator[None]:
-        """What an ended process said may still be on its way."""
+    def last_words(self, child: Child, done: Callable[[], bool] = lambda: False) -> Iterator[None]:
+        """What an ended process said may still be on its way: why it failed, or what it did."""
         late_s = time.monotonic() + WORDS_S
-        while "failed" not in self.heard(child) and time.monotonic() < late_s:
+        while not done() and "failed" not in self.heard(child) and time.monotonic() < late_s:
             yield
 
     def _finish(self, refused: str) -> None:

@@ -49,3 +49,8 @@ def test_the_named_connection_neither_lingers_nor_waits_for_long_and_stays_open(
 
 def test_a_connection_that_is_gone_is_none() -> None:
     assert not hasten("tls/127.0.0.1:1", "tls/127.0.0.1:2")
+
+
+@pytest.mark.parametrize("far", ["/tmp/agent-viewer.sock", "c52b79a8-339c-43f5-bfe5-21cd410e350c"])
+def test_sockets_of_this_host_have_no_cable(far: str) -> None:
+    assert not hasten("unixsock-stream//tmp/agent-desk.sock", f"unixsock-stream/{far}")
