@@ -35,6 +35,7 @@ class TickerSettings:
     side_px: int = 64
     length: int = 0
     fail_at: int = -1
+    jam_at: int = -1  # the command that breaks it
 
     def __post_init__(self) -> None:
         if self.rate_hz <= 0:
@@ -64,6 +65,8 @@ class Ticker(Source[TickerSettings, Mapping[str, Message]]):
         self.start_s = time.monotonic() - self.seq / settings.rate_hz
 
     def on_schedule(self, schedule: RoiSchedule) -> None:
+        if schedule.header.seq >= self.settings.jam_at >= 0:
+            raise DriverError("a command: jammed")
         self.newest = schedule
         self.commanded += 1
 

@@ -211,8 +211,13 @@ class Ledger:
         )
 
     def drained(self) -> bool:
-        """Nothing is under way on any edge: every message has met its end."""
-        return all(edge.sent == edge.accounted for edge in self.edges)
+        """Nothing is under way on any edge: every message has met its end.
+
+        All ends are read before all beginnings. Edge by edge, a message could leave on one that was
+        looked at already and its cause end on one that was not.
+        """
+        ends = [edge.accounted for edge in self.edges]
+        return all(edge.sent == end for edge, end in zip(self.edges, ends, strict=True))
 
 
 def ledger_bytes(edges: int, nodes: int) -> int:

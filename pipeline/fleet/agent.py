@@ -64,6 +64,7 @@ class _Question:
     asker: str
     data: bytes
     reply: OnBytes
+    sends: bool = False  # weights: it holds the one place that there is for them
 
 
 class Agent:
@@ -125,7 +126,7 @@ class Agent:
                 question = questions.get(timeout=TICK_S)
             except queue.Empty:
                 continue
-            self._answer(question)
+            self._guarded(partial(self._answer, question))
 
     def _guarded(self, act: Callable[[], None]) -> None:
         try:
@@ -157,7 +158,7 @@ class Agent:
             return
         try:
             queue_ = self._works if verb in SLOW else self._looks
-            queue_.put_nowait(_Question(verb, holder, data, reply))
+            queue_.put_nowait(_Question(verb, holder, data, reply, sends=weights))
         except queue.Full:
             if weights:
                 self._sending.release()
@@ -195,7 +196,7 @@ class Agent:
             log.exception("%s of %s broke", question.verb, question.asker)
             question.reply(wire.refused(f"{question.verb} broke: {type(error).__name__}: {error}"))
         finally:
-            if question.verb == "weights":
+            if question.sends:
                 self._sending.release()
 
     def _complain(self, why: str) -> None:

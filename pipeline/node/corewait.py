@@ -5,7 +5,11 @@ import threading
 
 
 class CoreWait:
-    """Nanoseconds of waiting since the last question, per thread that asks."""
+    """Nanoseconds of waiting since the last question, per thread that asks.
+
+    A thread that asked holds a file open; the transport's, new to Python with every message, must
+    not ask.
+    """
 
     def __init__(self) -> None:
         self._local = threading.local()

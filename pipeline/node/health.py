@@ -43,12 +43,17 @@ _HEALTH = msgspec.msgpack.Decoder(Health)
 
 
 def complaint(node: Node, account: NodeAccount, now_ns: int) -> str:
-    """Why a node must be called stalled, or nothing."""
+    """Why a node must be called stalled, or nothing.
+
+    The state is read before the times: a node writes them the other way round, so what it is in now
+    did not begin before they say.
+    """
+    state = account.condition
     busy_s = (now_ns - account.busy_since_ns) / 1e9
     silent_s = (now_ns - account.heartbeat_ns) / 1e9
-    if account.condition == "busy" and busy_s > node.stall_s:
+    if state == "busy" and busy_s > node.stall_s:
         return f"{node.name} has worked on frame {account.last_seq} for {busy_s:.1f} s"
-    if account.condition in ("waiting", "credit") and silent_s > FROZEN_S:
+    if state in ("waiting", "credit") and silent_s > FROZEN_S:
         return f"{node.name} gave no sign of life for {silent_s:.1f} s"
     return ""
 
@@ -56,16 +61,17 @@ def complaint(node: Node, account: NodeAccount, now_ns: int) -> str:
 def examine(plan: Plan, node: Node, ledger: Ledger, words: str = "") -> Health:
     """The health of a node of this process."""
     account, now_ns = ledger.nodes[node.index], time.monotonic_ns()
+    state = account.condition
     ins = {name: ledger.edges[e.index] for name, e in plan.inputs(node.name).items()}
     outs = [e for e in plan.edges if e.source == node.name and ledger.edges[e.index].broken]
-    busy_ns = now_ns - account.busy_since_ns if account.condition == "busy" else 0
+    busy_ns = max(0, now_ns - account.busy_since_ns) if state == "busy" else 0
     return Health(
         node=node.name,
         process=node.process,
         host=node.host,
         pid=os.getpid(),
         epoch=account.epoch,
-        state=account.condition,
+        state=state,
         complaint=complaint(node, account, now_ns),
         handled=account.handled,
         last_seq=account.last_seq,

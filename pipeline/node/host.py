@@ -81,12 +81,13 @@ class Host:
     def deliver(self, name: str, arrival: Arrival) -> None:
         """Called while this host waits at its doors, or by a transport's thread."""
         phase, waited = arrival.header.seq % WAIT_EVERY, 0
-        if phase in (0, WAIT_EVERY - 1):  # the one before only sets the mark
+        own = threading.get_ident() == self._waiter
+        if own and phase in (0, WAIT_EVERY - 1):  # the one before only sets the mark
             waited = self.corewait.since_last_ns()
         with self._lock:
             self._arrived_wait_ns += 0 if phase else waited
             self.inbox.offer(name, arrival, time.monotonic_ns())
-        if threading.get_ident() != self._waiter:
+        if not own:
             self._doors.wake()
 
     def lost(self, name: str) -> None:

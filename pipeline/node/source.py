@@ -32,10 +32,14 @@ class SourceHost(Host):
         self._drained, self._limit = drained, limit
         self._ending = threading.Event()
         self.on_finished: Callable[[], None] = lambda: None
+        self._broken: Exception | None = None  # what a command broke
         self.commands = hashlib.sha256()
 
     def run(self) -> None:
-        """Expose until the source ends, the limit is reached or `stop` is called."""
+        """Expose until the source ends, the limit is reached or `stop` is called.
+
+        What the operator raises passes through, also from the thread that takes commands.
+        """
         source = self.operator
         assert isinstance(source, Source)
         commands = threading.Thread(target=self._command_loop, name=f"{self.name}-commands")
@@ -51,8 +55,9 @@ class SourceHost(Host):
                 if not self._expose(source):
                     break
                 exposures += 1
-            self.account.enter("finished")
-            self.on_finished()
+            if self._broken is None:
+                self.account.enter("finished")
+                self.on_finished()
             while not self.stopping.wait(0.2):
                 self.greet()
                 self.account.heartbeat_ns = time.monotonic_ns()
@@ -60,6 +65,8 @@ class SourceHost(Host):
         finally:
             self.stopping.set()
             commands.join()
+        if self._broken is not None:
+            raise self._broken
 
     def end(self) -> None:
         """Make no more frames, but go on accepting commands until stopped."""
@@ -129,9 +136,13 @@ class SourceHost(Host):
         return True
 
     def _command_loop(self) -> None:
-        while not self.stopping.is_set():
-            if (work := self.next_work(IDLE_S)) is not None:
-                self._accept(work)
+        try:
+            while not self.stopping.is_set():
+                if (work := self.next_work(IDLE_S)) is not None:
+                    self._accept(work)
+        except Exception as error:  # nobody looks at this thread; the exposing one tells
+            self._broken = error
+            self.stop()
 
     def _accept(self, work: Work) -> None:
         begun = time.monotonic_ns()

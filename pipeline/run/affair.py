@@ -10,7 +10,7 @@ from pipeline.run.child import Child, ending
 from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
 
-WORDS_S = 0.5
+REAP_S = 0.1
 log = logging.getLogger(__name__)
 
 
@@ -60,7 +60,7 @@ class Affair:
         late_s = time.monotonic() + limit_s
         while not done():
             if of is not None and (status := of.ended()) is not None:
-                yield from self.last_words(of, done)
+                yield from self.last_words(of)
                 if done():
                     return
                 said = self.heard(of).get("failed", {}).get("error")
@@ -71,11 +71,10 @@ class Affair:
                 return
             yield
 
-    def last_words(self, child: Child, done: Callable[[], bool] = lambda: False) -> Iterator[None]:
-        """What an ended process said may still be on its way: why it failed, or what it did."""
-        late_s = time.monotonic() + WORDS_S
-        while not done() and "failed" not in self.heard(child) and time.monotonic() < late_s:
-            yield
+    def last_words(self, child: Child) -> Iterator[None]:
+        """Hear all that an ended process said: why it failed, or what it did."""
+        child.reap(REAP_S)  # its pipe is read to the end; the next tick hears what was in it
+        yield
 
     def _finish(self, refused: str) -> None:
         self.result = {**self.facts, "refused": refused}

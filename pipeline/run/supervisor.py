@@ -22,6 +22,7 @@ SAMPLE_S = 1.0
 HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
 DRAIN_S = 5.0
 STOP_S = 4.0
+REAP_S = 0.1
 log = logging.getLogger(__name__)
 
 
@@ -159,6 +160,8 @@ class Supervisor(Crew):
             return
         status = slot.child.ended()
         if status is not None:
+            slot.child.reap(REAP_S)  # what it said last is heard before it is judged
+            self._hear()
             self._bury(slot, status, now_s)
         elif slot.child.ready and not slot.child.going:
             self.let_go(slot)
@@ -169,7 +172,8 @@ class Supervisor(Crew):
 
     def _bury(self, slot: Slot, status: int, now_s: float) -> None:
         self.vacate(slot)
-        how = ending(status)
+        how, last = ending(status), f": {slot.last_words}" if slot.last_words else ""
+        slot.last_words = ""
         if not self.failure:
             log.warning("%s ended by %s, see `fovea logs %s`", slot.name, how, slot.name)
         rule = slot.nodes[0].restart
@@ -178,12 +182,13 @@ class Supervisor(Crew):
         slot.quick_deaths = 0 if lived else slot.quick_deaths + 1
         slot.going_since_s = 0.0
         recent = sum(1 for death in slot.deaths if now_s - death < rule.window_s)
+        if self.failure:
+            return
         if self.plan.clock == "lockstep":
-            self.failure = f"{slot.name} ended by {how}: a lockstep run cannot go on"
+            self.failure = f"{slot.name} ended by {how}: a lockstep run cannot go on{last}"
         elif rule.policy == "never" or (rule.policy == "on-failure" and status == 0):
             self._finished |= slot.sources
         elif recent > max(rule.most, self.patience):
-            last = f": {slot.last_words}" if slot.last_words else ""
             self.failure = f"{slot.name} died {recent} times within {rule.window_s:.0f} s{last}"
         else:
             slot.next_start_s = now_s + min(5.0, rule.backoff_s * 2 ** min(slot.quick_deaths, 8))

@@ -27,6 +27,7 @@ START_S = 60.0
 SPARE_S = 10.0  # for the spare process to be through with its imports
 HEAR_S = 10.0  # for a node that works, to greet a successor
 CUT_S = 30.0
+UNCUT_S = 0.5  # in which a cut may cross the order that takes it back
 SHADOW_S = 1.0  # per frame, at most
 ANSWER_S = 5.0
 REAP_S = 1.0
@@ -197,9 +198,10 @@ class Swap(Affair):
             if old.ended() is not None or new.ended() is not None or time.monotonic() > late_s:
                 self._owned = False
                 old.order("uncut", node=name)
-                yield from self.until(
-                    lambda: "cut" in heard, 0.5 if old.ended() is None else 0.0, "", must=False
-                )
+                if old.ended() is None:
+                    yield from self.until(lambda: "cut" in heard, UNCUT_S, "", must=False)
+                else:
+                    yield from self.last_words(old)
                 if "cut" in heard:
                     self._owned = True
                     return

@@ -11,13 +11,15 @@ from typing import Any
 
 import pytest
 
-from pipeline.bus.network import LOCAL
+from pipeline.bus.network import LOCAL, Network
+from pipeline.bus.session import Session
 from pipeline.console.asking import ask_node, fleet_health
 from pipeline.console.asking import tell as tell_node
 from pipeline.console.changing import ask
 from pipeline.console.operating import replan, tell
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
+from pipeline.fleet.access import asker_permits
 from pipeline.fleet.deploy import (
     Fleet,
     attach,
@@ -27,6 +29,7 @@ from pipeline.fleet.deploy import (
     send_weights,
     up,
 )
+from pipeline.fleet.names import agent_key, box
 from pipeline.fleet.part import PartSupervisor
 from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.run.rundir import base
@@ -118,6 +121,24 @@ def test_noise_is_refused_and_the_agent_lives(fleet: Fleet, data: bytes) -> None
             fleet.ask("sensor", verb, data, wire.Prepared)
 
     assert fleet.ask("sensor", "about", wire.Nothing(), wire.About).label == "sensor"
+
+
+def test_a_box_that_asks_what_it_may_not_holds_up_nobody(fleet: Fleet, tmp_path: Path) -> None:
+    way = Network(
+        connect=(fleet.hosts.points["sensor"],), permits=asker_permits(box("viewer"), ["sensor"])
+    )
+    session = Session.across(way)
+    try:
+        for verb in ("weights", "start", "nothing"):
+            said = session.ask(agent_key("sensor", box("viewer"), verb), b"x", 5)
+            assert said is not None
+            with pytest.raises(RunError, match=f"box.viewer may not {verb} here"):
+                wire.read_reply(wire.Prepared, "sensor", said)
+    finally:
+        session.close()
+
+    up(fleet, plan_of(tmp_path))
+    down("trio", fleet.hosts)
 
 
 def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """A host calls its operator and holds nothing of a message once it is handled."""
 
+import os
 import secrets
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +17,7 @@ from pipeline.bus.ledger import Ledger, private_ledger
 from pipeline.bus.outport import OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter, remove_pools
 from pipeline.messages import Span
-from pipeline.node.host import MOST_ASKED, Host, waited_on_the_way
+from pipeline.node.host import MOST_ASKED, WAIT_EVERY, Host, waited_on_the_way
 from pipeline.testing import header
 from tests.pipeline.bus.test_outport import MEMORY, Wire
 from tests.toys import WorkSettings
@@ -67,6 +69,23 @@ def scene(tmp_path: Path) -> Iterator[Scene]:
     made = Scene(tmp_path)
     yield made
     made.close()
+
+
+def test_threads_that_deliver_leave_no_file_open(scene: Scene) -> None:
+    def deliver(seq: int) -> None:
+        head = header(seq)
+        scene.out.send(Frame(header=head, pixels=np.zeros((2, 2, 3), np.uint8)), head)
+        thread = threading.Thread(target=scene.doors.wait, args=(1.0,))
+        thread.start()
+        thread.join()
+        scene.host.step()
+
+    deliver(0)
+    before = len(os.listdir("/proc/self/fd"))
+    for seq in range(1, 2 * WAIT_EVERY):
+        deliver(seq)
+
+    assert len(os.listdir("/proc/self/fd")) <= before + 1  # the one of the host's own thread
 
 
 def test_a_picture_is_given_back_as_soon_as_it_is_handled(scene: Scene) -> None:

@@ -182,13 +182,23 @@ def test_an_exception_is_in_the_log_and_the_graph_goes_on(tmp_path: Path) -> Non
 def test_in_lockstep_a_crash_ends_the_run_with_an_error(tmp_path: Path) -> None:
     report = go(plan_of(tmp_path, LOOP, clock="lockstep", changes=("work.crash_at=5",)), 50)
 
-    assert "work ended by exit status 1" in report["failure"]
+    assert report["failure"] == (
+        "work ended by exit status 1: a lockstep run cannot go on: ValueError: told to crash"
+    )
 
 
-def test_a_source_that_breaks_ends_the_run_with_its_sentence(tmp_path: Path) -> None:
-    report = go(plan_of(tmp_path, LOOP, changes=("ticker.fail_at=9",)), 50)
+@pytest.mark.parametrize("clock", ["realtime", "lockstep"])
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [("ticker.fail_at=9", "picture 9: torn"), ("ticker.jam_at=9", "a command: jammed")],
+)
+def test_a_source_that_breaks_ends_the_run_with_its_sentence(
+    tmp_path: Path, clock: str, change: str, said: str
+) -> None:
+    report = go(plan_of(tmp_path, LOOP, clock=clock, changes=(change,)), 0)
 
-    assert report["failure"] == "picture 9: torn"
+    assert report["failure"] == said
+    assert report["frames"]["exposed"] < 100
 
 
 def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
