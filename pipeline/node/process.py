@@ -218,7 +218,8 @@ def main() -> None:
     if not line:
         os._exit(0)  # a spare that was not needed
     job = TypeAdapter(Assignment).validate_json(line)
-    log_to(Path(job.run_folder) / f"{job.process}.log", fresh=max(job.epochs.values()) == 1)
+    first = max(job.epochs.values()) == 1 and not job.trial
+    log_to(Path(job.run_folder) / f"{job.process}.log", fresh=first)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     faulthandler.register(signal.SIGUSR1)  # the supervisor asks before it kills a stalled node
     sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter

@@ -51,8 +51,11 @@ class Assignment:
         return Path(self.run_folder) / f"{node.name}.live"
 
     def settings(self, node: Node) -> dict[str, Any]:
-        """What the graph says, and what a predecessor was told since."""
-        return {**node.settings, **kept(self.kept_in(node))}
+        """What the graph says, and what a predecessor was told since.
+
+        Who stands by for a swap has both in its plan, and what the swap changes.
+        """
+        return {**node.settings, **({} if self.standby else kept(self.kept_in(node)))}
 
     @property
     def nodes(self) -> tuple[Node, ...]:

@@ -4,6 +4,7 @@ The supervisor's side; `pipeline.node.relay` is what the two instances do. A par
 process, or owns a device, cannot stand by: it is stopped, then the other started.
 """
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -36,6 +37,7 @@ QUIET_S = 10.0  # without messages: then probation is over
 DRAIN_S = 5.0
 SOONEST = 5  # frames after which a successor may be found too slow
 SLOWER, LEAST_BUDGET_MS = 3.0, 20.0  # than the old part, when no budget is given
+log = logging.getLogger(__name__)
 
 
 class SwapOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="swap"):
@@ -57,7 +59,7 @@ class Swap(Affair):
     kind = "swap"
 
     def __init__(self, crew: Crew, order: SwapOrder) -> None:
-        names = [n.name for n in crew.plan.nodes]
+        names = [n.name for n in filter(crew.plan.is_here, crew.plan.nodes)]
         if order.node not in names:
             raise RunError(f"{crew.plan.name}: no node {order.node}{suggest(order.node, names)}")
         self._order, self._node = order, crew.plan.node(order.node)
@@ -67,6 +69,7 @@ class Swap(Affair):
         self._other: Child | None = None  # the one of the two that does not work
         self._owned = False
         self._gone: set[int] = set()  # pids of who was told to stop
+        self._told: dict[str, Any] = {}  # the settings that the old part was given while it ran
         self._hot = swappable(crew.plan, self._node) and not self._slot.sources
         super().__init__(crew, self._swap_hot() if self._hot else self._swap_cold())
         self.subject = order.node
@@ -210,13 +213,14 @@ class Swap(Affair):
 
     def _switch(self, new: Child, old: Child, plan: Plan, epoch: int) -> None:
         crew, slot = self.crew, self._slot
+        if kept(self._live_file()) != self._told:
+            raise RunError(f"{self._node.name}: its settings were changed meanwhile, try again")
         for account in crew.accounts(slot):
             account.reader_epoch = epoch
             account.next_door, account.door = account.door, epoch
         slot.child, slot.epoch, self._other = new, epoch, old
         new.going, slot.going_since_s = True, time.monotonic()
         new.tell("go")
-        self._changed_live = kept(self._live_file())
         self._live_file().unlink(missing_ok=True)
         crew.change_plan(plan)
 
@@ -230,8 +234,7 @@ class Swap(Affair):
             for account in crew.accounts(slot):
                 account.door, account.next_door = account.next_door, 0
             crew.change_plan(before)
-            if self._changed_live:
-                keep(self._live_file(), self._changed_live)
+            self._keep_again()
         slot.epoch = epoch
         self.facts["rolled_back"] = True
         old.order("resume", node=name, epoch=epoch)
@@ -261,8 +264,8 @@ class Swap(Affair):
 
     def _swap_cold(self) -> Iterator[None]:
         yield from self._spare()
-        before, plan = self.crew.plan, self._changed()
-        job = self.crew.job(self._slot, plan, self._slot.epoch, trial=True)
+        before = self.crew.plan
+        job = self.crew.job(self._slot, self._changed(), self._slot.epoch, trial=True)
         trial = self._other = self.crew.launch(job, fresh=True)
         yield from self.until(
             lambda: "fits" in self.heard(trial), START_S, "it was not checked", of=trial
@@ -271,17 +274,20 @@ class Swap(Affair):
         trial.reap(REAP_S)
         yield from self._spare()  # while it waits nobody stands still
         self._owned = True
-        yield from self._replace(plan)
+        yield from self._stop()
+        plan = self._changed()  # with all that it was told until its end
+        self._live_file().unlink(missing_ok=True)
         try:
-            yield from self._start()
+            yield from self._start(plan)
             yield from self._probation(self._working())
         except RunError as error:
             self.facts["rolled_back"] = True
-            yield from self._replace(before)
-            yield from self._start()
+            yield from self._stop()
+            self._keep_again()
+            yield from self._start(before)
             raise RunError(f"{error}; the old part was started again") from error
 
-    def _replace(self, plan: Plan) -> Iterator[None]:
+    def _stop(self) -> Iterator[None]:
         child = self._working()
         self._stopped_s = time.monotonic()
         self._gone.add(child.pid)
@@ -289,16 +295,14 @@ class Swap(Affair):
         yield from self.until(lambda: child.ended() is not None, ANSWER_S, "", must=False)
         child.kill()
         self.crew.vacate(self._slot)
-        self._next_plan = plan
 
-    def _start(self) -> Iterator[None]:
+    def _start(self, plan: Plan) -> Iterator[None]:
         crew, slot = self.crew, self._slot
-        job_plan = self._next_plan
         handled = self._account().handled
-        crew.begin(slot, plan=job_plan, checked=True)
+        crew.begin(slot, plan=plan, checked=True)
         child = self._working()
         yield from self.until(lambda: child.ready, START_S, "it was not ready", of=child)
-        crew.change_plan(job_plan)
+        crew.change_plan(plan)
 
         def works() -> bool:
             if not child.going:
@@ -313,7 +317,8 @@ class Swap(Affair):
     def _changed(self) -> Plan:
         """The plan with the new operator and settings in the old place."""
         crew, order, node = self.crew, self._order, self._node
-        settings = {} if order.defaults else {**node.settings, **kept(self._live_file())}
+        self._told = kept(self._live_file())
+        settings = {} if order.defaults else {**node.settings, **self._told}
         fresh = replace(
             node, operator=order.operator or node.operator, settings={**settings, **order.changes}
         )
@@ -353,6 +358,16 @@ class Swap(Affair):
             if still_s > QUIET_S:
                 break
         self.facts["proven_frames"] = int(account.handled - first)
+
+    def _keep_again(self) -> None:
+        """Should the old part die, it comes back with what it had been told."""
+        try:
+            if self._told:
+                keep(self._live_file(), self._told)
+            else:
+                self._live_file().unlink(missing_ok=True)
+        except OSError as error:
+            log.warning("%s: its settings cannot be kept: %s", self._node.name, error)
 
     def _working(self) -> Child:
         if self._slot.child is None:

@@ -4,8 +4,8 @@ import json
 import os
 import re
 import signal
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,11 @@ from typing import Any
 import pytest
 
 from pipeline import GraphError, RunError
+from pipeline.console.changing import ask
 from pipeline.console.operating import swap_lines, tell
 from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report
+from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from tests.toy_graphs import (
@@ -40,6 +42,11 @@ nodes:
   recall:
     operator: tests.toys:Recall
     inputs: {percept: {from: work, depth: 60}}
+"""
+GLANCE = """\
+  glance:
+    operator: tests.toys:Pass
+    inputs: {frame: ticker.roi}
 """
 Results = list[dict[str, Any]]
 
@@ -280,6 +287,64 @@ def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: P
     assert exposed(report) > 5  # it went on until it was told to finish
 
 
+def beside(supervisor: Supervisor, act: Callable[[], Any]) -> Any:
+    """Have something done by another thread while the graph is looked after."""
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(act)
+        wait_for(supervisor, done.done, 60)
+    return done.result()
+
+
+@pytest.mark.parametrize("group", ["", "    group: hand\n"])
+def test_a_swap_knows_what_the_part_was_told_and_has_the_last_word(
+    tmp_path: Path, group: str
+) -> None:
+    text = LOSSLESS.replace("  work:\n", f"  work:\n{group}") + GLANCE + group
+    plan = plan_of(tmp_path, text)
+    log = base() / plan.name / f"{plan.node('work').process}.log"
+    effective = []
+
+    def operate() -> None:
+        with log.open("a") as words:
+            words.write("said before\n")
+        for changes in ({"hold": 1}, {"every": 3}):
+            ask(plan.name, "work", {"every": 2})
+            tell(plan.name, SwapOrder(node="work", changes=changes, probation=5))
+            settings = ask(plan.name, "work", {}).settings
+            effective.append((settings["every"], settings["hold"]))
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        beside(supervisor, operate)
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert effective == [(2, 1), (3, 1)]
+    assert "said before" in log.read_text()
+
+
+def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOSSLESS)
+    results: Results = []
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        order = SwapOrder(node="work", at=handled(supervisor, "work") + 120)
+        supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
+        account = supervisor.ledger.edges[0]
+        wait_for(supervisor, lambda: account.next_door != 0, 30)
+        beside(supervisor, lambda: ask(plan.name, "work", {"every": 7}))
+        wait_for(supervisor, lambda: bool(results), 30)
+        results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert "its settings were changed meanwhile, try again" in results[0]["refused"]
+    assert results[1]["every"] == 7
+
+
 def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS)
     told: list[str] = []
@@ -293,9 +358,7 @@ def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> Non
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
-        operator = threading.Thread(target=operate)
-        operator.start()
-        wait_for(supervisor, lambda: not operator.is_alive(), 30)
+        beside(supervisor, operate)
         supervisor.finish()
 
     go(plan, 0, during)
