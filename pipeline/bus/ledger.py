@@ -216,8 +216,11 @@ class Ledger:
         All ends are read before all beginnings. Edge by edge, a message could leave on one that was
         looked at already and its cause end on one that was not.
         """
-        ends = [edge.accounted for edge in self.edges]
-        return all(edge.sent == end for edge, end in zip(self.edges, ends, strict=True))
+        return all(edge.sent == end for edge, end in zip(self.edges, self.ends(), strict=True))
+
+    def ends(self) -> list[int]:
+        """Messages that have met their end, by edge."""
+        return [edge.accounted for edge in self.edges]
 
 
 def ledger_bytes(edges: int, nodes: int) -> int:

@@ -132,10 +132,15 @@ class Session:
 
         self._session.declare_subscriber(keys, zenoh.handlers.Callback(receive, indirect=False))
 
-    def ask(self, key: str, question: bytes, timeout_s: float) -> bytes | None:
-        """The answer to a question, or None when none came in time."""
+    def ask(
+        self, key: str, question: bytes, timeout_s: float, still: Callable[[], bool] = lambda: True
+    ) -> bytes | None:
+        """The answer to a question; None when none came in time, or who asks wants it no `still`.
+
+        Who is not there yet, or goes while he is asked, is asked again.
+        """
         deadline = time.monotonic() + timeout_s
-        while (left_s := deadline - time.monotonic()) > 0:
+        while (left_s := deadline - time.monotonic()) > 0 and still():
             for reply in self._session.get(key, payload=question or None, timeout=left_s):
                 if reply.ok is not None:
                     return reply.ok.payload.to_bytes()

@@ -25,7 +25,7 @@ from pipeline.run.visiting import ask_on, visit
 from pipeline.settings import suggest
 from pipeline.terminal import lean_table
 
-QUICK_S = 2.0  # what transports answer by themselves; a process that is frozen does not
+QUICK_S = 3.0  # what transports answer by themselves; a process that is frozen does not
 
 
 @click.command("health")

@@ -100,10 +100,19 @@ def tell(graph: str, order: Order) -> dict[str, Any]:
     name, facts = find(graph)
     with visit(name, "order") as session:
         key = f"fovea/{facts['graph']}/{COMMAND}"
-        answer = session.ask(key, msgspec.json.encode(order), PATIENCE_S)
+        answer = session.ask(
+            key, msgspec.json.encode(order), PATIENCE_S, lambda: same_run(name, facts)
+        )
+    if answer is None and not same_run(name, facts):
+        raise RunError(f"{name}: ended before that was done")
     if answer is None:
         raise RunError(f"{name}: no answer for {PATIENCE_S:.0f} s; see `fovea ps`")
     return _judged(msgspec.json.decode(answer))
+
+
+def same_run(name: str, facts: Mapping[str, Any]) -> bool:
+    """Whether a graph is still in the run of which this was noted."""
+    return bool(running().get(name, {}).get("prefix") == facts["prefix"])
 
 
 def _judged(result: dict[str, Any]) -> dict[str, Any]:

@@ -4,11 +4,13 @@ First every agent says whether it may run its part; only then anything starts. W
 as a file here travels as its checksum; the box has the file, or takes it if it is on its list.
 """
 
+import fcntl
 import getpass
 import json
 import logging
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -23,12 +25,13 @@ from pipeline.fleet.access import asker_permits
 from pipeline.fleet.agent_file import local_endpoint
 from pipeline.fleet.allow import MARK, MOST_WEIGHTS_BYTES, file_digest, is_path
 from pipeline.fleet.names import ANYBODY, agent_key, check_label, endpoint
+from pipeline.fleet.part import END_S
 from pipeline.fleet.placement import check_labels, marks
 from pipeline.fleet.secure import ADDRESSES, Papers
 from pipeline.graph.plan import Plan
 
 PATIENCE_S = 5.0  # until an agent must have answered
-DOWN_S = 20.0  # stopping takes as long as the slowest operator's close
+DOWN_S = END_S + 5.0
 READY_S = 90.0
 T = TypeVar("T")
 log = logging.getLogger(__name__)
@@ -142,7 +145,7 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
             others = {other: point for other, point in points.items() if other != label}
             started.append(label)
             order = wire.Start(text, wire.Versions.ours(), signs, endpoints, others)
-            fleet.ask(label, "start", order, type(None), DOWN_S)
+            fleet.ask(label, "start", order, type(None), READY_S)
         _await(fleet, plan.name, used)
     except BaseException:  # Ctrl-C too
         left = [why for label in started if (why := _down(fleet, label, plan.name))]
@@ -248,12 +251,14 @@ def remembered() -> dict[str, Hosts]:
 
 def remember(graph: str, hosts: Hosts) -> None:
     """Note where a graph was deployed."""
-    _write({**remembered(), graph: hosts})
+    with _alone():
+        _write({**remembered(), graph: hosts})
 
 
 def forget(graph: str) -> None:
     """It is there no more."""
-    _write({g: h for g, h in remembered().items() if g != graph})
+    with _alone():
+        _write({g: h for g, h in remembered().items() if g != graph})
 
 
 def default_person() -> str:
@@ -264,10 +269,11 @@ def default_person() -> str:
 def _prepare(
     fleet: Fleet, label: str, question: wire.Prepare, files: Mapping[str, Path]
 ) -> dict[str, str]:
-    prepared = fleet.ask(label, "prepare", question, wire.Prepared)
+    # a box that has just begun imports every operator first
+    prepared = fleet.ask(label, "prepare", question, wire.Prepared, READY_S)
     if prepared.weights:
         send_weights(fleet, label, prepared.weights, files)
-        prepared = fleet.ask(label, "prepare", question, wire.Prepared)
+        prepared = fleet.ask(label, "prepare", question, wire.Prepared, READY_S)
     return prepared.endpoints
 
 
@@ -307,6 +313,14 @@ def _memory() -> Path:
     folder = Path.home() / ".local" / "state" / "fovea"  # as long as the boxes keep what they run
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return folder / "fleet.json"
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Between reading and writing nobody else of this user writes; ends with this process."""
+    with _memory().with_suffix(".lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def _write(graphs: Mapping[str, Hosts]) -> None:

@@ -20,7 +20,7 @@ from pipeline.run.supervisor import Supervisor
 WAIT_FOR_OTHERS_S = 60.0  # then the source begins without them
 TELL_S = 0.004  # how often accounts are looked at: the credit of lossless edges goes with it
 ANYWAY_S = 0.25
-END_S = 20.0
+END_S = 20.0  # stopping takes as long as the slowest operator's close
 AGAIN_S = (1.0, 30.0)  # first and longest pause before a part that worked once begins again
 STARTS_EPOCHS = 1000  # between two starts of a box, so that what an earlier one sent is told apart
 log = logging.getLogger(__name__)

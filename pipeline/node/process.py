@@ -177,19 +177,24 @@ class Process:
             self.stop()
 
     def _report(self, error: Exception) -> None:
-        self.failed = True
+        """The first is the reason; what breaks after it, while things are closed, is in the log."""
         traceback.print_exc()
         expected = isinstance(error, FoveaError)
         said = str(error) if expected else f"{type(error).__name__}: {error}"
-        self.say("failed", error=said, expected=expected)
+        if not self.failed:
+            self.say("failed", error=said, expected=expected)
+        self.failed = True
+
+    def _tell_summary(self, node: Node, operator: Operator[Any, Any]) -> None:
+        self.say("summary", node=node.name, figures=_plain(operator.summary()))
 
     def _close(self) -> None:
         for node, operator in zip(self._nodes, self._operators, strict=False):
-            try:
-                self.say("summary", node=node.name, figures=_plain(operator.summary()))
-                operator.close()
-            except Exception as error:
-                self._report(error)
+            for act in (partial(self._tell_summary, node, operator), operator.close):
+                try:
+                    act()
+                except Exception as error:
+                    self._report(error)
         if not self._job.standby and not self._hosts:
             for node in self._nodes:
                 self._ledger.nodes[node.index].enter("stopped")

@@ -34,6 +34,9 @@ class Affair:
             self._finish("")
         except FoveaError as error:
             self._finish(str(error))
+        except Exception as error:  # an order must not end the graph
+            log.exception("%s broke", self.kind)
+            self._finish(f"it broke: {type(error).__name__}: {error}")
 
     def hear(self, pid: int, event: dict[str, Any]) -> bool:
         """Take note of an event; True when nobody else needs it."""

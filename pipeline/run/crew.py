@@ -151,11 +151,17 @@ class Crew:
         self.note()
 
     def launch(self, job: Assignment, *, fresh: bool = False) -> Child:
-        """A process for an assignment; a `fresh` one has imported what is on disk now."""
+        """A process for an assignment; a `fresh` one has imported what is on disk now.
+
+        Raises `RunError` when the machine gives none.
+        """
         if fresh:
             self.spare.refresh()
         mine = {n.operator.partition(":")[0] for n in job.nodes}
-        popen = self.spare.take() or self._spawn(mine if fresh else (), wanted=True)
+        try:
+            popen = self.spare.take() or self._spawn(mine if fresh else (), wanted=True)
+        except OSError as error:
+            raise RunError(f"{job.process}: cannot be started: {error}") from error
         return Child(popen, job, self._events)
 
     def _spawn(self, modules: Collection[str], *, wanted: bool) -> "subprocess.Popen[bytes]":

@@ -47,6 +47,9 @@ class Desk:
                 self.take(codec.parse(_ORDER.decode, order, "not an order"), reply)
             except FoveaError as error:
                 reply(answer({"refused": str(error)}))
+            except Exception as error:  # an order must not end the graph
+                log.exception("an order broke")
+                reply(answer({"refused": f"it broke: {type(error).__name__}: {error}"}))
         if self._affair is not None:
             self._affair.tick()
             if self._affair.result is not None:

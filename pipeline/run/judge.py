@@ -27,7 +27,8 @@ class Judge:
     def complaint(self, slot: Slot, ledger: Ledger) -> str:
         """Why its process must go, or nothing."""
         now_s = time.monotonic()
-        if slot.child is None or now_s < self._lenient_until_s:
+        asleep = now_s - self._looked_s > SLEPT_S or now_s < self._lenient_until_s
+        if slot.child is None or asleep:
             return ""
         if frozen := stopped(slot, now_s):
             return frozen

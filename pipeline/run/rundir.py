@@ -7,6 +7,7 @@ Whoever holds the lock owns the graph. A folder whose lock is free belongs to no
 removes what it left in memory and ends what it left running.
 """
 
+import contextlib
 import fcntl
 import json
 import logging
@@ -29,6 +30,7 @@ MEMORY = Path("/dev/shm")
 LOGS = (".log", ".old")
 KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
 CLAIM_S = 0.5  # who looks whether a graph runs has its lock for a moment
+SWEEP_S = 5.0  # who removes what a killed one left has it for as long as that takes
 log = logging.getLogger(__name__)
 
 
@@ -57,9 +59,13 @@ class RunFolder:
         lock = _claimed(folder)
         if lock is None:
             raise RunError(f"{graph}: already running, see `fovea ps`")
-        sweep()
-        _remove_remains(folder)
-        os.utime(folder / "lock")
+        try:
+            sweep()
+            _remove_remains(folder)
+            os.utime(folder / "lock")
+        except BaseException:
+            os.close(lock)
+            raise
         prefix = f"fovea-{secrets.token_hex(4)}-"
         return RunFolder(folder, prefix, lock)
 
@@ -118,25 +124,38 @@ def sweep() -> None:
     """Remove what killed supervisors left behind."""
     for folder in base().iterdir():
         lock = _locked(folder)
-        if lock is not None:
+        if lock is None:
+            continue
+        try:
             _remove_remains(folder)
             if time.time() - (folder / "lock").stat().st_mtime > KEEP_LOGS_S:
                 shutil.rmtree(folder, ignore_errors=True)
+        finally:
             os.close(lock)
 
 
 def _claimed(folder: Path) -> int | None:
     """The lock, also when somebody who only looks has it for a moment, or sweeps it away."""
-    deadline = time.monotonic() + CLAIM_S
+    began_s = time.monotonic()
     while True:
         try:
             folder.mkdir(mode=0o700, exist_ok=True)
             lock = _locked(folder, create=True)
         except OSError as error:
             raise RunError(f"{folder}: cannot be made: {error.strerror}") from error
-        if lock is not None or time.monotonic() > deadline:
+        waited_s = time.monotonic() - began_s
+        if lock is not None or waited_s > (CLAIM_S if _at_work(folder) else SWEEP_S):
             return lock
         time.sleep(0.02)
+
+
+def _at_work(folder: Path) -> bool:
+    """Whether the supervisor that is noted there lives."""
+    try:
+        pid = int(json.loads((folder / "run.json").read_text())["pid"])
+        return bool(psutil.pid_exists(pid))
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
 
 
 def _locked(folder: Path, kind: int = fcntl.LOCK_EX, *, create: bool = False) -> int | None:
@@ -183,4 +202,5 @@ def _end_orphans(prefix: str) -> None:
     """Nodes end by themselves when their supervisor dies; a frozen one cannot."""
     for process in psutil.process_iter(["cmdline"]):
         if prefix in (process.info["cmdline"] or []):
-            process.send_signal(signal.SIGKILL)
+            with contextlib.suppress(psutil.Error):  # it has just ended by itself
+                process.send_signal(signal.SIGKILL)

@@ -1,5 +1,6 @@
 """One process that has imported every operator and waits: a restart is then a load."""
 
+import logging
 import select
 import subprocess
 import sys
@@ -9,6 +10,9 @@ from pathlib import Path
 
 from pipeline.run.child import close_pipes
 
+AGAIN_S = 5.0  # after one that ended by itself, or could not be had
+log = logging.getLogger(__name__)
+
 
 class Spare:
     """At most one process without an assignment."""
@@ -17,20 +21,25 @@ class Spare:
         self._spawn = spawn
         self._popen: subprocess.Popen[bytes] | None = None
         self._since_s = 0.0  # wall clock, as files have it
+        self._again_s = 0.0
 
     def keep(self, modules: Collection[str]) -> None:
-        """See that there is one."""
+        """See that there is one; what it lacks to come up costs only the head start."""
         self._bury()
-        if self._popen is None:
-            self._since_s = time.time()
+        if self._popen is not None or time.monotonic() < self._again_s:
+            return
+        self._since_s, self._again_s = time.time(), time.monotonic() + AGAIN_S
+        try:
             self._popen = self._spawn(sorted(modules))
+        except OSError as error:
+            log.warning("no process can stand by: %s", error)
 
     def take(self) -> "subprocess.Popen[bytes] | None":
         """The spare, if it is through with its imports: it says so in its first line."""
         self._bury()
         if self._popen is None or self.warming:
             return None
-        spare, self._popen = self._popen, None
+        spare, self._popen, self._again_s = self._popen, None, 0.0
         return spare
 
     @property
@@ -51,7 +60,7 @@ class Spare:
         self._popen.kill()  # it holds nothing
         self._popen.wait()
         close_pipes(self._popen)
-        self._popen = None
+        self._popen, self._again_s = None, 0.0
 
     def _bury(self) -> None:
         if self._popen is not None and self._popen.poll() is not None:

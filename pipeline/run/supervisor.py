@@ -20,9 +20,11 @@ from pipeline.run.slot import Slot
 TICK_S = 0.02
 SAMPLE_S = 1.0
 HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
-DRAIN_S = 5.0
+DRAIN_S = 5.0  # without a message that meets its end
+LONGEST_DRAIN_S = 60.0
 STOP_S = 4.0
 REAP_S = 0.1
+UNABLE_S = 2.0  # until a process that could not be started is tried again
 log = logging.getLogger(__name__)
 
 
@@ -71,9 +73,9 @@ class Supervisor(Crew):
 
     def tick(self) -> None:
         """Look after everything once, then rest for a moment."""
+        self._judge.look()
         self._hear()
         self.desk.attend()
-        self._judge.look()
         now_s = time.monotonic()
         for slot in self.slots.values():
             self._look_after(slot, now_s)
@@ -84,13 +86,19 @@ class Supervisor(Crew):
         time.sleep(TICK_S)
 
     def finish(self) -> None:
-        """Let the sources end and what is under way arrive; bounded in time."""
+        """Let the sources end and what is under way arrive, for as long as something does."""
         for slot in self.slots.values():
             if slot.sources and slot.child:
                 slot.child.tell("finish")
-        deadline = time.monotonic() + DRAIN_S
-        while time.monotonic() < deadline and not (self.finished and self.ledger.drained()):
+        began_s = moved_s = now_s = time.monotonic()
+        ends = self.ledger.ends()
+        while now_s - moved_s < DRAIN_S and now_s - began_s < LONGEST_DRAIN_S:
+            if self.finished and self.ledger.drained():
+                return
             self.tick()
+            now_s = time.monotonic()
+            if (ends_now := self.ledger.ends()) != ends:
+                ends, moved_s = ends_now, now_s
 
     def stop(self) -> None:
         """Stop every process, collect what they have to say."""
@@ -154,9 +162,7 @@ class Supervisor(Crew):
             return
         if slot.child is None:
             if slot.next_start_s and now_s >= slot.next_start_s:
-                slot.next_start_s = 0.0
-                self.begin(slot)
-                self.note()
+                self._begin_again(slot, now_s)
             return
         status = slot.child.ended()
         if status is not None:
@@ -169,6 +175,15 @@ class Supervisor(Crew):
             log.error("%s: %s; killed", slot.name, why)
             slot.last_words = why
             slot.child.kill(with_traceback=True)
+
+    def _begin_again(self, slot: Slot, now_s: float) -> None:
+        slot.next_start_s = 0.0
+        try:
+            self.begin(slot)
+        except RunError as error:  # no memory, say: the others may go on until there is some
+            log.error("%s", error)
+            slot.next_start_s = now_s + UNABLE_S
+        self.note()
 
     def _bury(self, slot: Slot, status: int, now_s: float) -> None:
         self.vacate(slot)

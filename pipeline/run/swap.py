@@ -33,6 +33,7 @@ SHADOW_S = 1.0  # per frame, at most
 ANSWER_S = 5.0
 REAP_S = 1.0
 STUCK_S = 2.0  # with messages waiting
+LOOK_S = 0.5  # counted between two looks at most: who looks late was stopped like all others
 QUIET_S = 10.0  # without messages: then probation is over
 DRAIN_S = 5.0
 SOONEST = 5  # frames after which a successor may be found too slow
@@ -104,6 +105,8 @@ class Swap(Affair):
         for account in self.crew.accounts(self._slot):
             account.next_door = 0
         self._owned = False
+        if self._slot.child is None and not self._slot.next_start_s:
+            self._slot.next_start_s = time.monotonic()  # it could not be started: the crew tries
         if refused and self._hot and self._slot.child is not None:
             self._slot.child.order("uncut", node=self._node.name)
         super()._finish(refused)
@@ -333,7 +336,8 @@ class Swap(Affair):
         budget_ms = self._order.budget_ms or max(
             LEAST_BUDGET_MS, SLOWER * account.histograms["handler"].percentile_ms(0.5)
         )
-        moved_s, handled = time.monotonic(), first
+        stuck_s = max(STUCK_S, self._order.budget_ms / 1000)
+        still_s, seen_s, handled = 0.0, time.monotonic(), first
         while handled - first < wanted and not self.crew.finished:
             yield
             if (status := child.ended()) is not None:
@@ -342,8 +346,10 @@ class Swap(Affair):
                 raise RunError(f"{node}: the new part ended by {ending(status)} {said}".rstrip())
             if complaint := self.crew.stalled(self._slot):
                 raise RunError(complaint)
+            seen_s, before_s = time.monotonic(), seen_s
+            still_s += min(seen_s - before_s, LOOK_S)
             if account.handled != handled:
-                moved_s, handled = time.monotonic(), account.handled
+                still_s, handled = 0.0, account.handled
                 times = account.histograms["handler"].since(earlier)
                 slow = times.percentile_ms(0.5)
                 if handled - first >= min(SOONEST, wanted) and slow > budget_ms:
@@ -351,9 +357,8 @@ class Swap(Affair):
                         f"{node}: the new part takes {slow:.1f} ms a frame, expected at most "
                         f"{budget_ms:.1f} ms"
                     )
-            still_s = time.monotonic() - moved_s
             waiting = any(a.in_flight for a in self.crew.accounts(self._slot))
-            if still_s > STUCK_S and waiting and account.condition != "credit":
+            if still_s > stuck_s and waiting and account.condition != "credit":
                 raise RunError(f"{node}: the new part finished no frame for {still_s:.1f} s")
             if still_s > QUIET_S:
                 break

@@ -56,8 +56,8 @@ def running(graph: Path, name: str) -> Iterator["subprocess.Popen[str]"]:
     process = subprocess.Popen(
         [*FOVEA, "run", str(graph)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
-    deadline = time.monotonic() + 30
-    while name not in fovea("ps").stdout:
+    deadline = time.monotonic() + 60
+    while fovea("health", name).returncode:
         assert time.monotonic() < deadline
     yield process
     if process.poll() is None:

@@ -158,6 +158,7 @@ def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path)
     assert "no path from outside" in refusal(
         partial(tell, "trio", SwapOrder(node="work", changes={"hold": "~/x"}))
     )
+    assert "no node count" in refusal(partial(tell, "trio@compute", SwapOrder(node="count")))
     assert "runs on several boxes" in refusal(partial(replan, "trio", lambda plan: plan))
     before = handled(fleet, "compute", "steer")
     until(lambda: handled(fleet, "compute", "steer") > before + 10)

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from pipeline.errors import FoveaError, GraphError, RunError, Silent
 from pipeline.fleet import wire
 from pipeline.fleet.agent_file import AgentFile, Box
 from pipeline.fleet.allow import ANY, MOST_WEIGHTS_BYTES
-from pipeline.fleet.deploy import Fleet, down, remembered, send_weights, up
+from pipeline.fleet.deploy import Fleet, Hosts, down, forget, remember, remembered, send_weights, up
 from pipeline.fleet.overview import fleet_log
 from tests.pipeline.fleet.boxes import Running, fleet_of, plan_of
 
@@ -52,6 +53,18 @@ def fleet(two: dict[str, Running], tmp_path: Path) -> Iterator[Fleet]:
         up(fleet, plan_of(tmp_path, PAIR))
         yield fleet
         down("desk", fleet.hosts)
+
+
+def test_graphs_that_are_brought_up_at_once_are_all_remembered() -> None:
+    names = [f"one-of-many-{i}" for i in range(12)]
+    with ThreadPoolExecutor(len(names)) as pool:
+        list(pool.map(lambda name: remember(name, Hosts({"eye": "here"})), names))
+
+    assert set(names) <= remembered().keys()
+
+    with ThreadPoolExecutor(len(names)) as pool:
+        list(pool.map(forget, names))
+    assert not set(names) & remembered().keys()
 
 
 def test_a_file_for_a_live_setting_goes_along_and_any_other_is_refused(

@@ -32,9 +32,10 @@ def during(supervisor):
     after = handled(supervisor, "work")
     wait_for(supervisor, lambda: handled(supervisor, "work") > after)
     print("well:", all(h and not h.complaint for h in fleet_health(plan.name).values()))
+    supervisor.finish()
 
 plan = load(Path(sys.argv[1]))
-report = go(plan, 200, during)
+report = go(plan, 0, during)
 assert_accounts_add_up(report)
 assert report["restarts"] == {"work": 1}, report["restarts"]
 assert report["failure"] == "", report["failure"]

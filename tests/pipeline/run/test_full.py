@@ -43,10 +43,11 @@ def during(supervisor):
     wait_for(supervisor, lambda: supervisor.restarts == {"work": 1, "pair": 1})
     after = handled(supervisor, "steer")
     wait_for(supervisor, lambda: handled(supervisor, "steer") > after + 5)
+    supervisor.finish()
 
 logging.basicConfig()
 plan = load(Path(sys.argv[1]))
-report = go(plan, 250, during)
+report = go(plan, 0, during)
 assert_accounts_add_up(report)
 print("failure:", report["failure"])
 """

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from pipeline import RunError
-from pipeline.run.rundir import KEEP_LOGS_S, RunFolder, base, sweep
+from pipeline.run.rundir import CLAIM_S, KEEP_LOGS_S, RunFolder, base, sweep
 
 
 def test_a_name_has_one_owner_at_a_time() -> None:
@@ -35,6 +35,29 @@ def test_logs_of_last_week_stay_and_older_ones_go() -> None:
 
     assert (fresh / "work.log").exists()
     assert not stale.exists()
+
+
+def test_who_sweeps_for_long_keeps_nobody_from_starting() -> None:
+    folder = base() / f"test-{secrets.token_hex(3)}"
+    RunFolder.claim(folder.name).release()
+    lock = os.open(folder / "lock", os.O_RDWR)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    threading.Timer(2 * CLAIM_S, lambda: os.close(lock)).start()
+
+    RunFolder.claim(folder.name).release()
+
+
+def test_a_claim_that_breaks_leaves_the_name_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> None:
+        raise OSError("the machine has no files left")
+
+    name = f"test-{secrets.token_hex(3)}"
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.run.rundir.sweep", broken)
+        with pytest.raises(OSError, match="no files left"):
+            RunFolder.claim(name)
+
+    RunFolder.claim(name).release()
 
 
 @pytest.mark.parametrize("swept", [False, True])

@@ -4,6 +4,8 @@ import json
 import os
 import re
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -21,6 +23,7 @@ from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from tests.toy_graphs import (
+    KILLED,
     LOOP,
     LOSSLESS,
     assert_accounts_add_up,
@@ -28,6 +31,7 @@ from tests.toy_graphs import (
     go,
     handled,
     plan_of,
+    until,
     wait_for,
 )
 
@@ -366,6 +370,22 @@ def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> Non
     assert re.match(r"work: swapped after frame \d+, stood still for \d+\.\d ms", told[0])
     assert told[1].endswith("no node wrk, did you mean 'work'?")
     assert told[2].startswith("not an order")
+
+
+def test_an_order_to_a_supervisor_that_is_killed_is_not_waited_for(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOSSLESS)
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE) as supervisor,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        assert supervisor.stdout is not None
+        supervisor.stdout.readline()
+        order = pool.submit(tell, plan.name, SwapOrder(node="work", at=1 << 30))
+        until(lambda: any((base() / plan.name).glob("work.2.door")))
+        supervisor.kill()
+        with pytest.raises(RunError, match="ended before that was done"):
+            order.result(20)
 
 
 def test_an_order_that_the_end_of_the_run_overtakes_is_answered(tmp_path: Path) -> None:
