@@ -18,6 +18,11 @@ def areas(boxes: Array) -> Array:
     return np.asarray(sides[..., 0] * sides[..., 1], np.float32)
 
 
+def sizes(boxes: Array) -> Array:
+    """Root of the area of each box: (n, 4) -> (n,), pixels, at least 1."""
+    return np.asarray(np.maximum(np.sqrt(areas(boxes)), 1), np.float32)
+
+
 def intersections(a: Array, b: Array) -> Array:
     """Common area of every pair: (n, 4), (m, 4) -> (n, m), square pixels."""
     # one axis at a time: pairs of two as the innermost axis take four times as long

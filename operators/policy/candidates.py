@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.policy.motion import common
 from pipeline import Tracks
-from pipeline.boxes import areas, centres, intersections
+from pipeline.boxes import areas, centres, intersections, sizes
 
-WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
 BRISK = 0.25  # box sizes per frame: from here on something counts as moving
 MOVING_BONUS = 0.15  # worth in score of a brisk motion
 INSIDE_MALUS = 0.15  # cost in score of lying within somebody
@@ -38,11 +38,6 @@ def count(before: Sightings, tracks: Tracks) -> Sightings:
     return Sightings(ids=tracks.ids, counts=np.array(counts, np.int32))
 
 
-def sizes(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Root of the area of each box: (n, 4) -> (n,), pixels, at least 1."""
-    return np.asarray(np.maximum(np.sqrt(areas(boxes)), 1), np.float32)
-
-
 def mobility(tracks: Tracks) -> NDArray[np.float32]:
     """How briskly each track moves against the others, 0..1: (n,).
 
@@ -52,8 +47,7 @@ def mobility(tracks: Tracks) -> NDArray[np.float32]:
     if not len(tracks.ids) or tracks.predicted.shape[1] < 2:
         return np.zeros(len(tracks.ids), np.float32)
     motion = centres(tracks.predicted[:, 1]) - centres(tracks.predicted[:, 0])
-    camera = np.median(motion, axis=0) if len(motion) >= WITNESSES else np.zeros(2)
-    away = np.linalg.norm(motion - camera, axis=1)
+    away = np.linalg.norm(motion - common(motion), axis=1)
     brisk = away / (BRISK * sizes(tracks.boxes[:, -1]))
     return np.asarray(np.minimum(brisk, 1), np.float32)
 

@@ -8,12 +8,15 @@ a ball that lies still at the corner flag stays below a detector's threshold, an
 prompt says where it is.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.holding import carried
+from operators.policy.motion import camera_motion
 from operators.policy.plan import PLACE, row_of
-from operators.policy.prompt import Prompt, Wish, alike, camera_motion, held
+from operators.policy.prompt import Prompt, Wish, alike, held
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, one_hot, tell
 from pipeline import Tracks
 
@@ -42,9 +45,8 @@ def condition(prompt: Prompt, wish: Wish, tracks: Tracks) -> Array:
 
 def unmet(prompt: Prompt, wish: Wish, tracks: Tracks) -> str:
     """A sentence when nothing answers to the prompt, else empty."""
-    if wish.target and tracks.names and wish.target not in tracks.names:
-        known = ", ".join(tracks.names)
-        return f"policy.target: expected one of {known}, got {wish.target}"
+    if sentence := unknown(wish.target, tracks.names):
+        return sentence
     seq = tracks.header.seq
     if not wish.one or prompt.bound_id >= 0 or seq - prompt.asked_seq < GRACE:
         return ""
@@ -52,6 +54,13 @@ def unmet(prompt: Prompt, wish: Wish, tracks: Tracks) -> str:
     if wish.boxed:
         return f"policy.prompt_box: expected a track at {wish.box}, none was there in {frames}"
     return f"policy.target_id: expected a track {wish.object_id}, none was there in {frames}"
+
+
+def unknown(target: str, names: Sequence[str]) -> str:
+    """A sentence when a class is none of those that the tracks have, as far as they tell."""
+    if not target or not names or target in names:
+        return ""
+    return f"policy.target: expected one of {', '.join(names)}, got {target}"
 
 
 def place(

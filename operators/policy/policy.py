@@ -6,6 +6,7 @@ state that is replaced, never changed: the same tracks in, the same plans out.
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -13,7 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from operators.policy.baselines import Turn, centred, round_robin
-from operators.policy.conditioning import unmet
+from operators.policy.conditioning import unknown, unmet
 from operators.policy.holding import PEOPLE
 from operators.policy.learned import (
     SHIPPED,
@@ -32,7 +33,7 @@ from operators.policy.memory import Memory, blank, remember
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.plan import Plan, no_proposal, scanpath
 from operators.policy.prompt import Wish
-from operators.policy.pursuit import Aim, Pursuit, pursue
+from operators.policy.pursuit import Pursuit, pursue
 from operators.policy.tokens import MOST_OBJECTS
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
@@ -110,10 +111,16 @@ class Policy(Operator[PolicySettings, Scanpath]):
             self._chooser = Chooser(Path(s.weights) if s.weights else SHIPPED, threads=s.threads)
             self._chooser.suits(horizon=s.horizon, observed=s.observed)
         self._ailing: set[str] = set()
+        self._names: Sequence[str] = ()  # of the classes that tracks have
         self._look_for(s)
 
     def on_settings(self, settings: PolicySettings) -> None:
-        """Another target from the next plan on; what everybody looks like stays known."""
+        """Another target from the next plan on; what everybody looks like stays known.
+
+        Raises `SettingsError` for a class that the tracks do not have.
+        """
+        if sentence := unknown(settings.target, self._names):
+            raise SettingsError(sentence)
         self.settings, before = settings, self._wish
         self._look_for(settings)
         if self._wish != before:
@@ -121,7 +128,6 @@ class Policy(Operator[PolicySettings, Scanpath]):
             self._ailing.discard("prompt")
 
     def _look_for(self, s: PolicySettings) -> None:
-        self._aim = Aim(object_id=s.target_id, box=s.prompt_box, target=s.target, held_by=s.held_by)
         self._wish = Wish(
             object_id=s.target_id, box=s.prompt_box, target=s.target, held_by=s.held_by
         )
@@ -151,6 +157,7 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
+        self._names = tracks.names
         return scanpath(tracks, self._plan(tracks))
 
     def _plan(self, tracks: Tracks) -> Plan:
@@ -168,7 +175,7 @@ class Policy(Operator[PolicySettings, Scanpath]):
         plan, pursuit = pursue(
             tracks,
             state.pursuit,
-            self._aim,
+            self._wish,
             confirm=s.confirm,
             patience=s.patience,
             horizon=s.horizon,

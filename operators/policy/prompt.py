@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.holding import PEOPLE, able, holder_of
+from operators.policy.motion import camera_motion
 from operators.policy.plan import PLACE, name_of, of_class, row_of
 from operators.policy.tokens import Array
 from pipeline import Geometry, Tracks
-from pipeline.boxes import areas, centres, from_centres, iou
+from pipeline.boxes import centres, from_centres, iou, sizes
 
 BIND_IOU = 0.1
 BACK_IOU = 0.3
@@ -22,8 +23,7 @@ ALIKE = 2.0  # what overlaps nothing binds to what is near, if their sides diffe
 SURE = 0.5  # probability from which a choice binds the prompt
 GROWTH = 0.1  # box sizes by which the doubt grows with every frame
 GRIP = 2  # sightings in the same hands before they are believed to hold it
-PATIENCE = 250  # frames for which they are: a keeper may hold a ball for eight seconds
-WITNESSES = 4  # tracks needed before their median motion is believed to be the camera's
+PATIENCE = 250  # frames for which they are: ten seconds; a keeper may hold a ball for eight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,14 +111,6 @@ def held(prompt: Prompt, tracks: Tracks) -> int:
     return -1 if seen or late or not prompt.gripped else row_of(tracks, prompt.holder)
 
 
-def camera_motion(tracks: Tracks) -> Array:
-    """By how much the picture moves in a frame: the median of all tracks, (2,) sensor pixels."""
-    if len(tracks.ids) < WITNESSES or not tracks.predicted.shape[1]:
-        return np.zeros(2, np.float32)
-    motion = centres(tracks.predicted[:, 0]) - centres(tracks.boxes[:, -1])
-    return np.asarray(np.median(motion, axis=0), np.float32)
-
-
 def _moved(now: Prompt, tracks: Tracks, frames: int) -> Array:
     """The place `frames` later: at whoever holds it, else moved with the camera."""
     row = held(now, tracks)
@@ -174,8 +166,8 @@ def in_box(boxes: Array, box: Array) -> int:
 
 def alike(boxes: Array, box: Array) -> NDArray[np.bool_]:
     """Which of `boxes` (n, 4) are about as large as `box` (4,): (n,)."""
-    size, sides = _size(box), np.sqrt(np.maximum(areas(boxes), 1))
-    return np.asarray(np.maximum(sides / size, size / sides) <= ALIKE)
+    size, others = _size(box), sizes(boxes)
+    return np.asarray(np.maximum(others / size, size / others) <= ALIKE)
 
 
 def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
@@ -201,7 +193,7 @@ def _near(tracks: Tracks, row: int, now: Prompt) -> bool:
 
 
 def _size(box: Array) -> float:
-    return max(float(np.sqrt(areas(box[None])[0])), 1.0)
+    return float(sizes(box[None])[0])
 
 
 def _reach(geometry: Geometry) -> float:

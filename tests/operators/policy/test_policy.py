@@ -94,6 +94,20 @@ def test_features_that_change_their_width_are_refused():
         drive(Policy, [looks(0, 1), looks(1, 1, width=3)])
 
 
+@pytest.mark.parametrize("strategy", ["learned", "pursue"])
+def test_a_class_that_no_track_has_is_refused_while_it_runs(strategy):
+    policy = Policy(PolicySettings(strategy=strategy, target="ball"))
+    policy.open()
+    policy.on_tracks(tracks(0, (1, 0, 50, 50, 0), channels=64))
+
+    with pytest.raises(SettingsError, match="expected one of ball, player, got refree"):
+        policy.on_settings(PolicySettings(strategy=strategy, target="refree"))
+    assert policy.settings.target == "ball"
+
+    policy.on_settings(PolicySettings(strategy=strategy, target="player"))
+    assert policy.settings.target == "player"
+
+
 def test_a_prompt_box_that_is_no_box_is_refused():
     with pytest.raises(SettingsError, match="prompt_box: expected left, top, right, bottom"):
         PolicySettings(prompt_box=(10.0, 10.0, 5.0, 20.0))

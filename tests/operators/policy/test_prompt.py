@@ -2,7 +2,8 @@
 
 import pytest
 
-from operators.policy.prompt import Choice, Prompt, Wish, camera_motion, follow
+from operators.policy.motion import camera_motion
+from operators.policy.prompt import Choice, Prompt, Wish, follow
 from tests.operators.policy.made_up import followed, tracks
 
 BALL = Wish(box=(92, 92, 108, 108))
