@@ -177,7 +177,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
                 loss, gained = advance(run, pool)
                 run.elapsed_s = time.monotonic() - began
                 if run.step % EVERY == 0:
-                    note(log, run.step, run.elapsed_s, (loss, gained))
+                    note(log, run.step, run.elapsed_s, {"loss": loss, "utility": gained})
                 bar.set_postfix_str(f"round {number} loss {loss:.3f} utility {gained:.3f}")
                 bar.update()
                 if time.monotonic() - saved > CHECKPOINT_S:
@@ -245,9 +245,9 @@ def plot(log: Path, picture: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    if not log.exists() or not log.stat().st_size:
+    if not log.exists():
         return
-    rows = np.loadtxt(log, delimiter=",", ndmin=2)
+    rows = np.loadtxt(log, delimiter=",", ndmin=2, skiprows=1)
     figure, axes = pyplot.subplots(1, 2, figsize=(9, 3), layout="constrained")
     for place, column, name in ((axes[0], 2, "loss"), (axes[1], 3, "expected utility")):
         place.plot(rows[:, 0], rows[:, column])

@@ -185,7 +185,7 @@ def train(settings: TrainSettings) -> EncoderNet:
             figures = advance(run, crops)
             run.elapsed_s = time.monotonic() - began
             if run.step % EVERY == 0:
-                note(log, run.step, run.elapsed_s, figures.values())
+                note(log, run.step, run.elapsed_s, figures)
             bar.set_postfix({name: f"{value:.3f}" for name, value in figures.items()})
             bar.update()
             if time.monotonic() - saved > CHECKPOINT_S:

@@ -114,7 +114,7 @@ def train(settings: TrainSettings) -> None:
         run.elapsed_s = time.monotonic() - started
         if run.step % EVERY == 0:
             figures = {name: float(part) for name, part in parts.items()}
-            note(log, run.step, run.elapsed_s, figures.values())
+            note(log, run.step, run.elapsed_s, figures)
             bar.set_postfix_str(" ".join(f"{n} {v:.4f}" for n, v in figures.items()))
         if time.monotonic() - saved > CHECKPOINT_S:
             run.save()
