@@ -18,11 +18,10 @@ from tqdm import tqdm
 
 from operators.training import arrays as files
 from operators.training.arrays import Arrays
-from operators.training.identity import DIGITS, Identity, of_plan
+from operators.training.identity import Identity, of_code, of_plan
 from operators.training.workers import pool_of
 from pipeline import Geometry, Percept, RoiFeatures, Tracks
 from pipeline.errors import DriverError
-from pipeline.fleet.allow import code_digest
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.messages import Header, Message
@@ -137,8 +136,7 @@ def made_with(frames: int, changes: tuple[str, ...] = ()) -> dict[str, str]:
     `changes` are settings as `--set` takes them, e.g. other weights for the detector.
     """
     plan = load(GRAPH, Overlay(changes=changes, clock="lockstep"))
-    drivers = {"code of drivers": code_digest("drivers")[:DIGITS]}
-    return of_plan(plan) | drivers | {"frames": str(frames)}
+    return of_plan(plan) | of_code("drivers") | {"frames": str(frames)}
 
 
 def record(

@@ -45,8 +45,13 @@ def of_plan(plan: Plan) -> dict[str, str]:
             for name, value in values.items()
             if name not in INDIFFERENT
         }
-        found[f"code of {node.operator}"] = code_digest(node.operator)[:DIGITS]
+        found |= of_code(node.operator)
     return found
+
+
+def of_code(*modules: str) -> dict[str, str]:
+    """Modules and packages by import path, with or without a class behind."""
+    return {f"code of {module}": code_digest(module)[:DIGITS] for module in modules}
 
 
 def differing(before: Identity, now: Identity) -> list[str]:

@@ -21,9 +21,7 @@ def test_what_is_kept_is_read_back_and_nothing_else_lies_there(tmp_path: Path) -
     path = kept(tmp_path)
 
     assert outdated([path], MADE, pytest.fail) == []
-    assert {name: values.tolist() for name, values in read(path).items()} == {
-        "a": list(range(500))
-    }
+    assert {name: values.tolist() for name, values in read(path).items()} == {"a": list(range(500))}
     assert list(tmp_path.iterdir()) == [path]
 
 
