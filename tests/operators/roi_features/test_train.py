@@ -183,5 +183,5 @@ def test_a_training_that_cannot_be_is_refused(settings: dict[str, object], compl
 def test_features_of_another_network_are_refused(tmp_path: Path) -> None:
     torch.save({"net": {"weight": torch.zeros(3)}}, tmp_path / "c.pt")
 
-    with pytest.raises(WeightsError, match=r"c\.pt: expected a checkpoint of this encoder"):
+    with pytest.raises(WeightsError, match=r"c\.pt: expected this training's net, got"):
         Run(settings_in(tmp_path, head_of=tmp_path / "c.pt"))
