@@ -68,7 +68,8 @@ class TrainSettings:
 
     def __post_init__(self) -> None:
         at_least(OF_SCENE, self, "batch")
-        at_least(1, self, "moments", "span", "steps", "threads")
+        at_least(2, self, "moments")  # nobody is known again who was seen once
+        at_least(1, self, "span", "steps", "threads")
         at_least(0, self, "warmup", "decay", "identity", "seed")
         above_zero(self, "rate", "minutes")
         if self.scenes < self.batch // OF_SCENE:

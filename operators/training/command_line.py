@@ -42,7 +42,9 @@ def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
         yield
     except FoveaError as error:
         _end(str(error), REFUSED)
-    except OSError as error:  # a file where a folder is expected, a full disk
+    except (FileExistsError, NotADirectoryError) as error:
+        _end(f"{error.filename}: expected a folder, got a file", REFUSED)
+    except OSError as error:  # a full disk, a file that is not ours
         _end(f"{error.filename}: {error.strerror}" if error.filename else str(error), REFUSED)
     except KeyboardInterrupt:
         _end(interrupted, INTERRUPTED)

@@ -281,7 +281,7 @@ def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
         ("--rate", "nan", "rate: must be above 0, got nan"),
         ("--set", "nonsense=1", "--set nonsense=1: expected node.setting=value"),
         ("--set", "saliency.weights=gone.onnx", "gone.onnx: no such file"),
-        ("--out", __file__, "File exists"),
+        ("--out", __file__, "test_train.py: expected a folder, got a file"),
         ("--replans", "0", "--replans: expected frames such as 1,2,4, got '0'"),
     ],
 )

@@ -171,6 +171,8 @@ def test_a_new_head_leaves_the_features_as_they_are(tmp_path: Path) -> None:
     [
         ({"batch": 8}, "batch: must be at least 24, got 8"),
         ({"scenes": 1}, "scenes: a batch of 48 needs at least 2, got 1"),
+        ({"moments": 1}, "moments: must be at least 2, got 1"),
+        ({"rate": float("nan")}, "rate: must be above 0, got nan"),
         ({"steps": 0}, "steps: must be at least 1, got 0"),
         ({"device": "gpu"}, "device: expected auto, cpu, cuda, cuda:N or mps, got gpu"),
     ],

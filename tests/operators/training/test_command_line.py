@@ -35,7 +35,8 @@ if __name__ == "__main__":
     ("error", "said"),
     [
         (SettingsError("seed: must be at least 0, got -1"), "seed: must be at least 0, got -1"),
-        (NotADirectoryError(20, "Not a directory", "a/b"), "a/b: Not a directory"),
+        (NotADirectoryError(20, "Not a directory", "a/b"), "a/b: expected a folder, got a file"),
+        (PermissionError(13, "Permission denied", "a/b"), "a/b: Permission denied"),
         (OSError(28, "No space left on device"), "[Errno 28] No space left on device"),
     ],
 )
@@ -116,11 +117,12 @@ def test_a_training_of_nothing_is_refused(
     def said(*words: object) -> str:
         return refused(main, [*words, "--threads", 1, "--device", "cpu"], capsys)
 
-    few = ("--scenes", 8, "--moments", 1)
+    few = ("--scenes", 8, "--moments", 2)
     assert "must be at least 1, got 0" in said("--data", data, "--out", out, "--steps", 0)
     assert "rate: must be above 0, got nan" in said("--data", data, "--out", out, "--rate", "nan")
-    assert said("--data", data, "--out", file, *few) == f"fovea: {file}: File exists"
-    assert said("--data", file, "--out", out, *few) == f"fovea: {file}: File exists"
+    no_folder = f"fovea: {file}: expected a folder, got a file"
+    assert said("--data", data, "--out", file, *few) == no_folder
+    assert said("--data", file, "--out", out, *few) == no_folder
     (out / "checkpoint.pt").write_bytes(b"PK")
     assert "checkpoint.pt: expected a state dict" in said("--data", data, "--out", out, *few)
     assert not data.exists()
