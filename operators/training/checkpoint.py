@@ -98,7 +98,7 @@ def read(path: Path) -> Mapping[str, Any]:
         # on the processor, wherever it was written: that device may not be here
         state = torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:  # torch raises many kinds for what is no state dict
-        reason = str(error).split("\n", 1)[0] or "nothing"
+        reason = str(error).split("\n", 1)[0].split(". ", 1)[0] or "nothing"
         raise WeightsError(f"{path}: expected a state dict of tensors, got {reason}") from error
     if not isinstance(state, Mapping):
         raise WeightsError(f"{path}: expected a state dict of tensors, got {type(state).__name__}")
