@@ -5,7 +5,7 @@ by the operators themselves in the in-line runner (graphs/tasks/tracking_recordi
 object's appearance at full resolution is kept too; a roll-out reveals it where its ROI looks.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import astuple, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,9 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from operators.training import arrays as files
+from operators.training.arrays import Arrays
+from operators.training.identity import Identity, of_code, of_plan
 from operators.training.workers import pool_of
 from pipeline import Geometry, Percept, RoiFeatures, Tracks
-from pipeline.errors import FoveaError
+from pipeline.errors import DriverError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.messages import Header, Message
@@ -27,7 +30,6 @@ from pipeline.run.inline import InlineRunner
 GRAPH = Path(__file__).parents[2] / "graphs" / "tasks" / "tracking_recording.yaml"
 TRAIN_SEEDS, VALIDATION_SEEDS = 30_000, 40_000  # no other part of the project uses them
 KEPT = ("association.out", "roi_features.out", "capture.truth")
-Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,10 +45,9 @@ class Recording:
     """One clip; the messages of frame k are put together when they are asked for."""
 
     def __init__(self, path: Path) -> None:
-        with np.load(path) as file:
-            self._arrays: Arrays = dict(file)
-        if self._arrays["geometry"].shape != (5,):
-            raise FoveaError(f"{path}: expected a recording of this version, record it anew")
+        self._arrays = files.read(path)
+        if self._arrays.get("geometry", np.zeros(0)).shape != (5,):
+            raise DriverError(f"{path}: expected a recording of this version, record it anew")
         self.path = path
 
     def __len__(self) -> int:
@@ -129,6 +130,15 @@ class Recording:
         return {int(i): str(label) for i, label in pairs}
 
 
+def made_with(frames: int, changes: tuple[str, ...] = ()) -> dict[str, str]:
+    """What decides a recording beside its seed; raises `FoveaError` for changes that fit nothing.
+
+    `changes` are settings as `--set` takes them, e.g. other weights for the detector.
+    """
+    plan = load(GRAPH, Overlay(changes=changes, clock="lockstep"))
+    return of_plan(plan) | of_code("drivers") | {"frames": str(frames)}
+
+
 def record(
     seeds: Iterable[int],
     frames: int,
@@ -136,22 +146,25 @@ def record(
     *,
     workers: int = 2,
     changes: tuple[str, ...] = (),
+    say: Callable[[str], None] = print,
 ) -> list[Path]:
     """Record the first `frames` frames of each seed's scene; clips already there are kept.
 
-    `changes` are settings as `--set` takes them, e.g. other weights for the detector.
+    Those that are damaged, or were recorded with other settings, networks or code, are recorded
+    anew and replaced one by one: a detector that was trained anew needs no other folder.
     """
+    made = made_with(frames, changes)
     folder.mkdir(parents=True, exist_ok=True)
     wanted = [folder / f"{seed}.npz" for seed in seeds]
-    missing = [path for path in wanted if not path.exists()]
+    missing = files.outdated(wanted, made, say)
     with pool_of(workers) as pool:
-        jobs = [pool.submit(_record, path, frames, changes) for path in missing]
+        jobs = [pool.submit(_record, path, frames, changes, made) for path in missing]
         for job in tqdm(jobs, desc="record", unit="clip", disable=not jobs):
             job.result()
     return wanted
 
 
-def _record(path: Path, frames: int, changes: tuple[str, ...]) -> None:
+def _record(path: Path, frames: int, changes: tuple[str, ...], made: Identity) -> None:
     """One clip; its file is named after its seed."""
     cv2.setNumThreads(1)
     own = (f"capture.options.seed={path.stem}", f"capture.options.frames={frames}")
@@ -163,9 +176,7 @@ def _record(path: Path, frames: int, changes: tuple[str, ...]) -> None:
         for _ in run.run(frames):
             heard[-1] = {name: heard[-1][name] for name in KEPT}  # not the pictures
             heard.append({})
-    unfinished = path.with_suffix(".part.npz")
-    np.savez(unfinished, allow_pickle=False, **arrays(heard[:-1]))
-    unfinished.rename(path)
+    files.write(path, arrays(heard[:-1]), made)
 
 
 def arrays(heard: list[dict[str, Any]]) -> Arrays:

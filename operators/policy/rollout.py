@@ -21,6 +21,7 @@ from operators.policy.tokens import Array, Objects
 from operators.policy.utility import gains
 from pipeline import RoiFeatures, Tracks
 from pipeline.boxes import centres, covered, roi_window
+from pipeline.errors import SettingsError
 
 INSIDE = 0.5  # share of a box that the ROI must show, as operators.roi_features has it
 CAPACITY = 100
@@ -35,6 +36,13 @@ class Late:
 
     delays: tuple[int, ...] = (1, 2, 4)  # frames
     replans: tuple[int, ...] = (4, 8)  # Ta
+
+    def __post_init__(self) -> None:
+        for name, least in (("delays", 0), ("replans", 1)):
+            if min(getattr(self, name), default=-1) < least:
+                raise SettingsError(
+                    f"{name}: expected frames from {least} on, got {getattr(self, name)}"
+                )
 
 
 @dataclass(frozen=True, kw_only=True)

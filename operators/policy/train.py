@@ -25,19 +25,21 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from operators.policy.data import TRAIN_SEEDS, VALIDATION_SEEDS, Recording, record
+from operators.policy.data import TRAIN_SEEDS, VALIDATION_SEEDS, Recording, made_with, record
 from operators.policy.learned import Rules, Selection, softmax
 from operators.policy.model import INPUTS, PARTS, PolicyNet, export
 from operators.policy.pool import Pool
 from operators.policy.rollout import Choose, Episode, Late, roll, tasks, teacher
 from operators.policy.tokens import Array, Objects, batched
-from operators.training.checkpoint import Progress
+from operators.training.checkpoint import Progress, left, path_in
+from operators.training.command_line import GOES_ON, in_a_sentence
 from operators.training.device import DEVICES, device_of, moved
+from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
+from operators.training.ranges import above_zero, at_least
 from operators.training.schedule import warmed_cosine
-from pipeline.errors import SettingsError
+from pipeline.errors import RunError, SettingsError
 
-CHECKPOINT_S = 45.0
 ROUNDS = 6
 
 
@@ -67,6 +69,12 @@ class TrainSettings:
     changes: tuple[str, ...] = ()  # of the recording graph, as --set takes them
 
     def __post_init__(self) -> None:
+        at_least(1, self, "clips", "validation", "iterations", "batch", "episodes", "threads")
+        at_least(2, self, "frames", "length")  # the first one is not the policy's
+        at_least(0, self, "decay", "imitation", "seed", "warmup")
+        above_zero(self, "rate", "temperature")
+        if self.warmup > 1:
+            raise SettingsError(f"warmup: must be within 0..1, got {self.warmup}")
         device_of(self.device)  # refused now, and not after the recording
 
 
@@ -108,11 +116,17 @@ class Run(Progress):
         self.device = device_of(settings.device)
         self.settings, self.net = settings, net
         self.net.to(self.device)
-        self.roller = {name: value.clone() for name, value in net.state_dict().items()}
+        self.roller = PolicyNet(**net.sides, use=net.use).to(self.device)
+        self.hand_over()
         self.optimiser = torch.optim.AdamW(
             net.parameters(), lr=settings.rate, weight_decay=settings.decay
         )
-        super().__init__(settings.out, {"net": self.net, "optimiser": self.optimiser})
+        parts = {"net": self.net, "roller": self.roller, "optimiser": self.optimiser}
+        super().__init__(settings.out, parts, identity_of(settings))
+
+    def hand_over(self) -> None:
+        """Let the network as it is drive from now on."""
+        self.roller.load_state_dict(self.net.state_dict())
 
 
 @dataclass
@@ -135,11 +149,15 @@ def round_of(run: Run, clips: Clips, number: int) -> Pool:
     s = run.settings
     rng = np.random.default_rng([s.seed, number])
     episodes = clips.episodes(s.episodes, seed=1000 * s.seed + number)
-    driver = PolicyNet(**run.net.sides, use=run.net.use)
-    driver.load_state_dict(run.roller)
-    choose = chooser(driver.to(run.device)) if number else teacher(episodes, 0.2, rng)
+    choose = chooser(run.roller) if number else teacher(episodes, 0.2, rng)
     how: Selection = "sample" if number else "argmax"
-    return Pool(roll(episodes, choose, frames=s.length, how=how, rng=rng), run.device)
+    samples = roll(episodes, choose, frames=s.length, how=how, rng=rng)
+    if not samples:
+        raise RunError(
+            f"round {number}: expected moments in which a choice is worth something, got none; "
+            "does the detector find anything, and are clips and episodes long enough?"
+        )
+    return Pool(samples, run.device)
 
 
 def coverage(net: PolicyNet, clips: Clips, *, count: int, seed: int) -> dict[str, float]:
@@ -150,25 +168,27 @@ def coverage(net: PolicyNet, clips: Clips, *, count: int, seed: int) -> dict[str
     shown: dict[str, list[float]] = {}
     for episode in episodes:
         shown.setdefault(episode.label, []).extend(episode.shown[1:])
-    return {label: round(float(np.mean(values)), 4) for label, values in sorted(shown.items())}
+    # an episode may end with its clip, before the policy's first choice is seen
+    judged = {label: values for label, values in sorted(shown.items()) if values}
+    return {label: round(float(np.mean(values)), 4) for label, values in judged.items()}
 
 
 def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> PolicyNet:
     """Record what is missing, train what is left, write checkpoint and log; returns the network."""
     torch.set_num_threads(settings.threads)
     settings.out.mkdir(parents=True, exist_ok=True)
+    left(path_in(settings.out), identity_of(settings))  # refused now, and not after the recording
     began = time.monotonic()
-    learn, check = recorded(settings)
+    learn, check = recorded(settings, say)
     sides = learn.recordings[0].sides
     clips_s = time.monotonic() - began
     torch.manual_seed(settings.seed)
     run = Run(settings, PolicyNet(**sides, use=settings.use))
-    run.roller = run.resume().get("roller", run.roller)
+    run.resume()
     log = settings.out / "log.csv"
     shorten(log, run.step)
     began = time.monotonic() - run.elapsed_s
     per_round = math.ceil(settings.iterations / ROUNDS)
-    saved = time.monotonic()
     with tqdm(total=settings.iterations, initial=run.step, desc="train", mininterval=2) as bar:
         while run.step < settings.iterations:
             number = run.step // per_round
@@ -177,14 +197,12 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
                 loss, gained = advance(run, pool)
                 run.elapsed_s = time.monotonic() - began
                 if run.step % EVERY == 0:
-                    note(log, run.step, run.elapsed_s, (loss, gained))
+                    note(log, run.step, run.elapsed_s, {"loss": loss, "utility": gained})
                 bar.set_postfix_str(f"round {number} loss {loss:.3f} utility {gained:.3f}")
                 bar.update()
-                if time.monotonic() - saved > CHECKPOINT_S:
-                    run.save(roller=run.roller)
-                    saved = time.monotonic()
-            run.roller = {name: value.clone() for name, value in run.net.state_dict().items()}
-            run.save(roller=run.roller)
+                run.save_when_due()
+            run.hand_over()
+            run.save()
             del pool  # the next one is as large
             say(f"round {number}: {json.dumps(coverage(run.net, check, count=48, seed=7))}")
     facts = {
@@ -198,7 +216,19 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
     return run.net
 
 
-def recorded(settings: TrainSettings) -> tuple[Clips, Clips]:
+def identity_of(settings: TrainSettings) -> dict[str, str]:
+    """What decides the network; raises `SettingsError` for plans that come when they are over."""
+    made = made_with(settings.frames, settings.changes)
+    reach, latest = int(made["association.horizon"]), max(settings.late.delays)
+    if latest >= reach:
+        raise SettingsError(
+            f"delays: plans reach {reach} frames, those {latest} frames late are over before they "
+            "hold; give others, or another association.horizon"
+        )
+    return of_settings(settings, "changes") | made
+
+
+def recorded(settings: TrainSettings, say: Callable[[str], None]) -> tuple[Clips, Clips]:
     """Clips to learn from, and others to check on."""
     groups = []
     for first, count in ((TRAIN_SEEDS, settings.clips), (VALIDATION_SEEDS, settings.validation)):
@@ -209,6 +239,7 @@ def recorded(settings: TrainSettings) -> tuple[Clips, Clips]:
             settings.data,
             workers=settings.threads,
             changes=settings.changes,
+            say=say,
         )
         recordings = [Recording(path) for path in paths]
         # the network alone: what loyalty would save it from is what it has to learn
@@ -245,9 +276,9 @@ def plot(log: Path, picture: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    if not log.exists() or not log.stat().st_size:
+    if not log.exists():
         return
-    rows = np.loadtxt(log, delimiter=",", ndmin=2)
+    rows = np.loadtxt(log, delimiter=",", ndmin=2, skiprows=1)
     figure, axes = pyplot.subplots(1, 2, figsize=(9, 3), layout="constrained")
     for place, column, name in ((axes[0], 2, "loss"), (axes[1], 3, "expected utility")):
         place.plot(rows[:, 0], rows[:, column])
@@ -289,11 +320,9 @@ def command(
             raise click.UsageError(f"--use: expected some of {', '.join(PARTS)}, got {part}")
     late = Late(delays=_frames("--delays", delays), replans=_frames("--replans", replans))
     plain = {"data": data, "out": out, "device": device, "changes": changes}
-    try:
+    with in_a_sentence(GOES_ON):
         settings = TrainSettings(use=parts, late=late, **plain, **numbers)  # type: ignore[arg-type]
-    except SettingsError as error:
-        raise click.UsageError(str(error)) from error
-    export(train(settings), settings.out / "policy.onnx")
+        export(train(settings), settings.out / "policy.onnx")
 
 
 for _field in fields(TrainSettings):

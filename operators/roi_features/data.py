@@ -5,7 +5,7 @@ them, and what a detector takes for a ball: boots, bright sleeves, socks and num
 whatever is small and white (marks and crossings of lines, letters, bits of crowd, the goal), grass.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,9 +18,12 @@ from drivers.soccer import SoccerScene
 from drivers.source import FrameSource, Truth
 from operators.roi_features.crops import cut, to_squares
 from operators.roi_features.model import CLASSES
+from operators.training.arrays import outdated, read, write
+from operators.training.identity import Identity, of_code
 from operators.training.workers import pool_of
 from pipeline import Frame
 from pipeline.boxes import areas, centres, from_centres, intersections
+from pipeline.errors import DriverError
 from pipeline.testing import header
 
 CROP_PX, MARGIN = 96, 0.15
@@ -82,7 +85,7 @@ def candidates(
     """Boxes in one frame of a source that knows the truth: at most `people`, ball, false ones."""
     truth = source.truth(index)
     if truth is None:
-        raise ValueError(f"frame {index}: expected a source that knows the truth, got none")
+        raise DriverError(f"frame {index}: expected a source that knows the truth, got none")
     picture = np.array(source.picture(index), np.uint8)  # the source reuses its memory
     persons, balls = chosen(truth, rng, people)
     rows = np.concatenate([persons, np.repeat(balls, BALLS)])
@@ -194,41 +197,44 @@ def free(box: NDArray[np.float64], truth: Truth, small: bool) -> bool:
     return small or not (shared[~ball] > 0.15 * areas(own)[0]).any()
 
 
+def made_with(count: int, span: int) -> dict[str, str]:
+    """What decides the crops of a scene beside its seed."""
+    code = of_code("drivers.soccer", "operators.roi_features.data", "operators.roi_features.crops")
+    return code | {"moments": str(count), "span": str(span)}
+
+
 def render(
     seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2
 ) -> list[Path]:
-    """Crops of `count` moments of each seed's scene on disk; those already there are kept."""
+    """Crops of `count` moments of each seed's scene on disk; those already there are kept.
+
+    Those that are damaged, or were rendered with other settings or code, are rendered anew.
+    """
+    made = made_with(count, span)
     folder.mkdir(parents=True, exist_ok=True)
-    wanted = {seed: folder / f"{seed}.npz" for seed in seeds}
-    missing = [seed for seed, path in wanted.items() if not path.exists()]
+    wanted = [folder / f"{seed}.npz" for seed in seeds]
+    missing = outdated(wanted, made, print)
     with pool_of(workers) as pool:
-        jobs = [pool.submit(_render_scene, seed, count, span, wanted[seed]) for seed in missing]
+        jobs = [pool.submit(_render_scene, path, count, span, made) for path in missing]
         for job in tqdm(jobs, desc="crops", unit="scene", disable=not jobs):
             job.result()
-    return list(wanted.values())
+    return wanted
 
 
-def _render_scene(seed: int, count: int, span: int, path: Path) -> None:
+def _render_scene(path: Path, count: int, span: int, made: Identity) -> None:
     cv2.setNumThreads(1)
+    seed = int(path.stem)
     rng = np.random.default_rng([seed, 6])
     scene = SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=seed)
     frames = (rng.random(count) + np.arange(count)) * span / count
     found = joined(moment(scene, int(frame), seed, rng) for frame in frames)
     scene.close()
-    unfinished = path.with_suffix(".part.npz")
-    np.savez(unfinished, allow_pickle=False, **vars(found))
-    unfinished.rename(path)
+    write(path, vars(found), made)
 
 
 def load(paths: Iterable[Path]) -> Crops:
     """What `render` left, all scenes together."""
-
-    def each() -> Iterator[Crops]:
-        for path in paths:
-            with np.load(path) as file:
-                yield Crops(**dict(file))
-
-    return joined(each())
+    return joined(Crops(**read(path)) for path in paths)
 
 
 def joined(parts: Iterable[Crops]) -> Crops:

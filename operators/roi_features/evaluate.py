@@ -7,7 +7,7 @@ that was seen two seconds before, by likeness of features alone.
 
 import argparse
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,8 @@ from drivers.source import FrameSource
 from operators.roi_features.data import FULL_PX, NOBODY, RATE_HZ, Candidates, candidates, whole
 from operators.roi_features.model import CLASSES
 from operators.roi_features.roi_features import Encoder, RoiEncoderSettings, verdicts
-from pipeline.errors import FoveaError, SettingsError
+from operators.training.command_line import count, in_a_sentence
+from pipeline.errors import SettingsError
 
 SEEDS = {"validation": range(55_000, 55_020), "test": range(65_000, 65_030)}
 SPAN, GAP = 900, 50  # frames: of each scene; between two looks at the same person
@@ -181,31 +182,29 @@ def span(text: str) -> tuple[int, int]:
     return int(first), int(last or 0)
 
 
-def main() -> None:
+@in_a_sentence()
+def main(words: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--weights", nargs="+", default=[""], help="files or names; '': shipped")
     parser.add_argument("--data", type=Path, help="a SoccerNet sequence instead of scenes")
-    parser.add_argument("--stride", type=int, default=10, help="with --data: every n-th frame")
+    parser.add_argument("--stride", type=count, default=10, help="with --data: every n-th frame")
     parser.add_argument("--frames", type=span, default=(1, 0), help="with --data: A-B, from 1")
     parser.add_argument("--on", choices=SEEDS, default="test")
-    parser.add_argument("--scenes", type=int, default=30)
-    parser.add_argument("--moments", type=int, default=4, help="pairs of pictures of each scene")
+    parser.add_argument("--scenes", type=count, default=30)
+    parser.add_argument("--moments", type=count, default=4, help="pairs of pictures of each scene")
     parser.add_argument("--least", type=float, default=0.5, help="from which on it is genuine")
     parser.add_argument("--json", type=Path, help="write the figures here")
-    given = parser.parse_args()
-    try:
-        encoders = {
-            name or "shipped": Encoder(SETTINGS.get(name, RoiEncoderSettings(weights=name)))
-            for name in given.weights
-        }
-        pairs = of_scenes(SEEDS[given.on][: given.scenes], given.moments)
-        if given.data:
-            pairs = of_sequence(given.data, given.stride, given.frames)
-        team_of = teams_of(given.data) if given.data else team_in_scene
-        table = report(encoders, tqdm(pairs, desc="score", unit="pair"), team_of, given.least)
-    except FoveaError as error:
-        parser.error(str(error))
+    given = parser.parse_args(words)
+    encoders = {
+        name or "shipped": Encoder(SETTINGS.get(name, RoiEncoderSettings(weights=name)))
+        for name in given.weights
+    }
+    pairs = of_scenes(SEEDS[given.on][: given.scenes], given.moments)
+    if given.data:
+        pairs = of_sequence(given.data, given.stride, given.frames)
+    team_of = teams_of(given.data) if given.data else team_in_scene
+    table = report(encoders, tqdm(pairs, desc="score", unit="pair"), team_of, given.least)
     for name, row in table.items():
         print(name, *(f"{figure} {value:.3f}" for figure, value in row.items()))
     if given.json:

@@ -146,14 +146,6 @@ def load_imagenet(net: EncoderNet, path: Path) -> None:
     take_plain(net.features[0])
 
 
-def load_checkpoint(net: EncoderNet, path: Path) -> None:
-    """Take the weights of this network that its training left; raises `WeightsError`."""
-    try:
-        net.load_state_dict(read(path)["net"])
-    except (KeyError, RuntimeError) as error:
-        raise WeightsError(f"{path}: expected a checkpoint of this encoder's training") from error
-
-
 def take_plain(stem: nn.Sequential) -> None:
     """Let a first layer that expects ImageNet's mean and deviation removed do that itself.
 

@@ -13,6 +13,7 @@ valid, and only the verdict on candidates is learned anew.
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,23 +25,20 @@ from torch import Tensor
 from torch.nn import functional as F
 from tqdm import tqdm
 
-from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, render
-from operators.roi_features.model import (
-    CLASSES,
-    EncoderNet,
-    load_checkpoint,
-    load_imagenet,
-)
+from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, made_with, render
+from operators.roi_features.model import CLASSES, EncoderNet, load_imagenet
 from operators.training import checkpoint
+from operators.training.command_line import GOES_ON, add_numbers, in_a_sentence
 from operators.training.device import DEVICES, device_of, moved
+from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
 from operators.training.photometric import degrade, recolour
+from operators.training.ranges import above_zero, at_least
 from operators.training.schedule import warmed_cosine
-from pipeline.errors import FoveaError, SettingsError
+from pipeline.errors import SettingsError
 
 TRAIN_SEEDS = 20_000  # no other part of the project uses them
-CHECKPOINT_S = 45.0
 TEMPERATURE = 0.1
 # crops of one scene in a batch: that many people, twice each, the ball, and false candidates
 PEOPLE, BALLS, OF_SCENE = 7, 3, 24
@@ -69,16 +67,16 @@ class TrainSettings:
     device: str = "auto"  # where the network is; crops are drawn on processors
 
     def __post_init__(self) -> None:
-        if self.batch < OF_SCENE:
-            raise SettingsError(f"batch: must be at least {OF_SCENE}, got {self.batch}")
+        at_least(OF_SCENE, self, "batch")
+        at_least(2, self, "moments")  # nobody is known again who was seen once
+        at_least(1, self, "span", "steps", "threads")
+        at_least(0, self, "warmup", "decay", "identity", "seed")
+        above_zero(self, "rate", "minutes")
         if self.scenes < self.batch // OF_SCENE:
             raise SettingsError(
                 f"scenes: a batch of {self.batch} needs at least {self.batch // OF_SCENE}, "
                 f"got {self.scenes}"
             )
-        for name in ("moments", "steps", "threads"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
         device_of(self.device)  # refused now, and not after the drawing
 
 
@@ -151,7 +149,7 @@ class Run(checkpoint.Progress):
         if settings.init is not None:
             load_imagenet(self.net, settings.init)
         if settings.head_of is not None:
-            load_checkpoint(self.net, settings.head_of)
+            checkpoint.take(settings.head_of, {"net": self.net})
             self.net.features.requires_grad_(False)
         self.net = self.net.to(self.device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.AdamW(
@@ -159,7 +157,9 @@ class Run(checkpoint.Progress):
             lr=settings.rate,
             weight_decay=settings.decay,
         )
-        super().__init__(settings.out, {"net": self.net, "optimiser": self.optimiser})
+        parts = {"net": self.net, "optimiser": self.optimiser}
+        crops = made_with(settings.moments, settings.span)
+        super().__init__(settings.out, parts, of_settings(settings) | crops)
 
     def prepare(self) -> None:
         """Learn from here on; what is kept keeps its averages too."""
@@ -172,12 +172,12 @@ def train(settings: TrainSettings) -> EncoderNet:
     """Render what is missing, train what is left, write checkpoint and log; returns the network."""
     torch.set_num_threads(settings.threads)
     settings.out.mkdir(parents=True, exist_ok=True)
+    run = Run(settings)
+    run.resume()  # another training is refused now, and not after the drawing
     seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
     crops = load(render(seeds, settings.moments, settings.span, settings.data, settings.threads))
-    run = Run(settings)
-    run.resume()
     run.prepare()
-    began, saved = time.monotonic() - run.elapsed_s, time.monotonic()
+    began = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
     shorten(log, run.step)
     with tqdm(total=settings.steps, initial=run.step, desc="train", mininterval=5) as bar:
@@ -185,12 +185,10 @@ def train(settings: TrainSettings) -> EncoderNet:
             figures = advance(run, crops)
             run.elapsed_s = time.monotonic() - began
             if run.step % EVERY == 0:
-                note(log, run.step, run.elapsed_s, figures.values())
+                note(log, run.step, run.elapsed_s, figures)
             bar.set_postfix({name: f"{value:.3f}" for name, value in figures.items()})
             bar.update()
-            if time.monotonic() - saved > CHECKPOINT_S:
-                run.save()
-                saved = time.monotonic()
+            run.save_when_due()
     run.save()
     return run.net
 
@@ -240,23 +238,23 @@ def export(net: EncoderNet, path: Path) -> None:
     )
 
 
-def main() -> None:
-    """Command line."""
+def asked(words: Sequence[str] | None) -> TrainSettings:
+    """What a command line means."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, required=True, help="rendered crops, made if missing")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint, log, roi_encoder.onnx")
     parser.add_argument("--init", type=Path, help="ImageNet weights to begin with")
     parser.add_argument("--head-of", type=Path, help="a checkpoint.pt: keep its features")
     parser.add_argument("--device", default="auto", help=DEVICES)
-    for name, made in TrainSettings.__dataclass_fields__.items():
-        if isinstance(made.default, int | float):
-            parser.add_argument(f"--{name}", type=type(made.default), default=made.default)
-    given = vars(parser.parse_args())
-    try:
-        settings = TrainSettings(**given)
-        export(train(settings), settings.out / "roi_encoder.onnx")
-    except FoveaError as error:
-        parser.error(str(error))
+    add_numbers(parser, TrainSettings)
+    return TrainSettings(**vars(parser.parse_args(words)))
+
+
+@in_a_sentence(GOES_ON)
+def main(words: Sequence[str] | None = None) -> None:
+    """Command line."""
+    settings = asked(words)
+    export(train(settings), settings.out / "roi_encoder.onnx")
     print(json.dumps({"wrote": str(settings.out / "roi_encoder.onnx")}))
 
 

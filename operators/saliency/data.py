@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from operators.saliency.augment import augment
 from operators.saliency.example import CONTEXT_PX, INPUT_PX, Example
+from operators.training.arrays import read
 from operators.training.device import moved
+from pipeline.errors import DriverError
 
 TOP_PX = (INPUT_PX[1] - CONTEXT_PX[1]) // 2  # where the operator's letterbox puts the picture
 FILL = 114
@@ -42,9 +45,10 @@ class Rendered(Dataset[Example]):
     def __init__(self, folders: Iterable[Path], *, seed: int) -> None:
         self._seed = seed
         self._scenes = [
-            (np.load(path.with_suffix(".npy"), mmap_mode="r"), dict(np.load(path)))
+            (_pictures(path.with_suffix(".npy")), read(path))
             for folder in folders
-            for path in sorted(folder.glob("[0-9]*[0-9].npz"))
+            for path in sorted(folder.glob("*.npz"))
+            if path.stem.isdigit()  # others were not finished
         ]
         self._places = [
             (scene, row)
@@ -52,7 +56,7 @@ class Rendered(Dataset[Example]):
             for row in range(len(pictures))
         ]
         if not self._places:
-            raise ValueError("training data: expected rendered scenes, got none")
+            raise DriverError("data: expected rendered scenes, got none")
         self._order = np.zeros(0, np.intp)
         self._epoch = -1
 
@@ -78,6 +82,13 @@ class Rendered(Dataset[Example]):
             labels=truth["labels"][rows],
             ignored=truth["ignored"][rows],
         )
+
+
+def _pictures(path: Path) -> NDArray[np.uint8]:
+    try:
+        return np.load(path, mmap_mode="r")  # type: ignore[no-any-return]
+    except (OSError, EOFError, ValueError) as error:
+        raise DriverError(f"{path}: expected pictures, got {error}") from error
 
 
 def collate(examples: list[Example]) -> Batch:

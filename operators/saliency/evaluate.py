@@ -7,7 +7,7 @@ count come from test scenes, or from a SoccerNet sequence (`--data`).
 
 import argparse
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,8 @@ from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from operators.saliency.example import BALL, NAMES, Example
 from operators.saliency.render import FULL_PX, RATE_HZ, example, moments, span
-from operators.saliency.saliency import SHIPPED, Saliency, SaliencySettings
+from operators.saliency.saliency import SHIPPED, Detector, Saliency, SaliencySettings
+from operators.training.command_line import count, in_a_sentence
 from operators.training.onnx_files import describe
 from pipeline import Detections, Frame, SettingsError
 from pipeline.boxes import centres, iou
@@ -199,11 +200,11 @@ def report(
         key: at_threshold(tally, 0.0) | {"average_precision": average_precision(whole[key])}
         for key, tally in working.items()
     }
-    there = [table[name] for name in NAMES if table[name]["present"]]
-    table["macro"] = {
-        figure: float(np.mean([row[figure] for row in there]))
-        for figure in ("precision", "recall", "average_precision")
-    }
+    if there := [table[name] for name in NAMES if table[name]["present"]]:
+        table["macro"] = {
+            figure: float(np.mean([row[figure] for row in there]))
+            for figure in ("precision", "recall", "average_precision")
+        }
     return table
 
 
@@ -226,30 +227,32 @@ def share(text: str) -> float:
     return value
 
 
-def main() -> None:
+@in_a_sentence()
+def main(words: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--weights", type=Path, default=SHIPPED)
     parser.add_argument("--names", type=json.loads, default={}, help='{"0": "player", ...}')
     parser.add_argument("--data", type=Path, help="a SoccerNet sequence instead of scenes")
-    parser.add_argument("--stride", type=int, default=5, help="with --data: every n-th frame")
+    parser.add_argument("--stride", type=count, default=5, help="with --data: every n-th frame")
     parser.add_argument("--frames", type=span, default=(1, 0), help="with --data: A-B, from 1")
-    parser.add_argument("--moments", type=int, default=12, help="pictures of each scene")
+    parser.add_argument("--moments", type=count, default=12, help="pictures of each scene")
     parser.add_argument("--choose", action="store_true", help="choose thresholds, then score")
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--threads", type=count, default=2)
     parser.add_argument(
         "--side-share", type=share, default=1.0,
         help="side of the context over that of 480x270; with --choose thresholds are for it too",
     )  # fmt: skip
     parser.add_argument("--json", type=Path, help="write the figures here")
-    given = parser.parse_args()
+    given = parser.parse_args(words)
+    settings = SaliencySettings(
+        weights=str(given.weights), names=given.names, threads=given.threads
+    )
+    Detector(settings)  # refused now, and not after the drawing
     result: dict[str, object] = {"weights": given.weights.name, "side_share": given.side_share}
     if given.choose:
         validation = tqdm(scenes(SEEDS["validation"], given.moments), desc="choose")
         result["thresholds"] = choose(given.weights, validation, given.threads, given.side_share)
-    settings = SaliencySettings(
-        weights=str(given.weights), names=given.names, threads=given.threads
-    )
     test = scenes(SEEDS["test"], given.moments)
     source = sequence(given.data, given.stride, given.frames) if given.data else test
     table = report(tqdm(source, desc="score"), settings, given.side_share)

@@ -18,8 +18,11 @@ from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from drivers.source import FrameSource
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
+from operators.training.arrays import outdated, write
+from operators.training.command_line import in_a_sentence
+from operators.training.identity import Identity, of_code
 from operators.training.workers import pool_of
-from pipeline.errors import FoveaError, SettingsError
+from pipeline.errors import DriverError, SettingsError
 
 FULL_PX = (1920, 1080)
 RATE_HZ = 25.0
@@ -34,10 +37,10 @@ ROLES = {
 
 
 def example(source: FrameSource, index: int) -> Example:
-    """One picture of a source at context size with its objects; raises `ValueError` untold."""
+    """One picture of a source at context size with its objects; raises `DriverError` untold."""
     truth = source.truth(index)
     if truth is None:
-        raise ValueError(f"frame {index}: expected a source that knows the truth, got none")
+        raise DriverError(f"frame {index}: expected a source that knows the truth, got none")
     picture = cv2.resize(source.picture(index), CONTEXT_PX, interpolation=cv2.INTER_AREA)
     scale = np.array([CONTEXT_PX[i % 2] / source.size_px[i % 2] for i in range(4)], np.float32)
     known = np.array([label in ROLES for label in truth.labels], np.bool_)
@@ -60,22 +63,33 @@ def moments(seed: int, count: int, span: int) -> list[int]:
     return [int(part * span / count) for part in parts]
 
 
+def made_with(count: int, span: int) -> dict[str, str]:
+    """What decides the pictures of a scene beside its seed."""
+    code = of_code("drivers.soccer", "operators.saliency.render")
+    return code | {"moments": str(count), "span": str(span)}
+
+
 def render(seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2) -> None:
-    """Render `count` moments of each seed's scene into `folder`; seeds already there are kept."""
+    """Render `count` moments of each seed's scene into `folder`; seeds already there are kept.
+
+    Those that are damaged, or were rendered with other settings or code, are rendered anew.
+    """
+    made = made_with(count, span)
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [seed for seed in seeds if not (folder / f"{seed}.npz").exists()]
+    missing = outdated((folder / f"{seed}.npz" for seed in seeds), made, print)
     with pool_of(workers) as pool:
-        jobs = [pool.submit(_render_scene, seed, count, span, folder) for seed in missing]
+        jobs = [pool.submit(_render_scene, path, count, span, made) for path in missing]
         for job in tqdm(jobs, desc="render", unit="scene"):
             job.result()
 
 
-def _render_scene(seed: int, count: int, span: int, folder: Path) -> None:
+def _render_scene(path: Path, count: int, span: int, made: Identity) -> None:
     cv2.setNumThreads(1)
+    seed = int(path.stem)
     scene = SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=seed)
     examples = [example(scene, index) for index in moments(seed, count, span)]
     scene.close()
-    _write(examples, folder, seed)
+    _write(examples, path, made)
 
 
 def convert(footage: Path, frames: tuple[int, int], folder: Path) -> int:
@@ -87,7 +101,7 @@ def convert(footage: Path, frames: tuple[int, int], folder: Path) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     examples = [example(source, k - 1) for k in tqdm(range(first, last + 1), desc="read")]
     source.close()
-    _write(examples, folder, first)
+    _write(examples, folder / f"{first}.npz", {})
     return len(examples)
 
 
@@ -101,20 +115,18 @@ def span(text: str) -> tuple[int, int]:
     return int(first), int(last or first)
 
 
-def _write(examples: Sequence[Example], folder: Path, number: int) -> None:
-    np.save(folder / f"{number}.npy", np.stack([e.picture for e in examples]))
-    # the truth is written last: its presence says that the pictures are complete
-    unfinished = folder / f"{number}.part.npz"
-    np.savez(
-        unfinished,
-        first=np.cumsum([0, *(len(e.labels) for e in examples)]),
-        boxes=np.concatenate([e.boxes for e in examples]),
-        labels=np.concatenate([e.labels for e in examples]),
-        ignored=np.concatenate([e.ignored for e in examples]),
-    )
-    unfinished.rename(folder / f"{number}.npz")
+def _write(examples: Sequence[Example], path: Path, made: Identity) -> None:
+    np.save(path.with_suffix(".npy"), np.stack([e.picture for e in examples]))
+    truth = {
+        "first": np.cumsum([0, *(len(e.labels) for e in examples)]),
+        "boxes": np.concatenate([e.boxes for e in examples]),
+        "labels": np.concatenate([e.labels for e in examples]),
+        "ignored": np.concatenate([e.ignored for e in examples]),
+    }
+    write(path, truth, made)  # last: its presence says that the pictures are complete
 
 
+@in_a_sentence()
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Turn footage with truth into examples.")
@@ -122,10 +134,7 @@ def main() -> None:
     parser.add_argument("--frames", type=span, required=True, help="A-B, counted from 1")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
-    try:
-        count = convert(given.footage, given.frames, given.out)
-    except FoveaError as error:
-        parser.error(str(error))
+    count = convert(given.footage, given.frames, given.out)
     print(f"{count} examples in {given.out}")
 
 

@@ -1,7 +1,7 @@
 """Train the shipped detector on procedural scenes: `python -m operators.saliency.train --help`.
 
 Renders what is missing, trains in bfloat16, keeps a running mean of the weights,
-writes a checkpoint every two minutes and goes on from it when started again. `--export` writes
+writes a checkpoint now and then and goes on from it when started again. `--export` writes
 the ONNX file that fovea ships.
 """
 
@@ -9,6 +9,7 @@ the ONNX file that fovea ships.
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,15 +22,16 @@ from operators.saliency.data import Batch, stream
 from operators.saliency.example import INPUT_PX, NAMES
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
-from operators.saliency.render import render
+from operators.saliency.render import made_with, render
 from operators.training import checkpoint
+from operators.training.command_line import GOES_ON, add_numbers, in_a_sentence
 from operators.training.device import DEVICES, device_of
+from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
+from operators.training.ranges import above_zero, at_least
 from operators.training.schedule import warmed_cosine
-from pipeline.errors import FoveaError
 
-CHECKPOINT_S = 120.0
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
 
 
@@ -39,22 +41,25 @@ class TrainSettings:
 
     data: tuple[Path, ...]
     out: Path
-    scenes: int = 400
-    moments: int = 24
+    scenes: int = 320
+    moments: int = 12
     span: int = 900  # frames of each scene over which its moments are spread
-    steps: int = 8000
+    steps: int = 4800
     batch: int = 16
     rate: float = 2e-3
     warmup: int = 300
     decay: float = 0.02
     seed: int = 1
     threads: int = 2
-    minutes: float = 75.0
+    minutes: float = 120.0
     compiled: bool = False
     init: Path | None = None  # a checkpoint to begin with instead of random weights
     device: str = "auto"  # where the network is; scenes are drawn on processors
 
     def __post_init__(self) -> None:
+        at_least(1, self, "moments", "span", "steps", "batch", "threads")
+        at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
+        above_zero(self, "rate", "minutes")
         device_of(self.device)  # refused now, and not after the drawing
 
 
@@ -75,11 +80,11 @@ class Run(checkpoint.Progress):
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        super().__init__(settings.out, parts)
+        pictures = made_with(settings.moments, settings.span)
+        super().__init__(settings.out, parts, of_settings(settings) | pictures)
         if settings.init is not None:
-            state = checkpoint.read(settings.init)
-            self.net.load_state_dict(state["mean"])
-            self.mean.load_state_dict(state["mean"])
+            checkpoint.take(settings.init, {"mean": self.mean})
+            self.net.load_state_dict(self.mean.state_dict())
 
     @torch.no_grad()
     def follow(self) -> None:
@@ -93,15 +98,17 @@ class Run(checkpoint.Progress):
                 old.copy_(new[name])
 
 
-def train(settings: TrainSettings) -> None:
-    """Train until the steps or the minutes are used up; always leaves a checkpoint."""
+def train(settings: TrainSettings) -> Run:
+    """Render what is missing, train until the steps or the minutes are used up."""
     torch.set_num_threads(settings.threads)
     settings.out.mkdir(parents=True, exist_ok=True)
     run = Run(settings)
-    run.resume()
+    run.resume()  # another training is refused now, and not after the drawing
+    seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
+    render(seeds, settings.moments, settings.span, settings.data[0], settings.threads)
     run.net.train()
     forward = torch.compile(run.net) if settings.compiled else run.net
-    started, saved = time.monotonic() - run.elapsed_s, time.monotonic()
+    started = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
     shorten(log, run.step)
     steps = range(run.step, settings.steps)
@@ -114,14 +121,13 @@ def train(settings: TrainSettings) -> None:
         run.elapsed_s = time.monotonic() - started
         if run.step % EVERY == 0:
             figures = {name: float(part) for name, part in parts.items()}
-            note(log, run.step, run.elapsed_s, figures.values())
+            note(log, run.step, run.elapsed_s, figures)
             bar.set_postfix_str(" ".join(f"{n} {v:.4f}" for n, v in figures.items()))
-        if time.monotonic() - saved > CHECKPOINT_S:
-            run.save()
-            saved = time.monotonic()
+        run.save_when_due()
         if run.elapsed_s > settings.minutes * 60:
             break
     run.save()
+    return run
 
 
 def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
@@ -158,8 +164,8 @@ def export(net: DetectorNet, path: Path) -> None:
     )
 
 
-def main() -> None:
-    """Command line."""
+def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
+    """What a command line means: a training, and where to export instead of training."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="rendered scenes")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint and log")
@@ -167,25 +173,23 @@ def main() -> None:
     parser.add_argument("--init", type=Path, help="checkpoint whose weights to begin with")
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     parser.add_argument("--device", default="auto", help=DEVICES)
-    numbers = {"scenes": 320, "moments": 12, "span": 900, "steps": 4800, "batch": 16}
-    numbers |= {"warmup": 300, "seed": 1, "threads": 2}
-    for name, default in numbers.items():
-        parser.add_argument(f"--{name}", type=int, default=default)
-    for name, value in {"rate": 2e-3, "decay": 0.02, "minutes": 120.0}.items():
-        parser.add_argument(f"--{name}", type=float, default=value)
-    given = vars(parser.parse_args())
+    add_numbers(parser, TrainSettings)
+    given = vars(parser.parse_args(words))
     target = given.pop("export")
-    try:
-        settings = TrainSettings(**(given | {"data": tuple(given["data"])}))
-    except FoveaError as error:
-        parser.error(str(error))
-    if target is None:
-        seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
-        render(seeds, settings.moments, settings.span, settings.data[0], settings.threads)
-        train(settings)
-    run = Run(settings)
-    run.resume()
-    export(run.mean, (target or settings.out) / "detector.onnx")
+    return TrainSettings(**(given | {"data": tuple(given["data"])})), target
+
+
+@in_a_sentence(GOES_ON)
+def main(words: Sequence[str] | None = None) -> None:
+    """Command line."""
+    settings, target = asked(words)
+    if target is not None:
+        net = DetectorNet()
+        checkpoint.take(checkpoint.path_in(settings.out), {"mean": net})
+        export(net, target / "detector.onnx")
+        return
+    run = train(settings)
+    export(run.mean, settings.out / "detector.onnx")
     print(json.dumps({"step": run.step, "elapsed_s": run.elapsed_s}))
 
 

@@ -1,12 +1,16 @@
 """A training on disk: written whole or not at all, read for whatever device goes on with it."""
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
 import torch
 
-from pipeline.errors import WeightsError
+from operators.training.identity import Identity, differing
+from pipeline.errors import SettingsError, WeightsError
+
+EVERY_S = 30.0  # with the roll-outs of a round, which are repeated, it is less than a minute
 
 
 class Stateful(Protocol):
@@ -20,39 +24,72 @@ class Stateful(Protocol):
 
 
 class Progress:
-    """How far a training has come: its parts, steps and seconds, all in one file."""
+    """How far a training has come: its parts, steps and seconds, and its settings, in one file."""
 
-    def __init__(self, out: Path, parts: Mapping[str, Stateful]) -> None:
-        self.path, self.parts = out / "checkpoint.pt", dict(parts)
+    def __init__(self, out: Path, parts: Mapping[str, Stateful], identity: Identity) -> None:
+        self.path, self.parts, self.identity = path_in(out), dict(parts), dict(identity)
         self.step, self.elapsed_s = 0, 0.0
+        self._saved_s = time.monotonic()
 
-    def save(self, **facts: object) -> None:
-        """Write everything, and these facts."""
-        save(self.path, self.parts, step=self.step, elapsed_s=self.elapsed_s, **facts)
+    def save(self) -> None:
+        """Write everything."""
+        facts = {"step": self.step, "elapsed_s": self.elapsed_s, "settings": self.identity}
+        parts = {name: part.state_dict() for name, part in self.parts.items()}
+        unfinished = self.path.with_suffix(".part")
+        torch.save(parts | facts, unfinished)
+        unfinished.rename(self.path)
+        self._saved_s = time.monotonic()
 
-    def resume(self) -> Mapping[str, Any]:
-        """Go on where a checkpoint stopped, if there is one; returns all that was saved."""
-        state = resume(self.path, self.parts)
-        self.step = state.get("step", self.step)
-        self.elapsed_s = state.get("elapsed_s", self.elapsed_s)
-        return state
+    def save_when_due(self) -> None:
+        """Write everything when the last time is long enough ago."""
+        if time.monotonic() - self._saved_s > EVERY_S:
+            self.save()
+
+    def resume(self) -> None:
+        """Go on where a checkpoint stopped, if there is one; raises as `left` and `take` do."""
+        if state := left(self.path, self.identity):
+            take(self.path, self.parts, state)
+            self.step, self.elapsed_s = state["step"], state["elapsed_s"]
 
 
-def save(path: Path, parts: Mapping[str, Stateful], **facts: object) -> None:
-    """Write the parts' states and the facts under their names, atomically."""
-    unfinished = path.with_suffix(".part")
-    torch.save({name: part.state_dict() for name, part in parts.items()} | facts, unfinished)
-    unfinished.rename(path)
+def path_in(out: Path) -> Path:
+    """Where a training keeps its checkpoint."""
+    return out / "checkpoint.pt"
 
 
-def resume(path: Path, parts: Mapping[str, Stateful]) -> Mapping[str, Any]:
-    """Give the parts their states back; returns all that was saved, empty where nothing was."""
+def left(path: Path, identity: Identity) -> Mapping[str, Any]:
+    """What a training left there, empty for nothing; raises `SettingsError` if it was another.
+
+    Its result would be called what it is not. Nor can steps be added to it: the learning rate has
+    already fallen as the steps that it began with say.
+    """
     if not path.exists():
         return {}
     state = read(path)
-    for name, part in parts.items():
-        part.load_state_dict(state[name])
+    before = state.get("settings")
+    if not isinstance(before, Mapping) or not {"step", "elapsed_s"} <= set(state):
+        raise WeightsError(
+            f"{path}: expected a checkpoint that tells its settings, got one of an earlier "
+            "version; use another --out"
+        )
+    if other := differing(before, identity):
+        told = (
+            f"{name}: this folder's training has {before.get(name, 'none')}, "
+            f"got {identity.get(name, 'none')}"
+            for name in other
+        )
+        raise SettingsError(f"{'; '.join(told)}; use another --out, or remove {path}")
     return state
+
+
+def take(path: Path, parts: Mapping[str, Stateful], state: Mapping[str, Any] | None = None) -> None:
+    """Give parts their states from a checkpoint; raises `WeightsError` where they do not fit."""
+    state = read(path) if state is None else state
+    for name, part in parts.items():
+        try:
+            part.load_state_dict(state[name])
+        except (KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
+            raise WeightsError(f"{path}: expected this training's {name}, got another's") from error
 
 
 def read(path: Path) -> Mapping[str, Any]:
@@ -61,7 +98,7 @@ def read(path: Path) -> Mapping[str, Any]:
         # on the processor, wherever it was written: that device may not be here
         state = torch.load(path, weights_only=True, map_location="cpu")
     except Exception as error:  # torch raises many kinds for what is no state dict
-        reason = str(error).split("\n", 1)[0]
+        reason = str(error).split("\n", 1)[0].split(". ", 1)[0] or "nothing"
         raise WeightsError(f"{path}: expected a state dict of tensors, got {reason}") from error
     if not isinstance(state, Mapping):
         raise WeightsError(f"{path}: expected a state dict of tensors, got {type(state).__name__}")

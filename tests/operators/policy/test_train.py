@@ -1,5 +1,6 @@
 """Training: what is lowered falls, what is masked counts for nothing, what stops goes on."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from operators.policy import train as training
 from operators.policy.data import Recording
 from operators.policy.learned import Chooser
 from operators.policy.model import PolicyNet, export
+from operators.policy.rollout import Late
 from operators.policy.train import (
     Clips,
     Run,
@@ -26,6 +28,9 @@ from operators.policy.train import (
     round_of,
     train,
 )
+from operators.training import checkpoint
+from pipeline import SettingsError
+from pipeline.errors import RunError
 from tests.operators.policy.test_rollout import ROI, recording
 from tests.operators.training.elsewhere import PLACE, pretended
 
@@ -50,7 +55,7 @@ def clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
     """Made-up recordings in place of the scene's, which take seconds each."""
     found = [recording(tmp_path)]
 
-    def recorded(given: TrainSettings) -> tuple[Clips, Clips]:
+    def recorded(given: TrainSettings, _: object) -> tuple[Clips, Clips]:
         rules = training.Rules(roi_channels=ROI)
         both = Clips(recordings=found, rules=rules, settings=given)
         return both, both
@@ -93,7 +98,7 @@ def test_it_learns_and_writes_what_it_learned(tmp_path: Path) -> None:
     net = train(settings(tmp_path, iterations=60), say=said.append)
     export(net, tmp_path / "policy.onnx")
 
-    rows = np.loadtxt(tmp_path / "out" / "log.csv", delimiter=",")
+    rows = np.loadtxt(tmp_path / "out" / "log.csv", delimiter=",", skiprows=1)
     assert rows[-1, 3] > rows[0, 3]  # expected utility
     assert Chooser(tmp_path / "policy.onnx").roi_channels == ROI
     assert (tmp_path / "out" / "training.png").exists()
@@ -116,15 +121,108 @@ def test_an_interrupted_training_ends_as_one_that_was_not(tmp_path: Path) -> Non
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "advance", interrupted)
-        patch.setattr(training, "CHECKPOINT_S", 0.0)
+        patch.setattr(checkpoint, "EVERY_S", 0.0)
         with pytest.raises(KeyboardInterrupt):
             train(first, say=lambda _: None)
     resumed = train(first, say=lambda _: None)
 
     for name, value in whole.state_dict().items():
         assert torch.allclose(value, resumed.state_dict()[name], atol=1e-6), name
-    steps = np.loadtxt(tmp_path / "parts" / "log.csv", delimiter=",", ndmin=2)[:, 0]
-    assert steps.tolist() == [20]
+    header, *lines = (tmp_path / "parts" / "log.csv").read_text().splitlines()
+    assert header == "step,elapsed_s,loss,utility"
+    assert [line.partition(",")[0] for line in lines] == ["20"]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"use": ("roi", "motion")}, "use: this folder's training has ["),
+        ({"iterations": 5}, "iterations: this folder's training has 12, got 5; use another --out"),
+        ({"seed": 9}, "seed: this folder's training has 1, got 9; use another --out"),
+        ({"late": Late(delays=(3,))}, "delays: this folder's training has [1, 2, 4], got [3]"),
+        ({"changes": ("association.iou_gate=0.2",)}, "association.iou_gate: this folder's"),
+    ],
+)
+def test_another_training_in_the_same_folder_is_refused_before_it_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: dict[str, object], said: str
+) -> None:
+    Run(settings(tmp_path, out=tmp_path), PolicyNet(roi_channels=ROI)).save()
+
+    monkeypatch.setattr(training, "recorded", pytest.fail)
+    with pytest.raises(SettingsError) as refused:
+        train(settings(tmp_path, out=tmp_path, **given), say=pytest.fail)
+
+    assert str(refused.value).startswith(said)
+
+
+@pytest.mark.usefixtures("clips")
+def test_where_it_computes_and_how_it_is_told_may_change(tmp_path: Path) -> None:
+    Run(settings(tmp_path, out=tmp_path), PolicyNet(roi_channels=ROI)).save()
+    given = settings(tmp_path / "moved", out=tmp_path, threads=2, device="auto")
+
+    Run(given, PolicyNet(roi_channels=ROI)).resume()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        *(({n: 0}, f"{n}: must be at least 1, got 0") for n in ("clips", "validation", "batch")),
+        *(({n: 0}, f"{n}: must be at least 1") for n in ("episodes", "iterations", "threads")),
+        *(({n: 1}, f"{n}: must be at least 2, got 1") for n in ("frames", "length")),
+        *(({"rate": rate}, "rate: must be above 0, got") for rate in (0.0, -1.0, math.nan)),
+        ({"rate": math.inf}, "rate: must be above 0, got inf"),
+        ({"temperature": 0.0}, "temperature: must be above 0, got 0"),
+        ({"seed": -1}, "seed: must be at least 0, got -1"),
+        ({"warmup": -0.1}, "warmup: must be at least 0, got -0.1"),
+        ({"warmup": 1.5}, "warmup: must be within 0..1, got 1.5"),
+    ],
+)
+def test_settings_out_of_range_are_refused(
+    tmp_path: Path, given: dict[str, object], said: str
+) -> None:
+    with pytest.raises(SettingsError, match=said):
+        settings(tmp_path, **given)
+
+
+@pytest.mark.parametrize(
+    "given", [{"delays": ()}, {"delays": (-1,)}, {"replans": ()}, {"replans": (4, 0)}]
+)
+def test_plans_that_come_never_or_too_early_are_refused(given: dict[str, tuple[int, ...]]) -> None:
+    with pytest.raises(SettingsError, match=r"expected frames from [01] on, got"):
+        Late(**given)
+
+
+@pytest.mark.parametrize(("delay", "horizon"), [(16, 16), (60, 20)])
+def test_plans_that_come_when_they_are_over_are_refused(
+    tmp_path: Path, delay: int, horizon: int
+) -> None:
+    given = settings(
+        tmp_path, late=Late(delays=(1, delay)), changes=(f"association.horizon={horizon}",)
+    )
+
+    with pytest.raises(SettingsError, match=f"plans reach {horizon} frames, those {delay} frames"):
+        train(given, say=pytest.fail)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_an_episode_that_ends_before_a_choice_is_seen_is_not_judged(tmp_path: Path) -> None:
+    short = [recording(tmp_path, frames=2)]
+    able = Clips(
+        recordings=short, rules=training.Rules(roi_channels=ROI), settings=settings(tmp_path)
+    )
+
+    assert training.coverage(PolicyNet(roi_channels=ROI), able, count=4, seed=1) == {}
+
+
+def test_a_round_in_which_nothing_can_be_learned_is_refused(
+    tmp_path: Path, clips: list[Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Run(settings(tmp_path), PolicyNet(roi_channels=ROI))
+    able = Clips(recordings=clips, rules=training.Rules(roi_channels=ROI), settings=run.settings)
+    monkeypatch.setattr(training, "roll", lambda *_, **__: [])
+
+    with pytest.raises(RunError, match="round 1: expected moments in which a choice is worth"):
+        round_of(run, able, 1)
 
 
 def test_a_round_is_the_same_for_the_same_roller(tmp_path: Path, clips: list[Recording]) -> None:
@@ -180,6 +278,10 @@ def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
         ("--use", "roi,smell", "expected some of roi, global, motion, got smell"),
         ("--delays", "soon", "--delays: expected frames such as 1,2,4, got 'soon'"),
         ("--device", "gpu", "device: expected auto, cpu, cuda, cuda:N or mps, got gpu"),
+        ("--rate", "nan", "rate: must be above 0, got nan"),
+        ("--set", "nonsense=1", "--set nonsense=1: expected node.setting=value"),
+        ("--set", "saliency.weights=gone.onnx", "gone.onnx: no such file"),
+        ("--out", __file__, "test_train.py: expected a folder, got a file"),
         ("--replans", "0", "--replans: expected frames such as 1,2,4, got '0'"),
     ],
 )

@@ -171,6 +171,8 @@ def test_a_new_head_leaves_the_features_as_they_are(tmp_path: Path) -> None:
     [
         ({"batch": 8}, "batch: must be at least 24, got 8"),
         ({"scenes": 1}, "scenes: a batch of 48 needs at least 2, got 1"),
+        ({"moments": 1}, "moments: must be at least 2, got 1"),
+        ({"rate": float("nan")}, "rate: must be above 0, got nan"),
         ({"steps": 0}, "steps: must be at least 1, got 0"),
         ({"device": "gpu"}, "device: expected auto, cpu, cuda, cuda:N or mps, got gpu"),
     ],
@@ -183,5 +185,5 @@ def test_a_training_that_cannot_be_is_refused(settings: dict[str, object], compl
 def test_features_of_another_network_are_refused(tmp_path: Path) -> None:
     torch.save({"net": {"weight": torch.zeros(3)}}, tmp_path / "c.pt")
 
-    with pytest.raises(WeightsError, match=r"c\.pt: expected a checkpoint of this encoder"):
+    with pytest.raises(WeightsError, match=r"c\.pt: expected this training's net, got"):
         Run(settings_in(tmp_path, head_of=tmp_path / "c.pt"))

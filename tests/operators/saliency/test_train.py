@@ -1,8 +1,10 @@
 """The detector's training: its steps are the same on every device, and it goes on elsewhere."""
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="needs the train extra")
@@ -10,10 +12,11 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
 from operators.saliency import train as training
-from operators.saliency.data import Batch
+from operators.saliency.data import Batch, Rendered
 from operators.saliency.example import INPUT_PX, NAMES
-from operators.saliency.train import Run, TrainSettings, advance
+from operators.saliency.train import Run, TrainSettings, advance, asked, main
 from pipeline import SettingsError
+from pipeline.errors import DriverError
 from tests.operators.training.elsewhere import PLACE, pretended
 
 
@@ -81,6 +84,57 @@ def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
 
     assert here.step == 1
     assert steps(here) == pytest.approx(steps(there), rel=0.1)  # bfloat16
+
+
+def test_the_command_line_trains_what_the_settings_say() -> None:
+    settings, target = asked(["--data", "a", "b", "--out", "c"])
+
+    assert settings == TrainSettings(data=(Path("a"), Path("b")), out=Path("c"))
+    assert target is None
+
+
+@pytest.mark.parametrize("step", [0, 1])
+def test_another_training_in_the_same_folder_is_refused(tmp_path: Path, step: int) -> None:
+    first = Run(settings_in(tmp_path))
+    first.step = step
+    first.save()
+
+    with pytest.raises(SettingsError, match=r"^seed: this folder's training has 1, got 2; use an"):
+        Run(replace(settings_in(tmp_path), seed=2)).resume()
+
+
+def test_weights_are_exported_whatever_they_were_trained_with(tmp_path: Path) -> None:
+    Run(settings_in(tmp_path)).save()
+
+    main(["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path)])
+
+    assert (tmp_path / "detector.onnx").is_file()
+
+
+def test_where_nothing_was_trained_nothing_is_exported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path)]
+
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+
+    assert "checkpoint.pt: expected a state dict of tensors, got" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("lost", ["5.npz", "5.npy"])
+def test_pictures_that_are_damaged_are_refused(tmp_path: Path, lost: str) -> None:
+    np.save(tmp_path / "5.npy", np.zeros((1, 270, 480, 3), np.uint8))
+    np.savez(tmp_path / "5.npz", first=np.zeros(2, int))
+    (tmp_path / lost).write_bytes(b"")
+
+    with pytest.raises(DriverError, match=rf"{lost}: expected "):
+        Rendered([tmp_path], seed=1)
+
+
+def test_without_pictures_nothing_is_trained(tmp_path: Path) -> None:
+    with pytest.raises(DriverError, match="data: expected rendered scenes, got none"):
+        Rendered([tmp_path], seed=1)
 
 
 def test_a_device_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -1,16 +1,12 @@
-"""A device is named or refused in a sentence; a checkpoint goes on wherever it is read."""
-
-from pathlib import Path
+"""A device is named or refused in a sentence; tensors get there, or stay."""
 
 import pytest
 
 pytest.importorskip("torch", reason="needs the train extra")
 import torch
-from torch import nn
 
-from operators.training import checkpoint
 from operators.training.device import device_of, has_room, moved
-from pipeline import SettingsError, WeightsError
+from pipeline import SettingsError
 from tests.operators.training.elsewhere import PLACE, pretended
 
 CPU = torch.device("cpu")
@@ -52,37 +48,6 @@ def test_devices_that_meet_are_caught_without_a_gpu() -> None:
         assert there.cpu().tolist() == [2, 2, 2]
         with pytest.raises(RuntimeError, match="some tensors are here, others elsewhere"):
             there + torch.ones(3)
-
-
-def trained() -> dict[str, nn.Module | torch.optim.Optimizer]:
-    """A network after one step, and its optimiser."""
-    net = nn.Linear(2, 1)
-    optimiser = torch.optim.AdamW(net.parameters())
-    net(torch.ones(1, 2)).sum().backward()
-    optimiser.step()
-    return {"net": net, "optimiser": optimiser}
-
-
-def test_a_training_gets_back_what_it_saved(tmp_path: Path) -> None:
-    first, second = trained(), trained()
-
-    checkpoint.save(tmp_path / "c.pt", first, step=7)
-    state = checkpoint.resume(tmp_path / "c.pt", second)
-
-    assert state["step"] == 7
-    assert torch.equal(first["net"].weight, second["net"].weight)  # type: ignore[arg-type, union-attr]
-    assert [path.name for path in tmp_path.iterdir()] == ["c.pt"]
-
-
-def test_where_nothing_was_saved_nothing_comes_back(tmp_path: Path) -> None:
-    assert checkpoint.resume(tmp_path / "c.pt", trained()) == {}
-
-
-def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "c.pt").write_text("nothing")
-
-    with pytest.raises(WeightsError, match=r"c\.pt: expected a state dict of tensors, got "):
-        checkpoint.resume(tmp_path / "c.pt", trained())
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

@@ -11,11 +11,31 @@ from operators.training.schedule import warmed_cosine
 def test_what_came_after_the_checkpoint_is_forgotten(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     for step in (20, 40, 60):
-        note(log, step, step / 10, (0.5, 1 / 3))
+        note(log, step, step / 10, {"loss": 0.5, "utility": 1 / 3})
 
     shorten(log, 40)
 
-    assert log.read_text() == "20,2,0.5000,0.3333\n40,4,0.5000,0.3333\n"
+    header = "step,elapsed_s,loss,utility\n"
+    assert log.read_text() == f"{header}20,2,0.5000,0.3333\n40,4,0.5000,0.3333\n"
+
+
+def test_a_training_that_begins_anew_begins_its_log_anew(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("step,elap")  # torn
+
+    shorten(log, 0)
+    note(log, 20, 2.0, {"loss": 0.5})
+
+    assert log.read_text() == "step,elapsed_s,loss\n20,2,0.5000\n"
+
+
+def test_a_line_that_was_torn_is_forgotten(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("step,elapsed_s,loss\n20,2,0.5000\n\x00\x00")
+
+    shorten(log, 20)
+
+    assert log.read_text() == "step,elapsed_s,loss\n20,2,0.5000\n"
 
 
 def test_without_a_log_there_is_nothing_to_forget(tmp_path: Path) -> None:

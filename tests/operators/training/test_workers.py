@@ -47,7 +47,17 @@ def test_after_an_error_what_has_not_begun_never_does() -> None:
         raise KeyError
 
     assert all(job.done() for job in jobs)
-    assert sum(job.cancelled() for job in jobs) > 80
+    assert sum(job.cancelled() or job.exception() is not None for job in jobs) > 80
+
+
+def test_after_an_error_what_runs_is_not_waited_for() -> None:
+    with pytest.raises(TypeError), pool_of(2) as pool:  # noqa: PT012
+        pool.submit(time.sleep, 60)
+        failing = pool.submit(time.sleep, "soon")
+        began = time.monotonic()
+        failing.result()
+
+    assert time.monotonic() - began < 30
 
 
 def test_every_job_is_done_where_nothing_goes_wrong() -> None:

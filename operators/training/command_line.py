@@ -1,0 +1,57 @@
+"""What the command lines of trainings and their evaluations share: options, and how they end."""
+
+import argparse
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+from tqdm import tqdm
+
+from pipeline.errors import FoveaError
+
+GOES_ON = "interrupted; the same command goes on where it was"
+REFUSED, INTERRUPTED, STOPPED = 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
+
+
+def add_numbers(parser: argparse.ArgumentParser, settings: type[Any]) -> None:
+    """An option for every number among the settings of a training."""
+    for name, made in settings.__dataclass_fields__.items():
+        if type(made.default) in (int, float):
+            parser.add_argument(f"--{name}", type=type(made.default), default=made.default)
+
+
+def count(text: str) -> int:
+    """A whole number from 1 on, for argparse."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be at least 1, got {value}")
+    return value
+
+
+@contextmanager
+def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
+    """End the process with a sentence and a status where something goes wrong as it may.
+
+    SIGTERM ends it as an error does, so that jobs beside it end too. `interrupted` is what a
+    Ctrl-C is answered with.
+    """
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(STOPPED))
+    try:
+        yield
+    except FoveaError as error:
+        _end(str(error), REFUSED)
+    except (FileExistsError, NotADirectoryError) as error:
+        _end(f"{error.filename}: expected a folder, got a file", REFUSED)
+    except OSError as error:  # a full disk, a file that is not ours
+        _end(f"{error.filename}: {error.strerror}" if error.filename else str(error), REFUSED)
+    except KeyboardInterrupt:
+        _end(interrupted, INTERRUPTED)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _end(sentence: str, status: int) -> NoReturn:
+    tqdm.write(f"fovea: {sentence}", file=sys.stderr)  # not into the line of a progress bar
+    sys.exit(status)

@@ -1,0 +1,81 @@
+"""What decides a result, as names and words: settings as they are, files and code by content.
+
+Equal words mean that what was made before is what would be made now. Where files lie, how many
+threads work and on which device says nothing about the result and is left out.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from pipeline import settings as checked
+from pipeline.contract import settings_of
+from pipeline.errors import WeightsError
+from pipeline.fleet.allow import code_digest, file_digest
+from pipeline.graph.plan import Plan, load_operator
+from pipeline.weights import require
+
+Identity = Mapping[str, str]
+INDIFFERENT = {"data", "out", "threads", "device", "minutes", "compiled"}
+DIGITS = 16  # of a checksum: enough to tell apart, short enough to be read
+
+
+def of_settings(settings: Any, *without: str) -> dict[str, str]:
+    """The settings of a training; raises `WeightsError` for a file that is not there."""
+    found: dict[str, Any] = {}
+    for name, value in asdict(settings).items():
+        found |= value if isinstance(value, dict) else {name: value}
+    left_out = {*INDIFFERENT, *without}
+    return {name: _words(value) for name, value in found.items() if name not in left_out}
+
+
+def of_plan(plan: Plan) -> dict[str, str]:
+    """A graph: every node's code and settings, defaults included, and how they are connected."""
+    found = {"edges": _words(sorted(f"{edge.origin} to {edge.end}" for edge in plan.edges))}
+    for node in plan.nodes:
+        cls = settings_of(load_operator(node.operator))
+        values = checked.plain(checked.build(cls, node.settings, node.name))
+        if "weights" in values:
+            values["weights"] = _networks(node.operator, values["weights"])
+        found |= {
+            f"{node.name}.{name}": _words(value)
+            for name, value in values.items()
+            if name not in INDIFFERENT
+        }
+        found |= of_code(node.operator)
+    return found
+
+
+def of_code(*modules: str) -> dict[str, str]:
+    """Modules and packages by import path, with or without a class behind."""
+    return {f"code of {module}": code_digest(module)[:DIGITS] for module in modules}
+
+
+def differing(before: Identity, now: Identity) -> list[str]:
+    """The names of what is not the same.
+
+    >>> differing({"seed": "1", "rate": "0.1"}, {"seed": "2", "rate": "0.1", "steps": "3"})
+    ['seed', 'steps']
+    """
+    return sorted(name for name in {*before, *now} if before.get(name) != now.get(name))
+
+
+def _networks(operator: str, weights: str) -> list[Path]:
+    """The files behind a node's setting; empty means those that lie beside its code."""
+    if weights:
+        return [Path(weights) if weights.endswith(".onnx") else require(weights)]
+    spec = find_spec(operator.partition(":")[0])
+    return sorted(Path(spec.origin).parent.glob("*.onnx")) if spec and spec.origin else []
+
+
+def _words(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value, sort_keys=True, default=_content)
+
+
+def _content(path: Path) -> str:
+    if not path.is_file():
+        raise WeightsError(f"{path}: no such file")
+    return file_digest(path)[:DIGITS]

@@ -1,0 +1,66 @@
+"""Files of arrays: what was made with something else, or is damaged, is made anew."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from operators.training.arrays import outdated, read, write
+from pipeline.errors import DriverError
+
+MADE = {"frames": "80", "saliency.weights": "1f"}
+
+
+def kept(folder: Path, **made: str) -> Path:
+    path = folder / "7.npz"
+    write(path, {"a": np.arange(500)}, MADE | made)
+    return path
+
+
+def test_what_is_kept_is_read_back_and_nothing_else_lies_there(tmp_path: Path) -> None:
+    path = kept(tmp_path)
+
+    assert outdated([path], MADE, pytest.fail) == []
+    assert {name: values.tolist() for name, values in read(path).items()} == {"a": list(range(500))}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_was_made_with_something_else_is_named(tmp_path: Path) -> None:
+    path, said = kept(tmp_path, frames="2", more="1"), list[str]()
+
+    assert outdated([path, tmp_path / "8.npz"], MADE, said.append) == [path, tmp_path / "8.npz"]
+    assert said == [f"{tmp_path}: made anew: other frames, more (1 file)"]
+
+
+def damaged(path: Path, how: str) -> None:
+    whole = path.read_bytes()
+    if how == "empty":
+        path.write_bytes(b"")
+    elif how == "cut":
+        path.write_bytes(whole[: len(whole) // 2])
+    elif how == "bent":  # in the middle of the numbers
+        path.write_bytes(whole[:800] + b"\xff" * 8 + whole[808:])
+    elif how == "text":
+        path.write_text("nothing")
+    elif how == "one array":
+        with path.open("wb") as file:
+            np.save(file, np.zeros(3))
+
+
+@pytest.mark.parametrize("how", ["empty", "cut", "bent", "text", "one array"])
+def test_what_is_damaged_is_made_anew_or_refused(tmp_path: Path, how: str) -> None:
+    path, said = kept(tmp_path), list[str]()
+    damaged(path, how)
+
+    assert outdated([path], MADE, said.append) == [path]
+    assert f"{path}: expected arrays, got " in said[0]
+    with pytest.raises(DriverError, match=r"7\.npz: expected arrays, got "):
+        read(path)
+
+
+def test_arrays_of_another_hand_are_made_anew(tmp_path: Path) -> None:
+    path, said = tmp_path / "7.npz", list[str]()
+    np.savez(path, other=np.zeros(3))
+
+    assert outdated([path], MADE, said.append) == [path]
+    assert said == [f"{tmp_path}: made anew: by an earlier version (1 file)"]

@@ -1,0 +1,144 @@
+"""What goes wrong is said in one sentence, and a signal ends a command and its jobs at once."""
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from operators.training.command_line import count, in_a_sentence
+from pipeline import SettingsError
+from tests.operators.training.test_workers import ended, wait_for
+
+BUSY = """
+import os, time
+from pathlib import Path
+from operators.training.command_line import GOES_ON, in_a_sentence
+from operators.training.workers import pool_of
+
+def job():
+    Path({told!r}).write_text(str(os.getpid()))
+    time.sleep(60)
+
+if __name__ == "__main__":
+    with in_a_sentence(GOES_ON), pool_of(1) as pool:
+        pool.submit(job).result()
+"""
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (SettingsError("seed: must be at least 0, got -1"), "seed: must be at least 0, got -1"),
+        (NotADirectoryError(20, "Not a directory", "a/b"), "a/b: expected a folder, got a file"),
+        (PermissionError(13, "Permission denied", "a/b"), "a/b: Permission denied"),
+        (OSError(28, "No space left on device"), "[Errno 28] No space left on device"),
+    ],
+)
+def test_what_may_go_wrong_is_said_in_a_sentence(
+    error: Exception, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as refused, in_a_sentence():
+        raise error
+
+    assert refused.value.code == 2
+    assert capsys.readouterr().err == f"fovea: {said}\n"
+
+
+def test_what_nobody_expects_keeps_its_trace() -> None:
+    with pytest.raises(ZeroDivisionError), in_a_sentence():
+        raise ZeroDivisionError
+
+
+def test_afterwards_signals_are_what_they_were() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+
+    with in_a_sentence():
+        assert signal.getsignal(signal.SIGTERM) != before
+
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+@pytest.mark.parametrize(
+    ("sent", "status", "said"),
+    [
+        (signal.SIGTERM, 143, ""),
+        (signal.SIGINT, 130, "fovea: interrupted; the same command goes on where it was\n"),
+    ],
+)
+def test_a_signal_ends_a_command_and_its_jobs_at_once(
+    tmp_path: Path, sent: signal.Signals, status: int, said: str
+) -> None:
+    told, script = tmp_path / "pid", tmp_path / "busy.py"
+    script.write_text(BUSY.format(told=str(told)))
+    busy = subprocess.Popen(
+        [sys.executable, str(script)], stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    wait_for(lambda: told.exists() and told.read_text())
+    began = time.monotonic()
+
+    os.killpg(busy.pid, sent)  # as a terminal does
+    _, errors = busy.communicate(timeout=30)
+
+    assert time.monotonic() - began < 10
+    assert (busy.returncode, errors) == (status, said)
+    assert ended(int(told.read_text()))
+
+
+def test_a_count_begins_at_one() -> None:
+    assert count("3") == 3
+    with pytest.raises(argparse.ArgumentTypeError, match="must be at least 1, got 0"):
+        count("0")
+
+
+def refused(main: object, words: Sequence[object], capsys: pytest.CaptureFixture[str]) -> str:
+    """What a command line says before it ends with 2."""
+    with pytest.raises(SystemExit) as ended:
+        main([str(word) for word in words])  # type: ignore[operator]
+    assert ended.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("room", ["saliency", "roi_features"])
+def test_a_training_of_nothing_is_refused(
+    room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch", reason="needs the train extra")
+    pytest.importorskip("onnx", reason="needs the train extra")
+    main = __import__(f"operators.{room}.train", fromlist=["main"]).main
+    data, out, file = tmp_path / "data", tmp_path / "out", tmp_path / "file"
+    file.write_text("")
+
+    def said(*words: object) -> str:
+        return refused(main, [*words, "--threads", 1, "--device", "cpu"], capsys)
+
+    few = ("--scenes", 8, "--moments", 2)
+    assert "must be at least 1, got 0" in said("--data", data, "--out", out, "--steps", 0)
+    assert "rate: must be above 0, got nan" in said("--data", data, "--out", out, "--rate", "nan")
+    no_folder = f"fovea: {file}: expected a folder, got a file"
+    assert said("--data", data, "--out", file, *few) == no_folder
+    assert said("--data", file, "--out", out, *few) == no_folder
+    (out / "checkpoint.pt").write_bytes(b"PK")
+    assert "checkpoint.pt: expected a state dict" in said("--data", data, "--out", out, *few)
+    assert not data.exists()
+
+
+@pytest.mark.parametrize("room", ["saliency", "roi_features"])
+def test_an_evaluation_of_nothing_is_refused(
+    room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch", reason="needs the train extra")
+    pytest.importorskip("onnx", reason="needs the train extra")
+    main = __import__(f"operators.{room}.evaluate", fromlist=["main"]).main
+    gone, file = tmp_path / "gone.onnx", tmp_path / "file"
+    file.write_text("")
+
+    assert f"{gone}: no such weights" in refused(main, ["--weights", gone], capsys)
+    said = refused(main, ["--data", file], capsys)
+    assert said == f"fovea: {file}: expected the folder of a sequence, got no such folder"
+    assert "must be at least 1, got 0" in refused(main, ["--moments", 0], capsys)
