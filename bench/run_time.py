@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bench.crowd import crowded
 from bench.tracking.budgets import acquisition
 from bench.tracking.clip import ClipName, read
-from bench.tracking.evaluate import GRAPH
+from bench.tracking.options import GRAPH
 from bench.tracking.stages import NEEDED, Camera, Stages
 from drivers.simulated.readout import Window
 from pipeline.boxes import centres, roi_window

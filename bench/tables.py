@@ -18,12 +18,9 @@ import click
 from bench.machine import facts
 from bench.options import Bench
 from bench.run_time import by_objects, by_objects_markdown, markdown, run_time
-from bench.tracking.evaluate import (
-    command,
-    policy_changes,
-    policy_files,
-    tracker_changes,
-)
+from bench.tracking.cases import policy_changes, tracker_changes
+from bench.tracking.evaluate import command
+from bench.tracking.options import policy_files
 from bench.tracking.replaced import PARTS
 from operators.policy.learned import SHIPPED
 

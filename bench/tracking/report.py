@@ -5,9 +5,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from bench.tracking.cases import ROI_ALONE, Case
 from bench.tracking.intervals import Block, block_of, difference, mean
 from bench.tracking.targets import HELD
-from bench.tracking.units import Case, Unit
+from bench.tracking.units import Unit
 from drivers.simulated.strategies import WITH_ROI
 
 Row = dict[str, Any]
@@ -31,7 +32,6 @@ PAPER: Mapping[Key, float] = {
     ("player", "temporal", "1/8"): 0.402,
     ("player", "foveated", "1/8"): 0.513,
 }
-ROI_ALONE = ", ROI alone"  # ends the name of a row whose tracker does not see the context
 NOT_HELD = "ball, free or still"
 
 

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, wait
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from fractions import Fraction
 from hashlib import sha256
 from pathlib import Path
@@ -14,8 +14,9 @@ import cv2
 from tqdm import tqdm
 
 from bench.tracking.budgets import acquisition
+from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, read
-from bench.tracking.episode import Rules, run
+from bench.tracking.episode import run
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import NEEDED, Camera, Stages, watched
 from bench.tracking.targets import Target, starts, targets
@@ -36,30 +37,6 @@ CODE = (  # what figures come from, beside the operators that a case needs
     *(f"bench.tracking.{name}" for name in ("budgets", "clip", "episode", "replaced")),
     *(f"bench.tracking.{name}" for name in ("stages", "targets", "units")),
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """One row of a table: a strategy at a budget, and what was changed about it."""
-
-    strategy: str
-    budget: str  # a fraction
-    name: str  # as the table calls it
-    rules: Rules
-    replaced: tuple[str, ...] = ()
-    changes: tuple[str, ...] = ()  # of the graph, as --set takes them
-
-
-@dataclass(frozen=True, kw_only=True)
-class Protocol:
-    """What all cases have in common."""
-
-    graph: str
-    frames: tuple[int, int]  # first and last, counted from 1
-    kinds: tuple[str, ...]
-    every: int = 8  # frames between starts
-    players: int = 1
-    seed: int = 0
 
 
 Gazes = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure

@@ -7,9 +7,10 @@ import pytest
 from click.testing import CliRunner
 
 from bench.tables import NAMES, main, studies, together
+from bench.tracking.cases import ROI_ALONE
 from bench.tracking.evaluate import asked, command
+from bench.tracking.options import options_of
 from bench.tracking.replaced import PARTS
-from bench.tracking.report import ROI_ALONE
 from tests.drivers.sequences import write_sequence
 
 CLIPS = {"budgets": 30, "late": 6, "late-hold": 6, "far": 2, "far-hold": 2}
@@ -25,7 +26,7 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
     rows = {}
     for name, words in found.items():
         with command.make_context(name, [*words, "--tracker", "correlation"]) as context:
-            cases, _, clips, _ = asked(context.params)
+            cases, _, clips = asked(options_of(context.params))
         assert len(clips) == (1 if quick else CLIPS.get(name, 10))
         rows[name] = [case.name.removesuffix(ROI_ALONE) for case in cases]
 
@@ -43,14 +44,14 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
 @pytest.mark.parametrize("quick", [False, True])
 def test_real_footage_is_a_study_where_it_is_given(quick: bool, tmp_path: Path) -> None:
     game = "[Sequence]\nnum_tracklets=0\n"
-    folder = write_sequence(tmp_path / "clip", gt="", gameinfo=game)
+    folder = write_sequence(tmp_path / "clip", gt="", gameinfo=game, frames=24)
     weights = tmp_path / "policy.onnx"
     weights.touch()
     found = studies(30, str(folder), (), (), far=str(weights), quick=quick)
 
     for name in (name for name in NAMES if name.endswith("soccernet")):
         with command.make_context(name, [*found[name], "--tracker", "correlation"]) as context:
-            cases, protocol, clips, _ = asked(context.params)
+            cases, protocol, clips = asked(options_of(context.params))
         assert [clip.folder for clip in clips] == [str(folder)]
         assert protocol.frames == ((1, 24) if quick else (1, 0))
         assert cases

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from bench.tracking.budgets import acquisition, parsed
 from bench.tracking.clip import Clip, ClipName, names, read
 from bench.tracking.episode import Rules, run
-from bench.tracking.evaluate import command, interval, policy_files
+from bench.tracking.evaluate import command
 from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
@@ -238,48 +238,6 @@ def test_data_of_the_wrong_shape_is_refused_in_one_sentence(tmp_path: Path) -> N
         names("procedural:x", 1)
     with pytest.raises(SettingsError, match=r"frames: .* has 1 to any, got 5-2"):
         read(ClipName(seed=1), (5, 2))
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--strategies", "magic"], "strategies: expected foveated, centred"),
-        (["--targets", "coach"], "targets: expected ball"),
-        (["--policy", "none.onnx"], "policy: expected an ONNX file or pursue, got none.onnx"),
-        (["--longest", "0"], "longest: must be at least 1 frame"),
-        (["--delay", "60"], "delay: plans reach 16 frames"),
-        (["--delay", "soon"], "delay: expected whole numbers"),
-        (["--replace", "luck"], "replace: expected detections"),
-        (["--tracker", "magic"], "tracker: expected auto"),
-        (["--frames", "1"], "frames: expected A-B"),
-    ],
-)
-def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str) -> None:
-    result = CliRunner().invoke(command, ["--data", "procedural", *words])
-
-    assert result.exit_code == 2
-    assert said in result.output
-    assert "Traceback" not in result.output
-
-
-def test_frames_that_a_sequence_does_not_have_are_refused_from_within_the_work(
-    tmp_path: Path,
-) -> None:
-    gt = "\n".join(f"{frame},1,10,10,8,8,1,-1,-1,-1" for frame in (1, 2, 3))
-    game = "[Sequence]\nnum_tracklets=1\ntrackletID_1= ball;1\n"
-    folder = write_sequence(tmp_path / "clip", gt=gt, gameinfo=game)
-    words = ["--data", str(folder), "--frames", "1-9999", "--work", str(tmp_path / "work")]
-
-    result = CliRunner().invoke(command, [*words, "--tracker", "correlation", "--jobs", "1"])
-
-    assert result.exit_code == 2
-    assert "frames: clip has 1 to" in result.output
-
-
-def test_options_are_read_as_they_are_meant() -> None:
-    assert interval("251-375") == (251, 375)
-    assert policy_files(["pursue"]) == {"": "pursue"}
-    assert policy_files(["a=pursue", "b=pursue"]) == {"a": "pursue", "b": "pursue"}
 
 
 def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:

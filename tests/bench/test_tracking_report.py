@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
+from bench.tracking.cases import Case
 from bench.tracking.episode import Rules
 from bench.tracking.report import paired
-from bench.tracking.units import Case
 
 
 def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:

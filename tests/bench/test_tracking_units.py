@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from bench.tracking.cases import Case, Protocol
+from bench.tracking.clip import ClipName
 from bench.tracking.episode import Rules
-from bench.tracking.units import Case, ClipName, Draft, Protocol, key, measured
+from bench.tracking.units import Draft, key, measured
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
 
