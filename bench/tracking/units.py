@@ -16,7 +16,7 @@ from tqdm import tqdm
 from bench.tracking.budgets import acquisition
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, read
-from bench.tracking.episode import run
+from bench.tracking.episode import Loop, run
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import NEEDED, Camera, Stages, watched
 from bench.tracking.targets import Target, starts, targets
@@ -40,7 +40,7 @@ CODE = (  # what figures come from, beside the operators that a case needs
 
 
 Gazes = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure
-Episode = dict[str, Any]  # start, iou, kept, shown, state
+Episode = dict[str, Any]  # start, iou, kept, shown, state, read_px, full_px
 Unit = dict[str, Any]  # clip, case, target, kind, episodes
 
 
@@ -108,34 +108,26 @@ def _measure(
                     seen[context] = watched(camera, stages, len(clip.truths), replaced)
                 gaze = looked.setdefault(_same_gaze(case), {})
                 draft = Draft(path.with_suffix(".part"))
-                known = seen.get(context, ())
-                done = [
-                    _followed(camera, stages, known, t, case, protocol, replaced, gaze, draft)
-                    for t in subjects
-                ]
+                loop = Loop(
+                    camera=camera,
+                    stages=stages,
+                    tracks=seen.get(context, ()),
+                    rules=case.rules,
+                    replaced=replaced,
+                )
+                done = [_followed(loop, target, protocol.every, gaze, draft) for target in subjects]
                 for unit in done:
                     unit |= {"clip": str(clip_name), "case": case.name, "budget": case.budget}
                 draft.finish(done, path)
 
 
-def _followed(
-    camera: Camera,
-    stages: Stages,
-    tracks: Sequence[Tracks],
-    target: Target,
-    case: Case,
-    protocol: Protocol,
-    replaced: Replaced,
-    gaze: Gazes,
-    draft: "Draft",
-) -> Unit:
+def _followed(loop: Loop, target: Target, every: int, gaze: Gazes, draft: "Draft") -> Unit:
     episodes = []
-    for start in starts(target, protocol.every):
+    for start in starts(target, every):
         if episode := draft.known(target.id, start):
             episodes.append(episode)
             continue
-        looked = gaze.get((target.id, start), ())
-        outcome = run(camera, stages, tracks, target, start, case.rules, replaced, looked)
+        outcome = run(loop, target, start, gaze.get((target.id, start), ()))
         gaze[target.id, start] = outcome.windows
         if outcome.iou:
             episode = {
@@ -144,6 +136,8 @@ def _followed(
                 "kept": outcome.kept,
                 "shown": [round(v, 3) if v == v else None for v in outcome.shown],
                 "state": list(target.state[start + 1 : start + 1 + len(outcome.iou)]),
+                "read_px": outcome.read_px,
+                "full_px": outcome.full_px,
             }
             episodes.append(episode)
             draft.add(target.id, episode)
