@@ -15,6 +15,7 @@ from drivers.simulated.strategies import STRATEGIES, WITH_ROI, Sampling
 from pipeline.errors import SettingsError
 from pipeline.messages import Geometry
 
+PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
 TOLERANCE = 0.01  # of the budget: the sensor's own count must be this near
 LEAST = Fraction(1, 256)  # below it the context shows nothing that a detector could find
 SHARES: Mapping[Fraction, tuple[float, float]] = {  # budget -> context's side, ROI's area

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.sequence import read_info
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from drivers.source import FrameSource, Truth
@@ -62,6 +63,11 @@ def names(data: str, count: int) -> list[ClipName]:
                 f"{each}: expected gt/gt.txt, found none: there is no truth to score by"
             )
     return [ClipName(folder=str(each)) for each in found]
+
+
+def size_of(name: ClipName) -> tuple[int, int]:
+    """Width and height of a clip's pictures."""
+    return read_info(Path(name.folder)).size_px if name.folder else FULL_PX
 
 
 def frames_of(name: ClipName, frames: tuple[int, int]) -> range:

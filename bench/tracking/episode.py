@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.tracking.budgets import PLANNED
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages
 from bench.tracking.targets import Target
@@ -116,7 +117,7 @@ class Gaze:
         field = np.array([0, 0, self._geometry.width_px, self._geometry.height_px])
         self._middle: Window = self._on(field)
         self._held = self._on(target.boxes[start]) if loop.rules.aimed else self._middle
-        self._planned_by_graph = how.strategy in ("foveated", "round_robin")
+        self._planned_by_graph = how.strategy in PLANNED
         if self._planned_by_graph:
             box = tuple(float(v) for v in target.boxes[start])
             tour = how.strategy == "round_robin"

@@ -24,7 +24,7 @@ from bench.machine import facts
 from bench.tracking import report as reporting
 from bench.tracking.budgets import acquisition
 from bench.tracking.cases import Case, Protocol, cases, tracker_changes
-from bench.tracking.clip import FULL_PX, ClipName, frames_of, names
+from bench.tracking.clip import ClipName, frames_of, names, size_of
 from bench.tracking.episode import Rules
 from bench.tracking.options import ALL, GRAPH, WHOLE, Options, options_of
 from bench.tracking.replaced import PARTS
@@ -117,8 +117,9 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
         options = replace(options, frames=(1, SCENE_FRAMES))
     for clip in clips:
         frames_of(clip, options.frames)  # refuses what a clip does not have
-    for strategy, budget in product(options.strategies, options.budgets):
-        acquisition(strategy, budget, FULL_PX)  # refuses what cannot be read
+    sizes_px = {size_of(clip) for clip in clips}
+    for strategy, budget, size_px in product(options.strategies, options.budgets, sizes_px):
+        acquisition(strategy, budget, size_px)  # refuses what cannot be read
     wanted = cases(options)
     if late := max(options.delay):
         for changes in {case.changes for case in wanted if case.rules.delay}:

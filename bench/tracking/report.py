@@ -7,8 +7,8 @@ from typing import Any
 
 from bench.tracking.cases import ROI_ALONE, Case
 from bench.tracking.intervals import Block, block_of, difference, mean
+from bench.tracking.kept import Unit
 from bench.tracking.targets import HELD
-from bench.tracking.units import Unit
 from drivers.simulated.strategies import WITH_ROI
 
 Row = dict[str, Any]

@@ -44,7 +44,8 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
 @pytest.mark.parametrize("quick", [False, True])
 def test_real_footage_is_a_study_where_it_is_given(quick: bool, tmp_path: Path) -> None:
     game = "[Sequence]\nnum_tracklets=0\n"
-    folder = write_sequence(tmp_path / "clip", gt="", gameinfo=game, frames=24)
+    info = "[Sequence]\nframeRate=25\nseqLength=24\nimWidth=1920\nimHeight=1080\n"
+    folder = write_sequence(tmp_path / "clip", gt="", gameinfo=game, frames=24, info=info)
     weights = tmp_path / "policy.onnx"
     weights.touch()
     found = studies(30, str(folder), (), (), far=str(weights), quick=quick)
