@@ -96,8 +96,8 @@ def evaluate(options: Options) -> None:
         "every": protocol.every,
         "budgets": [str(budget) for budget in options.budgets],
         "seed": seed,
-        "rows": reporting.rows(units, seed=seed),
-        "paired": reporting.paired(units, wanted, seed=seed),
+        "rows": reporting.rows(units, longest=options.longest, seed=seed),
+        "paired": reporting.paired(units, wanted, longest=options.longest, seed=seed),
     }
     text = reporting.markdown(found)
     if options.report:
