@@ -13,6 +13,7 @@ window in the middle is worth 1.7 % of it).
 import json
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -75,6 +76,7 @@ def evaluate(options: Options) -> None:
     """Measure what is asked for and write it; raises `FoveaError`."""
     wanted, protocol, clips = asked(options)
     options.make_room()
+    try_out(wanted, protocol)
     if options.tracker == "auto":
         click.echo(f"tracker: {tracker_changes('auto')[0].partition('=')[2]}", err=True)
     units = measured(clips, wanted, protocol, options.folder, jobs=options.jobs)
@@ -123,7 +125,7 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
     wanted = cases(options)
     if late := max(options.delay):
         for changes in {case.changes for case in wanted if case.rules.delay}:
-            _refuse_too_late(late, Stages(Path(options.graph), changes).horizon)
+            _refuse_too_late(late, Stages(Path(options.graph), changes).settings("policy").horizon)
     protocol = Protocol(
         graph=options.graph,
         frames=options.frames,
@@ -133,6 +135,16 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
         seed=options.seed,
     )
     return wanted, protocol, clips
+
+
+def try_out(wanted: Sequence[Case], protocol: Protocol) -> None:
+    """Open every graph that is asked for: a network that does not fit is told of now, not later.
+
+    Raises `FoveaError`.
+    """
+    for changes in dict.fromkeys(case.changes for case in wanted):
+        with Stages(Path(protocol.graph), changes):
+            pass
 
 
 def _refuse_too_late(delay: int, reach: int) -> None:

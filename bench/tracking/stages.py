@@ -46,10 +46,9 @@ class Stages:
             cls = load_operator(node.operator)
             self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))
 
-    @property
-    def horizon(self) -> int:
-        """Tp: how many frames a plan reaches."""
-        return int(self._parts["policy"].settings.horizon)
+    def settings(self, name: str) -> Any:
+        """What a stage is built with, defaults included."""
+        return self._parts[name].settings
 
     def __enter__(self) -> "Stages":
         try:

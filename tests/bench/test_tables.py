@@ -11,6 +11,7 @@ from bench.tracking.cases import ROI_ALONE
 from bench.tracking.evaluate import asked, command
 from bench.tracking.options import options_of
 from bench.tracking.replaced import PARTS
+from operators.policy.learned import SHIPPED
 from tests.drivers.sequences import write_sequence
 
 CLIPS = {"budgets": 30, "late": 6, "late-hold": 6, "far": 2, "far-hold": 2}
@@ -63,6 +64,36 @@ def test_a_study_that_lacks_what_it_needs_is_refused(tmp_path: Path) -> None:
 
     assert result.exit_code == 2
     assert "--only far: needs" in result.output
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--ablation", "x=/nowhere.onnx"], "ablation: policy: expected an ONNX file or pursue"),
+        (["--far", "/nowhere.onnx"], "far: policy: expected an ONNX file or pursue"),
+        (["--far", str(SHIPPED)], f"far: {SHIPPED}: expected horizon 200"),
+        (["--soccernet", "/nowhere"], "soccernet: /nowhere: expected a folder of SoccerNet"),
+        (["--clips", "0"], "budgets: clips: must be at least 1, got 0"),
+    ],
+)
+def test_a_study_that_cannot_be_measured_is_refused_before_the_first_is(
+    words: list[str], said: str, tmp_path: Path
+) -> None:
+    given = ["--out", str(tmp_path), "--tracker", "correlation", *words]
+
+    result = CliRunner().invoke(main, given)
+
+    assert result.exit_code == 2
+    assert f"Error: {said}" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_eight_players_are_a_study_of_their_own() -> None:
+    words = studies(30, "footage", (), ())["players-soccernet"]
+
+    assert words == [
+        *("--data", "footage", "--targets", "player", "--players", "8", "--every", "24")
+    ]
 
 
 def test_tables_hold_every_study_that_lies_in_the_folder(tmp_path: Path) -> None:
