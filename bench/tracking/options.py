@@ -91,7 +91,7 @@ def make_folder(name: str, folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SettingsError(f"{name}: {folder}: cannot be made: {error.strerror}") from error
+        raise SettingsError(f"{name}: {folder}: cannot be a folder: {error.strerror}") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise SettingsError(f"{name}: {folder}: cannot be written to")
 

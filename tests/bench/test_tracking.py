@@ -292,7 +292,7 @@ def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Pa
     assert json.loads((tmp_path / "r.json").read_text())["rows"] == report["rows"]
     after = sorted((tmp_path / "r.work").glob("*.json"))
     assert [unit.stat().st_mtime_ns for unit in after[1:]] == written[1:]
-    wanted = {"clip", "target", "strategy", "budget", "iou", "ci95", "frames", "starts"}
+    wanted = {"clip", "target", "strategy", "budget", "iou", "ci95", "frames", "starts", "pixels"}
     assert all(wanted <= set(row) for row in report["rows"])
     assert {(row["strategy"], row["against"]) for row in report["paired"]} == {
         *(("foveated", against) for against in ("centred", "temporal")),
