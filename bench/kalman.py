@@ -16,8 +16,11 @@ from filterpy.common import Q_discrete_white_noise
 from numpy.typing import NDArray
 
 from bench.machine import facts
+from drivers.sequence import read_rows
+from drivers.soccernet import read_tracklets
 from operators.association import Association, AssociationSettings
 from pipeline import Detections
+from pipeline.errors import FoveaError
 from pipeline.testing import header
 
 AHEAD = (1, 4, 8, 13)  # frames
@@ -90,15 +93,16 @@ def made_up(seed: int, count: int = 40, frames: int = 200) -> list[Path2D]:
 
 
 def footage(folder: Path) -> Iterator[tuple[str, Path2D]]:
-    """Role and unbroken pieces of at least 20 frames of every tracklet."""
-    rows = np.loadtxt(folder / "gt" / "gt.txt", delimiter=",")
-    text = (folder / "gameinfo.ini").read_text()
-    for track in np.unique(rows[:, 1]).astype(int):
-        role = "ball" if f"trackletID_{track}= ball" in text else "people"
-        own = rows[rows[:, 1] == track]
-        for piece in np.split(own, np.flatnonzero(np.diff(own[:, 0]) != 1) + 1):
+    """Role and unbroken pieces of at least 20 frames of every tracklet; raises `DriverError`."""
+    tracklets = read_tracklets(folder / "gameinfo.ini")
+    found = [(r.id, r.index, *r.box) for r in read_rows(folder / "gt" / "gt.txt", columns=6)]
+    rows = np.array(found, np.float64).reshape(-1, 6)
+    for track in np.unique(rows[:, 0]).astype(int):
+        role = "ball" if track in tracklets and tracklets[track].label == "ball" else "people"
+        own = rows[rows[:, 0] == track]
+        for piece in np.split(own, np.flatnonzero(np.diff(own[:, 1]) != 1) + 1):
             if len(piece) >= 20:
-                sides = piece[:, 4:6]
+                sides = piece[:, 4:6] - piece[:, 2:4]
                 yield role, (piece[:, 2:4] + sides / 2, np.sqrt(sides.prod(axis=1)))
 
 
@@ -133,8 +137,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     options = parser.parse_args()
     sets: dict[str, list[Path2D]] = {"made-up": made_up(options.seed)}
-    for role, piece in footage(options.data) if options.data else ():
-        sets.setdefault(role, []).append(piece)
+    try:
+        for role, piece in footage(options.data) if options.data else ():
+            sets.setdefault(role, []).append(piece)
+    except FoveaError as error:
+        parser.error(str(error))
     table = {
         f"{name}, measured to {noise} box": {
             title: errors(paths, reading, noise, options.seed)

@@ -17,6 +17,7 @@ from bench.machine import facts
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from drivers.source import FrameSource, Truth
+from pipeline.errors import FoveaError
 
 RATE_HZ = 25.0
 PICTURE_EVERY = 10  # frames between two whose pixels are looked at
@@ -123,8 +124,11 @@ def main() -> None:
     cv2.setNumThreads(1)
     columns: dict[str, Samples] = {}
     if values.data:
-        real = SoccerNetSequence(path=values.data)
-        columns["real"] = measure(real, min(values.frames, real.length or values.frames))
+        try:
+            real = SoccerNetSequence(path=values.data)
+            columns["real"] = measure(real, min(values.frames, real.length or values.frames))
+        except FoveaError as error:
+            parser.error(str(error))
     columns["scene"] = defaultdict(list)
     for seed in range(values.seeds):
         scene = SoccerScene(rate_hz=RATE_HZ, seed=seed)

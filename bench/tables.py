@@ -1,16 +1,17 @@
 """The paper's tables for object tracking, made anew: `python -m bench.tables --out FOLDER`.
 
 Studies, each written by itself and gone on with where it stopped: all strategies at all budgets on
-held-out procedural clips and, with --soccernet, on real footage that nothing was trained on; late
-and rare plans, with and without prediction; the loop with one part after the other replaced by the
-truth; with --ablation NAME=FILE, policies that were not told everything; with --far FILE, a policy
-that was trained for plans 60 frames late; the time each part takes.
+held-out procedural clips and, with --soccernet, on real footage that nothing was trained on, eight
+players of it by themselves; late and rare plans, with and without prediction; the loop with one
+part after the other replaced by the truth; with --ablation NAME=FILE, policies that were not told
+everything; with --far FILE, a policy that was trained for plans 60 frames late; the time each part
+takes. What cannot be measured is refused before the first study.
 `tables.md` and `tables.json` hold all studies that lie in the folder, each also beside them with a
 plot of its own. `--quick` tries everything on little: its figures say nothing.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -18,19 +19,18 @@ import click
 from bench.machine import facts
 from bench.options import Bench
 from bench.run_time import by_objects, by_objects_markdown, markdown, run_time
-from bench.tracking.evaluate import (
-    command,
-    policy_changes,
-    policy_files,
-    tracker_changes,
-)
+from bench.tracking.cases import policy_changes, tracker_changes
+from bench.tracking.evaluate import asked, command, try_out
+from bench.tracking.options import make_folder, options_of, policy_files
 from bench.tracking.replaced import PARTS
 from operators.policy.learned import SHIPPED
+from pipeline.errors import FoveaError
 
 TOGETHER = ("detections+association",)  # what the policy would know from perfect eyes
 NAMES = {
     "budgets": "Strategies at equal pixel budgets, held-out procedural clips",
     "soccernet": "The same, zero-shot on real footage",
+    "players-soccernet": "The same of eight players on real footage",
     "late": "Late and rare plans (delay in frames, Ta)",
     "late-soccernet": "The same on real footage",
     "late-hold": "The same at 1/8 without prediction: objects are foreseen where they are",
@@ -47,6 +47,7 @@ NAMES = {
 
 
 LATE = ("--strategies", "foveated", "--sees", "both", "--replan", "1,4,8")
+CROWD = ("--players", "8", "--every", "24")
 HOLD = ("--budgets", "1/8", "--prediction", "hold")
 FAR = (  # the paper's long horizon, and episodes that such a plan can be late for
     *("--delay", "0,60", "--longest", "240"),
@@ -73,11 +74,13 @@ def studies(
     limits = ["--strategies", "foveated,oracle,full", "--sees", "both", *parts, *own]
     found = {"budgets": [*many, *own]}
     if soccernet:
-        found["soccernet"] = ["--data", soccernet, *own, *short]
+        real = ["--data", soccernet, *own, *short]
+        found["soccernet"] = real
+        found["players-soccernet"] = [*real, "--targets", "player", *CROWD]
     found |= _late(clips, soccernet, own, far, short)
     found["limits"] = [*few, *limits]
     if soccernet:
-        crowd = ["--budgets", "1/8", "--players", "8", "--every", "24", *short]
+        crowd = ["--budgets", "1/8", *CROWD, *short]
         found["limits-soccernet"] = ["--data", soccernet, *crowd, *limits]
     if ablations:
         wanted = ["--strategies", "foveated,centred,round_robin,full", "--sees", "roi"]
@@ -113,6 +116,20 @@ def _policy(given: Sequence[str]) -> list[str]:
     return [word for each in given for word in ("--policy", each)]
 
 
+def check(planned: Mapping[str, Sequence[str]]) -> None:
+    """Refuse a study that cannot be measured now, not hours later when its turn comes."""
+    opened: set[tuple[str, ...]] = set()
+    for name, words in planned.items():
+        try:
+            with command.make_context(name, list(words)) as context:
+                cases, protocol, _ = asked(options_of(context.params))
+            fresh = [case for case in cases if case.changes not in opened]
+            try_out(fresh, protocol)
+        except FoveaError as error:
+            raise click.UsageError(f"{name}: {error}") from error
+        opened |= {case.changes for case in fresh}
+
+
 def together(out: Path) -> None:
     """Write tables.md and tables.json of every study that lies in the folder."""
     known = [name for name in NAMES if (out / f"{name}.json").exists()]
@@ -146,21 +163,21 @@ def main(
     jobs: int,
 ) -> None:
     """See the module."""
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder("out", out)
     wanted = studies(clips, soccernet, ablation, policy, far=far, quick=quick)
     if missing := sorted(set(only) - set(wanted) - {"run-time"}):
         raise click.UsageError(
             f"--only {missing[0]}: needs --soccernet, --ablation or --far; with what is given: "
             f"{', '.join(wanted)}, run-time"
         )
-    for name, words in wanted.items():
-        if only and name not in only:
-            continue
+    shared = ["--work", f"{out / 'work'}", "--jobs", str(jobs), "--tracker", tracker]
+    planned = {n: [*words, *shared] for n, words in wanted.items() if not only or n in only}
+    check(planned)
+    for name, words in planned.items():
         click.echo(f"{NAMES[name]}:", err=True)
-        files = ["--report", out / f"{name}.json", "--markdown", out / f"{name}.md"]
-        files += ["--work", out / "work", "--jobs", jobs, "--plot", out / f"{name}.png"]
-        words = [*words, "--tracker", tracker, *(str(word) for word in files)]
-        command.main(words, standalone_mode=False)
+        files = {"report": "json", "markdown": "md", "plot": "png"}
+        outputs = [f"--{kind}={out / name}.{suffix}" for kind, suffix in files.items()]
+        command.main([*words, *outputs], standalone_mode=False)
         together(out)
     if not only or "run-time" in only:
         changes = policy_changes(policy_files(policy[:1]).popitem()[1])

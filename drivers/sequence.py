@@ -6,6 +6,7 @@ Format: `../img1/000001.jpg …`, `seqinfo.ini` with a section [Sequence], and t
 
 import configparser
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,9 @@ from numpy.typing import NDArray
 
 from drivers.pictures import read_picture
 from drivers.source import Truth
-from pipeline.errors import DriverError
+from pipeline.errors import DriverError, SettingsError
+
+_SPAN = re.compile(r"([0-9]+)(?:-([0-9]+))?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +67,21 @@ class NumberedPictures:
         if not 0 <= index < self._info.length:
             raise IndexError(f"{self._info.name}: no frame {index} in {self._info.length}")
         return read_picture(self._info.picture_path(index), self._buffer)
+
+
+def span(text: str) -> tuple[int, int]:
+    """Frames A-B as they are typed, counted from 1 as the files are; A alone is that one.
+
+    Raises `SettingsError`, a ValueError as argparse wants it.
+
+    >>> span("251-375"), span("7")
+    ((251, 375), (7, 7))
+    """
+    typed = _SPAN.fullmatch(text)
+    first, last = (int(typed[1]), int(typed[2] or typed[1])) if typed else (0, 0)
+    if not 1 <= first <= last:
+        raise SettingsError(f"frames: expected A-B, counted from 1, got {text!r}")
+    return first, last
 
 
 def read_ini(path: Path) -> configparser.SectionProxy:

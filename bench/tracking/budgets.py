@@ -15,6 +15,7 @@ from drivers.simulated.strategies import STRATEGIES, WITH_ROI, Sampling
 from pipeline.errors import SettingsError
 from pipeline.messages import Geometry
 
+PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
 TOLERANCE = 0.01  # of the budget: the sensor's own count must be this near
 LEAST = Fraction(1, 256)  # below it the context shows nothing that a detector could find
 SHARES: Mapping[Fraction, tuple[float, float]] = {  # budget -> context's side, ROI's area
@@ -39,6 +40,10 @@ class Acquisition:
         """Whether it has a ROI."""
         return self.strategy in WITH_ROI
 
+    def met_by(self, share: float) -> bool:
+        """Whether such a share of the pixels is the budget, within `TOLERANCE`."""
+        return abs(share / float(self.budget) - 1) <= TOLERANCE
+
 
 def acquisition(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Acquisition:
     """What is read; raises `SettingsError` when the budget cannot be met within `TOLERANCE`."""
@@ -57,15 +62,16 @@ def acquisition(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Ac
         roi_area=roi,
     )
     found = settings.sampling(size_px)
+    how = Acquisition(
+        strategy=strategy, budget=budget, sampling=found, geometry=settings.geometry(size_px)
+    )
     used = found.emitted_px() / math.prod(size_px) / found.interval
-    if abs(used / float(budget) - 1) > TOLERANCE:
+    if not how.met_by(used):
         raise SettingsError(
             f"budgets: {strategy} at {budget} of {size_px[0]}x{size_px[1]} takes {used:.5f} of the "
             f"pixels, expected {float(budget):.5f} within {TOLERANCE:.0%}"
         )
-    return Acquisition(
-        strategy=strategy, budget=budget, sampling=found, geometry=settings.geometry(size_px)
-    )
+    return how
 
 
 def parsed(text: str) -> tuple[Fraction, ...]:

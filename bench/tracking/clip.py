@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.sequence import read_info
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from drivers.source import FrameSource, Truth
@@ -24,7 +25,8 @@ class ClipName:
     folder: str = ""
 
     def __str__(self) -> str:
-        return Path(self.folder).name if self.folder else f"procedural-{self.seed}"
+        # resolved, for `.` has no name
+        return Path(self.folder).resolve().name if self.folder else f"procedural-{self.seed}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,26 +65,35 @@ def names(data: str, count: int) -> list[ClipName]:
     return [ClipName(folder=str(each)) for each in found]
 
 
-def read(name: ClipName, frames: tuple[int, int]) -> Clip:
-    """Frames A-B of a clip, counted from 1 as SoccerNet's files are; B 0: to the end.
+def size_of(name: ClipName) -> tuple[int, int]:
+    """Width and height of a clip's pictures."""
+    return read_info(Path(name.folder)).size_px if name.folder else FULL_PX
 
-    A scene is endless: of it B must be given.
+
+def frames_of(name: ClipName, frames: tuple[int, int]) -> range:
+    """Indices of frames A-B of a clip, counted from 1 as SoccerNet's files are; B 0: to the end.
+
+    A scene is endless: of it B must be given. Raises `SettingsError` for frames it does not have.
     """
-    if not name.folder and not 1 <= frames[0] < frames[1]:
-        raise SettingsError(f"frames: {name} has 1 to any, got {frames[0]}-{frames[1]}")
+    length = SoccerNetSequence(path=name.folder).length if name.folder else None
+    first, last = frames[0], frames[1] or length or 0
+    if not 1 <= first < last or (length is not None and last > length):
+        raise SettingsError(
+            f"frames: {name} has 1 to {length or 'any'}, got {frames[0]}-{frames[1]}"
+        )
+    return range(first - 1, last)
+
+
+def read(name: ClipName, frames: tuple[int, int]) -> Clip:
+    """Frames A-B of a clip, as `frames_of` takes them."""
+    indices = frames_of(name, frames)
     source: FrameSource = (
         SoccerNetSequence(path=name.folder)
         if name.folder
         else SoccerScene(size_px=FULL_PX, rate_hz=RATE_HZ, seed=name.seed)
     )
+    pictures, truths = [], []
     try:
-        last = frames[1] or source.length or 0
-        if not 1 <= frames[0] < last or (source.length is not None and last > source.length):
-            raise SettingsError(
-                f"frames: {name} has 1 to {source.length or 'any'}, got {frames[0]}-{frames[1]}"
-            )
-        indices = range(frames[0] - 1, last)
-        pictures, truths = [], []
         for index in indices:
             truth = source.truth(index)
             if truth is None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.tracking.budgets import PLANNED
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages
 from bench.tracking.targets import Target
@@ -30,68 +31,69 @@ class Rules:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Loop:
+    """What an episode runs in: a sensor over a clip, the graph's parts, and what is known of it."""
+
+    camera: Camera
+    stages: Stages
+    tracks: Sequence[Tracks] = ()  # of each frame, where a strategy plans by them
+    rules: Rules
+    replaced: Replaced = field(default_factory=Replaced)
+
+
+@dataclass(kw_only=True, eq=False)
 class Outcome:
     """What became of one start, frame by frame after it: n frames."""
 
     start: int
-    iou: list[float]  # NaN where the truth does not know the target
-    kept: list[bool]  # whether the strategy exposed this frame
-    shown: list[float]  # share of the target's box inside the ROI; NaN without ROI or truth
+    iou: list[float] = field(default_factory=list)  # NaN where the truth does not know the target
+    kept: list[bool] = field(default_factory=list)  # whether the strategy exposed this frame
+    # share of the target's box inside the ROI; NaN without ROI or truth
+    shown: list[float] = field(default_factory=list)
     windows: list[Window] = field(default_factory=list)
+    read_px: int = 0  # as the sensor counts them
+    full_px: int = 0  # what full resolution would have taken meanwhile
 
 
-def run(
-    camera: Camera,
-    stages: Stages,
-    tracks: Sequence[Tracks],
-    target: Target,
-    start: int,
-    rules: Rules,
-    replaced: Replaced,
-    looked: Sequence[Window] = (),
-) -> Outcome:
+def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -> Outcome:
     """Initialise the tracker from the truth in frame `start` and follow.
 
     `looked`: where the ROI was in each exposure, when that is known: it does not depend on what the
-    tracker sees.
+    tracker sees. Raises `RunError` where more or less is read than the budget has.
     """
-    how = camera.how
+    camera, rules, how = loop.camera, loop.rules, loop.camera.how
     step = how.sampling.interval
     last = min(start + rules.longest, len(target.visible) - 1)
     exposed = list(range(start, last + 1, step))
     if how.sampling.averaged:  # an exposure is told by its last frame
         exposed = [frame + step - 1 for frame in exposed if frame + step - 1 <= last]
-    found = Outcome(start=start, iou=[], kept=[], shown=[])
+    found = Outcome(start=start)
     if not exposed:
         return found
-    gaze: Gaze | Repeated = Repeated(looked, start)
-    if not looked:
-        gaze = Gaze(camera, stages, tracks, target, start, rules, replaced)
-    first = target.boxes[exposed[0]]
-    if not first.any():
+    gaze = Repeated(looked, start) if looked else Gaze(loop, target, start)
+    box = target.boxes[exposed[0]]
+    if not box.any():
         return found
-    stages.begin(
+    loop.stages.begin(
         camera.header(start),
         "tracker",
-        tracker={"init_box": tuple(float(v) for v in first), "lost_after": NEVER},
+        tracker={"init_box": tuple(float(v) for v in box), "lost_after": NEVER},
     )
-    box = first
+    camera.begin()
     for frame in range(start, last + 1):
         kept = frame in exposed
         shown = float("nan")
         if kept:
-            camera.count()
             window = gaze.window(frame)
-            roi = camera.roi(frame, window)
-            context = camera.nothing(frame)
-            if rules.context or not how.looks:
-                context = camera.context(frame, frame - step + 1)
-            percept: Percept = stages.tell("tracker", context=context, roi=roi)
+            context, roi = camera.expose(frame, frame - step + 1, window)
+            if how.looks and not rules.context:
+                context = camera.nothing(frame)
+            percept: Percept = loop.stages.tell("tracker", context=context, roi=roi)
             box = percept.boxes[0]
             if how.looks:
                 shown = float(covered(target.boxes[frame][None], np.array(window, np.float32))[0])
                 found.windows.append(window)
-                box = replaced.percept(box, target.boxes[frame], shown)
+                box = loop.replaced.percept(box, target.boxes[frame], shown)
             gaze.after(frame, roi)
         if frame > start:
             known = bool(target.visible[frame] > 0)
@@ -99,44 +101,36 @@ def run(
             found.iou.append(float(overlap))
             found.kept.append(kept)
             found.shown.append(shown if known else float("nan"))
+    found.read_px, found.full_px = camera.counted()
     return found
 
 
 class Gaze:
     """Where the ROI is in each frame of an episode, by strategy."""
 
-    def __init__(
-        self,
-        camera: Camera,
-        stages: Stages,
-        tracks: Sequence[Tracks],
-        target: Target,
-        start: int,
-        rules: Rules,
-        replaced: Replaced,
-    ) -> None:
-        self._camera, self._stages, self._tracks = camera, stages, tracks
-        self._target, self._rules, self._replaced = target, rules, replaced
-        self._start, self._planned = start, start - rules.replan
+    def __init__(self, loop: Loop, target: Target, start: int) -> None:
+        self._loop, self._target, self._rules = loop, target, loop.rules
+        how = loop.camera.how
+        self._strategy, self._geometry = how.strategy, how.geometry
+        self._planned = start - loop.rules.replan
         self._commanded: dict[int, Window] = {}
-        self._geometry = camera.how.geometry
         field = np.array([0, 0, self._geometry.width_px, self._geometry.height_px])
         self._middle: Window = self._on(field)
-        self._held = self._on(target.boxes[start]) if rules.aimed else self._middle
-        self._planned_by_graph = camera.how.strategy in ("foveated", "round_robin")
+        self._held = self._on(target.boxes[start]) if loop.rules.aimed else self._middle
+        self._planned_by_graph = how.strategy in PLANNED
         if self._planned_by_graph:
             box = tuple(float(v) for v in target.boxes[start])
-            tour = camera.how.strategy == "round_robin"
+            tour = how.strategy == "round_robin"
             wish = {"strategy": "round_robin", "target": ""} if tour else {}
             policy: dict[str, Any] = wish or {"prompt_box": box, "target": ""}
-            stages.begin(camera.header(start), "roi_features", "policy", "dispatch", policy=policy)
+            header = loop.camera.header(start)
+            loop.stages.begin(header, "roi_features", "policy", "dispatch", policy=policy)
 
     def window(self, frame: int) -> Window:
         """Where it looks in a frame; frames are asked for in order."""
-        strategy = self._camera.how.strategy
-        if strategy == "centred":
+        if self._strategy == "centred":
             return self._middle
-        if strategy == "oracle" and self._target.visible[frame] > 0:
+        if self._strategy == "oracle" and self._target.visible[frame] > 0:
             self._held = self._on(self._target.boxes[frame])
         self._held = self._commanded.pop(frame, self._held)
         return self._held
@@ -145,14 +139,15 @@ class Gaze:
         """Let the graph plan, now that the frame is there: as in the loop, tracks before looks."""
         if not self._planned_by_graph:
             return
-        tracks = self._replaced.tracks(self._tracks[frame], frame)
+        stages, replaced = self._loop.stages, self._loop.replaced
+        tracks = replaced.tracks(self._loop.tracks[frame], frame)
         if not self._rules.prediction:
             tracks = still(tracks)
-        scanpath = self._stages.tell("policy", tracks=tracks)
-        scanpath = self._replaced.scanpath(scanpath, tracks, self._target, frame)
-        schedule: RoiSchedule | None = self._stages.tell("dispatch", scanpath=scanpath)
-        looks = self._stages.tell("roi_features", roi=roi, tracks=tracks)
-        self._stages.tell("policy", features=looks)
+        scanpath = stages.tell("policy", tracks=tracks)
+        scanpath = replaced.scanpath(scanpath, tracks, self._target, frame)
+        schedule: RoiSchedule | None = stages.tell("dispatch", scanpath=scanpath)
+        looks = stages.tell("roi_features", roi=roi, tracks=tracks)
+        stages.tell("policy", features=looks)
         if schedule is None or frame - self._planned < self._rules.replan:
             return
         self._planned = frame

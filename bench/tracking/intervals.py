@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 DRAWS = 2000
-EPISODE_FRAMES = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,9 +77,20 @@ def ratios(
     )
 
 
-def block_of(clip: str, start: int, alone: bool) -> str:
-    """The block that a start belongs to."""
-    return f"{clip} {start // EPISODE_FRAMES:04d}" if alone else clip
+def block_of(clip: str, start: int, *, alone: bool, longest: int) -> str:
+    """The block that a start belongs to: its clip, or of a single clip `longest` frames."""
+    return f"{clip} {start // longest:04d}" if alone else clip
+
+
+def add(blocks: dict[str, Block], name: str, values: Sequence[float]) -> None:
+    """One start more in a block; none where no frame counts."""
+    if values:
+        old = blocks.get(name, Block(total=0.0, frames=0, starts=0))
+        blocks[name] = Block(
+            total=old.total + sum(values),
+            frames=old.frames + len(values),
+            starts=old.starts + 1,
+        )
 
 
 def _columns(

@@ -1,22 +1,27 @@
 """Units into rows, tables and a plot."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.tracking.intervals import Block, block_of, difference, mean
+from bench.tracking.cases import ROI_ALONE, Case
+from bench.tracking.intervals import Block, add, block_of, difference, mean
+from bench.tracking.kept import Unit
 from bench.tracking.targets import HELD
-from bench.tracking.units import Case, Unit
 from drivers.simulated.strategies import WITH_ROI
 
 Row = dict[str, Any]
 Key = tuple[str, str, str]  # target, strategy, budget
-# IoU in the paper: Table 1, "Additional results … object tracking" and the budget sweep
+# IoU in the paper: Table 1, "Additional results … object tracking", the budget sweep, the longer
+# exposure of "Alternative Acquisition Baselines"; the system-level ablations tell shares of `full`
 PAPER: Mapping[Key, float] = {
     ("ball", "full", "1"): 0.281,
     ("ball", "oracle", "1/8"): 0.405,
     ("ball", "exposure", "1/8"): 0.098,
+    ("ball", "centred", "1/8"): 0.0048,  # 1.7 % of full resolution
+    ("ball", "round_robin", "1/8"): 0.0098,  # 3.5 % of it
     **{("ball", "spatial", b): v for b, v in (("1/4", 0.212), ("1/8", 0.122), ("1/16", 0.048))},
     **{("ball", "temporal", b): v for b, v in (("1/4", 0.159), ("1/8", 0.148), ("1/16", 0.144))},
     **{("ball", "foveated", b): v for b, v in (("1/4", 0.287), ("1/8", 0.283), ("1/16", 0.276))},
@@ -31,49 +36,68 @@ PAPER: Mapping[Key, float] = {
     ("player", "temporal", "1/8"): 0.402,
     ("player", "foveated", "1/8"): 0.513,
 }
-ROI_ALONE = ", ROI alone"  # ends the name of a row whose tracker does not see the context
 NOT_HELD = "ball, free or still"
 
 
-def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
+@dataclass(kw_only=True)
+class Tally:
+    """What all starts of a row add up to."""
+
+    kept: dict[str, Block] = field(default_factory=dict)  # frames that the strategy exposed
+    every: dict[str, Block] = field(default_factory=dict)  # all frames with truth
+    shown: list[float] = field(default_factory=list)  # share of the target inside the ROI
+    read_px: int = 0
+    full_px: int = 0
+
+
+def rows(units: Sequence[Unit], *, longest: int, seed: int) -> list[Row]:
     """One row per clip, target, strategy and budget, and one over all clips."""
     found: list[Row] = []
     clips = sorted({unit["clip"] for unit in units})
     groups = [*([(c, [c]) for c in clips] if len(clips) > 1 else []), ("all", clips)]
     for name, members in groups:
         chosen = [unit for unit in units if unit["clip"] in members]
-        for key, blocks in gathered(chosen, kept_only=True).items():
-            target, strategy, budget = key
-            figures = mean(blocks, seed=seed)
-            row: Row = {
-                "clip": name if len(clips) > 1 else clips[0],
-                "target": target,
-                "strategy": strategy,
-                "budget": budget,
-                "iou": _round(figures.iou),
-                "ci95": [_round(figures.low), _round(figures.high)],
-                "frames": figures.frames,
-                "starts": figures.starts,
-            }
-            if strategy in ("temporal", "exposure"):
-                every = mean(gathered(chosen, kept_only=False)[key], seed=seed)
-                row["iou_all_frames"] = _round(every.iou)
-            if (share := shown(chosen, key)) is not None:
-                row["roi_coverage"] = _round(share)
-            paper = PAPER.get((target, strategy.removesuffix(ROI_ALONE), budget))
-            if name == "all" and paper is not None:
+        for key, tally in gathered(chosen, longest=longest).items():
+            row = _row(key, tally, seed=seed)
+            if name == "all" and (paper := _paper(key)) is not None:
                 row["paper"] = paper
-            found.append(row)
+            found.append({"clip": name if len(clips) > 1 else clips[0], **row})
     return found
 
 
-def paired(units: Sequence[Unit], cases: Sequence[Case], *, seed: int) -> list[Row]:
+def _row(key: Key, tally: Tally, *, seed: int) -> Row:
+    target, strategy, budget = key
+    figures = mean(tally.kept, seed=seed)
+    row: Row = {
+        "target": target,
+        "strategy": strategy,
+        "budget": budget,
+        "iou": _round(figures.iou),
+        "ci95": [_round(figures.low), _round(figures.high)],
+        "frames": figures.frames,
+        "starts": figures.starts,
+        "pixels": _round(tally.read_px / tally.full_px),
+    }
+    if strategy in ("temporal", "exposure"):
+        row["iou_all_frames"] = _round(mean(tally.every, seed=seed).iou)
+    if tally.shown:
+        row["roi_coverage"] = _round(sum(tally.shown) / len(tally.shown))
+    return row
+
+
+def _paper(key: Key) -> float | None:
+    target, strategy, budget = key
+    return PAPER.get((target, strategy.removesuffix(ROI_ALONE), budget))
+
+
+def paired(units: Sequence[Unit], cases: Sequence[Case], *, longest: int, seed: int) -> list[Row]:
     """Differences between rows at the same budget (and to what has none), paired by block.
 
     Each row of the policy is told against what is none of it, and against those that `varies`
     finds: all against all would be read by nobody.
     """
-    blocks = gathered(units, kept_only=True)
+    tallies = gathered(units, longest=longest)
+    blocks = {key: tally.kept for key, tally in tallies.items()}
     planned = {case.name: case for case in cases if case.strategy == "foveated"}
     first = next(iter(planned.values()), None)
     found = []
@@ -112,32 +136,30 @@ def varies(case: Case, other: Case, first: Case) -> bool:
     return len(differ) == 1 and ours[differ[0]] == plain[differ[0]]
 
 
-def gathered(units: Iterable[Unit], *, kept_only: bool) -> dict[Key, dict[str, Block]]:
+def gathered(units: Sequence[Unit], *, longest: int) -> dict[Key, Tally]:
     """Sums by row and block; the ball counts whole, by state, and as free or still."""
-    units = list(units)
     alone = len({unit["clip"] for unit in units}) == 1
-    sums: dict[Key, dict[str, list[float]]] = {}
+    found: dict[Key, Tally] = {}
     for unit in units:
         for episode in unit["episodes"]:
-            block = block_of(unit["clip"], episode["start"], alone)
-            for name, values in split(unit["kind"], episode, kept_only).items():
-                if values:
-                    key = (name, unit["case"], unit["budget"])
-                    entry = sums.setdefault(key, {}).setdefault(block, [0.0, 0, 0])
-                    entry[0] += sum(values)
-                    entry[1] += len(values)
-                    entry[2] += 1
-    return {
-        key: {
-            name: Block(total=total, frames=int(frames), starts=int(count))
-            for name, (total, frames, count) in blocks.items()
-        }
-        for key, blocks in sums.items()
-    }
+            block = block_of(unit["clip"], episode["start"], alone=alone, longest=longest)
+            every, kept, shown = (
+                split(unit["kind"], episode, figure, kept_only=only)
+                for figure, only in (("iou", False), ("iou", True), ("shown", True))
+            )
+            for name in every:
+                tally = found.setdefault((name, unit["case"], unit["budget"]), Tally())
+                add(tally.every, block, every[name])
+                add(tally.kept, block, kept[name])
+                if kept[name]:
+                    tally.shown += shown[name]
+                    tally.read_px += episode["read_px"]
+                    tally.full_px += episode["full_px"]
+    return {key: tally for key, tally in found.items() if tally.kept}
 
 
 def split(
-    kind: str, episode: Mapping[str, Any], kept_only: bool, figure: str = "iou"
+    kind: str, episode: Mapping[str, Any], figure: str, *, kept_only: bool
 ) -> dict[str, list[float]]:
     """A figure of one start's frames, under each name that they count for."""
     frames = [
@@ -155,25 +177,12 @@ def split(
     return found
 
 
-def shown(units: Iterable[Unit], key: Key) -> float | None:
-    """Mean share of the target inside the ROI, None for strategies without."""
-    target, strategy, budget = key
-    values = [
-        value
-        for unit in units
-        if (unit["case"], unit["budget"]) == (strategy, budget)
-        for episode in unit["episodes"]
-        for value in split(unit["kind"], episode, True, "shown").get(target, ())
-    ]
-    return sum(values) / len(values) if values else None
-
-
 def markdown(report: Mapping[str, Any]) -> str:
     """The aggregate rows as a table, the paper's figure beside ours, and the paired differences."""
     lines = [
-        "| target | budget | strategy | IoU | 95 % | all frames | in ROI | paper "
+        "| target | budget | strategy | IoU | 95 % | paper | all frames | in ROI | pixels "
         "| starts | frames |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     last = [r for r in report["rows"] if r["clip"] == "all" or len(report["clips"]) == 1]
     for row in sorted(last, key=lambda r: (r["target"], _budget(r["budget"]), r["strategy"])):
@@ -183,9 +192,10 @@ def markdown(report: Mapping[str, Any]) -> str:
             row["strategy"],
             _show(row["iou"]),
             " – ".join(_show(v) for v in row["ci95"]),
+            _show(row.get("paper")),
             _show(row.get("iou_all_frames")),
             _show(row.get("roi_coverage")),
-            _show(row.get("paper")),
+            f"{row['pixels']:.4f}",
             str(row["starts"]),
             str(row["frames"]),
         ]

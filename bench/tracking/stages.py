@@ -5,6 +5,7 @@ clip, and every episode adds policy, encoder and tracker only. That this is the 
 tested against the in-line runner on the shipped graph.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.tracking.budgets import Acquisition
+from bench.tracking.budgets import TOLERANCE, Acquisition
 from bench.tracking.clip import Clip
 from bench.tracking.replaced import Replaced
 from drivers.simulated.readout import Readout, Window
@@ -45,10 +46,9 @@ class Stages:
             cls = load_operator(node.operator)
             self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))
 
-    @property
-    def horizon(self) -> int:
-        """Tp: how many frames a plan reaches."""
-        return int(self._parts["policy"].settings.horizon)
+    def settings(self, name: str) -> Any:
+        """What a stage is built with, defaults included."""
+        return self._parts[name].settings
 
     def __enter__(self) -> "Stages":
         try:
@@ -84,10 +84,34 @@ class Camera:
         self._readout = Readout(mosaic=False, noise=0, seed=0, most_px=width * height)
         self._whole = (0, 0, width, height)
         self._contexts: dict[int, Frame] = {}
-        context, roi = how.sampling.context_px, how.sampling.roi_px
-        self._roi = np.empty(self._readout.shape(roi), np.uint8)
+        self._roi = np.empty(self._readout.shape(how.sampling.roi_px), np.uint8)
+        self.begin()
+
+    def begin(self) -> None:
+        """Count anew."""
         self.emitted_px = self.exposures = 0
-        self._per_exposure = context[0] * context[1] + roi[0] * roi[1]
+
+    def expose(self, frame: int, first: int, window: Window) -> tuple[Frame, Frame]:
+        """Context and ROI of one exposure, whose pixels are counted."""
+        context, roi = self.context(frame, first), self.roi(frame, window)
+        self.exposures += 1
+        self.emitted_px += sum(math.prod(part.pixels.shape[:2]) for part in (context, roi))
+        return context, roi
+
+    def counted(self) -> tuple[int, int]:
+        """Pixels read since `begin`, and those that full resolution would have had meanwhile.
+
+        An exposure stands for all frames until the next, also where the clip ends before it.
+        Raises `RunError` where that is not the budget.
+        """
+        frames = self.exposures * self.how.sampling.interval
+        full_px = frames * math.prod(self._clip.size_px)
+        if self.exposures and not self.how.met_by(self.emitted_px / full_px):
+            raise RunError(
+                f"{self._clip.name}: {self.how.strategy} read {self.emitted_px / full_px:.5f} of "
+                f"the pixels, expected {float(self.how.budget):.5f} within {TOLERANCE:.0%}"
+            )
+        return self.emitted_px, full_px
 
     def header(self, frame: int) -> Header:
         """The header of a frame of the clip."""
@@ -133,11 +157,6 @@ class Camera:
             )
         self._readout.read(self._clip.pictures[frame], window, self._roi, seq=frame, port=1)
         return Frame(header=self.header(frame), pixels=self._roi, window=window)
-
-    def count(self) -> None:
-        """One exposure more."""
-        self.exposures += 1
-        self.emitted_px += self._per_exposure
 
 
 def watched(camera: Camera, stages: Stages, frames: int, replaced: Replaced) -> list[Tracks]:

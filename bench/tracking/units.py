@@ -1,70 +1,25 @@
 """The work of an evaluation, cut into units that are written as they are done: cases x clips."""
 
-import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, wait
-from dataclasses import asdict, dataclass, replace
-from fractions import Fraction
 from hashlib import sha256
 from pathlib import Path
-from time import monotonic
-from typing import Any
 
-import cv2
+import click
 from tqdm import tqdm
 
-from bench.tracking.budgets import acquisition
-from bench.tracking.clip import ClipName, read
-from bench.tracking.episode import Rules, run
-from bench.tracking.replaced import Replaced
-from bench.tracking.stages import NEEDED, Camera, Stages, watched
-from bench.tracking.targets import Target, starts, targets
-from drivers.simulated.readout import Window
+from bench.tracking.budgets import PLANNED
+from bench.tracking.cases import Case, Protocol
+from bench.tracking.clip import ClipName
+from bench.tracking.job import Work, follow, same_gaze
+from bench.tracking.kept import Unit, forget_damaged, units
+from bench.tracking.key import clip_key, key
 from operators.training.workers import pool_of
-from pipeline.fleet.allow import code_digest, file_digest
-from pipeline.graph.loader import load
-from pipeline.graph.overlay import Overlay
-from pipeline.graph.plan import Node
-from pipeline.messages import Geometry, Tracks
 
 LOOK_S = 1.0  # between looks at what is done
-KEEP_S = 20.0  # between writings of a unit that is not finished: what an interruption may cost
-PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
-OPERATORS = Path(__file__).parents[2] / "operators"
-CODE = (  # what figures come from, beside the operators that a case needs
-    *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
-    *(f"bench.tracking.{name}" for name in ("budgets", "clip", "episode", "replaced")),
-    *(f"bench.tracking.{name}" for name in ("stages", "targets", "units")),
-)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """One row of a table: a strategy at a budget, and what was changed about it."""
-
-    strategy: str
-    budget: str  # a fraction
-    name: str  # as the table calls it
-    rules: Rules
-    replaced: tuple[str, ...] = ()
-    changes: tuple[str, ...] = ()  # of the graph, as --set takes them
-
-
-@dataclass(frozen=True, kw_only=True)
-class Protocol:
-    """What all cases have in common."""
-
-    graph: str
-    frames: tuple[int, int]  # first and last, counted from 1
-    kinds: tuple[str, ...]
-    every: int = 8  # frames between starts
-    players: int = 1
-    seed: int = 0
-
-
-Gazes = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure
-Episode = dict[str, Any]  # start, iou, kept, shown, state
-Unit = dict[str, Any]  # clip, case, target, kind, episodes
+COMPLAINTS = "warnings.log"  # what the parts had to say, beside the units
+# measured, in rows whose windows are known or need no network
+COST = {"temporal": 0.2, "exposure": 2.0, **dict.fromkeys(PLANNED, 2.0)}
 
 
 def measured(
@@ -78,166 +33,72 @@ def measured(
     """All units, from the folder where they are known, from work where they are not."""
     folder.mkdir(parents=True, exist_ok=True)
     keys = [key(case, protocol) for case in cases]
-    places = {clip: [_place(folder, clip, told) for told in keys] for clip in clips}
+    places = {clip: _places(folder, clip, protocol, keys) for clip in clips}
+    paths = [path for found in places.values() for path in found]
+    forget_damaged(paths)
+    left = {
+        clip: [work for work in zip(cases, found, strict=True) if not work[1].exists()]
+        for clip, found in places.items()
+    }
+    complaints = folder / COMPLAINTS
+    before = _lines(complaints)
+    finished = sum(path.exists() for path in paths)
     with (
         pool_of(jobs) as pool,
-        tqdm(total=len(clips) * len(cases), desc="units", unit="unit", smoothing=0) as bar,
+        tqdm(total=len(paths), initial=finished, desc="units", unit="unit", smoothing=0) as bar,
     ):
-        bar.initial = _finished(places)
         waiting = {
-            pool.submit(_measure, clip, tuple(cases), protocol, tuple(paths))
-            for clip, paths in places.items()
-            if not all(path.exists() for path in paths)
+            pool.submit(follow, clip, work, protocol, complaints) for clip, work in cut(left, jobs)
         }
         while waiting:
             done, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
             for job in done:
                 job.result()
-            bar.n = _finished(places)
+            bar.n = sum(path.exists() for path in paths)
             bar.refresh()
-    return [unit for paths in places.values() for path in paths for unit in _units(path)]
+    if more := _lines(complaints) - before:
+        click.echo(f"{more} warnings: {complaints}", err=True)
+    return [unit for path in paths for unit in units(path)]
 
 
-def _finished(places: Mapping[ClipName, Sequence[Path]]) -> int:
-    return sum(path.exists() for paths in places.values() for path in paths)
+def cut(
+    left: Mapping[ClipName, Sequence[Work]], jobs: int
+) -> list[tuple[ClipName, tuple[Work, ...]]]:
+    """What each job does: a clip, or a part of one where processes would have nothing to do.
 
-
-def _units(path: Path) -> list[Unit]:
-    found: list[Unit] = json.loads(path.read_text())
-    return found
-
-
-def _measure(
-    clip_name: ClipName, cases: Sequence[Case], protocol: Protocol, paths: Sequence[Path]
-) -> None:
-    """All cases of one clip, each written when it is done."""
-    cv2.setNumThreads(1)
-    clip = read(clip_name, protocol.frames)
-    seed = protocol.seed + max(clip_name.seed, 0)
-    subjects = targets(clip.truths, protocol.kinds, players=protocol.players, seed=seed)
-    seen: dict[tuple[tuple[int, int], Geometry, bool], list[Tracks]] = {}
-    looked: dict[Case, Gazes] = {}
-    for changes in sorted({case.changes for case in cases}):
-        with Stages(Path(protocol.graph), changes) as stages:
-            for case, path in zip(cases, paths, strict=True):
-                if case.changes != changes or path.exists():
-                    continue
-                how = acquisition(case.strategy, Fraction(case.budget), clip.size_px)
-                camera = Camera(clip, how)
-                replaced = Replaced(parts=frozenset(case.replaced), truths=clip.truths)
-                # tracks carry the geometry of the ROI, by which the graph plans its windows
-                context = (how.sampling.context_px, how.geometry, "detections" in replaced.parts)
-                if case.strategy in PLANNED and context not in seen:
-                    seen[context] = watched(camera, stages, len(clip.truths), replaced)
-                gaze = looked.setdefault(_same_gaze(case), {})
-                draft = Draft(path.with_suffix(".part"))
-                known = seen.get(context, ())
-                done = [
-                    _followed(camera, stages, known, t, case, protocol, replaced, gaze, draft)
-                    for t in subjects
-                ]
-                for unit in done:
-                    unit |= {"clip": str(clip_name), "case": case.name, "budget": case.budget}
-                draft.finish(done, path)
-
-
-def _followed(
-    camera: Camera,
-    stages: Stages,
-    tracks: Sequence[Tracks],
-    target: Target,
-    case: Case,
-    protocol: Protocol,
-    replaced: Replaced,
-    gaze: Gazes,
-    draft: "Draft",
-) -> Unit:
-    episodes = []
-    for start in starts(target, protocol.every):
-        if episode := draft.known(target.id, start):
-            episodes.append(episode)
-            continue
-        looked = gaze.get((target.id, start), ())
-        outcome = run(camera, stages, tracks, target, start, case.rules, replaced, looked)
-        gaze[target.id, start] = outcome.windows
-        if outcome.iou:
-            episode = {
-                "start": start,
-                "iou": [round(v, 4) if v == v else None for v in outcome.iou],
-                "kept": outcome.kept,
-                "shown": [round(v, 3) if v == v else None for v in outcome.shown],
-                "state": list(target.state[start + 1 : start + 1 + len(outcome.iou)]),
-            }
-            episodes.append(episode)
-            draft.add(target.id, episode)
-    return {"target": target.id, "kind": target.kind, "episodes": episodes}
-
-
-class Draft:
-    """The episodes of a unit that is not finished, in a file beside it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._written_s = path, monotonic()
-        self._episodes: dict[str, Episode] = {}
-        if path.exists():
-            self._episodes = json.loads(path.read_text())
-
-    def known(self, target: int, start: int) -> Episode | None:
-        """What an interrupted run found out about a start; None: nothing."""
-        return self._episodes.get(f"{target} {start}")
-
-    def add(self, target: int, episode: Episode) -> None:
-        """Take one in, and write all of them now and then."""
-        self._episodes[f"{target} {episode['start']}"] = episode
-        if monotonic() - self._written_s >= KEEP_S:
-            _write(self._path, self._episodes)
-            self._written_s = monotonic()
-
-    def finish(self, done: Sequence[Unit], path: Path) -> None:
-        """Write the finished unit; what was kept of it is needed no more."""
-        _write(path, done)
-        self._path.unlink(missing_ok=True)
-
-
-def _write(path: Path, content: Any) -> None:
-    """Whole or not at all."""
-    unfinished = path.with_suffix(f"{path.suffix}.new")
-    unfinished.write_text(json.dumps(content))
-    unfinished.rename(path)
-
-
-def _same_gaze(case: Case) -> Case:
-    """What cases have in common whose ROI is at the same places."""
-    return replace(case, name="", rules=replace(case.rules, context=True))
-
-
-def key(case: Case, protocol: Protocol) -> str:
-    """Tells units of a clip apart: all that their figures come from, by content.
-
-    Other settings, networks or code make another key, as far as the case needs the parts: a
-    strategy that plans nothing needs the tracker alone.
+    A part costs reading the clip once more, and the memory for it.
     """
-    plan = load(Path(protocol.graph), Overlay(changes=case.changes, clock="lockstep"))
-    wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
-    nodes = [node for node in plan.nodes if node.name in wanted]
-    parts = [
-        [node.name, node.settings, code_digest(node.operator), *_networks(node)] for node in nodes
-    ]
-    code = [code_digest(module) for module in CODE]
-    common = asdict(replace(protocol, graph=""))  # of the graph, its parts count
-    whole = [asdict(case), common, code, parts, file_digest(OPERATORS / "weights.toml")]
-    return json.dumps(whole, sort_keys=True, default=str)
+    clips = [clip for clip, work in left.items() if work]
+    rest = len(clips) % jobs
+    whole, last = clips[: len(clips) - rest], clips[len(clips) - rest :]
+    parts = [(clip, part) for clip in last for part in _parts(left[clip], jobs // rest)]
+    return [*((clip, tuple(left[clip])) for clip in whole), *parts]
 
 
-def _networks(node: Node) -> list[str]:
-    """Digests of the networks that lie beside a part's code, and of those its settings name."""
-    folder = OPERATORS / Path(*node.operator.partition(":")[0].split(".")[1:])
-    named = [Path(v) for v in node.settings.values() if isinstance(v, str) and v.endswith(".onnx")]
-    files = [*sorted(folder.glob("*.onnx")), *(path for path in named if path.is_file())]
-    return [file_digest(path) for path in files]
+def _parts(work: Sequence[Work], count: int) -> list[tuple[Work, ...]]:
+    """At most so many parts of about equal cost.
+
+    Rows with the same windows stay together, and those of a budget beside one another: what the
+    detector sees there is found out once, or twice where the cut is.
+    """
+    groups: dict[Case, list[Work]] = {}
+    for each in sorted(work, key=lambda w: (w[0].budget, "detections" in w[0].replaced)):
+        groups.setdefault(same_gaze(each[0]), []).append(each)
+    costs = [COST.get(case.strategy, 1.0) + len(same) - 1 for case, same in groups.items()]
+    parts: list[list[Work]] = [[] for _ in range(count)]
+    before = 0.0
+    for cost, same in zip(costs, groups.values(), strict=True):
+        parts[int((before + cost / 2) / sum(costs) * count)] += same
+        before += cost
+    return [tuple(part) for part in parts if part]
 
 
-def _place(folder: Path, clip: ClipName, key: str) -> Path:
-    """Where a unit is kept."""
-    digest = sha256(f"{key} {clip.seed} {clip.folder}".encode()).hexdigest()
-    return folder / f"{clip}-{digest[:16]}.json"
+def _places(folder: Path, clip: ClipName, protocol: Protocol, keys: Sequence[str]) -> list[Path]:
+    """Where the units of a clip are kept."""
+    content = clip_key(clip, protocol.frames)
+    digests = [sha256(f"{key} {content}".encode()).hexdigest() for key in keys]
+    return [folder / f"{clip}-{digest[:16]}.json" for digest in digests]
+
+
+def _lines(path: Path) -> int:
+    return path.read_text().count("\n") if path.exists() else 0

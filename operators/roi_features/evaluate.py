@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from drivers.sequence import span
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from drivers.source import FrameSource
@@ -170,16 +171,6 @@ def report(
         | found_again(found)
         for name, found in looks.items()
     }
-
-
-def span(text: str) -> tuple[int, int]:
-    """Frames as they are typed.
-
-    >>> span("251-375")
-    (251, 375)
-    """
-    first, _, last = text.partition("-")
-    return int(first), int(last or 0)
 
 
 @in_a_sentence()

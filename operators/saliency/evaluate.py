@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from drivers.sequence import span
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from operators.saliency.example import BALL, NAMES, Example
-from operators.saliency.render import FULL_PX, RATE_HZ, example, moments, span
+from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
 from operators.saliency.saliency import SHIPPED, Detector, Saliency, SaliencySettings
 from operators.training.command_line import count, in_a_sentence
 from operators.training.onnx_files import describe

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
+from drivers.sequence import span
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
 from drivers.source import FrameSource
@@ -103,16 +104,6 @@ def convert(footage: Path, frames: tuple[int, int], folder: Path) -> int:
     source.close()
     _write(examples, folder / f"{first}.npz", {})
     return len(examples)
-
-
-def span(text: str) -> tuple[int, int]:
-    """Frames as they are typed.
-
-    >>> span("251-375"), span("7")
-    ((251, 375), (7, 7))
-    """
-    first, _, last = text.partition("-")
-    return int(first), int(last or first)
 
 
 def _write(examples: Sequence[Example], path: Path, made: Identity) -> None:

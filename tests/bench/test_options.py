@@ -1,11 +1,12 @@
 """A bench that cannot run says why in one sentence."""
 
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 from click.testing import CliRunner
 
-from bench import crash, loop, soak
+from bench import crash, kalman, loop, scene, soak
 
 
 @pytest.mark.parametrize("bench", [crash, loop, soak])
@@ -19,3 +20,16 @@ def test_a_wrong_setting_is_one_sentence_and_exit_status_1(bench: object, tmp_pa
     assert done.output.startswith("Error: ")
     assert "did you mean 'rate_hz'" in done.output
     assert len(done.output.splitlines()) == 1
+
+
+@pytest.mark.parametrize("bench", [kalman, scene])
+def test_footage_that_is_not_there_is_one_sentence_and_exit_status_2(
+    bench: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["bench", "--data", "/nowhere"])
+
+    with pytest.raises(SystemExit) as ended:
+        bench.main()
+
+    assert ended.value.code == 2
+    assert "error: /nowhere" in capsys.readouterr().err

@@ -1,15 +1,43 @@
 """What the parts take is measured on the shipped graph, with as many objects as it says."""
 
-from bench.run_time import COUNTS, by_objects, by_objects_markdown, markdown, run_time
+from pathlib import Path
+
+from bench.run_time import (
+    COUNTS,
+    TOTAL,
+    by_objects,
+    by_objects_markdown,
+    markdown,
+    networks_of,
+    run_time,
+)
+from bench.tracking.options import GRAPH
+from bench.tracking.stages import Stages
 
 
 def test_every_part_is_timed_with_all_objects_described() -> None:
     table = run_time(("policy.strategy=pursue", "tracker.method=correlation"), frames=4)
 
     assert table["objects"]["p50"] > 5
+    total = table[TOTAL]
+    assert total["p50"] >= table["saliency"]["p50"] + table["association"]["p50"]
+    assert f"| {TOTAL} | {total['p50']} | {total['p99']} | 64.7 |" in markdown(table)
     for name in ("downsample", "saliency", "association", "policy", "roi_features", "tracker"):
         assert 0 < table[name]["p50"] <= table[name]["p99"]
     assert f"| saliency | {table['saliency']['p50']} |" in markdown(table)
+
+
+def test_the_networks_that_are_timed_alone_are_those_of_the_graph(tmp_path: Path) -> None:
+    own = tmp_path / "policy.onnx"
+
+    shipped, given, none = (
+        networks_of(Stages(GRAPH, changes))
+        for changes in ((), (f"policy.weights={own}",), ("policy.strategy=pursue",))
+    )
+
+    assert [file.name for file in shipped] == ["roi_encoder.onnx", "policy.onnx"]
+    assert given == [shipped[0], own]
+    assert none == shipped[:1]
 
 
 def test_more_objects_take_more_time() -> None:

@@ -7,9 +7,11 @@ import pytest
 from click.testing import CliRunner
 
 from bench.tables import NAMES, main, studies, together
+from bench.tracking.cases import ROI_ALONE
 from bench.tracking.evaluate import asked, command
+from bench.tracking.options import options_of
 from bench.tracking.replaced import PARTS
-from bench.tracking.report import ROI_ALONE
+from operators.policy.learned import SHIPPED
 from tests.drivers.sequences import write_sequence
 
 CLIPS = {"budgets": 30, "late": 6, "late-hold": 6, "far": 2, "far-hold": 2}
@@ -25,7 +27,7 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
     rows = {}
     for name, words in found.items():
         with command.make_context(name, [*words, "--tracker", "correlation"]) as context:
-            cases, _, clips, _ = asked(context.params)
+            cases, _, clips = asked(options_of(context.params))
         assert len(clips) == (1 if quick else CLIPS.get(name, 10))
         rows[name] = [case.name.removesuffix(ROI_ALONE) for case in cases]
 
@@ -43,14 +45,15 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
 @pytest.mark.parametrize("quick", [False, True])
 def test_real_footage_is_a_study_where_it_is_given(quick: bool, tmp_path: Path) -> None:
     game = "[Sequence]\nnum_tracklets=0\n"
-    folder = write_sequence(tmp_path / "clip", gt="", gameinfo=game)
+    info = "[Sequence]\nframeRate=25\nseqLength=24\nimWidth=1920\nimHeight=1080\n"
+    folder = write_sequence(tmp_path / "clip", gt="", gameinfo=game, frames=24, info=info)
     weights = tmp_path / "policy.onnx"
     weights.touch()
     found = studies(30, str(folder), (), (), far=str(weights), quick=quick)
 
     for name in (name for name in NAMES if name.endswith("soccernet")):
         with command.make_context(name, [*found[name], "--tracker", "correlation"]) as context:
-            cases, protocol, clips, _ = asked(context.params)
+            cases, protocol, clips = asked(options_of(context.params))
         assert [clip.folder for clip in clips] == [str(folder)]
         assert protocol.frames == ((1, 24) if quick else (1, 0))
         assert cases
@@ -61,6 +64,36 @@ def test_a_study_that_lacks_what_it_needs_is_refused(tmp_path: Path) -> None:
 
     assert result.exit_code == 2
     assert "--only far: needs" in result.output
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--ablation", "x=/nowhere.onnx"], "ablation: policy: expected an ONNX file or pursue"),
+        (["--far", "/nowhere.onnx"], "far: policy: expected an ONNX file or pursue"),
+        (["--far", str(SHIPPED)], f"far: {SHIPPED}: expected horizon 200"),
+        (["--soccernet", "/nowhere"], "soccernet: /nowhere: expected a folder of SoccerNet"),
+        (["--clips", "0"], "budgets: clips: must be at least 1, got 0"),
+    ],
+)
+def test_a_study_that_cannot_be_measured_is_refused_before_the_first_is(
+    words: list[str], said: str, tmp_path: Path
+) -> None:
+    given = ["--out", str(tmp_path), "--tracker", "correlation", *words]
+
+    result = CliRunner().invoke(main, given)
+
+    assert result.exit_code == 2
+    assert f"Error: {said}" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_eight_players_are_a_study_of_their_own() -> None:
+    words = studies(30, "footage", (), ())["players-soccernet"]
+
+    assert words == [
+        *("--data", "footage", "--targets", "player", "--players", "8", "--every", "24")
+    ]
 
 
 def test_tables_hold_every_study_that_lies_in_the_folder(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """The evaluation: equal budgets, states told by the truth, honest intervals, the loop itself."""
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,8 +12,8 @@ from click.testing import CliRunner
 
 from bench.tracking.budgets import acquisition, parsed
 from bench.tracking.clip import Clip, ClipName, names, read
-from bench.tracking.episode import Rules, run
-from bench.tracking.evaluate import command, interval, policy_files
+from bench.tracking.episode import Loop, Rules, run
+from bench.tracking.evaluate import command
 from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
@@ -21,7 +23,7 @@ from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, RunError, SettingsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
-from pipeline.messages import Frame
+from pipeline.messages import Frame, Tracks
 from pipeline.run.inline import InlineRunner
 from tests.drivers.sequences import write_sequence
 
@@ -136,6 +138,10 @@ def clip() -> Clip:
     return read(ClipName(seed=70_003), (1, 14))
 
 
+def loop(camera: Camera, stages: Stages, tracks: Sequence[Tracks] = (), **rules: bool) -> Loop:
+    return Loop(camera=camera, stages=stages, tracks=tracks, rules=Rules(**rules))  # type: ignore[arg-type]
+
+
 def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     box = [float(v) for v in ball.boxes[0]]
@@ -154,11 +160,11 @@ def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
     camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
     with Stages(GRAPH, ("policy.strategy=pursue", "tracker.method=correlation")) as stages:
         tracks = watched(camera, stages, 14, Replaced())
-        outcome = run(camera, stages, tracks, ball, 0, Rules(aimed=False), Replaced())
+        outcome = run(loop(camera, stages, tracks, aimed=False), ball, 0)
 
     assert outcome.windows == looked
     assert len(set(looked)) > 1
-    assert camera.emitted_px == pytest.approx(14 * HD[0] * HD[1] / 8, rel=0.01)
+    assert outcome.read_px == pytest.approx(14 * HD[0] * HD[1] / 8, rel=0.01)
 
 
 def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip) -> None:
@@ -167,7 +173,7 @@ def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip) -> Non
     with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
         for strategy in ("full", "oracle", "spatial"):
             camera = Camera(clip, acquisition(strategy, Fraction(1, 16), clip.size_px))
-            outcome = run(camera, stages, (), ball, 0, Rules(), Replaced())
+            outcome = run(loop(camera, stages), ball, 0)
             means[strategy] = np.nanmean(outcome.iou)
 
     assert means["full"] == pytest.approx(means["oracle"], abs=0.1)
@@ -180,7 +186,7 @@ def test_a_perfect_tracker_is_as_good_as_what_the_roi_shows(clip: Clip) -> None:
     known = Replaced(parts=frozenset({"tracker"}), truths=clip.truths)
 
     with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
-        outcome = run(camera, stages, (), ball, 0, Rules(), known)
+        outcome = run(replace(loop(camera, stages), replaced=known), ball, 0)
 
     assert np.nanmin(outcome.iou) == pytest.approx(1)
 
@@ -196,8 +202,7 @@ def test_a_tracker_that_sees_the_roi_alone_holds_its_box_while_the_target_is_out
 
     with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
         alone, both = (
-            run(camera, stages, (), aside, 0, Rules(context=context), Replaced())
-            for context in (False, True)
+            run(loop(camera, stages, context=context), aside, 0) for context in (False, True)
         )
 
     held = [float(iou(aside.boxes[:1], box[None])[0, 0]) for box in aside.boxes[1:]]
@@ -215,12 +220,40 @@ def test_a_window_of_more_pixels_than_the_budget_has_is_refused(clip: Clip) -> N
         camera.roi(3, (0, 0, *quarter))
 
 
+@pytest.mark.parametrize("strategy", ["full", *STRATEGIES])
+def test_what_the_sensor_reads_of_an_episode_is_counted(clip: Clip, strategy: str) -> None:
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    how = acquisition(strategy, Fraction(1, 8), clip.size_px)
+    camera = Camera(clip, how)
+
+    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+        tracks = watched(camera, stages, 14, Replaced())
+        both, alone = (
+            run(loop(camera, stages, tracks, context=context), ball, 2) for context in (True, False)
+        )
+
+    assert both.read_px / both.full_px == pytest.approx(float(how.budget), rel=0.01)
+    assert (alone.read_px, alone.full_px) == (both.read_px, both.full_px)
+
+
+def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip) -> None:
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    quarter = acquisition("oracle", Fraction(1, 4), clip.size_px)
+    camera = Camera(clip, replace(quarter, budget=Fraction(1, 8)))
+
+    with (
+        Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages,
+        pytest.raises(RunError, match=r"oracle read 0\.25\d* of the pixels, expected 0\.125"),
+    ):
+        run(loop(camera, stages), ball, 0)
+
+
 def test_where_the_roi_was_can_be_told_again(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
     with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
-        first = run(camera, stages, (), ball, 2, Rules(), Replaced())
-        again = run(camera, stages, (), ball, 2, Rules(), Replaced(), first.windows)
+        first = run(loop(camera, stages), ball, 2)
+        again = run(loop(camera, stages), ball, 2, first.windows)
 
     assert (again.windows, again.iou) == (first.windows, first.iou)
 
@@ -238,48 +271,6 @@ def test_data_of_the_wrong_shape_is_refused_in_one_sentence(tmp_path: Path) -> N
         names("procedural:x", 1)
     with pytest.raises(SettingsError, match=r"frames: .* has 1 to any, got 5-2"):
         read(ClipName(seed=1), (5, 2))
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--strategies", "magic"], "strategies: expected foveated, centred"),
-        (["--targets", "coach"], "targets: expected ball"),
-        (["--policy", "none.onnx"], "policy: expected an ONNX file or pursue, got none.onnx"),
-        (["--longest", "0"], "longest: must be at least 1 frame"),
-        (["--delay", "60"], "delay: plans reach 16 frames"),
-        (["--delay", "soon"], "delay: expected whole numbers"),
-        (["--replace", "luck"], "replace: expected detections"),
-        (["--tracker", "magic"], "tracker: expected auto"),
-        (["--frames", "1"], "frames: expected A-B"),
-    ],
-)
-def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str) -> None:
-    result = CliRunner().invoke(command, ["--data", "procedural", *words])
-
-    assert result.exit_code == 2
-    assert said in result.output
-    assert "Traceback" not in result.output
-
-
-def test_frames_that_a_sequence_does_not_have_are_refused_from_within_the_work(
-    tmp_path: Path,
-) -> None:
-    gt = "\n".join(f"{frame},1,10,10,8,8,1,-1,-1,-1" for frame in (1, 2, 3))
-    game = "[Sequence]\nnum_tracklets=1\ntrackletID_1= ball;1\n"
-    folder = write_sequence(tmp_path / "clip", gt=gt, gameinfo=game)
-    words = ["--data", str(folder), "--frames", "1-9999", "--work", str(tmp_path / "work")]
-
-    result = CliRunner().invoke(command, [*words, "--tracker", "correlation", "--jobs", "1"])
-
-    assert result.exit_code == 2
-    assert "frames: clip has 1 to" in result.output
-
-
-def test_options_are_read_as_they_are_meant() -> None:
-    assert interval("251-375") == (251, 375)
-    assert policy_files(["pursue"]) == {"": "pursue"}
-    assert policy_files(["a=pursue", "b=pursue"]) == {"a": "pursue", "b": "pursue"}
 
 
 def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
@@ -301,7 +292,7 @@ def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Pa
     assert json.loads((tmp_path / "r.json").read_text())["rows"] == report["rows"]
     after = sorted((tmp_path / "r.work").glob("*.json"))
     assert [unit.stat().st_mtime_ns for unit in after[1:]] == written[1:]
-    wanted = {"clip", "target", "strategy", "budget", "iou", "ci95", "frames", "starts"}
+    wanted = {"clip", "target", "strategy", "budget", "iou", "ci95", "frames", "starts", "pixels"}
     assert all(wanted <= set(row) for row in report["rows"])
     assert {(row["strategy"], row["against"]) for row in report["paired"]} == {
         *(("foveated", against) for against in ("centred", "temporal")),

@@ -1,17 +1,55 @@
 """What the report of an evaluation tells."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from bench.tracking.cases import Case
 from bench.tracking.episode import Rules
-from bench.tracking.report import paired
-from bench.tracking.units import Case
+from bench.tracking.report import markdown, paired, rows
+
+
+def unit(case: str, kind: str, budget: str, value: float, *starts: int) -> dict[str, Any]:
+    told = {"iou": [value] * 2, "kept": [True] * 2, "shown": [1.0] * 2, "state": ["free"] * 2}
+    counted = {"read_px": 125, "full_px": 1000}
+    episodes = [{"start": start, **told, **counted} for start in starts or (0,)]
+    return {"clip": "c", "case": case, "kind": kind, "budget": budget, "episodes": episodes}
+
+
+def test_blocks_of_a_single_clip_are_as_long_as_an_episode() -> None:
+    starts = range(0, 960, 60)
+    units = [
+        unit("full", "player", "1", iou, s) for s, iou in zip(starts, (0.2, 0.8) * 8, strict=True)
+    ]
+
+    (short,), (long,) = (rows(units, longest=longest, seed=0) for longest in (60, 480))
+
+    assert short["ci95"][0] < short["ci95"][1]
+    assert long["ci95"] == [0.5, 0.5]  # two blocks that are alike
+
+
+def test_a_row_tells_the_share_of_the_pixels_that_were_read_and_the_papers_figure() -> None:
+    strategies = {"foveated": 0.283, "round_robin": 0.0098, "centred": 0.0048, "exposure": 0.098}
+    units = [unit(name, "ball", "1/8", 0.5, 0, 8) for name in strategies]
+    units.append(unit("foveated, ROI alone", "ball", "1/8", 0.5))
+
+    found = rows(units, longest=64, seed=0)
+
+    whole = {row["strategy"]: row for row in found if row["target"] == "ball"}
+    assert {name: row["paper"] for name, row in whole.items()} == {
+        **strategies,
+        "foveated, ROI alone": 0.283,
+    }
+    assert {row["pixels"] for row in found} == {0.125}
+    assert whole["foveated"]["starts"] == 2
+    table = markdown({"rows": found, "clips": ["c"], "paired": []})
+    assert "| ball | 1/8 | centred | 0.500 | 0.500 – 0.500 | 0.005 |  | 1.000 | 0.1250 |" in table
 
 
 def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:
     late, hold = Rules(delay=13), Rules(prediction=False)
-    rows = {
+    cases = {
         "foveated": Case(strategy="foveated", budget="1/8", name="foveated", rules=Rules()),
         "late": Case(strategy="foveated", budget="1/8", name="late", rules=late),
         "true": Case(
@@ -26,12 +64,7 @@ def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:
         ),
         "spatial": Case(strategy="spatial", budget="1/8", name="spatial", rules=Rules()),
     }
-    iou = dict(zip(rows, (0.5, 0.4, 0.6, 0.5, 0.3, 0.2), strict=True))
-
-    def unit(case: str, kind: str, budget: str, value: float) -> dict[str, object]:
-        told = {"iou": [value] * 2, "kept": [True] * 2, "shown": [1.0] * 2, "state": ["seen"] * 2}
-        episodes = [{"start": 0, **told}]
-        return {"clip": "c", "case": case, "kind": kind, "budget": budget, "episodes": episodes}
+    iou = dict(zip(cases, (0.5, 0.4, 0.6, 0.5, 0.3, 0.2), strict=True))
 
     units = [
         unit(case, kind, budget, value)
@@ -41,7 +74,7 @@ def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:
     ]
     units.append(unit("full", "player", "1", 0.7))
 
-    found = paired(units, list(rows.values()), seed=0)
+    found = paired(units, list(cases.values()), longest=64, seed=0)
 
     at_eighth = [row for row in found if (row["target"], row["budget"]) == ("player", "1/8")]
     told = {(row["strategy"], row["against"]): row["difference"] for row in at_eighth}

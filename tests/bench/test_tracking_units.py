@@ -1,12 +1,22 @@
 """Units of an evaluation are known by what their figures come from."""
 
 import json
+import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from bench.tracking.cases import Case, Protocol
+from bench.tracking.clip import ClipName, read
 from bench.tracking.episode import Rules
-from bench.tracking.units import Case, ClipName, Draft, Protocol, key, measured
+from bench.tracking.job import Seen, loop_of
+from bench.tracking.kept import Draft, Unit, forget_damaged, units
+from bench.tracking.key import clip_key, key
+from bench.tracking.stages import Stages
+from bench.tracking.units import cut, measured
+from pipeline.errors import DriverError
+from tests.drivers.sequences import write_sequence
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
 
@@ -23,6 +33,16 @@ def test_a_unit_is_another_with_other_weights(tmp_path: Path) -> None:
         keys.append(keyed(GRAPH, "foveated", f"policy.weights={weights}"))
 
     assert keys[0] == keys[2] != keys[1]
+
+
+def test_a_unit_is_the_same_wherever_its_weights_lie(tmp_path: Path) -> None:
+    places = [tmp_path / name for name in ("policy.onnx", "copy.onnx")]
+    for place in places:
+        place.write_bytes(b"a")
+
+    one, other = (keyed(GRAPH, "foveated", f"policy.weights={place}") for place in places)
+
+    assert one == other
 
 
 def test_a_unit_is_the_same_in_another_place_and_another_with_other_settings(
@@ -54,7 +74,7 @@ def test_a_unit_is_another_once_the_code_of_a_part_is(
 def test_an_unfinished_unit_keeps_what_it_has_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.tracking.units.KEEP_S", 0.0)
+    monkeypatch.setattr("bench.tracking.kept.KEEP_S", 0.0)
     Draft(tmp_path / "unit.part").add(3, {"start": 8, "iou": [0.5]})
 
     again = Draft(tmp_path / "unit.part")
@@ -65,12 +85,29 @@ def test_an_unfinished_unit_keeps_what_it_has_found_out(
     assert [path.name for path in tmp_path.iterdir()] == ["unit.json"]
 
 
-def test_an_interrupted_unit_goes_on_within_a_clip(tmp_path: Path) -> None:
-    clips, changes = [ClipName(seed=70_003)], ("tracker.method=correlation",)
-    case = Case(strategy="spatial", budget="1/8", name="spatial", rules=Rules(), changes=changes)
-    protocol = Protocol(graph=str(GRAPH), frames=(1, 20), kinds=("ball",))
-    (whole,) = measured(clips, [case], protocol, tmp_path, jobs=1)
-    (file,) = tmp_path.iterdir()
+def row(strategy: str = "spatial", budget: str = "1/4", **more: Any) -> Case:
+    changes = ("tracker.method=correlation",)
+    given = {"name": strategy, "rules": Rules(), "changes": changes, **more}
+    return Case(strategy=strategy, budget=budget, **given)
+
+
+@pytest.fixture
+def footage(tmp_path: Path) -> Path:
+    """A ball of 8 pixels that moves by one a frame."""
+    gt = "\n".join(f"{frame},1,{10 + frame},10,8,8,1,-1,-1,-1" for frame in range(1, 17))
+    game = "[Sequence]\nnum_tracklets=1\ntrackletID_1= ball;1\n"
+    return write_sequence(tmp_path / "clip", gt=gt, gameinfo=game, frames=16)
+
+
+def follow(footage: Path, work: Path, *rows: Case) -> list[Unit]:
+    protocol = Protocol(graph=str(GRAPH), frames=(1, 16), kinds=("ball",))
+    return measured([ClipName(folder=str(footage))], rows or (row(),), protocol, work, jobs=1)
+
+
+def test_an_interrupted_unit_goes_on_within_a_clip(footage: Path, tmp_path: Path) -> None:
+    work = tmp_path / "work"
+    (whole,) = follow(footage, work)
+    (file,) = work.iterdir()
     first, *others = whole["episodes"]
     assert others
     marked = {**first, "iou": [0.125] * len(first["iou"])}
@@ -79,7 +116,124 @@ def test_an_interrupted_unit_goes_on_within_a_clip(tmp_path: Path) -> None:
     )
     file.unlink()
 
-    (again,) = measured(clips, [case], protocol, tmp_path, jobs=1)
+    (again,) = follow(footage, work)
 
     assert again["episodes"] == [marked, *others]
-    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+    assert [path.name for path in work.iterdir()] == [file.name]
+
+
+@pytest.mark.parametrize("left", ["", '[{"clip": "clip", "case"', "{}", "\0" * 8])
+def test_what_a_crash_left_of_a_unit_is_forgotten(tmp_path: Path, left: str) -> None:
+    damaged, whole = tmp_path / "damaged.json", tmp_path / "whole.json"
+    damaged.write_text(left)
+    whole.write_text("[]")
+
+    forget_damaged([damaged, whole, tmp_path / "absent.json"])
+
+    assert [path.name for path in tmp_path.iterdir()] == ["whole.json"]
+    assert units(whole) == []
+
+
+def test_damaged_files_are_measured_again(footage: Path, tmp_path: Path) -> None:
+    whole = follow(footage, tmp_path / "work")
+    (file,) = (tmp_path / "work").iterdir()
+    written = file.read_text()
+    file.write_text(written[:40])
+    file.with_suffix(".part").write_text("")
+
+    again = follow(footage, tmp_path / "work")
+
+    assert again == whole
+    assert [path.read_text() for path in (tmp_path / "work").iterdir()] == [written]
+
+
+def test_the_bar_counts_what_was_finished_before(
+    footage: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    follow(footage, tmp_path / "work")
+    capsys.readouterr()
+
+    follow(footage, tmp_path / "work")
+
+    last = capsys.readouterr().err.split("\r")[-1]
+    assert "1/1" in last
+    assert "-" not in last
+
+
+def test_what_the_parts_complain_of_is_kept_and_counted(
+    footage: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    follow(footage, tmp_path, row("foveated", "1/8"))
+
+    told = (tmp_path / "warnings.log").read_text().splitlines()
+    assert told
+    assert told[0].startswith("clip: policy.prompt_box: expected a track at")
+    error = capsys.readouterr().err
+    assert "prompt_box" not in error
+    assert error.endswith(f"{len(told)} warnings: {tmp_path / 'warnings.log'}\n")
+
+
+def test_what_another_detector_saw_is_not_taken_for_what_this_one_sees() -> None:
+    clip, case = read(ClipName(seed=70_003), (1, 3)), row("foveated", "1/8")
+    seen: Seen = {}
+    found = []
+    for more in ("saliency.confidence=0.25", "saliency.confidence=0.999"):
+        with Stages(GRAPH, ("policy.strategy=pursue", more)) as stages:
+            found.append(loop_of(clip, case, stages, seen).tracks[-1])
+
+    assert [bool(len(tracks.ids)) for tracks in found] == [True, False]
+
+
+def test_a_clip_is_known_by_its_truth_and_pictures_wherever_it_lies(
+    footage: Path, tmp_path: Path
+) -> None:
+    def known(folder: Path) -> str:
+        return clip_key(ClipName(folder=str(folder)), (1, 15))
+
+    copy = tmp_path / "elsewhere" / "clip"
+    shutil.copytree(footage, copy, copy_function=shutil.copyfile)
+    before, picture = known(footage), footage / "img1" / "000002.jpg"
+    assert known(copy) == before
+    (footage / "img1" / "000016.jpg").write_bytes(b"not looked at")
+    assert known(footage) == before
+
+    turned = bytearray(picture.read_bytes())
+    turned[-9] ^= 1
+    picture.write_bytes(turned)
+    (copy / "gt" / "gt.txt").write_text("1,1,10,10,8,8,1,-1,-1,-1\n")
+
+    assert len({before, known(footage), known(copy)}) == 3
+    picture.unlink()
+    with pytest.raises(DriverError, match=r"000002\.jpg: cannot be read"):
+        known(footage)
+
+
+def test_a_clip_is_cut_where_processes_would_have_nothing_to_do() -> None:
+    clips = [ClipName(seed=seed) for seed in range(3)]
+    rows = [
+        row(strategy, budget, name=f"{strategy} {context}", rules=Rules(context=context))
+        for strategy in ("oracle", "foveated", "centred")
+        for budget in ("1/4", "1/8")
+        for context in (True, False)
+    ]
+    left = {clip: [(case, Path(f"{clip} {case}")) for case in rows] for clip in clips}
+
+    first, second, *parts = cut(left, 2)
+
+    assert (first, second) == ((clips[0], tuple(left[clips[0]])), (clips[1], tuple(left[clips[1]])))
+    assert [clip for clip, _ in parts] == [clips[2]] * 2
+    budgets = [{case.budget for case, _ in work} for _, work in parts]
+    assert budgets == [{"1/4"}, {"1/8"}]
+    assert sorted(path for _, work in parts for _, path in work) == sorted(
+        path for _, path in left[clips[2]]
+    )
+    assert len(cut(left, 1)) == 3
+    assert cut({clips[0]: []}, 2) == []
+
+
+def test_cases_that_share_their_windows_are_never_cut_apart() -> None:
+    rows = [row("oracle", name=str(c), rules=Rules(context=c)) for c in (True, False)]
+
+    (only,) = cut({ClipName(seed=1): [(case, Path(case.name)) for case in rows]}, 8)
+
+    assert [case for case, _ in only[1]] == rows

@@ -1,0 +1,134 @@
+"""The rows of a table: what is asked for -> a case for each strategy, budget and change."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+from bench.tracking.episode import Rules
+from bench.tracking.options import Options
+from drivers.simulated.strategies import WITH_ROI
+from pipeline.errors import SettingsError
+from pipeline.weights import find
+
+ROI_ALONE = ", ROI alone"  # ends the name of a row whose tracker does not see the context
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One row of a table: a strategy at a budget, and what was changed about it."""
+
+    strategy: str
+    budget: str  # a fraction
+    name: str  # as the table calls it
+    rules: Rules
+    replaced: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()  # of the graph, as --set takes them
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """What all cases have in common."""
+
+    graph: str
+    frames: tuple[int, int]  # first and last, counted from 1
+    kinds: tuple[str, ...]
+    every: int = 8  # frames between starts
+    players: int = 1
+    seed: int = 0
+
+
+def cases(options: Options) -> list[Case]:
+    """Every row that is asked for; what does not plan has one row a budget, `full` one in all."""
+    rules = rules_of(options)
+    changes = (*options.changes, *tracker_changes(options.tracker))
+    found = []
+    for strategy, budget in product(options.strategies, options.budgets):
+        if strategy == "foveated":
+            found += _planned(options, str(budget), rules, changes)
+        elif strategy != "full" or budget == options.budgets[0]:
+            share = "1" if strategy == "full" else str(budget)
+            found += _plain(strategy, share, rules, changes)
+    return found
+
+
+def _planned(
+    options: Options, budget: str, rules: Sequence[Rules], changes: tuple[str, ...]
+) -> list[Case]:
+    """Of the policy: a row for each of its files, rules and parts known from the truth."""
+    late = len({(rule.delay, rule.replan) for rule in rules}) > 1
+    found = []
+    for (label, path), rule, parts in product(
+        options.policy.items(), rules, [(), *options.replace]
+    ):
+        name = "foveated" + (f" {label}" if label else "")
+        name += f" + true {' and '.join(parts)}" if parts else ""
+        case = Case(
+            strategy="foveated",
+            budget=budget,
+            name=name + told(rule, late=late),
+            rules=rule,
+            replaced=parts,
+            changes=(*changes, *policy_changes(path)),
+        )
+        found.append(case)
+    return found
+
+
+def _plain(
+    strategy: str, budget: str, rules: Sequence[Rules], changes: tuple[str, ...]
+) -> list[Case]:
+    """Of a strategy that no policy plans for: a row for each thing that its tracker sees."""
+    sees = {rule.context for rule in rules} if strategy in WITH_ROI else {True}
+    changes = (*changes, *policy_changes("pursue"))  # whose horizon is for no other network
+    return [
+        Case(
+            strategy=strategy,
+            budget=budget,
+            name=strategy + told(rule, late=False),
+            rules=rule,
+            changes=changes,
+        )
+        for rule in (
+            Rules(context=context, longest=rules[0].longest)
+            for context in sorted(sees, reverse=True)
+        )
+    ]
+
+
+def rules_of(options: Options) -> list[Rules]:
+    """Every delay with every replanning interval, prediction or none, context or none."""
+    sees = {"both": (True,), "roi": (False,), "each": (True, False)}[options.sees]
+    foreseen = {"kalman": (True,), "hold": (False,), "both": (True, False)}[options.prediction]
+    return [
+        Rules(delay=d, replan=ta, prediction=p, context=c, longest=options.longest)
+        for d, ta, p, c in product(options.delay, options.replan, foreseen, sees)
+    ]
+
+
+def told(rule: Rules, *, late: bool) -> str:
+    """What a row is called, after its strategy."""
+    name = ""
+    if late or rule.delay or rule.replan != 1:
+        name = f", delay {rule.delay}, Ta {rule.replan}"
+    name += "" if rule.prediction else ", no prediction"
+    return name + ("" if rule.context else ROI_ALONE)
+
+
+def policy_changes(path: str) -> tuple[str, ...]:
+    """Changes to the graph for a policy by file, for pursue, or for what the graph says ("")."""
+    if path == "pursue":
+        return ("policy.strategy=pursue",)
+    return (f"policy.weights={path}", "policy.strategy=learned") if path else ()
+
+
+def tracker_changes(choice: str) -> tuple[str, ...]:
+    """Changes to the graph for `--tracker`; auto is settled here, for it decides the figures."""
+    if choice.endswith(".onnx"):
+        return ("tracker.method=auto", f"tracker.weights={choice}")
+    if choice not in ("auto", "vittrack", "correlation"):
+        raise SettingsError(
+            f"tracker: expected auto, vittrack, correlation or an ONNX file, got {choice}"
+        )
+    if choice == "auto":
+        choice = "vittrack" if find("vittrack") else "correlation"
+    return (f"tracker.method={choice}",)

@@ -1,0 +1,105 @@
+"""Cases of one clip, followed in a process of their own: a clip's name -> a file for each case."""
+
+import logging
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+
+from bench.tracking.budgets import PLANNED, acquisition
+from bench.tracking.cases import Case, Protocol
+from bench.tracking.clip import Clip, ClipName, read
+from bench.tracking.episode import Loop, run
+from bench.tracking.kept import Draft, Unit
+from bench.tracking.key import contents
+from bench.tracking.replaced import Replaced
+from bench.tracking.stages import Camera, Stages, watched
+from bench.tracking.targets import Target, starts, targets
+from drivers.simulated.readout import Window
+from pipeline.messages import Geometry, Tracks
+
+EYES = ("downsample", "saliency", "association")  # what makes tracks of the context
+Work = tuple[Case, Path]  # and where its unit will lie
+Gazes = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure
+Seen = dict[tuple[str, tuple[int, int], Geometry, bool], list[Tracks]]
+
+
+def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, complaints: Path) -> None:
+    """All these cases of a clip, each written when it is done."""
+    cv2.setNumThreads(1)
+    clip = read(name, protocol.frames)
+    seed = protocol.seed + max(name.seed, 0)
+    subjects = targets(clip.truths, protocol.kinds, players=protocol.players, seed=seed)
+    seen: Seen = {}
+    looked: dict[Case, Gazes] = {}
+    with _complaints_into(complaints, str(name)):
+        for changes in sorted({case.changes for case, _ in work}):
+            with Stages(Path(protocol.graph), changes) as stages:
+                for case, path in (w for w in work if w[0].changes == changes):
+                    loop = loop_of(clip, case, stages, seen)
+                    gaze = looked.setdefault(same_gaze(case), {})
+                    draft = Draft(path.with_suffix(".part"))
+                    done = [_followed(loop, t, protocol.every, gaze, draft) for t in subjects]
+                    told = {"clip": str(name), "case": case.name, "budget": case.budget}
+                    draft.finish([unit | told for unit in done], path)
+
+
+def same_gaze(case: Case) -> Case:
+    """What cases have in common whose ROI is at the same places."""
+    return replace(case, name="", rules=replace(case.rules, context=True))
+
+
+def loop_of(clip: Clip, case: Case, stages: Stages, seen: Seen) -> Loop:
+    """What a case's episodes run in; what was seen of the context is looked up, if it can be."""
+    how = acquisition(case.strategy, Fraction(case.budget), clip.size_px)
+    camera = Camera(clip, how)
+    replaced = Replaced(parts=frozenset(case.replaced), truths=clip.truths)
+    loop = Loop(camera=camera, stages=stages, rules=case.rules, replaced=replaced)
+    if case.strategy not in PLANNED:
+        return loop
+    # changes may be of any part; and tracks carry the geometry of the ROI, by which the graph
+    # plans its windows
+    parts = contents(stages.plan, EYES)
+    context = (parts, how.sampling.context_px, how.geometry, "detections" in case.replaced)
+    if context not in seen:
+        seen[context] = watched(camera, stages, len(clip.truths), replaced)
+    return replace(loop, tracks=seen[context])
+
+
+def _followed(loop: Loop, target: Target, every: int, gaze: Gazes, draft: Draft) -> Unit:
+    episodes = []
+    for start in starts(target, every):
+        if episode := draft.known(target.id, start):
+            episodes.append(episode)
+            continue
+        outcome = run(loop, target, start, gaze.get((target.id, start), ()))
+        gaze[target.id, start] = outcome.windows
+        if outcome.iou:
+            episode = {
+                "start": start,
+                "iou": [round(v, 4) if v == v else None for v in outcome.iou],
+                "kept": outcome.kept,
+                "shown": [round(v, 3) if v == v else None for v in outcome.shown],
+                "state": list(target.state[start + 1 : start + 1 + len(outcome.iou)]),
+                "read_px": outcome.read_px,
+                "full_px": outcome.full_px,
+            }
+            episodes.append(episode)
+            draft.add(target.id, episode)
+    return {"target": target.id, "kind": target.kind, "episodes": episodes}
+
+
+@contextmanager
+def _complaints_into(path: Path, name: str) -> Iterator[None]:
+    """Warnings of the parts go into a file: on the terminal they would break the bar."""
+    handler = logging.FileHandler(path, delay=True)
+    handler.setFormatter(logging.Formatter(f"{name}: %(message)s"))
+    logging.getLogger().addHandler(handler)
+    try:
+        yield
+    finally:
+        logging.getLogger().removeHandler(handler)
+        handler.close()

@@ -1,0 +1,79 @@
+"""By what a unit is known again: everything that its figures come from, by content."""
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from bench.tracking.budgets import PLANNED
+from bench.tracking.cases import Case, Protocol
+from bench.tracking.clip import ClipName, frames_of
+from bench.tracking.stages import NEEDED
+from drivers.sequence import read_info
+from pipeline.errors import DriverError
+from pipeline.fleet.allow import code_digest, file_digest
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Node, Plan
+
+OPERATORS = Path(__file__).parents[2] / "operators"
+TRACKING = ("budgets", "clip", "episode", "job", "replaced", "stages", "targets")
+CODE = (  # what figures come from, beside the operators that a case needs
+    *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
+    *(f"bench.tracking.{name}" for name in TRACKING),
+)
+
+
+def key(case: Case, protocol: Protocol) -> str:
+    """Tells units of a clip apart.
+
+    Other settings, networks or code make another key, as far as the case needs the parts: a
+    strategy that plans nothing needs the tracker alone. Where files lie makes none.
+    """
+    plan = load(Path(protocol.graph), Overlay(changes=case.changes, clock="lockstep"))
+    wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
+    plain = asdict(replace(case, changes=()))  # what they change is told by the parts
+    common = asdict(replace(protocol, graph=""))  # of the graph, its parts count
+    code = [code_digest(module) for module in CODE]
+    weights = file_digest(OPERATORS / "weights.toml")
+    return json.dumps([plain, common, code, contents(plan, wanted), weights], sort_keys=True)
+
+
+def contents(plan: Plan, names: Iterable[str]) -> str:
+    """Settings, code and networks of some parts of a graph."""
+    told = [_content(node) for node in plan.nodes if node.name in names]
+    return json.dumps(told, sort_keys=True, default=str)
+
+
+def _content(node: Node) -> list[Any]:
+    """Files that settings name count by what is in them, as do networks beside a part's code."""
+    settings = {name: _digested(value) for name, value in node.settings.items()}
+    folder = OPERATORS / Path(*node.operator.partition(":")[0].split(".")[1:])
+    beside = [file_digest(path) for path in sorted(folder.glob("*.onnx"))]
+    return [node.name, settings, code_digest(node.operator), *beside]
+
+
+def _digested(value: Any) -> Any:
+    if isinstance(value, str) and value.endswith(".onnx") and Path(value).is_file():
+        return file_digest(Path(value))
+    return value
+
+
+def clip_key(name: ClipName, frames: tuple[int, int]) -> str:
+    """Tells clips apart by what is read of them: truth and pictures, wherever they lie.
+
+    A copy has other dates, and a picture can change without its size; reading it takes a
+    thirtieth of what decoding it takes. Raises `DriverError` for what is not there.
+    """
+    if not name.folder:
+        return f"seed {name.seed}"
+    folder, info = Path(name.folder), read_info(Path(name.folder))
+    files = [folder / "seqinfo.ini", folder / "gameinfo.ini", folder / "gt" / "gt.txt"]
+    files += [info.picture_path(index) for index in frames_of(name, frames)]
+    try:
+        whole = "".join(file_digest(file) for file in files)
+    except OSError as error:
+        raise DriverError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    return sha256(whole.encode()).hexdigest()

@@ -1,0 +1,156 @@
+"""What an evaluation is asked for: words of a command line -> values, refused before any work."""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, TypeVar
+
+from bench.tracking.budgets import parsed
+from bench.tracking.replaced import PARTS, Replaced
+from bench.tracking.targets import KINDS
+from drivers.sequence import span
+from pipeline.errors import SettingsError
+
+ALL = ("full", "oracle", "foveated", "centred", "round_robin", "spatial", "temporal", "exposure")
+GRAPH = Path(__file__).parents[2] / "graphs" / "tracking.yaml"
+WHOLE = (1, 0)  # frames: from the first to the end
+LEAST = {
+    **dict.fromkeys(("clips", "players", "every", "longest", "replan", "jobs"), 1),
+    **dict.fromkeys(("delay", "seed"), 0),
+}
+PLOTS = (".png", ".pdf", ".svg")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """As `fovea eval tracking --help` explains them; of several values each has rows of its own."""
+
+    data: str
+    frames: tuple[int, int]  # first and last, counted from 1
+    clips: int
+    strategies: tuple[str, ...]
+    budgets: tuple[Fraction, ...]
+    targets: tuple[str, ...]
+    players: int
+    every: int
+    longest: int
+    graph: str
+    changes: tuple[str, ...]
+    tracker: str
+    sees: str  # both, roi, each
+    policy: Mapping[str, str]  # file, pursue or nothing by name
+    delay: tuple[int, ...]
+    replan: tuple[int, ...]
+    prediction: str  # kalman, hold, both
+    replace: tuple[tuple[str, ...], ...]
+    jobs: int
+    seed: int
+    report: Path | None = None
+    markdown: Path | None = None
+    plot: Path | None = None
+    work: Path | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in LEAST.items():
+            value = getattr(self, name)
+            lowest = min(value) if isinstance(value, tuple) else value
+            if lowest < least:
+                raise SettingsError(f"{name}: must be at least {least}, got {lowest}")
+        first, last = self.frames
+        if self.frames != WHOLE and not 1 <= first < last:
+            raise SettingsError(f"frames: expected A-B with B after A, got {first}-{last}")
+        for kind in self.targets:
+            if kind not in KINDS:
+                raise SettingsError(f"targets: expected {', '.join(KINDS)}, got {kind}")
+        if self.plot and self.plot.suffix not in PLOTS:
+            raise SettingsError(f"plot: expected {', '.join(PLOTS)} at the end, got {self.plot}")
+
+    @property
+    def folder(self) -> Path:
+        """Where what is finished is kept."""
+        beside = self.report.with_suffix(".work") if self.report else Path(".fovea-eval")
+        return self.work or beside
+
+    def make_room(self) -> None:
+        """Make the folders that are written to; refuse what could not be written in the end."""
+        make_folder("work", self.folder)
+        outputs = {"report": self.report, "markdown": self.markdown, "plot": self.plot}
+        for name, path in outputs.items():
+            if path is None:
+                continue
+            make_folder(name, path.parent)
+            if path.is_dir() or (path.exists() and not os.access(path, os.W_OK)):
+                raise SettingsError(f"{name}: expected a file that can be written, got {path}")
+
+
+def make_folder(name: str, folder: Path) -> None:
+    """A folder that can be written to, made where there is none; raises `SettingsError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SettingsError(f"{name}: {folder}: cannot be a folder: {error.strerror}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise SettingsError(f"{name}: {folder}: cannot be written to")
+
+
+def options_of(given: Mapping[str, Any]) -> Options:
+    """What a command line means; what is named twice counts once."""
+    strategies = given["strategies"]
+    read = {
+        "frames": span(given["frames"]) if given["frames"] else WHOLE,
+        "strategies": ALL if strategies == "all" else _distinct(strategies.split(",")),
+        "budgets": _distinct(parsed(given["budgets"])),
+        "targets": _distinct(given["targets"].split(",")),
+        "policy": policy_files(given["policy"]),
+        "delay": numbers("delay", given["delay"]),
+        "replan": numbers("replan", given["replan"]),
+        "replace": _distinct(parts_of(text) for text in given["replace"]),
+    }
+    return Options(**{**given, **read})
+
+
+def policy_files(given: Sequence[str]) -> dict[str, str]:
+    """`--policy [NAME=]FILE|pursue` by name; nothing given is what the graph says."""
+    found: dict[str, str] = {}
+    given = _distinct(given)
+    for text in given:
+        name, equals, path = text.rpartition("=")
+        if path != "pursue" and not Path(path).is_file():
+            raise SettingsError(f"policy: expected an ONNX file or pursue, got {path}")
+        if not equals and len(given) > 1:
+            name = Path(path).stem
+        if name in found:
+            raise SettingsError(
+                f"policy: {found[name]} and {path} would both be called {name!r}; give each a name "
+                "of its own: NAME=FILE"
+            )
+        found[name] = path
+    return found or {"": ""}
+
+
+def parts_of(text: str) -> tuple[str, ...]:
+    """Parts known from the truth, in the order of the loop; raises `SettingsError`.
+
+    >>> parts_of("association+detections")
+    ('detections', 'association')
+    """
+    wanted = Replaced(parts=frozenset(text.split("+"))).parts  # refuses what is no part
+    return tuple(part for part in PARTS if part in wanted)
+
+
+def numbers(name: str, text: str) -> tuple[int, ...]:
+    """Whole numbers as they are typed."""
+    try:
+        return _distinct(int(part) for part in text.split(","))
+    except ValueError:
+        raise SettingsError(
+            f"{name}: expected whole numbers such as 0,2,13, got {text!r}"
+        ) from None
+
+
+def _distinct(values: Iterable[T]) -> tuple[T, ...]:
+    """Each value once, in the order in which they came first."""
+    return tuple(dict.fromkeys(values))

@@ -1,0 +1,166 @@
+"""What an evaluation is asked for is read as it is meant, or refused before any work."""
+
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from bench.tracking.cases import cases
+from bench.tracking.clip import ClipName
+from bench.tracking.evaluate import command
+from bench.tracking.options import ALL, WHOLE, Options, options_of
+from tests.drivers.sequences import write_sequence
+
+GAME = "[Sequence]\nnum_tracklets=1\ntrackletID_1= ball;1\n"
+
+
+def read(*words: str) -> Options:
+    with command.make_context("eval", ["--data", "procedural", *words]) as context:
+        return options_of(context.params)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--strategies", "magic"], "strategies: expected foveated, centred"),
+        (["--targets", "coach"], "targets: expected ball"),
+        (["--policy", "none.onnx"], "policy: expected an ONNX file or pursue, got none.onnx"),
+        (["--clips", "0"], "clips: must be at least 1, got 0"),
+        (["--clips", "-3"], "clips: must be at least 1, got -3"),
+        (["--jobs", "0"], "jobs: must be at least 1, got 0"),
+        (["--every", "0"], "every: must be at least 1, got 0"),
+        (["--every", "-1"], "every: must be at least 1, got -1"),
+        (["--players", "0"], "players: must be at least 1, got 0"),
+        (["--longest", "0"], "longest: must be at least 1, got 0"),
+        (["--seed", "-1"], "seed: must be at least 0, got -1"),
+        (["--replan", "4,0"], "replan: must be at least 1, got 0"),
+        (["--delay", "-2"], "delay: must be at least 0, got -2"),
+        (["--delay", "60"], "delay: plans reach 16 frames"),
+        (["--delay", "soon"], "delay: expected whole numbers"),
+        (["--replace", "luck"], "replace: expected detections"),
+        (["--tracker", "magic"], "tracker: expected auto"),
+        (["--frames", "5-2"], "frames: expected A-B"),
+        (["--frames", "0-9"], "frames: expected A-B"),
+        (["--frames", "1"], "frames: expected A-B with B after A, got 1-1"),
+        (["--plot", "plot.xyz"], "plot: expected .png, .pdf, .svg at the end, got plot.xyz"),
+        (["--plot", "plot"], "plot: expected .png, .pdf, .svg at the end, got plot"),
+        (["--data", "/nowhere"], "/nowhere: expected a folder of SoccerNet sequences"),
+    ],
+)
+def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str) -> None:
+    result = CliRunner().invoke(command, ["--data", "procedural", *words])
+
+    assert result.exit_code == 2
+    assert result.output.startswith(f"fovea eval tracking: {said}")
+    assert len(result.output.splitlines()) == 1
+
+
+@pytest.mark.parametrize("output", ["report", "markdown", "plot", "work"])
+def test_what_could_not_be_written_is_told_before_anything_is_measured(
+    output: str, tmp_path: Path
+) -> None:
+    file, folder = tmp_path / "file", tmp_path / "folder.png"
+    file.touch()
+    folder.mkdir()
+    wrong = [file / "plot.png", *([file] if output == "work" else [folder])]
+
+    for path in wrong:
+        words = ["--data", "procedural", "--tracker", "correlation", f"--{output}", str(path)]
+        if output != "work":
+            words += ["--work", str(tmp_path / "work")]
+        result = CliRunner().invoke(command, words)
+        assert result.exit_code == 2
+        assert result.output.startswith(f"fovea eval tracking: {output}: ")
+        assert len(result.output.splitlines()) == 1
+
+
+def test_frames_that_a_sequence_does_not_have_are_refused(tmp_path: Path) -> None:
+    gt = "\n".join(f"{frame},1,10,10,8,8,1,-1,-1,-1" for frame in (1, 2, 3))
+    folder = write_sequence(tmp_path / "clip", gt=gt, gameinfo=GAME)
+    words = ["--data", str(folder), "--frames", "1-9999", "--work", str(tmp_path / "work")]
+
+    result = CliRunner().invoke(command, [*words, "--tracker", "correlation"])
+
+    assert result.exit_code == 2
+    assert "frames: clip has 1 to 3, got 1-9999" in result.output
+    assert not (tmp_path / "work").exists()
+
+
+def test_an_evaluation_that_finds_nobody_to_follow_says_so(tmp_path: Path) -> None:
+    folder = write_sequence(tmp_path / "clip", gt="", gameinfo=GAME)
+    words = ["--data", str(folder), "--work", str(tmp_path / "work"), "--strategies", "spatial"]
+
+    result = CliRunner().invoke(
+        command,
+        [*words, "--budget", "1/4", "--targets", "ball", "--tracker", "correlation", "--jobs", "1"],
+    )
+
+    assert result.exit_code == 2
+    assert result.output.splitlines()[-1].endswith(
+        f"{folder}: nothing to follow: no ball can be seen in the frames asked for"
+    )
+    assert "| target |" not in result.output
+
+
+def test_what_is_named_twice_counts_once() -> None:
+    found = read(
+        *(
+            "--strategies",
+            "centred,centred",
+            "--budgets",
+            "1/8,2/16,.125",
+            "--targets",
+            "ball,ball",
+        ),
+        *("--delay", "0,0", "--replan", "4,1,4", "--policy", "pursue", "--policy", "pursue"),
+        *("--replace", "association+detections", "--replace", "detections+association"),
+    )
+
+    assert found.strategies == ("centred",)
+    assert found.budgets == (Fraction(1, 8),)
+    assert found.targets == ("ball",)
+    assert (found.delay, found.replan) == ((0,), (4, 1))
+    assert found.policy == {"": "pursue"}
+    assert found.replace == (("detections", "association"),)
+
+
+def test_options_are_read_as_they_are_meant() -> None:
+    assert read().frames == WHOLE
+    assert read().strategies == ALL
+    assert read("--frames", "251-375").frames == (251, 375)
+    assert read("--budget", "1/4").budgets == read("--budgets", "1/4").budgets == (Fraction(1, 4),)
+    policies = read("--policy", "a=pursue", "--policy", "b=pursue").policy
+    assert policies == {"a": "pursue", "b": "pursue"}
+
+
+def test_policies_of_one_name_are_not_taken_for_one(tmp_path: Path) -> None:
+    files = [tmp_path / run / "policy.onnx" for run in ("a", "b")]
+    for file in files:
+        file.parent.mkdir()
+        file.touch()
+
+    for words in (files, [f"x={file}" for file in files]):
+        policies = [word for each in words for word in ("--policy", str(each))]
+        result = CliRunner().invoke(command, ["--data", "procedural", *policies])
+        assert result.exit_code == 2
+        assert "give each a name of its own: NAME=FILE" in result.output
+
+
+def test_every_strategy_has_a_row_for_each_budget_and_full_has_one() -> None:
+    found = cases(read("--budgets", "1/8,1/4", "--tracker", "correlation", "--sees", "both"))
+
+    assert {(case.strategy, case.budget) for case in found} == {
+        ("full", "1"),
+        *((s, b) for s in ALL if s != "full" for b in ("1/8", "1/4")),
+    }
+    assert len(found) == 2 * len(ALL) - 1
+
+
+def test_a_clip_has_its_folders_name_wherever_it_is_called_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "SNMOT-1").mkdir()
+    monkeypatch.chdir(tmp_path / "SNMOT-1")
+
+    assert str(ClipName(folder=".")) == "SNMOT-1"
