@@ -1,24 +1,24 @@
 """By what a unit is known again: everything that its figures come from, by content."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Container
 from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 from bench.tracking.budgets import PLANNED
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, frames_of
 from bench.tracking.stages import NEEDED
 from drivers.sequence import read_info
+from operators.training.identity import of_code, of_nodes
 from pipeline.errors import DriverError
-from pipeline.fleet.allow import code_digest, file_digest
+from pipeline.fleet.allow import file_digest
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
-from pipeline.graph.plan import Node, Plan
+from pipeline.graph.plan import Plan
 
-OPERATORS = Path(__file__).parents[2] / "operators"
+KNOWN_WEIGHTS = Path(__file__).parents[2] / "operators" / "weights.toml"
 TRACKING = ("budgets", "clip", "episode", "job", "replaced", "stages", "targets")
 CODE = (  # what figures come from, beside the operators that a case needs
     *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
@@ -36,29 +36,14 @@ def key(case: Case, protocol: Protocol) -> str:
     wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
     plain = asdict(replace(case, changes=()))  # what they change is told by the parts
     common = asdict(replace(protocol, graph=""))  # of the graph, its parts count
-    code = [code_digest(module) for module in CODE]
-    weights = file_digest(OPERATORS / "weights.toml")
-    return json.dumps([plain, common, code, contents(plan, wanted), weights], sort_keys=True)
+    known = file_digest(KNOWN_WEIGHTS)  # what the tracker takes where the graph names no file
+    parts = contents(plan, wanted)
+    return json.dumps([plain, common, of_code(*CODE), parts, known], sort_keys=True)
 
 
-def contents(plan: Plan, names: Iterable[str]) -> str:
+def contents(plan: Plan, names: Container[str]) -> str:
     """Settings, code and networks of some parts of a graph."""
-    told = [_content(node) for node in plan.nodes if node.name in names]
-    return json.dumps(told, sort_keys=True, default=str)
-
-
-def _content(node: Node) -> list[Any]:
-    """Files that settings name count by what is in them, as do networks beside a part's code."""
-    settings = {name: _digested(value) for name, value in node.settings.items()}
-    folder = OPERATORS / Path(*node.operator.partition(":")[0].split(".")[1:])
-    beside = [file_digest(path) for path in sorted(folder.glob("*.onnx"))]
-    return [node.name, settings, code_digest(node.operator), *beside]
-
-
-def _digested(value: Any) -> Any:
-    if isinstance(value, str) and value.endswith(".onnx") and Path(value).is_file():
-        return file_digest(Path(value))
-    return value
+    return json.dumps(of_nodes(node for node in plan.nodes if node.name in names), sort_keys=True)
 
 
 def clip_key(name: ClipName, frames: tuple[int, int]) -> str:

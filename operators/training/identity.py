@@ -5,7 +5,7 @@ threads work and on which device says nothing about the result and is left out.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,7 +15,7 @@ from pipeline import settings as checked
 from pipeline.contract import settings_of
 from pipeline.errors import WeightsError
 from pipeline.fleet.allow import code_digest, file_digest
-from pipeline.graph.plan import Plan, load_operator
+from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.weights import require
 
 Identity = Mapping[str, str]
@@ -33,9 +33,15 @@ def of_settings(settings: Any, *without: str) -> dict[str, str]:
 
 
 def of_plan(plan: Plan) -> dict[str, str]:
-    """A graph: every node's code and settings, defaults included, and how they are connected."""
-    found = {"edges": _words(sorted(f"{edge.origin} to {edge.end}" for edge in plan.edges))}
-    for node in plan.nodes:
+    """A graph: what its nodes are, and how they are connected."""
+    edges = sorted(f"{edge.origin} to {edge.end}" for edge in plan.edges)
+    return {"edges": _words(edges), **of_nodes(plan.nodes)}
+
+
+def of_nodes(nodes: Iterable[Node]) -> dict[str, str]:
+    """Code, networks and settings of nodes, defaults included."""
+    found: dict[str, str] = {}
+    for node in nodes:
         cls = settings_of(load_operator(node.operator))
         values = checked.plain(checked.build(cls, node.settings, node.name))
         if "weights" in values:
