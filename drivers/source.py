@@ -9,6 +9,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+CLASS_OF_ROLE = {  # what somebody looks like, by what the truth says they are
+    "player": "player",
+    "goalkeeper": "player",
+    "main referee": "referee",
+    "assistant referee": "referee",
+    "ball": "ball",
+}
+LEAST_VISIBLE = 0.25  # share; what is hidden more counts neither as found nor as missed
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:

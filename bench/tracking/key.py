@@ -17,8 +17,8 @@ from pipeline.fleet.allow import file_digest
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
+from pipeline.weights import MANIFEST
 
-KNOWN_WEIGHTS = Path(__file__).parents[2] / "operators" / "weights.toml"
 TRACKING = ("budgets", "clip", "episode", "job", "replaced", "stages", "targets")
 CODE = (  # what figures come from, beside the operators that a case needs
     *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
@@ -36,7 +36,7 @@ def key(case: Case, protocol: Protocol) -> str:
     wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
     plain = asdict(replace(case, changes=()))  # what they change is told by the parts
     common = asdict(replace(protocol, graph=""))  # of the graph, its parts count
-    known = file_digest(KNOWN_WEIGHTS)  # what the tracker takes where the graph names no file
+    known = file_digest(MANIFEST)  # what the tracker takes where the graph names no file
     parts = contents(plan, wanted)
     return json.dumps([plain, common, of_code(*CODE), parts, known], sort_keys=True)
 

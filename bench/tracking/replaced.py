@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.tracking.targets import Target
-from drivers.source import Truth
+from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Truth
 from pipeline.boxes import centres, iou
 from pipeline.errors import SettingsError
 from pipeline.messages import Detections, Scanpath, Tracks, altered
@@ -15,7 +15,6 @@ from pipeline.messages import Detections, Scanpath, Tracks, altered
 PARTS = ("detections", "association", "prediction", "policy", "tracker")
 SAME_IOU = 0.3  # from here on a track or a detection is taken for an object of the truth
 SHOWN = 0.5  # share of the target from which a perfect tracker would see it in the ROI
-NAMES = {"player": "player", "goalkeeper": "player", "ball": "ball"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,8 +34,9 @@ class Replaced:
         if "detections" not in self.parts:
             return found
         truth = self.truths[frame]
-        rows = [k for k, v in enumerate(truth.visible) if v >= 0.25]
-        names = [NAMES.get(truth.labels[k], "referee") for k in rows]
+        known = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
+        rows = np.flatnonzero((truth.visible >= LEAST_VISIBLE) & known)
+        names = [CLASS_OF_ROLE[truth.labels[k]] for k in rows]
         boxes = truth.boxes[rows]
         features = np.zeros((len(rows), found.features.shape[1]), np.float32)
         if len(found.boxes) and len(rows):

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.source import Truth
+from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Truth
 from pipeline.boxes import areas, centres
 from pipeline.errors import SettingsError
 
 KINDS = {"ball": "ball", "referee": "main referee", "player": "player"}
-LEAST_VISIBLE = 0.25
-PEOPLE = ("player", "goalkeeper", "main referee", "assistant referee")
+PEOPLE = CLASS_OF_ROLE.keys() - {"ball"}
 STILL_PX = 1.5  # a frame, at 1920 pixels of width: what is slower lies still
 AROUND = 4  # frames before and after over which a ball's state is judged
 FREE, STILL, HELD = "free", "still", "held"

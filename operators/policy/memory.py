@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline import RoiFeatures
 from pipeline.errors import MessageError
 
+CAPACITY = 100  # verdicts: objects come and go, four for each of those that are reported at once
 LOOKS = 2  # before a verdict counts
 WEIGHT = 0.5  # of the newest look in a verdict
 Array = NDArray[np.float32]
@@ -30,7 +31,7 @@ class Memory:
     looks: NDArray[np.int32]  # (k,)
 
 
-def blank(capacity: int) -> Memory:
+def blank(capacity: int = CAPACITY) -> Memory:
     """Nothing remembered."""
     return Memory(
         capacity=capacity,

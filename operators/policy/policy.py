@@ -34,11 +34,9 @@ from operators.policy.memory import fault as fault_of_looks
 from operators.policy.plan import Plan, no_proposal, scanpath
 from operators.policy.prompt import Wish
 from operators.policy.pursuit import Pursuit, pursue
-from operators.policy.tokens import MOST_OBJECTS
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
 log = logging.getLogger(__name__)
-MEMORY_PER_OBJECT = 4  # objects that come and go, for each of the 25 that are reported at once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +87,7 @@ class PolicyState:
     pursuit: Pursuit = field(default_factory=Pursuit)
     turn: Turn = field(default_factory=Turn)
     gaze: Gaze = field(default_factory=Gaze)
-    memory: Memory = field(default_factory=lambda: blank(MEMORY_PER_OBJECT * MOST_OBJECTS))
+    memory: Memory = field(default_factory=blank)
 
 
 class Policy(Operator[PolicySettings, Scanpath]):

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from drivers.source import CLASS_OF_ROLE
 from operators.dispatch import plan_windows
 from operators.policy.data import Recording
 from operators.policy.learned import Gaze, Rules, Selection, decide, loyal, nothing, observe, pick
@@ -24,8 +25,7 @@ from pipeline.boxes import centres, covered, roi_window
 from pipeline.errors import SettingsError
 
 INSIDE = 0.5  # share of a box that the ROI must show, as operators.roi_features has it
-CAPACITY = 100
-CLASSES = {"ball": "ball", "main referee": "referee"}  # truth's label -> class to ask for
+BY_CLASS = ("ball", "main referee")  # of whom there is one, as far as a class tells them
 Choose = Callable[[Sequence[Objects], Sequence[Array]], Sequence[Array]]  # -> (N, Tp) each
 Window = tuple[int, int, int, int]
 
@@ -78,7 +78,7 @@ class Episode:
             left, top, right, bottom = (float(side) for side in first)
             self._wish = Wish(box=(left, top, right, bottom))
         else:
-            self._wish = Wish(target=CLASSES[self.label])
+            self._wish = Wish(target=CLASS_OF_ROLE[self.label])
         field = recording.geometry
         middle = np.array([field.width_px / 2, field.height_px / 2], np.float32)
         self._window = roi_window(
@@ -86,7 +86,7 @@ class Episode:
         )
         self._commanded: dict[int, Window] = {}
         self._planned = -task.replan
-        self._memory, self._gaze = blank(CAPACITY), Gaze()
+        self._memory, self._gaze = blank(), Gaze()
         self.frame = task.start
         self.shown: list[float] = []  # share of the target that the ROI showed, frame by frame
 
@@ -228,7 +228,7 @@ def tasks(
         if late is None:
             found.append(Task(clip=clip, start=start, target=target))
             continue
-        by_class = label in CLASSES and rng.random() < 0.3
+        by_class = label in BY_CLASS and rng.random() < 0.3
         found.append(
             Task(
                 clip=clip,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from drivers.soccer import SoccerScene
-from drivers.source import FrameSource, Truth
+from drivers.source import CLASS_OF_ROLE, FrameSource, Truth
 from operators.roi_features.crops import cut, to_squares
 from operators.roi_features.model import CLASSES
 from operators.training.arrays import outdated, read, write
@@ -28,15 +28,8 @@ from pipeline.testing import header
 
 CROP_PX, MARGIN = 96, 0.15
 FULL_PX, RATE_HZ = (1920, 1080), 25.0
-LEAST_VISIBLE = 0.4
+LEAST_SEEN = 0.4
 BACKGROUND = CLASSES.index("background")
-ROLES = {
-    "player": "player",
-    "goalkeeper": "player",
-    "main referee": "referee",
-    "assistant referee": "referee",
-    "ball": "ball",
-}
 PEOPLE, BALLS, OTHERS = 8, 3, 12  # crops of a moment, at most
 NOBODY = -1
 Boxes = NDArray[np.float32]
@@ -94,7 +87,10 @@ def candidates(
         picture=picture,
         boxes=np.concatenate([disturbed(truth.boxes[rows], rng), others]),
         kinds=np.array(
-            [*(CLASSES.index(ROLES[truth.labels[row]]) for row in rows), *[BACKGROUND] * OTHERS]
+            [
+                *(CLASSES.index(CLASS_OF_ROLE[truth.labels[row]]) for row in rows),
+                *[BACKGROUND] * OTHERS,
+            ]
         ),
         persons=np.concatenate(
             [truth.ids[persons], np.full(len(rows) - len(persons) + OTHERS, NOBODY)]
@@ -118,11 +114,13 @@ def chosen(
     truth: Truth, rng: np.random.Generator, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows of at most so many people, officials first, and of the ball, of what can be seen."""
-    seen = np.array([label in ROLES for label in truth.labels], np.bool_)
-    seen &= truth.visible >= LEAST_VISIBLE
+    seen = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
+    seen &= truth.visible >= LEAST_SEEN
     ball = np.array([label == "ball" for label in truth.labels], np.bool_)
     people = rng.permutation(np.flatnonzero(seen & ~ball))
-    official = np.array([ROLES.get(truth.labels[row]) == "referee" for row in people], np.bool_)
+    official = np.array(
+        [CLASS_OF_ROLE.get(truth.labels[row]) == "referee" for row in people], np.bool_
+    )
     people = people[np.argsort(~official, kind="stable")][:most]
     return people, np.flatnonzero(seen & ball)
 

@@ -17,7 +17,7 @@ from tqdm import tqdm
 from drivers.sequence import span
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
-from drivers.source import FrameSource
+from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, FrameSource
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
 from operators.training.arrays import outdated, write
 from operators.training.command_line import in_a_sentence
@@ -27,14 +27,6 @@ from pipeline.errors import DriverError, SettingsError
 
 FULL_PX = (1920, 1080)
 RATE_HZ = 25.0
-LEAST_VISIBLE = 0.25  # below: neither found nor missed
-ROLES = {
-    "player": "player",
-    "goalkeeper": "player",
-    "main referee": "referee",
-    "assistant referee": "referee",
-    "ball": "ball",
-}
 
 
 def example(source: FrameSource, index: int) -> Example:
@@ -44,8 +36,8 @@ def example(source: FrameSource, index: int) -> Example:
         raise DriverError(f"frame {index}: expected a source that knows the truth, got none")
     picture = cv2.resize(source.picture(index), CONTEXT_PX, interpolation=cv2.INTER_AREA)
     scale = np.array([CONTEXT_PX[i % 2] / source.size_px[i % 2] for i in range(4)], np.float32)
-    known = np.array([label in ROLES for label in truth.labels], np.bool_)
-    labels = [NAMES.index(ROLES[label]) for label in truth.labels if label in ROLES]
+    known = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
+    labels = [NAMES.index(CLASS_OF_ROLE[label]) for label in truth.labels if label in CLASS_OF_ROLE]
     return Example(
         picture=np.asarray(picture, np.uint8),
         boxes=truth.boxes[known] * scale,
