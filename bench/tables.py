@@ -50,7 +50,7 @@ LATE = ("--strategies", "foveated", "--sees", "both", "--replan", "1,4,8")
 CROWD = ("--players", "8", "--every", "24")
 HOLD = ("--budgets", "1/8", "--prediction", "hold")
 FAR = (  # the paper's long horizon, and episodes that such a plan can be late for
-    *("--delay", "0,60", "--longest", "240"),
+    *("--delay", "0,60", "--replan", "1,4,8,180", "--longest", "240"),
     *("--set", "association.observed=10", "--set", "association.horizon=200"),
     *("--set", "policy.observed=10", "--set", "policy.horizon=200"),
 )

@@ -37,7 +37,7 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
     assert len(set(rows["late"])) == delays * replans
     assert len(rows["late"]) == len(set(rows["late"])) * budgets
     assert len(rows["late-hold"]) == delays * replans
-    assert len(rows["far"]) == 2 * replans * budgets
+    assert len(rows["far"]) == 2 * (replans + 1) * budgets  # Ta 180 too, as the paper has it
     assert {f"foveated + true {part}" for part in PARTS} < set(rows["limits"])
     assert {"foveated whole", "foveated no-roi", "foveated pursue"} < set(rows["ablation"])
 
