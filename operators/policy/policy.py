@@ -117,7 +117,8 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
         Raises `SettingsError` for a class that the tracks do not have.
         """
-        if sentence := unknown(settings.target, self._names):
+        another = settings.target != self.settings.target
+        if another and (sentence := unknown(settings.target, self._names)):
             raise SettingsError(sentence)
         self.settings, before = settings, self._wish
         self._look_for(settings)

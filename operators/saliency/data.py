@@ -36,20 +36,15 @@ class Batch:
 
 
 class Rendered(Dataset[Example]):
-    """Everything `render` left in some folders, as one endless stream.
+    """Everything in some of `render`'s files, as one endless stream.
 
-    Item n is the same for the same seed and folders, whoever asks and whenever: epochs are
+    Item n is the same for the same seed and files, whoever asks and whenever: epochs are
     shuffled anew, pictures changed anew, and a resumed training goes on where it stood.
     """
 
-    def __init__(self, folders: Iterable[Path], *, seed: int) -> None:
+    def __init__(self, files: Iterable[Path], *, seed: int) -> None:
         self._seed = seed
-        self._scenes = [
-            (_pictures(path.with_suffix(".npy")), read(path))
-            for folder in folders
-            for path in sorted(folder.glob("*.npz"))
-            if path.stem.isdigit()  # others were not finished
-        ]
+        self._scenes = [(_pictures(path.with_suffix(".npy")), read(path)) for path in files]
         self._places = [
             (scene, row)
             for scene, (pictures, _) in enumerate(self._scenes)
@@ -84,6 +79,11 @@ class Rendered(Dataset[Example]):
         )
 
 
+def rendered_in(folder: Path) -> list[Path]:
+    """The files of a folder that `render` has finished."""
+    return [path for path in sorted(folder.glob("*.npz")) if path.stem.isdigit()]
+
+
 def _pictures(path: Path) -> NDArray[np.uint8]:
     try:
         return np.load(path, mmap_mode="r")  # type: ignore[no-any-return]
@@ -112,11 +112,11 @@ def collate(examples: list[Example]) -> Batch:
 
 
 def stream(
-    folders: Iterable[Path], size: int, steps: range, *, seed: int, workers: int = 1
+    files: Iterable[Path], size: int, steps: range, *, seed: int, workers: int = 1
 ) -> Iterator[Batch]:
     """The batches of some steps of a training, prepared by processes beside it."""
     loader = DataLoader(
-        Rendered(folders, seed=seed),
+        Rendered(files, seed=seed),
         batch_size=size,
         sampler=range(steps.start * size, steps.stop * size),
         num_workers=workers,

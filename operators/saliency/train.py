@@ -11,6 +11,7 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from operators.saliency.data import Batch, stream
+from operators.saliency.data import Batch, rendered_in, stream
 from operators.saliency.example import INPUT_PX, NAMES
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
@@ -31,6 +32,7 @@ from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
 from operators.training.ranges import above_zero, at_least
 from operators.training.schedule import warmed_cosine
+from pipeline.fleet.allow import file_digest
 
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
 
@@ -80,7 +82,7 @@ class Run(checkpoint.Progress):
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        pictures = made_with(settings.moments, settings.span)
+        pictures = made_with(settings.moments, settings.span) | {"data": contents(given(settings))}
         super().__init__(settings.out, parts, of_settings(settings) | pictures)
         if settings.init is not None:
             checkpoint.take(settings.init, {"mean": self.mean})
@@ -98,6 +100,25 @@ class Run(checkpoint.Progress):
                 old.copy_(new[name])
 
 
+def drawn(settings: TrainSettings) -> list[Path]:
+    """Files of the scenes that are drawn for this training; others may lie beside them."""
+    seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
+    return [settings.data[0] / f"{seed}.npz" for seed in seeds]
+
+
+def given(settings: TrainSettings) -> list[Path]:
+    """Files of the folders that are taken as they are; one named twice counts twice."""
+    folders = settings.data[1:] if settings.scenes else settings.data
+    return [path for folder in folders for path in rendered_in(folder)]
+
+
+def contents(files: Sequence[Path]) -> str:
+    """What is in files, and how often."""
+    known = {path: file_digest(path) + file_digest(path.with_suffix(".npy")) for path in set(files)}
+    whole = sha256("".join(known[path] for path in files).encode()).hexdigest()
+    return f"{len(files)} files, {whole[:16]}" if files else "as drawn"
+
+
 def train(settings: TrainSettings) -> Run:
     """Render what is missing, train until the steps or the minutes are used up."""
     torch.set_num_threads(settings.threads)
@@ -111,10 +132,13 @@ def train(settings: TrainSettings) -> Run:
     started = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
     shorten(log, run.step)
-    steps = range(run.step, settings.steps)
+    # a training that its minutes ended is over: its weights must stay what they are
+    over = run.elapsed_s > settings.minutes * 60
+    steps = range(run.step, run.step if over else settings.steps)
     # beside a GPU the processors have nothing else to do
     workers = 1 if run.device.type == "cpu" else settings.threads
-    batches = stream(settings.data, settings.batch, steps, seed=settings.seed, workers=workers)
+    files = [*drawn(settings), *given(settings)]
+    batches = stream(files, settings.batch, steps, seed=settings.seed, workers=workers)
     bar = tqdm(batches, initial=run.step, total=settings.steps, mininterval=5)
     for batch in bar:
         parts = advance(run, forward, batch)

@@ -55,6 +55,7 @@ class Crew:
         }
         self.revision = 0  # of the plan
         self.failure = ""
+        self.ending = False  # sources shall make no more frames
         self._finished: set[str] = set()
 
     @property
@@ -172,6 +173,8 @@ class Crew:
         if slot.child is not None and self._may_go(slot):
             slot.child.going, slot.going_since_s = True, time.monotonic()
             slot.child.tell("go")
+            if self.ending:
+                slot.child.tell("finish")
 
     def _is_first(self, slot: Slot) -> bool:
         return slot.epoch == self._first_epoch + 1

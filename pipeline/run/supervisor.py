@@ -87,8 +87,9 @@ class Supervisor(Crew):
 
     def finish(self) -> None:
         """Let the sources end and what is under way arrive, for as long as something does."""
+        self.ending = True
         for slot in self.slots.values():
-            if slot.sources and slot.child:
+            if slot.sources and slot.child and slot.child.going:
                 slot.child.tell("finish")
         began_s = moved_s = now_s = time.monotonic()
         ends = self.ledger.ends()
@@ -160,12 +161,12 @@ class Supervisor(Crew):
     def _look_after(self, slot: Slot, now_s: float) -> None:
         if self.desk.owns(slot):
             return
-        if slot.child is None:
+        if slot.child is None and slot.sources and self.ending:
+            self._finished |= slot.sources  # it need not come back to make no frames
+        elif slot.child is None:
             if slot.next_start_s and now_s >= slot.next_start_s:
                 self._begin_again(slot, now_s)
-            return
-        status = slot.child.ended()
-        if status is not None:
+        elif (status := slot.child.ended()) is not None:
             slot.child.reap(REAP_S)  # what it said last is heard before it is judged
             self._hear()
             self._bury(slot, status, now_s)

@@ -104,8 +104,8 @@ class Swap(Affair):
             self._other = None
         for account in self.crew.accounts(self._slot):
             account.next_door = 0
-        self._owned = False
-        if self._slot.child is None and not self._slot.next_start_s:
+        owned, self._owned = self._owned, False
+        if owned and self._slot.child is None and not self._slot.next_start_s:
             self._slot.next_start_s = time.monotonic()  # it could not be started: the crew tries
         if refused and self._hot and self._slot.child is not None:
             self._slot.child.order("uncut", node=self._node.name)
@@ -202,15 +202,14 @@ class Swap(Affair):
             if "uncut" in heard:
                 raise RunError(f"{name}: {heard['uncut']['reason']}")
             if old.ended() is not None or new.ended() is not None or time.monotonic() > late_s:
-                self._owned = False
                 old.order("uncut", node=name)
                 if old.ended() is None:
                     yield from self.until(lambda: "cut" in heard, UNCUT_S, "", must=False)
                 else:
                     yield from self.last_words(old)
                 if "cut" in heard:
-                    self._owned = True
                     return
+                self._owned = False
                 raise RunError(f"{name}: it did not come to a frame where it could be cut")
             yield
 
@@ -285,8 +284,10 @@ class Swap(Affair):
             yield from self._probation(self._working())
         except RunError as error:
             self.facts["rolled_back"] = True
-            yield from self._stop()
             self._keep_again()
+            if self._slot.child is not None:
+                yield from self._stop()
+                self._keep_again()  # without what the new part was told
             yield from self._start(before)
             raise RunError(f"{error}; the old part was started again") from error
 

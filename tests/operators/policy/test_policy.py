@@ -108,6 +108,18 @@ def test_a_class_that_no_track_has_is_refused_while_it_runs(strategy):
     assert policy.settings.target == "player"
 
 
+def test_where_the_graph_names_no_class_that_is_there_a_box_may_be_told_all_the_same():
+    policy = Policy(PolicySettings(strategy="pursue", target="refree"))
+    policy.open()
+    policy.on_tracks(tracks(0, (1, 0, 50, 50, 0)))
+
+    policy.on_settings(
+        PolicySettings(strategy="pursue", target="refree", prompt_box=(1.0, 2.0, 3.0, 4.0))
+    )
+
+    assert policy.settings.prompt_box == (1.0, 2.0, 3.0, 4.0)
+
+
 def test_a_prompt_box_that_is_no_box_is_refused():
     with pytest.raises(SettingsError, match="prompt_box: expected left, top, right, bottom"):
         PolicySettings(prompt_box=(10.0, 10.0, 5.0, 20.0))

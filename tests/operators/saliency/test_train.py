@@ -12,9 +12,9 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
 from operators.saliency import train as training
-from operators.saliency.data import Batch, Rendered
+from operators.saliency.data import Batch, Rendered, rendered_in
 from operators.saliency.example import INPUT_PX, NAMES
-from operators.saliency.train import Run, TrainSettings, advance, asked, main
+from operators.saliency.train import Run, TrainSettings, advance, asked, drawn, main, train
 from pipeline import SettingsError
 from pipeline.errors import DriverError
 from tests.operators.training.elsewhere import PLACE, pretended
@@ -103,6 +103,41 @@ def test_another_training_in_the_same_folder_is_refused(tmp_path: Path, step: in
         Run(replace(settings_in(tmp_path), seed=2)).resume()
 
 
+def footage(folder: Path, light: int) -> Path:
+    """A folder with one grey picture and nobody in it."""
+    folder.mkdir()
+    np.save(folder / "1.npy", np.full((1, 270, 480, 3), light, np.uint8))
+    nobody = {"boxes": np.zeros((0, 4), np.float32), "labels": np.zeros(0, np.int64)}
+    ignored = np.zeros(0, np.bool_)
+    np.savez(folder / "1.npz", first=np.zeros(2, int), ignored=ignored, **nobody)
+    return folder
+
+
+def test_a_training_on_other_footage_is_refused(tmp_path: Path) -> None:
+    here, there = footage(tmp_path / "here", 90), footage(tmp_path / "there", 91)
+    settings = replace(settings_in(tmp_path), data=(here,), scenes=0)
+    Run(settings).save()
+
+    Run(settings).resume()
+    for other in ((there,), (here, here)):
+        with pytest.raises(SettingsError, match=r"^data: this folder's training has 1 files, "):
+            Run(replace(settings, data=other)).resume()
+
+
+def test_of_what_lies_beside_the_drawn_scenes_nothing_is_learned(tmp_path: Path) -> None:
+    settings = replace(settings_in(tmp_path), scenes=2)
+    (tmp_path / "10399.npz").touch()
+
+    assert [path.name for path in drawn(settings)] == ["10000.npz", "10001.npz"]
+
+
+def test_a_training_that_its_minutes_ended_stays_as_it_is(tmp_path: Path) -> None:
+    data = (footage(tmp_path / "data", 90),)
+    settings = replace(settings_in(tmp_path), data=data, scenes=0, batch=1, minutes=1e-6)
+
+    assert [train(settings).step for _ in range(2)] == [1, 1]
+
+
 def test_weights_are_exported_whatever_they_were_trained_with(tmp_path: Path) -> None:
     Run(settings_in(tmp_path)).save()
 
@@ -129,12 +164,12 @@ def test_pictures_that_are_damaged_are_refused(tmp_path: Path, lost: str) -> Non
     (tmp_path / lost).write_bytes(b"")
 
     with pytest.raises(DriverError, match=rf"{lost}: expected "):
-        Rendered([tmp_path], seed=1)
+        Rendered(rendered_in(tmp_path), seed=1)
 
 
 def test_without_pictures_nothing_is_trained(tmp_path: Path) -> None:
     with pytest.raises(DriverError, match="data: expected rendered scenes, got none"):
-        Rendered([tmp_path], seed=1)
+        Rendered(rendered_in(tmp_path), seed=1)
 
 
 def test_a_device_that_is_none_is_refused(tmp_path: Path) -> None:

@@ -144,6 +144,23 @@ def test_a_killed_operator_comes_back_and_the_accounts_still_add_up(
     assert report["failure"] == ""
 
 
+def test_a_run_ends_at_once_while_its_source_is_away(tmp_path: Path) -> None:
+    took: list[float] = []
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > 5)
+        os.kill(supervisor.pid("ticker"), signal.SIGKILL)
+        began = time.monotonic()
+        supervisor.finish()
+        took.append(time.monotonic() - began)
+        assert supervisor.finished
+
+    report = go(plan_of(tmp_path, LOOP), 0, kill)
+
+    assert took[0] < 4
+    assert_accounts_add_up(report)
+
+
 def test_a_node_that_shall_never_restart_stays_away_and_the_graph_goes_on(tmp_path: Path) -> None:
     text = CHAIN.replace("  count:\n", "  count:\n    restart: never\n")
 

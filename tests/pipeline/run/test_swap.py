@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -329,17 +330,21 @@ def test_a_swap_knows_what_the_part_was_told_and_has_the_last_word(
 
 
 def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOSSLESS)
+    plan = plan_of(tmp_path, LOSSLESS, changes=("ticker.rate_hz=10",))
     results: Results = []
+
+    def tell_meanwhile() -> None:
+        ask(plan.name, "work", {"every": 7})
+        ask(plan.name, "ticker", {"rate_hz": 200})  # the cut may come
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
-        order = SwapOrder(node="work", at=handled(supervisor, "work") + 120)
+        order = SwapOrder(node="work", at=handled(supervisor, "work") + 300)
         supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
         account = supervisor.ledger.edges[0]
         wait_for(supervisor, lambda: account.next_door != 0, 30)
-        beside(supervisor, lambda: ask(plan.name, "work", {"every": 7}))
-        wait_for(supervisor, lambda: bool(results), 30)
+        beside(supervisor, tell_meanwhile)
+        wait_for(supervisor, lambda: bool(results), 60)
         results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
         supervisor.finish()
 
@@ -347,6 +352,61 @@ def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path
 
     assert "its settings were changed meanwhile, try again" in results[0]["refused"]
     assert results[1]["every"] == 7
+
+
+def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    group = "    group: hand\n"
+    plan = plan_of(tmp_path, LOSSLESS.replace("  work:\n", f"  work:\n{group}") + GLANCE + group)
+    results: Results = []
+
+    def refuse(*_: object, **__: object) -> "subprocess.Popen[bytes]":
+        raise BlockingIOError("Resource temporarily unavailable")
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        beside(supervisor, lambda: ask(plan.name, "work", {"every": 2}))
+        supervisor.desk.take(
+            SwapOrder(node="work"), lambda answer: results.append(json.loads(answer))
+        )
+        wait_for(supervisor, lambda: supervisor.desk.owns(supervisor.slots["hand"]), 30)
+        with monkeypatch.context() as patch:
+            patch.setattr("pipeline.run.crew.spawn", refuse)
+            supervisor.spare.dismiss()
+            wait_for(supervisor, lambda: bool(results), 30)
+        wait_for(supervisor, lambda: supervisor.pid("hand") != 0, 30)
+        after = handled(supervisor, "work")
+        wait_for(supervisor, lambda: handled(supervisor, "work") > after + 3)
+        results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert "hand: cannot be started: Resource temporarily unavailable" in results[0]["refused"]
+    assert results[1]["every"] == 2
+
+
+def test_a_part_that_shall_never_restart_is_not_started_by_a_swap_that_failed(
+    tmp_path: Path,
+) -> None:
+    text = LOSSLESS.replace("  work:\n", "  work:\n    restart: never\n")
+    results: Results = []
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        order = SwapOrder(node="work", at=1 << 30)
+        supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
+        account = supervisor.ledger.edges[0]
+        wait_for(supervisor, lambda: account.next_door != 0, 30)
+        os.kill(supervisor.pid("work"), signal.SIGKILL)
+        wait_for(supervisor, lambda: bool(results), 60)
+        end = time.monotonic() + 0.5
+        wait_for(supervisor, lambda: time.monotonic() > end)
+        assert supervisor.pid("work") == 0
+        supervisor.finish()
+
+    assert go(plan_of(tmp_path, text), 0, during)["restarts"] == {}
 
 
 def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> None:
