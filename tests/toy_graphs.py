@@ -3,6 +3,7 @@
 import secrets
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,14 @@ def wait_for(supervisor: Supervisor, condition: Callable[[], bool], timeout_s: f
     while not condition():
         assert time.monotonic() < deadline, "timed out"
         supervisor.tick()
+
+
+def beside(supervisor: Supervisor, act: Callable[[], Any]) -> Any:
+    """Have something done by another thread while the graph is looked after."""
+    with ThreadPoolExecutor(1) as pool:
+        done = pool.submit(act)
+        wait_for(supervisor, done.done, 60)
+    return done.result()
 
 
 def handled(supervisor: Supervisor, node: str) -> int:

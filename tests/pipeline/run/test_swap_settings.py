@@ -1,0 +1,109 @@
+"""A swap keeps what the old part was told while it ran, and changes only what it is asked to."""
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.console.changing import ask
+from pipeline.console.operating import tell
+from pipeline.run.rundir import base
+from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap import SwapOrder
+from tests.toy_graphs import LOSSLESS, beside, go, handled, plan_of, wait_for
+
+GLANCE = """\
+  glance:
+    operator: tests.toys:Pass
+    inputs: {frame: ticker.roi}
+"""
+Results = list[dict[str, Any]]
+
+
+@pytest.mark.parametrize("group", ["", "    group: hand\n"])
+def test_a_swap_knows_what_the_part_was_told_and_has_the_last_word(
+    tmp_path: Path, group: str
+) -> None:
+    text = LOSSLESS.replace("  work:\n", f"  work:\n{group}") + GLANCE + group
+    plan = plan_of(tmp_path, text)
+    log = base() / plan.name / f"{plan.node('work').process}.log"
+    effective = []
+
+    def operate() -> None:
+        with log.open("a") as words:
+            words.write("said before\n")
+        for changes in ({"hold": 1}, {"every": 3}):
+            ask(plan.name, "work", {"every": 2})
+            tell(plan.name, SwapOrder(node="work", changes=changes, probation=5))
+            settings = ask(plan.name, "work", {}).settings
+            effective.append((settings["every"], settings["hold"]))
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        beside(supervisor, operate)
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert effective == [(2, 1), (3, 1)]
+    assert "said before" in log.read_text()
+
+
+def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOSSLESS, changes=("ticker.rate_hz=10",))
+    results: Results = []
+
+    def tell_meanwhile() -> None:
+        ask(plan.name, "work", {"every": 7})
+        ask(plan.name, "ticker", {"rate_hz": 200})  # the cut may come
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        order = SwapOrder(node="work", at=handled(supervisor, "work") + 300)
+        supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
+        account = supervisor.ledger.edges[0]
+        wait_for(supervisor, lambda: account.next_door != 0, 30)
+        beside(supervisor, tell_meanwhile)
+        wait_for(supervisor, lambda: bool(results), 60)
+        results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert "its settings were changed meanwhile, try again" in results[0]["refused"]
+    assert results[1]["every"] == 7
+
+
+def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    group = "    group: hand\n"
+    plan = plan_of(tmp_path, LOSSLESS.replace("  work:\n", f"  work:\n{group}") + GLANCE + group)
+    results: Results = []
+
+    def refuse(*_: object, **__: object) -> "subprocess.Popen[bytes]":
+        raise BlockingIOError("Resource temporarily unavailable")
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        beside(supervisor, lambda: ask(plan.name, "work", {"every": 2}))
+        supervisor.desk.take(
+            SwapOrder(node="work"), lambda answer: results.append(json.loads(answer))
+        )
+        wait_for(supervisor, lambda: supervisor.desk.owns(supervisor.slots["hand"]), 30)
+        with monkeypatch.context() as patch:
+            patch.setattr("pipeline.run.crew.spawn", refuse)
+            supervisor.spare.dismiss()
+            wait_for(supervisor, lambda: bool(results), 30)
+        wait_for(supervisor, lambda: supervisor.pid("hand") != 0, 30)
+        after = handled(supervisor, "work")
+        wait_for(supervisor, lambda: handled(supervisor, "work") > after + 3)
+        results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    assert "hand: cannot be started: Resource temporarily unavailable" in results[0]["refused"]
+    assert results[1]["every"] == 2
