@@ -6,7 +6,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -96,10 +97,20 @@ def test_a_count_begins_at_one() -> None:
         count("0")
 
 
-def refused(main: object, words: Sequence[object], capsys: pytest.CaptureFixture[str]) -> str:
+def main_of(module: str) -> Callable[[list[str]], None]:
+    """The command line of a module, where what it needs is there."""
+    for needed in ("torch", "onnx"):
+        pytest.importorskip(needed, reason="needs the train extra")
+    main: Callable[[list[str]], None] = import_module(module).main
+    return main
+
+
+def refused(
+    main: Callable[[list[str]], None], words: Sequence[object], capsys: pytest.CaptureFixture[str]
+) -> str:
     """What a command line says before it ends with 2."""
     with pytest.raises(SystemExit) as ended:
-        main([str(word) for word in words])  # type: ignore[operator]
+        main([str(word) for word in words])
     assert ended.value.code == 2
     return capsys.readouterr().err.splitlines()[-1]
 
@@ -108,9 +119,7 @@ def refused(main: object, words: Sequence[object], capsys: pytest.CaptureFixture
 def test_a_training_of_nothing_is_refused(
     room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("torch", reason="needs the train extra")
-    pytest.importorskip("onnx", reason="needs the train extra")
-    main = __import__(f"operators.{room}.train", fromlist=["main"]).main
+    main = main_of(f"operators.{room}.train")
     data, out, file = tmp_path / "data", tmp_path / "out", tmp_path / "file"
     file.write_text("")
 
@@ -132,9 +141,7 @@ def test_a_training_of_nothing_is_refused(
 def test_an_evaluation_of_nothing_is_refused(
     room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("torch", reason="needs the train extra")
-    pytest.importorskip("onnx", reason="needs the train extra")
-    main = __import__(f"operators.{room}.evaluate", fromlist=["main"]).main
+    main = main_of(f"operators.{room}.evaluate")
     gone, file = tmp_path / "gone.onnx", tmp_path / "file"
     file.write_text("")
 
