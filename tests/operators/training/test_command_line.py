@@ -17,7 +17,7 @@ from pipeline import SettingsError
 from tests.operators.training.test_workers import ended, wait_for
 
 BUSY = """
-import os, time
+import os, signal, time
 from pathlib import Path
 from operators.training.command_line import GOES_ON, in_a_sentence
 from operators.training.workers import pool_of
@@ -27,6 +27,8 @@ def job():
     time.sleep(60)
 
 if __name__ == "__main__":
+    # as at a terminal: whoever starts the tests in the background has it ignored
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with in_a_sentence(GOES_ON), pool_of(1) as pool:
         pool.submit(job).result()
 """
