@@ -1,7 +1,8 @@
 """A checked graph, ready to run: nodes and edges with every default filled in.
 
 The loader makes a plan; the supervisor hands it to node processes as JSON, the in-line runner uses
-it as it is.
+it as it is. Names that do not follow the grammar of `pipeline.naming` are refused here, wherever a
+plan comes from.
 """
 
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from typing import Any, Literal
 from pipeline.contract import Input, Keep, Operator, Source, inputs_of
 from pipeline.errors import GraphError
 from pipeline.import_path import imported
+from pipeline.naming import check_name
 
 Clock = Literal["realtime", "lockstep"]
 RestartPolicy = Literal["never", "on-failure", "always"]
@@ -46,6 +48,10 @@ class Edge:
     tap: bool
     transport: Literal["pool", "bytes"]
 
+    def __post_init__(self) -> None:
+        for name in (self.source, self.output, self.target, self.input):
+            check_name(name, "edge")
+
     @property
     def origin(self) -> str:
         """`node` or `node.output`, as a graph file writes it."""
@@ -73,6 +79,13 @@ class Node:
     memory_mb: float = 0.0  # of its own; more is a leak, and it starts again; 0: no limit
     restart: Restart = field(default_factory=Restart)
 
+    def __post_init__(self) -> None:
+        check_name(self.name, "node")
+        if self.group:
+            check_name(self.group, f"{self.name}.group")
+        if self.host:
+            check_name(self.host, f"{self.name}.host")
+
     @property
     def process(self) -> str:
         """Name of the process it runs in."""
@@ -89,6 +102,13 @@ class Plan:
     edges: tuple[Edge, ...]
     hosts: tuple[str, ...] = ()  # labels of the boxes it is laid out for
     here: str = ""  # the label whose nodes this supervisor runs; empty: all of them
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "name")
+        for host in self.hosts:
+            check_name(host, "hosts")
+        if self.here:
+            check_name(self.here, "here")
 
     def is_here(self, node: Node) -> bool:
         """Whether this supervisor runs it."""
