@@ -18,7 +18,7 @@ import psutil
 from pipeline.errors import RunError
 from pipeline.naming import GRAMMAR
 from pipeline.private_folder import PrivateFolder
-from pipeline.run.memory_folder import RUN_ID, MemoryFolder, abandoned, path_of
+from pipeline.run.memory_folder import MEMORY, RUN_ID, MemoryFolder, abandoned, path_of
 from pipeline.run.rundir import LOCK, locked, noted, run_folders
 
 KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
@@ -32,9 +32,7 @@ _LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?")
 
 def cleanup() -> None:
     """Remove what killed supervisors left: processes, shared memory, sockets, very old logs."""
-    for memory in abandoned():
-        end_orphans(memory.run_id)
-        memory.empty()
+    clean_memory()
     for folder in run_folders():
         lock = locked(folder.path)
         if lock is None:
@@ -45,6 +43,13 @@ def cleanup() -> None:
                 _forget(folder)
         finally:
             os.close(lock)
+
+
+def clean_memory(memory: Path = MEMORY) -> None:
+    """Remove the memory folders of killed runs, and what of those runs still lives."""
+    for folder in abandoned(memory=memory):
+        end_orphans(folder.run_id)
+        folder.empty()
 
 
 def leftovers() -> list[str]:
