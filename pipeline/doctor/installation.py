@@ -19,11 +19,10 @@ from pipeline.doctor.finding import Finding, ok, warning, wrong
 from pipeline.errors import FoveaError, RunError
 from pipeline.run.leftovers import leftovers, node_processes
 from pipeline.run.memory_folder import MemoryFolder, path_of
-from pipeline.run.rundir import base
+from pipeline.run.rundir import LONGEST_ADDRESS, base
 
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 OLDEST = (3, 11)
-LONGEST_SOCKET = 107  # bytes of a unix socket's path
 LONGEST_NAME = 40  # of graph and node together, as long as they come
 ECHO_S = 3.0
 
@@ -102,8 +101,8 @@ def folders() -> Iterator[Finding]:
         yield wrong(what, str(error), "remove it, or set TMPDIR to a folder of this user")
         return
     length = len(os.fsencode(folder)) + LONGEST_NAME
-    if length > LONGEST_SOCKET:
-        why = f"{folder}: {length} bytes with names, a socket's path may have {LONGEST_SOCKET}"
+    if length > LONGEST_ADDRESS:
+        why = f"{folder}: {length} bytes with names, a socket's path may have {LONGEST_ADDRESS}"
         yield wrong(what, why, "set TMPDIR to a shorter path")
     else:
         yield ok(what, f"{folder}, private")

@@ -21,6 +21,7 @@ from pipeline.node.wiring import Assignment
 from pipeline.run.child import Child, Events, Sample, spawn
 from pipeline.run.judge import Judge
 from pipeline.run.run_folder import RunFolder
+from pipeline.run.rundir import check_addresses, folder_of
 from pipeline.run.slot import Slot
 from pipeline.run.spare import Spare
 
@@ -34,6 +35,8 @@ class Crew:
         """`folder`: where it runs, else the graph's name; epochs begin after the first one."""
         self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
         self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
+        names = [name for n in plan.nodes for name in (n.name, n.process)]
+        check_addresses(folder_of(folder or plan.name), names)
         self._run = RunFolder.claim(folder or plan.name)
         try:
             self.ledger = Ledger.create(self._run.memory, len(plan.edges), len(plan.nodes))

@@ -11,7 +11,7 @@ import fcntl
 import os
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ from pipeline.run.memory_folder import RUN_ID, path_of
 
 FACTS, LOCK = "run.json", "lock"
 MOST_FACTS_BYTES = 4 << 20
+LONGEST_ADDRESS = 107  # bytes of a unix socket's path
+NEWEST_EPOCH = 9_999_999  # as long as an instance's number gets
 
 
 class _NodeFacts(msgspec.Struct):
@@ -79,6 +81,16 @@ def folder_of(graph: str) -> Path:
     return base() / graph
 
 
+def check_addresses(folder: Path, names: Iterable[str]) -> None:
+    """Raise `RunError` when a socket of one of these nodes or processes would have no address."""
+    longest = max((folder / f"{name}.{NEWEST_EPOCH}.sock" for name in names), key=_length)
+    if _length(longest) > LONGEST_ADDRESS:
+        raise RunError(
+            f"{longest}: expected up to {LONGEST_ADDRESS} bytes, as the address of a unix socket "
+            f"has, got {_length(longest)}; set TMPDIR to a shorter folder"
+        )
+
+
 def is_run_name(text: str) -> bool:
     """Whether it is a graph's name, or a name, @ and a host's label.
 
@@ -121,6 +133,10 @@ def noted(folder: PrivateFolder) -> dict[str, Any]:
         return {}
     found: dict[str, Any] = msgspec.to_builtins(facts)
     return found
+
+
+def _length(path: Path) -> int:
+    return len(os.fsencode(path))
 
 
 def memory_of(facts: dict[str, Any]) -> PrivateFolder:

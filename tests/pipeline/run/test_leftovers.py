@@ -20,6 +20,8 @@ from pipeline.run.logs import log_lines
 from pipeline.run.memory_folder import MemoryFolder, abandoned, path_of
 from pipeline.run.run_folder import RunFolder
 from pipeline.run.rundir import base, folder_of, noted, running
+from pipeline.run.supervisor import Supervisor
+from tests.toy_graphs import CHAIN, plan_of
 
 NO_RUN_NAMES = ["", ".", "..", "../x", "/etc", "a/b", "a@b@c", "@", "a@", "@b", "a b", "x" * 33]
 
@@ -166,6 +168,18 @@ def test_a_file_in_the_place_of_the_folder_of_all_graphs_is_one_sentence(other_b
     with pytest.raises(RunError, match="cannot be opened as a folder"):
         base()
     assert other_base.read_text() == "mine"
+
+
+def test_a_folder_too_long_for_sockets_is_refused_before_anything_starts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    plan, deep = plan_of(tmp_path, CHAIN), tmp_path / ("x" * 100)
+    deep.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(deep))
+
+    with pytest.raises(RunError, match="set TMPDIR to a shorter folder"):
+        Supervisor(plan)
+    assert list((deep / f"fovea-{os.geteuid()}").iterdir()) == []
 
 
 def test_a_temporary_folder_in_which_others_may_rename_is_refused(
