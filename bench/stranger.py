@@ -99,7 +99,7 @@ def _one_life(found: dict[str, Any]) -> None:
     found["runs"] += 1
     found["pictures"] += report["edges"][-1]["delivered"]
     found["torn"] += report.get("torn", 0) + len(unbalanced(report["edges"]))
-    found["crashes"] += restarts - killed + bool(failure)
+    found["crashes"] += max(0, restarts - killed) + bool(failure)
     found["left"] += traces.files() + traces.orphans()
 
 
