@@ -136,6 +136,7 @@ class Child:
 
     def __init__(self, process: NodeProcess, job: Assignment, exchange: Exchange) -> None:
         self.name, self._process, self._exchange = job.process, process, exchange
+        self.nodes = frozenset(node.name for node in job.nodes)
         self.ready = self.going = False
         self.left = False  # it has said that it was done
         self.began_s = time.monotonic()

@@ -54,6 +54,7 @@ class Supervisor(Crew):
         self.restarts: dict[str, int] = {}
         self._sampled_s = 0.0
         self.started_s = time.monotonic()
+        self.begun = False  # every process has worked once
         self.patience = 0  # deaths allowed whatever the graph says; for those who kill on purpose
 
     def __enter__(self) -> "Supervisor":
@@ -78,6 +79,7 @@ class Supervisor(Crew):
                     raise RunError(f"{slot.name}: {why}, see `fovea logs {slot.name}`")
             if time.monotonic() > deadline:
                 raise RunError("the readers of a source have not heard it in all that time")
+        self.begun = self.all_going
         self.started_s = time.monotonic()
 
     def tick(self) -> None:
@@ -184,24 +186,18 @@ class Supervisor(Crew):
         slot, kind, node = self.slots.get(child.name), event["event"], str(event.get("node"))
         if self.desk.hear(child.pid, event):
             return
-        if kind == "summary" and self._is_of(child, node):
+        if kind == "summary" and node in child.nodes:
             self._keep_summary(child, node, event)
         elif slot is None or slot.child is not child:
             return  # of a node that was removed, of a process that was replaced
         elif kind == "ready":
             child.ready, child.load_s = True, float(event.get("load_s", 0))
-        elif kind == "finished" and node in slot.sources:
+        elif kind == "finished" and node in child.nodes:
             self._finished.add(node)
-        elif kind == "headline" and node in {n.name for n in slot.nodes}:
+        elif kind == "headline" and node in child.nodes:
             self.headlines[node] = harmless(str(event["words"]), MOST_HEADLINE)
         elif kind == "failed":
             self._note_failure(slot, event)
-
-    def _is_of(self, child: Child, node: str) -> bool:
-        """Whether a process may speak of a node; one that was removed still has its summary."""
-        return any(n.name == node and n.process == child.name for n in self.plan.nodes) or (
-            child.name not in self.slots and node == child.name
-        )
 
     def _keep_summary(self, child: Child, node: str, event: dict[str, Any]) -> None:
         """Keep what the newest process says, which a source does twice."""
