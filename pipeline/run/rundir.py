@@ -25,6 +25,7 @@ import psutil
 
 from pipeline.bus.pool import remove_pools
 from pipeline.errors import RunError
+from pipeline.run.descendants import end_marked
 
 MEMORY = Path("/dev/shm")
 LOGS = (".log", ".old")
@@ -204,3 +205,4 @@ def _end_orphans(prefix: str) -> None:
         if prefix in (process.info["cmdline"] or []):
             with contextlib.suppress(psutil.Error):  # it has just ended by itself
                 process.send_signal(signal.SIGKILL)
+    end_marked(prefix)  # and what they had started
