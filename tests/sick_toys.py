@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline import Frame, Input, Operator
+from pipeline import Frame, Input, Message, Operator
+from tests.toys import Ticker
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +88,9 @@ class Unruly(Operator[UnrulySettings, Frame]):
         return True
 
     def on_frame(self, frame: Frame) -> Frame:
-        if frame.header.seq >= self.settings.at and self.first():
-            getattr(self, f"do_{self.settings.kind}", lambda: None)()
+        act = getattr(self, f"do_{self.settings.kind}", None)
+        if act is not None and frame.header.seq >= self.settings.at and self.first():
+            act()
         return replace(frame, pixels=frame.pixels)
 
     def close(self) -> None:
@@ -196,3 +198,12 @@ class Unruly(Operator[UnrulySettings, Frame]):
     def do_deaf(self) -> None:
         """Stop for good."""
         os.kill(os.getpid(), signal.SIGSTOP)
+
+
+class Deserter(Ticker):
+    """A source that leaves at its tenth picture, without a word."""
+
+    def produce(self) -> Mapping[str, Message] | None:
+        if self.seq == 10:
+            os._exit(0)
+        return super().produce()
