@@ -18,6 +18,7 @@ from pipeline import settings as checked
 from pipeline.contract import Operator, live_of, settings_of
 from pipeline.errors import FoveaError, RunError, SettingsError
 from pipeline.private_folder import PrivateFolder
+from pipeline.text import error_text, harmless
 
 CONFIG = "@config"  # the key below a node's own that answers
 
@@ -83,9 +84,9 @@ class Live:
             if question:
                 self.change(read_question(question))
         except FoveaError as error:
-            refused = str(error)
+            refused = harmless(str(error))
         except Exception as error:
-            broken = f"{self._node}: it broke and starts again: {type(error).__name__}: {error}"
+            broken = f"{self._node}: it broke and starts again: {harmless(error_text(error))}"
             reply(msgspec.msgpack.encode(self.describe(broken)))
             raise
         reply(msgspec.msgpack.encode(self.describe(refused)))

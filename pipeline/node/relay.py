@@ -28,6 +28,7 @@ from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.node.host import Host
 from pipeline.node.shadow import Heard, Shadow
 from pipeline.private_folder import PrivateFolder
+from pipeline.text import error_text
 
 BATON = 0xFFFFFFFF  # the "edge" on which a successor is told to go on
 REST_S = 0.005
@@ -247,7 +248,12 @@ class Relay:
         self._voice.raise_()
 
     def _write_state(self) -> str:
-        state = self._host.operator.state()
+        try:
+            state = self._host.operator.state()
+        except Exception as error:  # the part works on: only the swap comes to nothing
+            raise RunError(
+                f"{self._host.name}: its state cannot be had: {error_text(error)}"
+            ) from error
         if state is None:
             return ""
         name = f"{self._host.name}.{self._host.epoch}.state"
