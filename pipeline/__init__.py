@@ -1,29 +1,36 @@
-"""What runs any graph: messages, the operator contract, bus, frame pool, runners, supervisor."""
+"""What runs any graph: messages, the operator contract, bus, frame pool, runners, supervisor.
 
-from pipeline.contract import Input, Operator, Output, Source
-from pipeline.errors import (
-    DriverError,
-    FoveaError,
-    GraphError,
-    MessageError,
-    PoolExhausted,
-    RunError,
-    SettingsError,
-    WeightsError,
-)
-from pipeline.messages import (
-    Detections,
-    Frame,
-    Geometry,
-    Header,
-    Message,
-    Percept,
-    RoiFeatures,
-    RoiSchedule,
-    Scanpath,
-    Span,
-    Tracks,
-)
+Names are imported when they are first used: a command answers signals before numpy is loaded.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pipeline.contract import Input, Operator, Output, Source
+    from pipeline.errors import (
+        DriverError,
+        FoveaError,
+        GraphError,
+        MessageError,
+        PoolExhausted,
+        RunError,
+        SettingsError,
+        WeightsError,
+    )
+    from pipeline.messages import (
+        Detections,
+        Frame,
+        Geometry,
+        Header,
+        Message,
+        Percept,
+        RoiFeatures,
+        RoiSchedule,
+        Scanpath,
+        Span,
+        Tracks,
+    )
 
 __all__ = [
     "Detections",
@@ -50,3 +57,21 @@ __all__ = [
     "Tracks",
     "WeightsError",
 ]
+
+_HOMES = ("pipeline.contract", "pipeline.errors", "pipeline.messages")
+
+if not TYPE_CHECKING:  # a checker shall see the names above and no others
+
+    def __getattr__(name: str) -> object:
+        """Return a public name from the module that defines it."""
+        if name in __all__:
+            for home in _HOMES:
+                module = import_module(home)
+                if getattr(vars(module).get(name), "__module__", "") == home:
+                    globals()[name] = vars(module)[name]
+                    return globals()[name]
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        """Return the public names."""
+        return sorted({*globals(), *__all__})

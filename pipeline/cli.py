@@ -2,7 +2,6 @@
 
 import json
 import logging
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import Any
 
 import click
 from rich.console import Console
-from rich.logging import RichHandler
 
+from pipeline import output, signals
 from pipeline.bus.session import silence
 from pipeline.console import running, watching
 from pipeline.console.asking import health_command, schema_command, tell_command
@@ -31,31 +30,46 @@ from pipeline.graph.schema import graph_schema
 from pipeline.run.logs import log_lines
 from pipeline.run.report import tables
 from pipeline.run.rundir import running as running_here
+from pipeline.terminal import log_handler
+from pipeline.text import error_text, harmless
 from pipeline.weights import weights_commands
 
 LOGGING = ("run", "agent")  # whose output is a log; that of the others is an answer
-ENDED = 128 + signal.SIGTERM
+INTERRUPTED = 130
 console = Console()
 GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
 
 
 def main() -> None:
-    """Entry point: one sentence and an exit status for every expected failure."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(ENDED))  # whatever is open is closed
-    sys.path.insert(0, "")  # operators of the user's own lie in the folder they work in
-    logging.basicConfig(
-        level=logging.INFO, format="%(message)s", handlers=[RichHandler(show_path=False)]
-    )
+    """Entry point: one sentence and an exit status for every expected failure and every signal."""
+    output.guard()
+    with signals.raising():
+        sys.path.insert(0, "")  # operators of the user's own lie in the folder they work in
+        logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[log_handler()])
+        try:
+            _carry_out()
+        except OSError:
+            if not output.lost():
+                raise
+            sys.exit(1)  # who would have read it has left
+
+
+def _carry_out() -> None:
     try:
         commands(standalone_mode=False)
     except click.ClickException as error:
         error.show()
         sys.exit(2)
     except (click.Abort, KeyboardInterrupt):
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
     except FoveaError as error:
         click.echo(f"fovea: {error}", err=True)
         sys.exit(2 if isinstance(error, (GraphError, SettingsError, WeightsError)) else 1)
+    except (OSError, MemoryError) as error:  # no descriptors left, no memory, a full disk
+        if output.lost():
+            raise
+        click.echo(f"fovea: {harmless(error_text(error))}", err=True)
+        sys.exit(1)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -63,7 +77,9 @@ def main() -> None:
 @click.pass_context
 def commands(context: click.Context) -> None:
     """Let an ultra-high-resolution image sensor decide, in real time, where to look."""
-    if context.invoked_subcommand not in LOGGING:
+    if context.invoked_subcommand in LOGGING:
+        output.forgive()
+    else:
         silence()
 
 
@@ -101,17 +117,20 @@ def run(
     plan = _load(graph, save=save, **laid)
     if report:
         report.parent.mkdir(parents=True, exist_ok=True)
-    if inline:
-        result = running.inline(plan, frames or 0, console)
-    else:
-        result = running.processes(plan, frames or 0, duration_s or 0.0, console)
-    console.print(tables(result))
-    if report:
-        report.write_text(json.dumps(result, indent=1))
-    if save:
-        console.print(f"recording: {save}, open it with: rerun {save}", markup=False)
+    with signals.Interruption() as asked:
+        if inline:
+            result = running.inline(plan, frames or 0, console, asked)
+        else:
+            result = running.processes(plan, frames or 0, duration_s or 0.0, console, asked)
+        if report:
+            report.write_text(json.dumps(result, indent=1))
+        console.print(tables(result))
+        if save:
+            console.print(f"recording: {save}, open it with: rerun {save}", markup=False)
     if result.get("failure"):
-        raise click.ClickException(result["failure"])
+        click.echo(f"Error: {result['failure']}", err=True)
+    if asked.status or result.get("failure"):
+        sys.exit(asked.status or 2)
 
 
 @commands.command()

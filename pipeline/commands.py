@@ -18,6 +18,7 @@ from pipeline import codec
 from pipeline import settings as checked
 from pipeline.contract import Operator
 from pipeline.errors import FoveaError, SettingsError
+from pipeline.text import error_text, harmless
 
 COMMAND = "@command"  # the key below a node's own that does and answers
 
@@ -55,7 +56,7 @@ def carry_out(node: str, operator: Operator[Any, Any], order: bytes) -> Outcome:
         arguments = read_arguments(type(operator), told, node)
         given = getattr(operator, f"do_{told.command}")(**arguments)
     except FoveaError as error:
-        return Outcome(refused=str(error))
+        return Outcome(refused=harmless(str(error)))
     plain: dict[str, Any] = json.loads(json.dumps(dict(given or {})))
     return Outcome(answer=plain)
 
@@ -67,7 +68,7 @@ def obey(
     try:
         outcome = carry_out(node, operator, order)
     except Exception as error:
-        broken = f"{node}: it broke and starts again: {type(error).__name__}: {error}"
+        broken = f"{node}: it broke and starts again: {harmless(error_text(error))}"
         reply(write_outcome(Outcome(refused=broken)))
         raise
     reply(write_outcome(outcome))

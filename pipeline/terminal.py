@@ -1,11 +1,33 @@
-"""Tables for a terminal of 80 columns: no lines between columns, three figures to a number."""
+"""What a terminal of 80 columns shows: tables without lines between columns, bounded log lines."""
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rich import box
+from rich.highlighter import NullHighlighter
+from rich.logging import RichHandler
 from rich.table import Table
 from rich.text import Text
+
+from pipeline.text import harmless
+
+MOST_LOGGED = 8000  # characters of one record, with its traceback
+
+
+class _Bounded(logging.Formatter):
+    """Whatever is logged, by libraries too, in so many printable characters."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the record's text."""
+        return harmless(super().format(record), MOST_LOGGED, lines=True)
+
+
+def log_handler() -> logging.Handler:
+    """Return a handler that shows records without colours: Rich takes minutes over a long one."""
+    handler = RichHandler(show_path=False, highlighter=NullHighlighter(), keywords=[])
+    handler.setFormatter(_Bounded("%(message)s"))
+    return handler
 
 
 def lean_table(

@@ -1,12 +1,19 @@
 """Operators with an illness each, to test what a supervisor does about them."""
 
 import ctypes
+import multiprocessing
+import os
+import signal
+import subprocess
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from pipeline import Frame, Input, Operator
+from pipeline import Frame, Input, Message, Operator
+from tests.toys import Ticker
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,3 +49,161 @@ class Sick(Operator[SickSettings, Frame]):
         if frame.header.seq > self.settings.ill_from and self.settings.kind == "leak":
             self.kept.append(bytearray(b"x") * 4_000_000)
         return replace(frame, pixels=frame.pixels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnrulySettings:
+    """What it does at which frame; with `once`, a file, only as long as the file is missing."""
+
+    kind: str = ""
+    at: int = 10
+    size: int = 0
+    note: str = ""  # a file for the process ids of what it starts
+    once: str = ""
+
+
+class Mute(Exception):
+    """Its text cannot be had."""
+
+    def __str__(self) -> str:
+        raise RuntimeError("no words")
+
+
+class Unruly(Operator[UnrulySettings, Frame]):
+    """Passes frames on until it does what no operator should."""
+
+    frame = Input(Frame, keep="every")
+
+    def open(self) -> None:
+        if self.settings.kind == "exit_in_open" and self.first():
+            raise SystemExit(0)
+
+    def first(self) -> bool:
+        """Whether it has not been so before; notes that it has."""
+        once = Path(self.settings.once) if self.settings.once else None
+        if once is not None and once.exists():
+            return False
+        if once is not None:
+            once.touch()
+        return True
+
+    def on_frame(self, frame: Frame) -> Frame:
+        act = getattr(self, f"do_{self.settings.kind}", None)
+        if act is not None and frame.header.seq >= self.settings.at and self.first():
+            act()
+        return replace(frame, pixels=frame.pixels)
+
+    def close(self) -> None:
+        if self.settings.kind == "exit_in_close":
+            os._exit(0)
+
+    def summary(self) -> Mapping[str, Any]:
+        if self.settings.kind == "huge_summary":
+            return {"huge": "x" * self.settings.size}
+        if self.settings.kind == "odd_summary":
+            return {"frames": 3, "iou": {"mean": None}, "failure": "no", "\ud800": "\x1b[2J\ud800"}
+        if self.settings.kind == "exit_in_summary":
+            raise SystemExit(0)
+        return {}
+
+    def headline(self) -> str:
+        if self.settings.kind == "huge_headline":
+            return f"{time.monotonic()} \x1b[2J\ud800" + "x" * self.settings.size
+        if self.settings.kind == "exit_in_headline" and self.first():
+            raise SystemExit(0)
+        return ""
+
+    def state(self) -> object | None:
+        if self.settings.kind == "broken_state":
+            raise ValueError("no state" + "x" * self.settings.size)
+        return None
+
+    def _note(self, pid: int) -> None:
+        with Path(self.settings.note).open("a") as file:
+            file.write(f"{pid}\n")
+
+    def do_fork_and_die(self) -> None:
+        """Leave a child that holds all that this process held."""
+        pid = os.fork()
+        if not pid:
+            while True:
+                time.sleep(1000)
+        self._note(pid)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def do_fork_many(self) -> None:
+        """Start workers the way `multiprocessing` does, and work on."""
+        for _ in range(2):
+            worker = multiprocessing.get_context("fork").Process(target=time.sleep, args=(1000,))
+            worker.start()
+            self._note(worker.pid or 0)
+
+    def do_leave_session(self) -> None:
+        """Start a program in a session of its own, and die."""
+        self.do_start_session()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def do_start_session(self) -> None:
+        """Start a program in a session of its own."""
+        self._note(subprocess.Popen(["sleep", "1000"], start_new_session=True).pid)
+
+    def do_exit_0(self) -> None:
+        """Leave without a word."""
+        os._exit(0)
+
+    def do_system_exit(self) -> None:
+        """Leave as a script does."""
+        raise SystemExit(0)
+
+    def do_keyboard_interrupt(self) -> None:
+        """Break as by Ctrl-C."""
+        raise KeyboardInterrupt
+
+    def do_group(self) -> None:
+        """Break in two ways."""
+        raise BaseExceptionGroup("both", [SystemExit(0), ValueError("one\x1b[2J of two")])
+
+    def do_long_text(self) -> None:
+        """Break with many words."""
+        raise ValueError("word " * (self.settings.size // 5))
+
+    def do_odd_text(self) -> None:
+        """Break with words that no terminal takes."""
+        raise ValueError("odd \ud800\x1b[2J\x00\u202e text\nand more")
+
+    def do_mute(self) -> None:
+        """Break without words."""
+        raise Mute
+
+    def do_thread(self) -> None:
+        """Break in a thread."""
+
+        def fail() -> None:
+            raise ValueError("in a thread")
+
+        threading.Thread(target=fail).start()
+
+    def do_close_streams(self) -> None:
+        """Close what every program has."""
+        os.closerange(0, 3)
+        print("into nothing")
+        raise ValueError("after it closed everything")
+
+    def do_print(self) -> None:
+        """Print without end, and no text."""
+        for _ in range(self.settings.size // 65536):
+            os.write(1, b"\xff\x00\x1b" * 21845)
+        raise ValueError("after it printed")
+
+    def do_deaf(self) -> None:
+        """Stop for good."""
+        os.kill(os.getpid(), signal.SIGSTOP)
+
+
+class Deserter(Ticker):
+    """A source that leaves at its tenth picture, without a word."""
+
+    def produce(self) -> Mapping[str, Message] | None:
+        if self.seq == 10:
+            os._exit(0)
+        return super().produce()

@@ -1,10 +1,7 @@
 """`fovea run`: a plan, as processes or in line, with a live line; the report comes back."""
 
-import signal
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -13,35 +10,55 @@ from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColum
 from rich.text import Text
 
 from pipeline.contract import settings_of
+from pipeline.errors import FoveaError, GraphError, RunError
 from pipeline.graph.plan import Node, Plan, load_operator, sources
 from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report, compose
-from pipeline.run.supervisor import Supervisor
+from pipeline.run.supervisor import STOP_S, Supervisor
 from pipeline.settings import build
+from pipeline.signals import Interruption
 from pipeline.terminal import pair
+from pipeline.text import error_text, harmless
 
 REFRESH_S = 0.25
 
 
-def inline(plan: Plan, frames: int, console: Console) -> Report:
-    """Run in this thread, frame by frame."""
+def inline(plan: Plan, frames: int, console: Console, asked: Interruption) -> Report:
+    """Run in this thread, frame by frame, until it is asked to end.
+
+    A frame that takes longer than a run may take to stop is given up; what is known is reported.
+    """
     name = TextColumn("{task.description}", markup=False)
     columns = (SpinnerColumn(), name, MofNCompleteColumn(), TimeElapsedColumn())
-    with InlineRunner(plan) as runner, Progress(*columns, console=console) as progress:
-        task = progress.add_task(plan.name, total=frames or None)
-        for _seq in runner.run(frames):
-            progress.advance(task)
-        return runner.report()
+    runner, report = InlineRunner(plan), None
+    try:
+        with asked.giving_up(STOP_S), runner, Progress(*columns, console=console) as progress:
+            task = progress.add_task(plan.name, total=frames or None)
+            for _seq in runner.run(frames):
+                progress.advance(task)
+                if asked.count:
+                    break
+            report = runner.report()
+    except (SystemExit, KeyboardInterrupt) as error:  # no signal raises these here
+        raise RunError(f"{plan.name}: an operator raised {error_text(error)}") from error
+    return report if report is not None else runner.report(summaries=False)
 
 
-def processes(plan: Plan, frames: int, duration_s: float, console: Console) -> Report:
-    """Run as processes until the source ends, a limit, Ctrl-C or SIGTERM."""
-    with _interruptible() as interrupted, Supervisor(plan, frames=frames) as supervisor:
+def processes(
+    plan: Plan, frames: int, duration_s: float, console: Console,
+    asked: Interruption | None = None,
+) -> Report:  # fmt: skip
+    """Run as processes until the source ends, a limit, or it is asked to end."""
+    if asked is None:
+        with Interruption() as asked:
+            return processes(plan, frames, duration_s, console, asked)
+    with Supervisor(plan, frames=frames) as supervisor:
+        supervisor.asked_to_end = asked.asked
         with console.status(Text(f"{plan.name}: starting {len(plan.processes())} processes")):
             supervisor.start()
         shown_s = 0.0
         with Live(console=console, auto_refresh=False, transient=True) as live:
-            while not supervisor.finished and not interrupted.is_set():
+            while not supervisor.finished and not asked.count:
                 supervisor.tick()
                 elapsed_s = time.monotonic() - supervisor.started_s
                 if duration_s and elapsed_s >= duration_s:
@@ -50,7 +67,8 @@ def processes(plan: Plan, frames: int, duration_s: float, console: Console) -> R
                     shown_s = elapsed_s
                     live.update(Text(status_line(supervisor, elapsed_s)), refresh=True)
         elapsed_s = time.monotonic() - supervisor.started_s
-        supervisor.finish()
+        if supervisor.begun:
+            supervisor.finish()
         supervisor.stop()
         report = compose(
             supervisor.plan,
@@ -59,6 +77,7 @@ def processes(plan: Plan, frames: int, duration_s: float, console: Console) -> R
             {name: supervisor.samples(name) for name in supervisor.plan.processes()},
             duration_s=elapsed_s,
             restarts=supervisor.restarts,
+            left_out=supervisor.left_out,
         )
         if supervisor.failure:
             report["failure"] = supervisor.failure
@@ -88,27 +107,16 @@ def advice(plan: Plan) -> Iterator[str]:
     for node in plan.nodes:
         edges = plan.inputs(node.name).values()
         upstream = {e.input: _settings(plan.node(e.source)) for e in edges}
-        for line in load_operator(node.operator).advise(_settings(node), upstream):
-            yield f"{node.name}: {line}"
+        try:
+            lines = list(load_operator(node.operator).advise(_settings(node), upstream))
+        except FoveaError:
+            raise
+        except BaseException as error:
+            said = f"{node.name}: {node.operator}.advise: {harmless(error_text(error))}"
+            raise GraphError(said) from error
+        for line in lines:
+            yield f"{node.name}: {harmless(str(line))}"
 
 
 def _settings(node: Node) -> Any:
     return build(settings_of(load_operator(node.operator)), node.settings, node.name)
-
-
-@contextmanager
-def _interruptible() -> Iterator[threading.Event]:
-    """Ctrl-C and SIGTERM set the event; a second one interrupts at once."""
-    interrupted = threading.Event()
-
-    def note(_signal: int, _frame: object) -> None:
-        if interrupted.is_set():
-            raise KeyboardInterrupt
-        interrupted.set()
-
-    before = {s: signal.signal(s, note) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield interrupted
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

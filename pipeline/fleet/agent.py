@@ -103,7 +103,10 @@ class Agent:
         self._session.close()
 
     def stop(self) -> None:
-        """Let `run` return."""
+        """Let `run` return; asked for again, without waiting for any operator."""
+        if self._stop.is_set():
+            for part in list(self.parts.values()):
+                part.hurry()
         self._stop.set()
 
     def run(self) -> None:

@@ -1,7 +1,6 @@
 """`fovea agent`, `fovea up`, `fovea down`, `fovea secure`: the commands for several hosts."""
 
 import logging
-import signal
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.naming import check_name
 from pipeline.settings import suggest
+from pipeline.signals import Interruption
 
 GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
 
@@ -52,9 +52,10 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
     own = read(config) if config else Box(AgentFile(label=label), Path.cwd())
     if state:
         own = replace(own, file=replace(own.file, state=str(state.resolve())))
-    with Agent(own) as agent:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: agent.stop())
+    with Interruption() as asked, Agent(own) as agent:
+        asked.on_signal = agent.stop
+        if asked.count:  # while it came up
+            agent.stop()
         agent.run()
     logging.getLogger(__name__).info("box %s: stopped", own.label)
 

@@ -34,7 +34,7 @@ class PartSupervisor(Supervisor):
         self.neighbours: tuple[Neighbour, ...] = ()
         self._since_s = time.monotonic()
         try:
-            self.clocks = Clocks.create(self._run.folder / CLOCKS, plan.here, plan.hosts)
+            self.clocks = Clocks.create(self._run.folder.path / CLOCKS, plan.here, plan.hosts)
         except OSError as error:
             self.close()
             raise RunError(f"{CLOCKS}: cannot be made: {error.strerror}") from error
@@ -66,6 +66,7 @@ class Part:
     neighbours: dict[str, Neighbour] = field(default_factory=dict)
     _proven: bool = False  # it has worked once: then it tries again when it fails
     _stop: threading.Event = field(default_factory=threading.Event)
+    _in_haste: bool = False
     _thread: threading.Thread | None = None
 
     @property
@@ -86,6 +87,11 @@ class Part:
     def stop(self) -> None:
         """Let everything here come to its end."""
         self._stop.set()
+
+    def hurry(self) -> None:
+        """Likewise, without waiting for any operator."""
+        self._in_haste = True
+        self.stop()
 
     def end(self) -> None:
         """Likewise, and wait for it; raises `RunError` when that takes too long."""
@@ -133,6 +139,7 @@ class Part:
 
     def _keep(self, supervisor: PartSupervisor, starts: int) -> None:
         supervisor.networks = dict(self.networks)
+        supervisor.asked_to_end = lambda: self._stop.is_set() + self._in_haste
         graph, done = self.plan.name, threading.Event()
         self.neighbours = {}
         telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")

@@ -20,6 +20,9 @@ from pipeline.node.health import HEALTH, examine, write_health
 from pipeline.node.host import Host
 from pipeline.node.interface import SCHEMA, interface, write_interface
 from pipeline.node.live import CONFIG, Live
+from pipeline.text import error_text, harmless
+
+MOST_WORDS = 2000  # characters of a headline
 
 
 class Answers:
@@ -46,7 +49,10 @@ class Answers:
         reply(write_interface(interface(self._node.name, type(self._operator))))
 
     def _on_health(self, _question: bytes, reply: OnBytes) -> None:
-        words = self._operator.headline()
+        try:
+            words = harmless(str(self._operator.headline()), MOST_WORDS)
+        except Exception as error:  # the thread that asks every second makes an end of it
+            words = harmless(error_text(error))
         reply(write_health(examine(self.plan, self._node, self._ledger, words)))
 
     def _on_config(self, question: bytes, reply: OnBytes) -> None:

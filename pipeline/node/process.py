@@ -1,7 +1,7 @@
 """A node process: a plan on its standard input, operators of one group run until told to stop.
 
-The supervisor speaks over standard input (`go`, `finish`, `stop`, end of file: it died) and hears
-events as JSON lines; everything an operator prints goes to the log.
+The supervisor speaks over a socket (`go`, `finish`, `stop`, end of file: it died) and hears events
+as JSON lines, the last of them `leaving`; everything an operator prints goes to the log.
 """
 
 import contextlib
@@ -16,25 +16,28 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NoReturn
 
 from pydantic import TypeAdapter
 
 from pipeline import settings as checked
-from pipeline.bus.ledger import Ledger, ledger_file
+from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import Session
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, Plan, load_operator
+from pipeline.node.control import Control
 from pipeline.node.host import Host
 from pipeline.node.logfile import log_to
 from pipeline.node.place import check_fit
 from pipeline.node.relay import read_cut
 from pipeline.node.source import SourceHost
 from pipeline.node.wiring import ASIDE, Assignment, Wiring
+from pipeline.private_folder import PrivateFolder
+from pipeline.text import error_text, said_by
 
 ASIDE_NICENESS = 5  # of processes that no sensor command waits for
 AHEAD_NICENESS = 19  # of imports that nobody waits for yet
@@ -46,18 +49,19 @@ log = logging.getLogger(__name__)
 class Process:
     """The nodes of one group in this process."""
 
-    def __init__(self, job: Assignment, events: TextIO) -> None:
-        self._job, self._events = job, events
+    def __init__(
+        self, job: Assignment, say: Callable[..., None], look: Callable[[], None] = lambda: None
+    ) -> None:
+        """`say` tells the supervisor of an event; `look` is called about once a second."""
+        self._job, self.say, self._look = job, say, look
         self._nodes = list(job.nodes)
-        path = ledger_file(Path(job.memory_folder), job.prefix)
-        self._ledger = Ledger.open(path)
+        self._ledger = Ledger.open(PrivateFolder(Path(job.memory_folder)))
         self._hosts: list[Host] = []
         self._operators: list[Operator[Any, Any]] = []
         self._session: Session | None = None
         self._border: Session | None = None
         self._headlines: dict[str, str] = {}
         self._wiring: Wiring | None = None
-        self._saying = threading.Lock()
         self.go = threading.Event()
         self.failed = False
 
@@ -76,8 +80,7 @@ class Process:
                 self._operators.append(self._make(node))
                 self._operators[-1].open()
             loaded_s = time.monotonic()
-            instance = f"{self._job.process}.{max(self._job.epochs.values())}"
-            self._session = Session(Path(self._job.run_folder), instance)
+            self._session = Session(Path(self._job.run_folder), self._job.instance)
             if self._job.network is not None:
                 self._border = Session.across(self._job.network)
             self._wiring = Wiring(self._job, self._session, self._ledger, self.say, self._border)
@@ -88,8 +91,8 @@ class Process:
             gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
             self.say("ready", load_s=loaded_s - began_s)
             self._run_hosts()
-        except Exception as error:
-            self._report(error)
+        except BaseException as error:  # an operator may raise SystemExit, a library panic
+            self.report(error)
         finally:
             self._close()
 
@@ -111,13 +114,6 @@ class Process:
         for host in self._hosts:
             if isinstance(host, SourceHost):
                 host.end()
-
-    def say(self, event: str, **more: Any) -> None:
-        """Tell the supervisor."""
-        line = json.dumps({"event": event, **more}) + "\n"
-        with self._saying:
-            self._events.write(line)
-            self._events.flush()
 
     def do(self, order: Mapping[str, Any]) -> None:
         """What the supervisor wants of one node, done between two calls of its handlers."""
@@ -153,14 +149,20 @@ class Process:
         ]
         for thread in threads:
             thread.start()
-        for thread in threads:
-            while thread.is_alive():
-                thread.join(HEADLINE_S)
-                self._tell_headlines()
+        try:
+            for thread in threads:
+                while thread.is_alive():
+                    thread.join(HEADLINE_S)
+                    self._look()
+                    self._tell_headlines()
+        finally:
+            self.stop()
+            for thread in threads:
+                thread.join(FAREWELL_S)
 
     def _tell_headlines(self) -> None:
         for node, operator in zip(self._nodes, self._operators, strict=True):
-            words = operator.headline()
+            words = str(operator.headline())
             if words != self._headlines.get(node.name, ""):
                 self._headlines[node.name] = words
                 self.say("headline", node=node.name, words=words)
@@ -172,16 +174,20 @@ class Process:
                 while not self.go.is_set():
                     host.attend()
             host.run()
-        except Exception as error:
-            self._report(error)
+        except BaseException as error:  # an operator may raise SystemExit, a library panic
+            self.report(error)
             self.stop()
 
-    def _report(self, error: Exception) -> None:
-        """The first is the reason; what breaks after it, while things are closed, is in the log."""
-        traceback.print_exc()
+    def report(self, error: BaseException) -> None:
+        """Tell the first error, which is the reason; what breaks after it is in the log.
+
+        The log has each with its traceback.
+        """
+        with contextlib.suppress(Exception):  # an exception of an operator's own may do anything
+            traceback.print_exception(error)
         expected = isinstance(error, FoveaError)
-        said = str(error) if expected else f"{type(error).__name__}: {error}"
         if not self.failed:
+            said = said_by(error) if expected else error_text(error)
             self.say("failed", error=said, expected=expected)
         self.failed = True
 
@@ -193,8 +199,8 @@ class Process:
             for act in (partial(self._tell_summary, node, operator), operator.close):
                 try:
                     act()
-                except Exception as error:
-                    self._report(error)
+                except BaseException as error:
+                    self.report(error)
         if not self._job.standby and not self._hosts:
             for node in self._nodes:
                 self._ledger.nodes[node.index].enter("stopped")
@@ -210,32 +216,62 @@ class Process:
 
 
 def main() -> None:
-    """Read an assignment, do it, leave with 0 or 1."""
-    events = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # whatever an operator prints belongs into the log
+    """Read an assignment, do it, announce the end, leave with 0 or 1."""
+    control = Control.from_standard_input()
+    try:
+        failed = _work(control)
+    except BaseException as error:  # before there is an operator to blame
+        traceback.print_exc()
+        control.say("failed", error=error_text(error), expected=False)
+        failed = True
+    control.say("leaving")
+    _leave(1 if failed else 0, alone=control.alone)
+
+
+def _work(control: Control) -> bool:
+    """Do what the supervisor assigns; whether it failed."""
     loader = threading.Thread(target=_import_ahead, args=(sys.argv[2:],))
     loader.start()
     loader.join()
     _level()
-    events.write('{"event": "idle"}\n')
-    events.flush()
-    line = sys.stdin.readline()
+    control.say("idle")
+    lines = control.lines()
+    line = next(lines, "")
     if not line:
-        os._exit(0)  # a spare that was not needed
+        _leave(0, alone=True)  # a spare that was not needed
     job = TypeAdapter(Assignment).validate_json(line)
     first = max(job.epochs.values()) == 1 and not job.trial
-    log_to(Path(job.run_folder) / f"{job.process}.log", fresh=first)
+    file = log_to(Path(job.run_folder) / f"{job.process}.log", fresh=first)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    faulthandler.register(signal.SIGUSR1)  # the supervisor asks before it kills a stalled node
+    faulthandler.register(signal.SIGUSR1, file)  # asked for before a stalled node is killed
     sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
     path = job.plan.command_path()
     if path and not any(n.name in path for n in job.nodes):
         os.nice(ASIDE_NICENESS)
-    process = Process(job, events)
-    threading.Thread(target=_obey, args=(process,), daemon=True).start()
+
+    def look() -> None:
+        with contextlib.suppress(OSError):
+            file.look()
+
+    process = Process(job, control.say, look)
+    threading.excepthook = partial(_on_thread, process)
+    threading.Thread(target=_obey, args=(process, control, lines), daemon=True).start()
     process.run()
-    events.close()
-    os._exit(1 if process.failed else 0)  # Zenoh's threads would keep the interpreter waiting
+    return process.failed
+
+
+def _on_thread(process: Process, broken: threading.ExceptHookArgs) -> None:
+    """A thread that an operator started has broken: so has the operator."""
+    if broken.exc_value is not None and not isinstance(broken.exc_value, SystemExit):
+        process.report(broken.exc_value)
+        process.stop()
+
+
+def _leave(status: int, *, alone: bool) -> NoReturn:
+    """End this process, and without a supervisor to do it also what it has started."""
+    if alone and os.getpgrp() == os.getpid():
+        os.killpg(0, signal.SIGKILL)
+    os._exit(status)  # Zenoh's threads would keep the interpreter waiting
 
 
 def _import_ahead(modules: Iterable[str]) -> None:
@@ -258,8 +294,8 @@ def _level() -> None:
             os.setpriority(os.PRIO_PROCESS, int(thread), os.getpriority(os.PRIO_PROCESS, 0))
 
 
-def _obey(process: Process) -> None:
-    for line in sys.stdin:
+def _obey(process: Process, control: Control, lines: Iterator[str]) -> None:
+    for line in lines:
         word = line.strip()
         if word == "go":
             process.go.set()
@@ -271,7 +307,7 @@ def _obey(process: Process) -> None:
             process.do(json.loads(word))
     process.stop()
     threading.Event().wait(FAREWELL_S)
-    os._exit(2)
+    _leave(2, alone=control.alone)
 
 
 def _plain(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -32,7 +32,7 @@ class SourceHost(Host):
         self._drained, self._limit = drained, limit
         self._ending = threading.Event()
         self.on_finished: Callable[[], None] = lambda: None
-        self._broken: Exception | None = None  # what a command broke
+        self._broken: BaseException | None = None  # what a command broke
         self.commands = hashlib.sha256()
 
     def run(self) -> None:
@@ -140,7 +140,7 @@ class SourceHost(Host):
             while not self.stopping.is_set():
                 if (work := self.next_work(IDLE_S)) is not None:
                     self._accept(work)
-        except Exception as error:  # nobody looks at this thread; the exposing one tells
+        except BaseException as error:  # nobody looks at this thread; the exposing one tells
             self._broken = error
             self.stop()
 

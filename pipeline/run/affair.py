@@ -9,8 +9,8 @@ from pipeline.errors import FoveaError, RunError
 from pipeline.run.child import Child, ending
 from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
+from pipeline.text import error_text, harmless
 
-REAP_S = 0.1
 log = logging.getLogger(__name__)
 
 
@@ -33,10 +33,10 @@ class Affair:
         except StopIteration:
             self._finish("")
         except FoveaError as error:
-            self._finish(str(error))
+            self._finish(harmless(str(error)))
         except Exception as error:  # an order must not end the graph
             log.exception("%s broke", self.kind)
-            self._finish(f"it broke: {type(error).__name__}: {error}")
+            self._finish(f"it broke: {harmless(error_text(error))}")
 
     def hear(self, pid: int, event: dict[str, Any]) -> bool:
         """Take note of an event; True when nobody else needs it."""
@@ -76,7 +76,7 @@ class Affair:
 
     def last_words(self, child: Child) -> Iterator[None]:
         """Hear all that an ended process said: why it failed, or what it did."""
-        child.reap(REAP_S)  # its pipe is read to the end; the next tick hears what was in it
+        child.bury()  # its socket is read to the end; the next tick hears what was in it
         yield
 
     def _finish(self, refused: str) -> None:

@@ -3,26 +3,29 @@
 What supervises them, and what changes them while they run, stand on this.
 """
 
-import queue
-import subprocess
+import logging
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from pipeline.bus.ledger import EdgeAccount, Ledger, ledger_file
+from pipeline.bus.ledger import EdgeAccount, Ledger
 from pipeline.bus.network import Network
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan, is_source
 from pipeline.node.place import place_of
 from pipeline.node.wiring import Assignment
-from pipeline.run.child import Child, Events, Sample, spawn
+from pipeline.run.channel import Exchange
+from pipeline.run.child import KILLED_S, Child, NodeProcess, Sample, spawn
 from pipeline.run.judge import Judge
-from pipeline.run.rundir import MEMORY, RunFolder
+from pipeline.run.run_folder import RunFolder
+from pipeline.run.rundir import check_addresses, folder_of
 from pipeline.run.slot import Slot
 from pipeline.run.spare import Spare
+
+log = logging.getLogger(__name__)
 
 
 class Crew:
@@ -34,14 +37,18 @@ class Crew:
         """`folder`: where it runs, else the graph's name; epochs begin after the first one."""
         self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
         self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
+        names = [name for n in plan.nodes for name in (n.name, n.process)]
+        check_addresses(folder_of(folder or plan.name), names)
         self._run = RunFolder.claim(folder or plan.name)
         try:
-            path = ledger_file(MEMORY, self._run.prefix)
-            self.ledger = Ledger.create(path, len(plan.edges), len(plan.nodes))
-        except RunError:
+            self.ledger = Ledger.create(self._run.memory, len(plan.edges), len(plan.nodes))
+            self.exchange = Exchange()
+        except BaseException:
             self._run.release()
             raise
-        self._events: Events = queue.SimpleQueue()
+        self.children: list[Child] = []  # that were started, until all they said was heard
+        self._leaving: dict[Child, float] = {}  # when those are killed that shall end, monotonic
+        self.asked_to_end: Callable[[], int] = lambda: 0  # how often: more than once is in haste
         self.spare = Spare(partial(self._spawn, wanted=False))
         self._judge = Judge()
         self.slots = {
@@ -72,7 +79,8 @@ class Crew:
     def begin_all(self) -> None:
         """Start every process; the caller goes on with `tick`."""
         for slot in reversed(self.slots.values()):
-            self.begin(slot)
+            if not self.asked_to_end():
+                self.begin(slot)
         self.note()
 
     def begin(self, slot: Slot, *, plan: Plan | None = None, checked: bool = False) -> None:
@@ -103,9 +111,8 @@ class Crew:
         return Assignment(
             plan=plan,
             process=slot.name,
-            run_folder=str(self._run.folder),
-            memory_folder=str(MEMORY),
-            prefix=self._run.prefix,
+            run_folder=str(self._run.folder.path),
+            memory_folder=str(self._run.memory.path),
             epochs={node.name: epoch for node in mine},
             frames=self._frames,
             network=self.networks.get(slot.name),
@@ -125,19 +132,17 @@ class Crew:
 
     def vacate(self, slot: Slot) -> None:
         """Nobody works there now: writers do not wait for it."""
-        assert slot.child is not None
-        slot.child.reap(0.1)
+        if slot.child is not None:
+            self.dismiss(slot.child)
         slot.child = None
         for account in self.accounts(slot):
             account.reader_epoch = account.door = account.next_door = 0
         for node in slot.nodes:
             self.ledger.nodes[node.index].enter("absent")
-            for stale in self._run.folder.glob(f"{node.name}.*.door"):
-                stale.unlink(missing_ok=True)
 
     def live_file(self, node: str) -> Path:
         """Where a node keeps the settings that it was told while it ran."""
-        return self._run.folder / f"{node}.live"
+        return self._run.folder.path / f"{node}.live"
 
     def change_plan(self, plan: Plan) -> None:
         """Another plan runs now; a process that left it must have ended."""
@@ -160,13 +165,33 @@ class Crew:
             self.spare.refresh()
         mine = {n.operator.partition(":")[0] for n in job.nodes}
         try:
-            popen = self.spare.take() or self._spawn(mine if fresh else (), wanted=True)
+            process = self.spare.take() or self._spawn(mine if fresh else (), wanted=True)
         except OSError as error:
             raise RunError(f"{job.process}: cannot be started: {error}") from error
-        return Child(popen, job, self._events)
+        child = Child(process, job, self.exchange)
+        self.children.append(child)
+        return child
 
-    def _spawn(self, modules: Collection[str], *, wanted: bool) -> "subprocess.Popen[bytes]":
-        return spawn(self._run.prefix, self._run.folder, modules, wanted=wanted)
+    def dismiss(self, child: Child, within_s: float = 0.0) -> None:
+        """Let a process end by itself in that time, or be killed; nobody waits for it."""
+        self._leaving[child] = time.monotonic() + within_s
+        self._see_off()
+
+    def _see_off(self) -> None:
+        """Kill those that were to end by now, give back what is left of those that have."""
+        now_s = time.monotonic()
+        for child, late_s in list(self._leaving.items()):
+            if child.ended() is not None:
+                child.bury()
+                del self._leaving[child]
+            elif now_s >= late_s:
+                child.kill()
+                if now_s > late_s + KILLED_S:
+                    log.error("%s: process %d hangs in the kernel", child.name, child.pid)
+                    self._leaving[child] = float("inf")  # it is buried when it ends after all
+
+    def _spawn(self, modules: Collection[str], *, wanted: bool) -> NodeProcess:
+        return spawn(self._run.run_id, self._run.folder.path, modules, wanted=wanted)
 
     def let_go(self, slot: Slot) -> None:
         """Let a process that is ready begin, if it may."""

@@ -18,6 +18,7 @@ from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
 from pipeline.run.swap import Swap, SwapOrder
 from pipeline.run.topology import PlanOrder, Topology
+from pipeline.text import error_text, harmless
 
 COMMAND = "@graph"  # the key below a graph's own that takes orders
 Reply = Callable[[bytes], None]
@@ -38,6 +39,7 @@ class Desk:
     def ask(self, order: bytes, reply: Reply) -> None:
         """An order came; called by the transport's thread."""
         self._asked.put((order, reply))
+        self._crew.exchange.wake()
 
     def attend(self) -> None:
         """Take up what was asked, carry on with what is under way."""
@@ -49,7 +51,7 @@ class Desk:
                 reply(answer({"refused": str(error)}))
             except Exception as error:  # an order must not end the graph
                 log.exception("an order broke")
-                reply(answer({"refused": f"it broke: {type(error).__name__}: {error}"}))
+                reply(answer({"refused": f"it broke: {harmless(error_text(error))}"}))
         if self._affair is not None:
             self._affair.tick()
             if self._affair.result is not None:

@@ -7,6 +7,7 @@ comes beside a joined set is handled after it, as in a lockstep run of processes
 import hashlib
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from typing import Any
 
 from pipeline import settings as checked
@@ -68,8 +69,10 @@ class InlineRunner:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for part in self._parts.values():
-            part.operator.close()
+        """Close every operator, also after one that breaks over it; the first error is raised."""
+        with ExitStack() as closing:
+            for part in reversed(self._parts.values()):
+                closing.callback(part.operator.close)
 
     def operator(self, node: str) -> Operator[Any, Any]:
         """The live operator behind a node, for training and evaluation."""
@@ -99,12 +102,13 @@ class InlineRunner:
             count += 1
             yield header.seq
 
-    def report(self) -> Report:
-        """The same report as a run of processes gives."""
-        summaries = {name: dict(p.operator.summary()) for name, p in self._parts.items()}
-        summaries.setdefault(self._source_name, {})["schedule_sha256"] = self.commands.hexdigest()
+    def report(self, *, summaries: bool = True) -> Report:
+        """The same report as a run of processes gives; or what is known without the operators."""
+        parts = self._parts.items() if summaries else ()
+        found = {name: dict(p.operator.summary()) for name, p in parts}
+        found.setdefault(self._source_name, {})["schedule_sha256"] = self.commands.hexdigest()
         duration_s = time.monotonic() - self._began_s
-        return compose(self.plan, self.ledger, summaries, {}, duration_s=duration_s)
+        return compose(self.plan, self.ledger, found, {}, duration_s=duration_s)
 
     def _only_source(self) -> Source[Any, Any]:
         found = [p for p in self._parts.values() if isinstance(p.operator, Source)]

@@ -32,6 +32,8 @@ class Judge:
             return ""
         if frozen := stopped(slot, now_s):
             return frozen
+        if slot.child.deaf:
+            return "does not read what it is told"
         if not slot.child.ready:  # the first start of all has a limit of its own
             return late(slot) if slot.epoch > 1 else ""
         return first(complaint(n, ledger.nodes[n.index], int(now_s * 1e9)) for n in slot.nodes) or (

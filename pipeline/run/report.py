@@ -12,7 +12,10 @@ from pipeline.bus.ledger import Ledger
 from pipeline.graph.plan import Node, Plan, sources
 from pipeline.run.child import Sample
 from pipeline.terminal import lean_table, losses, pair, rest
+from pipeline.text import harmless
 
+MOST_FIGURES = 64  # under one name, in a line of the report
+OWN = ("failure", "left_out", "loop")  # what no operator's summary can say of the run
 Report = dict[str, Any]
 
 
@@ -24,6 +27,7 @@ def compose(
     *,
     duration_s: float,
     restarts: Mapping[str, int] | None = None,
+    left_out: Mapping[str, str] | None = None,
 ) -> Report:
     """The run's report. Figures that a source gives (frames, pixels, coverage) stand on top."""
     report: Report = {
@@ -40,9 +44,12 @@ def compose(
         ],
         "restarts": dict(restarts or {}),
     }  # fmt: skip
+    if left_out:
+        report["left_out"] = dict(left_out)
     for node in plan.nodes:
         for key, value in summaries.get(node.name, {}).items():
-            report.setdefault(key, value)
+            if key not in OWN:
+                report.setdefault(key, value)
     for source in sources(plan):
         histograms = ledger.nodes[source.index].histograms
         report["loop"] = {
@@ -115,6 +122,7 @@ def _stage_table(report: Report) -> Table:
 
 def _lines(report: Report) -> list[Text]:
     lines = []
+    left_out: Mapping[str, str] = report.get("left_out", {})
     if loop := report.get("loop"):
         lines.append(
             f"loop, picture ready -> command accepted: {pair(loop['latency_ms'])} ms p50/p99, "
@@ -122,18 +130,25 @@ def _lines(report: Report) -> list[Text]:
             f"{pair(loop['cpu_wait_ms'])} ms, {loop['commands']} commands"
         )
     for key in ("frames", "pixels", "commands"):
-        if key in report:
-            values = ", ".join(f"{name} {value}" for name, value in report[key].items())
-            lines.append(f"{key}: {values}")
-    if coverage := report.get("roi_coverage"):
+        if values := _figures(report.get(key)):
+            counts = ", ".join(f"{name} {value}" for name, value in values.items())
+            lines.append(f"{key}: {counts}")
+    if coverage := _figures(report.get("roi_coverage")):
         shares = ", ".join(f"{n} {_share(v)}" for n, v in coverage.items())
         lines.append(f"ROI coverage of the true boxes: {shares}")
-    if overlap := report.get("iou"):
-        lines.append(f"IoU with the truth: {overlap['mean']:.3f} over {overlap['frames']} frames")
+    if (overlap := _figures(report.get("iou"))) and {"mean", "frames"} <= overlap.keys():
+        mean, frames = _share(overlap["mean"]), overlap["frames"]
+        lines.append(f"IoU with the truth: {mean} over {frames} frames")
     if report["restarts"]:
         counts = ", ".join(f"{name} {count}" for name, count in report["restarts"].items())
         lines.append(f"restarts: {counts}")
-    return [Text(line) for line in lines]
+    lines += [f"{node}: its summary is left out: {why}" for node, why in left_out.items()]
+    return [Text(harmless(line)) for line in lines]
+
+
+def _figures(value: Any) -> Mapping[str, Any]:
+    """Figures as the parts that ship give them; an operator may say anything under that name."""
+    return value if isinstance(value, Mapping) and len(value) <= MOST_FIGURES else {}
 
 
 def _share(value: Any) -> str:

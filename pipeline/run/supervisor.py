@@ -4,18 +4,20 @@ Only this process writes who reads and who speaks for a node now (`reader_epoch`
 """
 
 import logging
-import queue
+import threading
 import time
 from typing import Any
 
 from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
-from pipeline.run.child import ending
+from pipeline.run.child import KILLED_S, Child, ending
 from pipeline.run.crew import Crew
+from pipeline.run.descendants import end_marked
 from pipeline.run.desk import COMMAND, Desk
 from pipeline.run.judge import late
 from pipeline.run.slot import Slot
+from pipeline.text import harmless, plain
 
 TICK_S = 0.02
 SAMPLE_S = 1.0
@@ -23,7 +25,8 @@ HEALTHY_S = 1.0  # who ran this long starts with the shortest back-off again
 DRAIN_S = 5.0  # without a message that meets its end
 LONGEST_DRAIN_S = 60.0
 STOP_S = 4.0
-REAP_S = 0.1
+CLOSE_S = 3.0  # for the bus to be left: a frozen visitor may hold it up
+MOST_HEADLINE = 200  # characters
 UNABLE_S = 2.0  # until a process that could not be started is tried again
 log = logging.getLogger(__name__)
 
@@ -37,17 +40,21 @@ class Supervisor(Crew):
         """As for a `Crew`; takes orders from now on."""
         super().__init__(plan, frames=frames, folder=folder, first_epoch=first_epoch)
         try:
-            self._hub = Session(self._run.folder, "hub")
-        except RunError:
+            self._hub = Session(self._run.folder.path, "hub")
+        except BaseException:
+            self.exchange.close()
             self._run.release()
             raise
         self.desk = Desk(self)
         self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.desk.ask)
         self.summaries: dict[str, dict[str, Any]] = {}
+        self.left_out: dict[str, str] = {}  # by node: what the report lacks of its summary
+        self._summed: dict[str, int] = {}  # the process whose summary is kept, by node
         self.headlines: dict[str, str] = {}  # what nodes have to tell while they run
         self.restarts: dict[str, int] = {}
         self._sampled_s = 0.0
         self.started_s = time.monotonic()
+        self.begun = False  # every process has worked once
         self.patience = 0  # deaths allowed whatever the graph says; for those who kill on purpose
 
     def __enter__(self) -> "Supervisor":
@@ -57,10 +64,13 @@ class Supervisor(Crew):
         self.close()
 
     def start(self) -> None:
-        """Start every process, consumers first; frames flow once all are ready."""
+        """Start every process, consumers first; frames flow once all are ready.
+
+        Returns early when the run is asked to end; raises `RunError` when it cannot begin.
+        """
         self.begin_all()
         deadline = time.monotonic() + max(node.start_s for node in self.plan.nodes)
-        while not self.all_going:
+        while not self.all_going and not self.asked_to_end():
             self.tick()
             if self.failure:
                 raise RunError(self.failure)
@@ -69,12 +79,14 @@ class Supervisor(Crew):
                     raise RunError(f"{slot.name}: {why}, see `fovea logs {slot.name}`")
             if time.monotonic() > deadline:
                 raise RunError("the readers of a source have not heard it in all that time")
+        self.begun = self.all_going
         self.started_s = time.monotonic()
 
     def tick(self) -> None:
-        """Look after everything once, then rest for a moment."""
+        """Look after everything once, then wait for a moment or until a node says something."""
         self._judge.look()
         self._hear()
+        self._see_off()
         self.desk.attend()
         now_s = time.monotonic()
         for slot in self.slots.values():
@@ -83,10 +95,13 @@ class Supervisor(Crew):
             self._sampled_s = now_s
             self._sample()
         self._keep_a_spare()
-        time.sleep(TICK_S)
+        self.exchange.wait(TICK_S)
 
     def finish(self) -> None:
-        """Let the sources end and what is under way arrive, for as long as something does."""
+        """Let the sources end and what is under way arrive, for as long as something does.
+
+        A run that was asked to end waits for `DRAIN_S` at most, and not at all in haste.
+        """
         self.ending = True
         for slot in self.slots.values():
             if slot.sources and slot.child and slot.child.going:
@@ -96,31 +111,61 @@ class Supervisor(Crew):
         while now_s - moved_s < DRAIN_S and now_s - began_s < LONGEST_DRAIN_S:
             if self.finished and self.ledger.drained():
                 return
+            if self.asked_to_end() and (self.in_haste or now_s - began_s > DRAIN_S):
+                return
             self.tick()
             now_s = time.monotonic()
             if (ends_now := self.ledger.ends()) != ends:
                 ends, moved_s = ends_now, now_s
 
+    @property
+    def in_haste(self) -> bool:
+        """Whether the run was asked to end more than once: nothing is waited for."""
+        return self.asked_to_end() > 1
+
     def stop(self) -> None:
-        """Stop every process, collect what they have to say."""
+        """Stop every process and what it started, collect what they have to say."""
+        self.ending = True
         self._sample()
         self.spare.dismiss()
-        children = [slot.child for slot in self.slots.values() if slot.child]
-        children += self.desk.give_up()
+        children = {slot.child for slot in self.slots.values() if slot.child}
+        children |= {*self.desk.give_up(), *self._leaving}
         for child in children:
             child.tell("stop")
-        deadline = time.monotonic() + STOP_S
+        self._await_ends(children, STOP_S)
         for child in children:
-            child.reap(max(0.1, deadline - time.monotonic()))
+            if child.ended() is None:
+                log.warning("%s: did not stop; killed", child.name)
+            child.kill()
+        self._await_ends(children, KILLED_S, hurries=False)
+        for child in children:
+            child.bury(descendants=False)
+        if self.children:
+            end_marked(self._run.run_id)
+        self._hear()
         for slot in self.slots.values():
             slot.child = None
-        self._hear()
+        self._leaving.clear()
 
     def close(self) -> None:
         """Nothing is left behind: no process, no socket, no memory."""
-        self.stop()
-        self._hub.close()
-        self._run.release()
+        try:
+            self.stop()
+        finally:
+            self.exchange.close()
+            leaving = threading.Thread(target=self._hub.close, name="leave-the-bus", daemon=True)
+            leaving.start()
+            leaving.join(CLOSE_S)
+            self._run.release()
+
+    def _await_ends(self, children: set[Child], limit_s: float, *, hurries: bool = True) -> None:
+        """Wait until all have ended, hearing what they say; not at all in haste."""
+        late_s = time.monotonic() + limit_s
+        while any(child.ended() is None for child in children) and time.monotonic() < late_s:
+            if hurries and self.in_haste:
+                return
+            self.exchange.wait(TICK_S)
+            self._hear()
 
     def _keep_a_spare(self) -> None:
         if self.plan.clock == "realtime" and self.all_going:
@@ -128,34 +173,50 @@ class Supervisor(Crew):
             self.spare.keep({node.operator.partition(":")[0] for node in here})
 
     def _hear(self) -> None:
-        while True:
-            try:
-                process, pid, event = self._events.get_nowait()
-            except queue.Empty:
-                return
-            slot, kind = self.slots.get(process), event.get("event")
-            if self.desk.hear(pid, event):
-                continue
-            if kind == "summary":
-                self.summaries.setdefault(str(event["node"]), {}).update(event["figures"])
-            elif slot is None:
-                continue  # of a node that was removed
-            elif kind == "ready" and slot.child and slot.child.pid == pid:
-                slot.child.ready, slot.child.load_s = True, float(event.get("load_s", 0))
-            elif kind == "finished":
-                self._finished.add(str(event["node"]))
-            elif kind == "headline":
-                self.headlines[str(event["node"])] = str(event["words"])
-            elif kind == "failed":
-                self._note_failure(slot, event)
+        for child in list(self.children):
+            for event in child.events():
+                try:
+                    self._take_note(child, event)
+                except (KeyError, TypeError, ValueError) as error:
+                    log.warning("%s: an event that is none: %r", child.name, error)
+            if child.gone:
+                self.children.remove(child)
+
+    def _take_note(self, child: Child, event: dict[str, Any]) -> None:
+        slot, kind, node = self.slots.get(child.name), event["event"], str(event.get("node"))
+        if self.desk.hear(child.pid, event):
+            return
+        if kind == "summary" and node in child.nodes:
+            self._keep_summary(child, node, event)
+        elif slot is None or slot.child is not child:
+            return  # of a node that was removed, of a process that was replaced
+        elif kind == "ready":
+            child.ready, child.load_s = True, float(event.get("load_s", 0))
+        elif kind == "finished" and node in child.nodes:
+            self._finished.add(node)
+        elif kind == "headline" and node in child.nodes:
+            self.headlines[node] = harmless(str(event["words"]), MOST_HEADLINE)
+        elif kind == "failed":
+            self._note_failure(slot, event)
+
+    def _keep_summary(self, child: Child, node: str, event: dict[str, Any]) -> None:
+        """Keep what the newest process says, which a source does twice."""
+        if self._summed.get(node) != child.pid:
+            self._summed[node], self.summaries[node] = child.pid, {}
+            self.left_out.pop(node, None)
+        if why := event.get("left_out"):
+            self.left_out[node] = harmless(str(why))
+            log.warning("%s: its summary is left out: %s", node, self.left_out[node])
+        self.summaries[node].update(plain(dict(event["figures"])))
 
     def _note_failure(self, slot: Slot, event: dict[str, Any]) -> None:
         """What starting it again cannot mend ends the run: a graph that never began, a source."""
         unborn = self._is_first(slot) and not (slot.child and slot.child.ready)
+        error = harmless(str(event.get("error")))
         if event.get("expected") and (unborn or slot.sources) and not self.failure:
-            self.failure = str(event["error"])
+            self.failure = error
         elif not self.failure:
-            slot.last_words = str(event.get("error"))
+            slot.last_words = error
             log.error("%s: %s", slot.name, slot.last_words)
 
     def _look_after(self, slot: Slot, now_s: float) -> None:
@@ -167,8 +228,8 @@ class Supervisor(Crew):
             if slot.next_start_s and now_s >= slot.next_start_s:
                 self._begin_again(slot, now_s)
         elif (status := slot.child.ended()) is not None:
-            slot.child.reap(REAP_S)  # what it said last is heard before it is judged
-            self._hear()
+            slot.child.bury()
+            self._hear()  # what it said last is heard before it is judged
             self._bury(slot, status, now_s)
         elif slot.child.ready and not slot.child.going:
             self.let_go(slot)
@@ -187,8 +248,10 @@ class Supervisor(Crew):
         self.note()
 
     def _bury(self, slot: Slot, status: int, now_s: float) -> None:
+        announced = slot.child is not None and slot.child.left
         self.vacate(slot)
         how, last = ending(status), f": {slot.last_words}" if slot.last_words else ""
+        how += "" if announced or status else ", which it did not announce"
         slot.last_words = ""
         if not self.failure:
             log.warning("%s ended by %s, see `fovea logs %s`", slot.name, how, slot.name)
@@ -198,12 +261,16 @@ class Supervisor(Crew):
         slot.quick_deaths = 0 if lived else slot.quick_deaths + 1
         slot.going_since_s = 0.0
         recent = sum(1 for death in slot.deaths if now_s - death < rule.window_s)
+        succeeded = announced and status == 0
         if self.failure:
             return
         if self.plan.clock == "lockstep":
             self.failure = f"{slot.name} ended by {how}: a lockstep run cannot go on{last}"
-        elif rule.policy == "never" or (rule.policy == "on-failure" and status == 0):
+        elif rule.policy == "never" or (rule.policy == "on-failure" and succeeded):
+            before = self.finished
             self._finished |= slot.sources
+            if self.finished and not (before or succeeded or self.ending):
+                self.failure = f"{slot.name} ended by {how}: no source is left{last}"
         elif recent > max(rule.most, self.patience):
             self.failure = f"{slot.name} died {recent} times within {rule.window_s:.0f} s{last}"
         else:

@@ -19,7 +19,7 @@ from pipeline.graph.plan import Plan
 from pipeline.node.live import keep, kept
 from pipeline.node.wiring import swappable
 from pipeline.run.affair import Affair
-from pipeline.run.child import Child, ending
+from pipeline.run.child import KILLED_S, Child, ending
 from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
 from pipeline.settings import suggest
@@ -31,7 +31,7 @@ CUT_S = 30.0
 UNCUT_S = 0.5  # in which a cut may cross the order that takes it back
 SHADOW_S = 1.0  # per frame, at most
 ANSWER_S = 5.0
-REAP_S = 1.0
+LEAVE_S = 1.0  # for a process that only checked whether a part fits
 STUCK_S = 2.0  # with messages waiting
 LOOK_S = 0.5  # counted between two looks at most: who looks late was stopped like all others
 QUIET_S = 10.0  # without messages: then probation is over
@@ -99,8 +99,7 @@ class Swap(Affair):
 
     def _finish(self, refused: str) -> None:
         if self._other is not None:
-            self._other.kill()
-            self._other.reap(0.5)
+            self.crew.dismiss(self._other)
             self._other = None
         for account in self.crew.accounts(self._slot):
             account.next_door = 0
@@ -229,7 +228,8 @@ class Swap(Affair):
     def _roll_back(self, new: Child, old: Child, before: Plan, epoch: int) -> Iterator[None]:
         crew, slot, name = self.crew, self._slot, self._node.name
         new.kill()
-        new.reap(1.0)
+        yield from self.until(lambda: new.ended() is not None, KILLED_S, "", must=False)
+        self.crew.dismiss(new)
         switched = slot.child is new
         slot.child, self._other = old, None
         if switched:
@@ -273,7 +273,7 @@ class Swap(Affair):
             lambda: "fits" in self.heard(trial), START_S, "it was not checked", of=trial
         )
         self._other = None
-        trial.reap(REAP_S)
+        self.crew.dismiss(trial, LEAVE_S)
         yield from self._spare()  # while it waits nobody stands still
         self._owned = True
         yield from self._stop()
@@ -298,6 +298,7 @@ class Swap(Affair):
         child.tell("stop")
         yield from self.until(lambda: child.ended() is not None, ANSWER_S, "", must=False)
         child.kill()
+        yield from self.until(lambda: child.ended() is not None, KILLED_S, "", must=False)
         self.crew.vacate(self._slot)
 
     def _start(self, plan: Plan) -> Iterator[None]:

@@ -175,7 +175,7 @@ class Topology(Affair):
         for slot in slots:
             if slot.child is not None:
                 slot.child.kill()
-                slot.child.reap(1.0)
+                self.crew.dismiss(slot.child)
                 slot.child = None
 
 

@@ -10,7 +10,7 @@ from pipeline.run.affair import Affair
 from pipeline.run.child import Child
 from pipeline.run.crew import Crew
 
-ENDED = cast(Child, SimpleNamespace(name="work", pid=7, ended=lambda: 0, reap=bool))
+ENDED = cast(Child, SimpleNamespace(name="work", pid=7, ended=lambda: 0, bury=bool))
 
 
 class Checked(Affair):

@@ -2,12 +2,12 @@
 
 import os
 import signal
-import subprocess
 from collections.abc import Collection
 from pathlib import Path
 
 import pytest
 
+from pipeline.run.child import NodeProcess
 from pipeline.run.spare import Spare
 from pipeline.run.supervisor import Supervisor
 from tests.toy_graphs import LOOP, assert_accounts_add_up, go, handled, plan_of, wait_for
@@ -16,7 +16,7 @@ from tests.toy_graphs import LOOP, assert_accounts_add_up, go, handled, plan_of,
 def test_no_process_to_stand_by_is_no_error_and_not_asked_for_again_at_once() -> None:
     asked: list[Collection[str]] = []
 
-    def refuse(modules: Collection[str]) -> subprocess.Popen[bytes]:
+    def refuse(modules: Collection[str]) -> NodeProcess:
         asked.append(modules)
         raise BlockingIOError("Resource temporarily unavailable")
 
@@ -33,7 +33,7 @@ def test_a_node_that_cannot_be_started_is_tried_again_and_the_others_go_on(
 ) -> None:
     refusals = []
 
-    def refuse(*_: object, **__: object) -> subprocess.Popen[bytes]:
+    def refuse(*_: object, **__: object) -> NodeProcess:
         refusals.append(1)
         raise BlockingIOError("Resource temporarily unavailable")
 

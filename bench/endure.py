@@ -1,0 +1,186 @@
+"""Whether a supervisor grows with what it lives through: `python -m bench.endure --kills 300`.
+
+Runs a small graph of toys in real time, kills one of its nodes and swaps another, again and again,
+and records the supervisor's memory, open files and threads, and the files of the run, every 50
+events. With `--json FILE` the figures are written with machine and commit.
+"""
+
+import json
+import os
+import secrets
+import signal
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import msgspec
+import numpy as np
+import psutil
+from rich.console import Console
+from rich.progress import track
+
+from bench.aftermath import Traces, unbalanced
+from bench.machine import facts
+from bench.options import JSON, Bench
+from pipeline.graph.loader import load
+from pipeline.graph.plan import Plan
+from pipeline.run.memory_folder import path_of
+from pipeline.run.report import compose
+from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap import SwapOrder
+from pipeline.terminal import lean_table
+
+GRAPH = """\
+name: endure-{token}
+nodes:
+  metronome:
+    operator: bench.toys:Metronome
+  first:
+    operator: bench.toys:Forward
+    inputs: {{frame: {{from: metronome, depth: 60}}}}
+  second:
+    operator: bench.toys:Forward
+    inputs: {{frame: {{from: first, depth: 60}}}}
+  sink:
+    operator: bench.toys:Sink
+    inputs: {{frame: {{from: second, depth: 60}}}}
+"""
+KILLED, SWAPPED, LAST = "second", "first", "sink"
+EVERY = 50  # events between two looks
+PATIENCE_S = 60.0
+PROBATION = 2  # frames
+
+
+@click.command(cls=Bench)
+@click.option("--kills", default=300, show_default=True, type=click.IntRange(0))
+@click.option("--swaps", default=300, show_default=True, type=click.IntRange(0))
+@JSON
+def main(kills: int, swaps: int, path: Path | None) -> None:
+    """Kill one node and swap another so many times, in turn."""
+    plan = toy_plan()
+    events = schedule(kills, swaps)
+    with Supervisor(plan) as supervisor:
+        supervisor.patience = kills + 10
+        supervisor.start()
+        traces = Traces.of(plan.name)
+        _until(supervisor, lambda: _handled(supervisor, LAST) > 50)
+        looks = [look(supervisor, traces, 0)]
+        refused: list[str] = []
+        for count, event in enumerate(track(events, "enduring"), 1):
+            if event == "kill":
+                _kill(supervisor)
+            elif sentence := _swap(supervisor):
+                refused.append(sentence)
+            if not count % EVERY or count == len(events):
+                looks.append(look(supervisor, traces, count))
+        supervisor.finish()
+        supervisor.stop()
+        report = compose(supervisor.plan, supervisor.ledger, {}, {}, duration_s=1.0)
+    result = {
+        "bench": "endure", **facts(), "kills": kills, "swaps": swaps, "refused": refused,
+        "looks": looks, "growth_kb_per_event": growth_kb(looks),
+        "unbalanced": unbalanced(report["edges"]), "left": traces.files(),
+        "orphans": traces.orphans(),
+    }  # fmt: skip
+    _show(result)
+    if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(result, indent=1))
+
+
+def toy_plan() -> Plan:
+    """A graph of four toys under a name of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "graph.yaml"
+        file.write_text(GRAPH.format(token=secrets.token_hex(3)))
+        return load(file)
+
+
+def schedule(kills: int, swaps: int) -> list[str]:
+    """Kills and swaps in turn, spread evenly.
+
+    >>> schedule(2, 1), schedule(0, 2)
+    (['kill', 'swap', 'kill'], ['swap', 'swap'])
+    """
+    when = [((i + 0.5) / kills, "kill") for i in range(kills)]
+    when += [((i + 0.5) / swaps, "swap") for i in range(swaps)]
+    return [event for _, event in sorted(when)]
+
+
+def look(supervisor: Supervisor, traces: Traces, events: int) -> dict[str, float]:
+    """What the supervisor holds now."""
+    own = psutil.Process()
+    with own.oneshot():
+        memory = own.memory_info()
+        return {
+            "events": events,
+            "at_s": round(time.monotonic() - supervisor.started_s, 1),
+            "rss_mb": round(memory.rss / 1e6, 3),
+            "own_mb": round((memory.rss - memory.shared) / 1e6, 3),
+            "open_files": own.num_fds(),
+            "threads": own.num_threads(),
+            "run_files": sum(1 for _ in traces.folder.rglob("*")),
+            "memory_files": len(list(path_of(traces.run_id).iterdir())),
+            "children": len(own.children(recursive=True)),
+        }
+
+
+def growth_kb(looks: list[dict[str, float]]) -> float:
+    """Slope of the supervisor's own memory over the later half of the events.
+
+    >>> growth_kb([{"events": n, "own_mb": max(50, 50 + (n - 50) / 1000)} for n in range(100)])
+    1.0
+    """
+    late = [(x["events"], x["own_mb"]) for x in looks if x["events"] * 2 >= looks[-1]["events"]]
+    if len(late) < 2:
+        return 0.0
+    events, memory = np.array(late).T
+    return round(float(np.polyfit(events, memory, 1)[0]) * 1000, 3)
+
+
+def _kill(supervisor: Supervisor) -> None:
+    account = supervisor.ledger.nodes[supervisor.plan.node(KILLED).index]
+    epoch, handled = account.epoch, account.handled
+    os.kill(supervisor.pid(KILLED), signal.SIGKILL)
+    _until(supervisor, lambda: account.epoch > epoch and account.handled > handled)
+
+
+def _swap(supervisor: Supervisor) -> str:
+    """Swap once; why it was refused, or nothing."""
+    answers: list[bytes] = []
+    order = SwapOrder(node=SWAPPED, probation=PROBATION)
+    supervisor.desk.take(order, answers.append)
+    _until(supervisor, lambda: bool(answers))
+    return str(msgspec.json.decode(answers[0])["refused"])
+
+
+def _handled(supervisor: Supervisor, node: str) -> int:
+    return int(supervisor.ledger.nodes[supervisor.plan.node(node).index].handled)
+
+
+def _until(supervisor: Supervisor, holds: Any) -> None:
+    late_s = time.monotonic() + PATIENCE_S
+    while not holds():
+        if supervisor.failure or time.monotonic() > late_s:
+            raise click.ClickException(supervisor.failure or "it did not come back")
+        supervisor.tick()
+
+
+def _show(result: dict[str, Any]) -> None:
+    names = [name for name in result["looks"][0] if name != "events"]
+    table = lean_table("the supervisor", figures=["events", *names])
+    for one in result["looks"]:
+        table.add_row(str(one["events"]), *(f"{one[name]:g}" for name in names))
+    console = Console()
+    console.print(table)
+    console.print(
+        f"{result['growth_kb_per_event']:.2f} kB an event over the later half; refused swaps: "
+        f"{len(result['refused'])}; unbalanced: {', '.join(result['unbalanced']) or 'none'}; "
+        f"left behind: {', '.join(result['left']) or 'nothing'}, {len(result['orphans'])} processes"
+    )
+
+
+if __name__ == "__main__":
+    main()

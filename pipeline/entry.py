@@ -1,0 +1,16 @@
+"""The command `fovea`: answers signals from its first moment, then loads the command line."""
+
+from pipeline import output, signals
+
+
+def main() -> None:
+    """Load what a command needs, which takes a second, and carry it out."""
+    signals.quit_at_once()
+    output.guard()
+    from pipeline import cli
+
+    cli.main()
+
+
+if __name__ == "__main__":
+    main()

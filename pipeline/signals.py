@@ -1,0 +1,134 @@
+"""Ctrl-C, SIGTERM and a closed terminal: each ends a command quietly, at any moment.
+
+While the command line loads, a signal ends the process at once. A command is then ended by an
+exception (`Raising`), unless it looks for itself whether it was asked to end (`Interruption`).
+"""
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+LAST_RESORT_S = 30.0  # to close what is open, after that the kernel ends the process
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")  # not every system has the last
+Handler = Callable[[int, FrameType | None], Any]
+
+
+class Interrupted(BaseException):
+    """Work that takes too long is given up; no operator's `except Exception` stops it."""
+
+
+def quit_at_once() -> None:
+    """Have signals end this process without a word, for as long as nothing is open."""
+    _install(lambda number, _frame: os._exit(128 + number))
+
+
+@contextmanager
+def raising() -> Iterator[None]:
+    """Have the first signal raise `KeyboardInterrupt` or `SystemExit`; later ones change nothing.
+
+    What does not end within `LAST_RESORT_S` is ended by the kernel.
+    """
+    asked = 0
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        nonlocal asked
+        asked += 1
+        if asked > 1:
+            return
+        end_by_kernel(LAST_RESORT_S)
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        sys.exit(128 + number)
+
+    before = _install(note)
+    try:
+        yield
+    finally:
+        _restore(before)
+
+
+def end_by_kernel(seconds: float) -> None:
+    """Have the kernel end this process unless it has ended by then; main thread only."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+class Interruption:
+    """How often the process was asked to end. Use it as a context; nothing is raised in it."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.number = 0  # the first signal
+        self.on_signal: Callable[[], None] = lambda: None
+        self._patience_s = 0.0  # of the work that may be given up, 0: none may
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> "Interruption":
+        self._before = _install(self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        _restore(self._before)
+
+    @property
+    def status(self) -> int:
+        """The exit status that tells of the signal, 0 without one."""
+        return 128 + self.number if self.number else 0
+
+    def asked(self) -> int:
+        """How often the process was asked to end."""
+        return self.count
+
+    @contextmanager
+    def giving_up(self, patience_s: float) -> Iterator[None]:
+        """Leave the work in this context that long after a signal, or at the second one.
+
+        What is closed on the way out has as long again, then the kernel ends the process.
+        """
+        self._patience_s = patience_s
+        before = signal.signal(signal.SIGALRM, self._give_up)
+        try:
+            with contextlib.suppress(Interrupted):
+                if self.count:
+                    signal.setitimer(signal.ITIMER_REAL, patience_s)
+                yield
+        finally:
+            self._patience_s = 0.0
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        self.count += 1
+        self.number = self.number or number
+        self.on_signal()
+        if self._patience_s and self.count > 1:
+            self._give_up(number, None)
+        elif self._patience_s:
+            signal.setitimer(signal.ITIMER_REAL, self._patience_s)
+
+    def _give_up(self, _number: int, _frame: FrameType | None) -> None:
+        if self._patience_s:
+            end_by_kernel(self._patience_s)
+            self._patience_s = 0.0
+            raise Interrupted
+
+
+def _install(handler: Handler) -> dict[int, Any]:
+    """Handle the signals, return how they were handled; a hang-up that is ignored (nohup) stays."""
+    before = {}
+    for name in _NAMES:
+        number = getattr(signal, name, None)
+        if number is None or (name == "SIGHUP" and signal.getsignal(number) == signal.SIG_IGN):
+            continue
+        before[int(number)] = signal.signal(number, handler)
+    return before
+
+
+def _restore(before: dict[int, Any]) -> None:
+    for number, handler in before.items():
+        signal.signal(number, handler)

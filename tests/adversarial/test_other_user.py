@@ -1,0 +1,26 @@
+"""Another user of the machine gets nothing of a graph that runs, and does nothing to it."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from pipeline.run.memory_folder import MEMORY
+from tests.pipeline.run.namespaces import with_small_mounts
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_what_another_user_tries_comes_to_nothing(tmp_path: Path) -> None:
+    told = tmp_path / "stranger.json"
+    words = ("-m", "bench.stranger", "--minutes", "0.1", "--json", str(told))
+
+    done = with_small_mounts({MEMORY: "256m"}, *words, timeout_s=200)
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = json.loads(told.read_text())
+    assert found["achieved"] == {}
+    assert (found["torn"], found["crashes"], found["left"]) == (0, 0, [])
+    assert found["pictures"] > 0
+    assert all(found["tried"][act] for act in ("_read", "precede", "proc", "signal"))
+    assert {"enter", "_read", "_alter"} <= set(found["decoys"])  # the acts work where they may

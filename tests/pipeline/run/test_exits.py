@@ -1,0 +1,102 @@
+"""An end that a node did not announce is a crash, whatever its status; so is any exception."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.errors import RunError
+from pipeline.run.rundir import base
+from pipeline.run.supervisor import Supervisor
+from tests.toy_graphs import assert_accounts_add_up, go, handled, wait_for
+from tests.unruly_graphs import UNRULY, recovers, unruly_plan
+
+KINDS = {
+    "exit_0": "",
+    "system_exit": "SystemExit: 0",
+    "keyboard_interrupt": "KeyboardInterrupt",
+    "group": "BaseExceptionGroup: both (2 sub-exceptions)",
+    "thread": "ValueError: in a thread",
+    "mute": "Mute: (its text cannot be had: RuntimeError)",
+    "exit_in_open": "SystemExit: 0",
+    "exit_in_headline": "SystemExit: 0",
+    "close_streams": "ValueError: after it closed everything",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_part_that_leaves_without_being_asked_is_restarted(
+    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    report = go(unruly_plan(tmp_path, kind=kind, once=tmp_path / "once"), 0, recovers)
+
+    assert report["failure"] == ""
+    assert report["restarts"] == {"unruly": 1}
+    assert KINDS[kind] in caplog.text
+    assert "unruly ended by exit status" in caplog.text
+    assert_accounts_add_up(report)
+
+
+def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    go(unruly_plan(tmp_path, kind="exit_0", once=tmp_path / "once"), 0, recovers)
+
+    assert "unruly ended by exit status 0, which it did not announce" in caplog.text
+
+
+def test_in_lockstep_an_exit_with_status_0_ends_the_run_with_an_error(tmp_path: Path) -> None:
+    report = go(unruly_plan(tmp_path, kind="exit_0", clock="lockstep"), 50)
+
+    assert report["failure"] == (
+        "unruly ended by exit status 0, which it did not announce: a lockstep run cannot go on"
+    )
+
+
+def test_a_source_that_may_not_restart_and_leaves_is_the_reason_for_the_end(
+    tmp_path: Path,
+) -> None:
+    text = UNRULY.replace("  ticker:\n", "  ticker:\n    restart: never\n")
+    text = text.replace("tests.toys:Ticker", "tests.sick_toys:Deserter")
+
+    report = go(unruly_plan(tmp_path, text=text), 0)
+
+    assert report["failure"] == (
+        "ticker ended by exit status 0, which it did not announce: no source is left"
+    )
+
+
+@pytest.mark.parametrize("kind", ["exit_in_close", "exit_in_summary"])
+def test_a_part_that_leaves_while_it_is_stopped_takes_nothing_along(
+    tmp_path: Path, kind: str
+) -> None:
+    report = go(unruly_plan(tmp_path, kind=kind), 20)
+
+    assert report["failure"] == ""
+    assert report["summaries"]["after"]["seen"] == list(range(20))
+
+
+def test_a_part_that_leaves_while_it_opens_for_the_first_time_again_and_again_ends_the_start(
+    tmp_path: Path,
+) -> None:
+    text = UNRULY.replace("backoff_s: 0.01", "backoff_s: 0.01, most: 1")
+    plan = unruly_plan(tmp_path, text=text, kind="exit_in_open")
+
+    with Supervisor(plan) as supervisor, pytest.raises(RunError, match="unruly died 2 times"):
+        supervisor.start()
+
+
+def test_what_a_part_printed_after_it_had_closed_its_streams_went_nowhere_else(
+    tmp_path: Path,
+) -> None:
+    plan = unruly_plan(tmp_path, kind="close_streams", once=tmp_path / "once")
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "after") > 20)
+        recovers(supervisor)
+
+    report = go(plan, 0, during)
+
+    log = (base() / plan.name / "unruly.log").read_text()
+    assert "into nothing" in log
+    assert "after it closed everything" in log
+    assert report["summaries"]["after"]["torn"] == 0

@@ -1,0 +1,232 @@
+"""What nodes say is bounded and harmless where it is heard; their logs have it whole."""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.run.channel import MOST_LINE, MOST_LINES_S, MOST_UNSENT, Channel, Exchange
+from pipeline.run.rundir import base
+from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap import SwapOrder
+from pipeline.text import harmless, plain
+from tests.toy_graphs import assert_accounts_add_up, go, handled, wait_for
+from tests.unruly_graphs import name_of, recovers, unruly_file, unruly_plan
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
+
+
+@given(st.text(st.characters(), max_size=60), st.integers(0, 50))
+def test_harmless_text_is_short_printable_and_can_be_written(text: str, most: int) -> None:
+    shown = harmless(text, most)
+
+    shown.encode()
+    assert not any(c < " " or c == "\x7f" for c in shown)
+    assert len(shown) <= 10 * most + 30
+    if text.isascii() and text.isprintable() and len(text) <= most:
+        assert shown == text
+
+
+@given(st.recursive(st.text(max_size=5), lambda x: st.lists(x) | st.dictionaries(st.text(), x)))
+def test_harmless_figures_can_be_written(value: Any) -> None:
+    json.dumps(plain(value), ensure_ascii=False).encode()
+
+
+def test_figures_that_are_nested_too_deep_are_cut_off() -> None:
+    deep: Any = []
+    for _ in range(500):
+        deep = [deep]
+
+    assert "…" in json.dumps(plain(deep), ensure_ascii=False)
+
+
+@pytest.mark.parametrize("size", [20_000, 400_000])
+def test_a_long_exception_costs_no_time_and_its_log_has_it_whole(tmp_path: Path, size: int) -> None:
+    graph = unruly_file(tmp_path, kind="long_text", size=size, once=tmp_path / "once")
+    began_s = time.monotonic()
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--frames", "60"],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    assert time.monotonic() - began_s < 30
+    assert "ValueError: word word" in done.stdout
+    assert "more characters)" in done.stdout or "characters more)" in done.stdout
+    assert len(done.stdout) < 20_000
+    assert len((base() / name_of(graph) / "unruly.log").read_text()) > size
+
+
+def test_an_exception_text_drives_no_terminal_and_no_log_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    plan = unruly_plan(tmp_path, kind="odd_text", once=tmp_path / "once")
+
+    go(plan, 0, recovers)
+
+    (said,) = [m for m in caplog.messages if "odd" in m]
+    assert said == r"unruly: ValueError: odd \ud800\x1b[2J\x00\u202e text and more"
+
+
+@pytest.mark.parametrize("size", [3_000, 3_000_000])
+def test_a_headline_is_cut_to_a_line(tmp_path: Path, size: int) -> None:
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: bool(supervisor.headlines))
+        supervisor.finish()
+        shown.append(supervisor.headlines["unruly"])
+
+    shown: list[str] = []
+    report = go(unruly_plan(tmp_path, kind="huge_headline", size=size), 0, during)
+
+    assert len(shown[0]) < 300
+    assert shown[0].isprintable()
+    assert report["failure"] == ""
+
+
+def test_a_huge_summary_is_left_out_and_the_report_says_so(tmp_path: Path) -> None:
+    graph, report = unruly_file(tmp_path, kind="huge_summary", size=50_000_000), tmp_path / "r.json"
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--frames", "20", "--report", str(report)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    found = json.loads(report.read_text())
+    assert found["left_out"]["unruly"].startswith("expected up to 1048576 bytes, got 500000")
+    assert "unruly: its summary is left out: expected up to" in done.stdout
+    assert found["frames"]["exposed"] == 20
+
+
+def test_a_summary_of_odd_figures_breaks_no_report(tmp_path: Path) -> None:
+    graph, report = unruly_file(tmp_path, kind="odd_summary"), tmp_path / "r.json"
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--frames", "20", "--report", str(report)],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+    assert "failure" not in json.loads(report.read_text())
+
+
+def test_a_state_that_cannot_be_had_costs_the_swap_alone(tmp_path: Path) -> None:
+    answers: list[dict[str, Any]] = []
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "after") > 5)
+        order = SwapOrder(node="unruly", probation=5)
+        supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+        wait_for(supervisor, lambda: bool(answers), 60)
+        supervisor.finish()
+
+    report = go(unruly_plan(tmp_path, kind="broken_state", size=100_000), 0, during)
+
+    assert answers[0]["refused"].startswith(
+        "unruly: unruly: its state cannot be had: ValueError: no statexxx"
+    )
+    assert len(answers[0]["refused"]) < 2200
+    assert report["restarts"] == {}
+    assert_accounts_add_up(report)
+
+
+def test_a_part_that_prints_without_end_fills_no_disk(tmp_path: Path) -> None:
+    size = 80 << 20
+    plan = unruly_plan(tmp_path, kind="print", size=size, once=tmp_path / "once")
+
+    report = go(plan, 0, recovers)
+
+    assert report["failure"] == ""
+    logs = [(base() / plan.name / name).stat().st_size for name in ("unruly.log",)]
+    assert logs[0] < 20 << 20
+
+
+def ends() -> tuple[Channel, socket.socket]:
+    ours, theirs = socket.socketpair()
+    return Channel(ours), theirs
+
+
+def test_a_flood_of_events_is_heard_in_part_and_counted() -> None:
+    channel, node = ends()
+    with node:
+        node.setblocking(False)
+        node.send(b'{"event": "x"}\n' * 5000)
+        heard = len(channel.events())
+
+        assert MOST_LINES_S <= heard < 3 * MOST_LINES_S
+        assert channel.left_out > 0
+        assert channel.flooded
+        channel.close()
+
+
+@pytest.mark.parametrize(
+    "line", [b"no json", b"[]", b'{"event": 3}', b"[" * 100_000, b"\xff\xfe", b"9" * 10_000]
+)
+def test_a_line_that_is_no_event_is_counted_and_left_out(line: bytes) -> None:
+    channel, node = ends()
+    with node:
+        node.sendall(line + b'\n{"event": "next"}\n')
+
+        assert channel.events() == [{"event": "next"}]
+        assert channel.left_out == 1
+        channel.close()
+
+
+def test_a_line_without_an_end_takes_no_more_memory_than_is_allowed() -> None:
+    channel, node = ends()
+    with node:
+        node.setblocking(False)
+        sent = 0
+        while sent < 3 * MOST_LINE:
+            sent += node.send(b"x" * 60_000)
+            assert channel.events() == []
+        node.setblocking(True)
+        node.sendall(b'\n{"event": "next"}\n')
+
+        assert channel.events() == [{"event": "next"}]
+        channel.close()
+
+
+def test_a_node_that_does_not_read_is_deaf_and_blocks_nobody() -> None:
+    channel, node = ends()
+    with node:
+        for _ in range(2 + MOST_UNSENT // 1_000_000):
+            channel.send("x" * 1_000_000)
+
+        assert channel.deaf
+        channel.close()
+
+
+def test_what_was_said_last_is_heard_after_the_end() -> None:
+    channel, node = ends()
+    node.sendall(b'{"event": "failed"}\n')
+    node.close()
+
+    channel.close()
+
+    assert channel.events() == [{"event": "failed"}]
+
+
+def test_an_exchange_wakes_for_words_and_for_whoever_wakes_it() -> None:
+    exchange = Exchange()
+    channel, node = ends()
+    exchange.add(channel)
+    with node:
+        for wake in (lambda: node.sendall(b'{"event": "x"}\n'), exchange.wake):
+            began_s = time.monotonic()
+            wake()
+            exchange.wait(30)
+            assert time.monotonic() - began_s < 20
+            channel.events()
+    exchange.remove(channel)
+    channel.close()
+    exchange.close()

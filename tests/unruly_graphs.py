@@ -1,0 +1,54 @@
+"""A graph with one part that does what no operator should, and how a test runs it."""
+
+import secrets
+from pathlib import Path
+from typing import Any
+
+from pipeline.graph.plan import Plan
+from pipeline.run.supervisor import Supervisor
+from tests.toy_graphs import handled, plan_of, wait_for
+
+UNRULY = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {rate_hz: 60, side_px: 60}
+  unruly:
+    operator: tests.sick_toys:Unruly
+    restart: {backoff_s: 0.01}
+    inputs: {frame: {from: ticker.context, depth: 60}}
+  after:
+    operator: tests.toys:Count
+    inputs: {frame: {from: unruly, depth: 60}}
+"""
+
+
+def unruly_plan(tmp_path: Path, *, text: str = UNRULY, clock: str = "", **settings: Any) -> Plan:
+    """The graph with an unruly part of these settings."""
+    changes = tuple(f"unruly.{name}={value}" for name, value in settings.items())
+    return plan_of(tmp_path, text, changes=changes, clock=clock)
+
+
+def unruly_file(tmp_path: Path, *, text: str = UNRULY, **settings: Any) -> Path:
+    """Likewise, as a file for the command line."""
+    words = ", ".join(f"{name}: {value}" for name, value in settings.items())
+    operator = "    operator: tests.sick_toys:Unruly\n"
+    path = tmp_path / "graph.yaml"
+    path.write_text(
+        f"name: unruly-{secrets.token_hex(3)}\n"
+        + text.replace(operator, f"{operator}    settings: {{{words}}}\n")
+    )
+    return path
+
+
+def name_of(graph: Path) -> str:
+    """The name that a graph's file gives it."""
+    return graph.read_text().splitlines()[0].split()[1]
+
+
+def recovers(supervisor: Supervisor) -> None:
+    """The unruly part comes back once, and frames arrive behind it."""
+    wait_for(supervisor, lambda: supervisor.restarts.get("unruly") == 1)
+    seen = handled(supervisor, "after")
+    wait_for(supervisor, lambda: handled(supervisor, "after") > seen + 5)
+    supervisor.finish()
