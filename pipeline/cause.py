@@ -6,8 +6,10 @@ import sysconfig
 from pathlib import Path
 from traceback import walk_tb
 
-from pipeline.wording import one_line
+from pipeline import signals
+from pipeline.text import harmless, said_by
 
+LONGEST = 300  # characters of a message
 _ROOM = str(Path(__file__).parent)
 _BETWEEN = (f"{_ROOM}/import_path.py", importlib.__file__)  # they stand in every traceback
 _INSTALLED = tuple(
@@ -22,7 +24,8 @@ def cause_of(error: BaseException) -> str:
     message alone. A syntax error names the line that cannot be read.
     """
     kind = "it exits" if isinstance(error, SystemExit) else type(error).__name__
-    said = f"{kind}: {_message(error)}".rstrip(": ")
+    text = error.msg if isinstance(error, SyntaxError) else said_by(error)
+    said = f"{kind}: {harmless(str(text), LONGEST)}".rstrip(": ")
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno or 1}: {said}"
     frames = [
@@ -37,20 +40,15 @@ def cause_of(error: BaseException) -> str:
     return said
 
 
-def is_raised(error: BaseException) -> bool:
-    """Whether a statement raised it; a `KeyboardInterrupt` by Ctrl-C comes from no statement."""
+def is_signal(error: BaseException) -> bool:
+    """Whether a signal to this process raised it, not the code that was running."""
     traceback = error.__traceback__
     if traceback is None:
         return False
     while traceback.tb_next is not None:
         traceback = traceback.tb_next
-    code = traceback.tb_frame.f_code.co_code
-    return code[traceback.tb_lasti] == dis.opmap["RAISE_VARARGS"]
-
-
-def _message(error: BaseException) -> str:
-    try:
-        said = error.msg if isinstance(error, SyntaxError) else str(error)
-    except Exception:  # its own __str__ is broken too
-        return ""
-    return one_line(str(said))
+    code = traceback.tb_frame.f_code
+    if code.co_filename == signals.__file__:
+        return True
+    by_statement = code.co_code[traceback.tb_lasti] == dis.opmap["RAISE_VARARGS"]
+    return isinstance(error, KeyboardInterrupt) and not by_statement

@@ -10,7 +10,7 @@ import re
 import sys
 from typing import Any
 
-from pipeline.cause import cause_of, is_raised
+from pipeline.cause import cause_of, is_signal
 from pipeline.errors import FoveaError
 from pipeline.wording import shown
 
@@ -51,9 +51,7 @@ def imported(path: str, error: type[FoveaError], where: str = "") -> Any:
         known = module in sys.modules  # nothing of it will be run
         with contextlib.nullcontext() if known else contextlib.redirect_stdout(sys.stderr):
             return getattr(importlib.import_module(module), name)
-    except KeyboardInterrupt as cause:
-        if not is_raised(cause):
-            raise
-        raise error(f"{place}{path} cannot be imported: {cause_of(cause)}") from cause
     except BaseException as cause:
+        if is_signal(cause):
+            raise
         raise error(f"{place}{path} cannot be imported: {cause_of(cause)}") from cause

@@ -17,7 +17,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pipeline.cause import cause_of
 from pipeline.errors import FoveaError, SettingsError
 from pipeline.once import once
-from pipeline.wording import one_line, shown, shown_key
+from pipeline.text import harmless
+from pipeline.wording import shown, shown_key
 
 T = TypeVar("T")
 DEEPEST = 32  # levels of a value
@@ -142,5 +143,5 @@ def _wrong(error: ValidationError, where: str) -> WrongSetting:
             said = str(cause)
             return WrongSetting(f"{where}.{said}", tuple(said.partition(":")[0].split(".")))
         return WrongSetting(f"{place}: {cause_of(cause)}", path)
-    said = one_line(first["msg"].lower())
+    said = harmless(first["msg"].lower(), 200)
     return WrongSetting(f"{place}: {said}, got {shown(first['input'])}", path)

@@ -1,6 +1,7 @@
 """Values from outside in an error message: cut short, on one line, never a second error."""
 
 from pipeline.naming import is_name
+from pipeline.text import harmless
 
 LONGEST = 80  # characters of a value in a sentence
 
@@ -15,7 +16,8 @@ def shown(value: object, longest: int = LONGEST) -> str:
         text = repr(value)
     except Exception:  # of an integer of thousands of digits, or by the value's own __repr__
         return f"a {type(value).__name__}"
-    return one_line(text, longest)
+    plain = harmless(text[: longest + 1], longest + 1)
+    return plain if len(text) <= longest else f"{plain[:longest]}…"
 
 
 def shown_key(key: object) -> str:
@@ -25,14 +27,3 @@ def shown_key(key: object) -> str:
     ('rate_hz', "'a b'", '5')
     """
     return str(key) if is_name(key) else shown(key, 40)
-
-
-def one_line(text: str, longest: int = 4 * LONGEST) -> str:
-    """A text without line breaks and unprintable characters, cut short.
-
-    >>> one_line("two\\nlines")
-    'two lines'
-    """
-    words = " ".join(text[: 2 * longest].split())
-    plain = "".join(c if c.isprintable() else "?" for c in words)
-    return plain if len(plain) <= longest else f"{plain[:longest]}…"

@@ -16,6 +16,7 @@ from pipeline.wording import shown
 MOST_NODES, MOST_EDGES = 128, 512
 MOST_FRAMES = 1_000_000_000  # that an order may name: a year of them at 30 Hz
 DAY_S = 86400.0
+Word = Annotated[str, msgspec.Meta(max_length=200)]
 FrameCount = Annotated[int, msgspec.Meta(ge=0, le=MOST_FRAMES)]
 SomeFrames = Annotated[int, msgspec.Meta(ge=1, le=MOST_FRAMES)]
 BudgetMs = Annotated[float, msgspec.Meta(ge=0, le=1000 * DAY_S)]

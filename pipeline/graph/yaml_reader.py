@@ -30,7 +30,8 @@ from ruamel.yaml.events import (
 from ruamel.yaml.nodes import ScalarNode
 
 from pipeline.errors import GraphError
-from pipeline.wording import one_line, shown, shown_key
+from pipeline.text import harmless
+from pipeline.wording import shown, shown_key
 
 MOST_BYTES = 1 << 18
 MOST_VALUES = 20_000  # with aliases written out
@@ -105,10 +106,10 @@ def _read(text: str, at: Callable[[int], str], word: str, data: bytes | None) ->
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line if mark else composer.line
-        problem = one_line(error.problem or error.context or "it cannot be read")
+        problem = harmless(error.problem or error.context or "it cannot be read", 200)
         raise GraphError(f"{at(line)}: {word}{problem}") from error
     except (YAMLError, ValueError, OverflowError, LookupError, AttributeError) as error:
-        raise GraphError(f"{at(composer.line)}: {word}{one_line(str(error))}") from error
+        raise GraphError(f"{at(composer.line)}: {word}{harmless(str(error), 200)}") from error
 
 
 class _Composer:
