@@ -6,7 +6,6 @@ import secrets
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -237,7 +236,6 @@ def test_a_killed_reader_gives_its_slot_back_at_once(stem: str) -> None:
 
 def test_ten_thousand_frames_leave_no_lock_and_no_memory_behind(stem: str) -> None:
     pool, reader = writer(stem, 3), PoolReader(MEMORY, stem)
-    started = time.monotonic()
 
     for i in range(10_000):
         view = reader.take(fill(pool, i % 251, i))
@@ -246,5 +244,4 @@ def test_ten_thousand_frames_leave_no_lock_and_no_memory_behind(stem: str) -> No
         del view
 
     assert reader.pinned == 0
-    assert time.monotonic() - started < 20
     assert multiprocessing.active_children() == []

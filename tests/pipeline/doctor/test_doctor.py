@@ -130,8 +130,9 @@ def test_the_pools_of_a_graph_are_as_big_as_foreseen(tmp_path: Path) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
         prefix = running()[plan.name]["prefix"]
         sizes.append(sum(path.stat().st_size for path in MEMORY.glob(f"{prefix}*")))
+        supervisor.finish()
 
-    go(plan, 30, measure)
+    go(plan, 0, measure)
 
     assert sizes == [foreseen]
     assert pools(foreseen, 3 * foreseen).verdict == "ok"
@@ -210,8 +211,9 @@ def test_a_graph_whose_folder_is_elsewhere_is_no_remains(
             told.extend([facts, supervised(), "\n".join(f.why for f in remains())])
             told.append([p.pid for p in orphaned(supervised())])
             told.append([p.name for p in unclaimed(supervised())])
+        supervisor.finish()
 
-    go(plan, 20, during)
+    go(plan, 0, during)
 
     facts, found, words, orphans, files = told
     assert facts["prefix"] in found

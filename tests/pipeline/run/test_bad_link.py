@@ -45,8 +45,8 @@ class Far:
 
 
 @pytest.fixture
-def far(tmp_path: Path) -> Iterator[Far]:
-    made = Far(tmp_path)
+def far(short_path: Path) -> Iterator[Far]:
+    made = Far(short_path)
     yield made
     made.close()
 
@@ -97,8 +97,8 @@ def test_a_link_that_breaks_comes_back_by_itself(far: Far) -> None:
     assert far.link.links >= 2
 
 
-def test_who_is_near_hears_everything_while_another_link_stalls(far: Far, tmp_path: Path) -> None:
-    near = Session(tmp_path / "here", "near")
+def test_who_is_near_hears_everything_while_another_link_stalls(far: Far, short_path: Path) -> None:
+    near = Session(short_path / "here", "near")
     heard: list[int] = []
     near.listen(
         "fovea/far/frame", lambda payload: heard.append(int.from_bytes(payload[:4], "little"))
