@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import psutil
-
-from pipeline.run.rundir import LOGS, MEMORY, base, running
+from pipeline.run.leftovers import node_processes
+from pipeline.run.memory_folder import path_of
+from pipeline.run.rundir import folder_of, running
 from pipeline.run.supervisor import Supervisor
 
 
@@ -17,21 +17,23 @@ class Traces:
     """What a run may leave behind, known while it runs."""
 
     folder: Path
-    prefix: str
+    run_id: str
 
     @staticmethod
     def of(graph: str) -> "Traces":
         """Of a graph that runs now."""
-        return Traces(base() / graph, str(running()[graph]["prefix"]))
+        return Traces(folder_of(graph), str(running()[graph]["run"]))
 
     def files(self) -> list[str]:
         """Shared memory and sockets; to be asked for after the end. Logs are meant to stay."""
-        return sorted([*(p.name for p in MEMORY.glob(f"{self.prefix}*")), *remains(self.folder)])
+        memory = path_of(self.run_id)
+        return sorted(
+            [*map(str, memory.glob("*") if memory.exists() else ()), *remains(self.folder)]
+        )
 
     def orphans(self) -> list[int]:
         """Processes that live after the end."""
-        listed = psutil.process_iter(["cmdline"])
-        return [p.pid for p in listed if self.prefix in (p.info["cmdline"] or [])]
+        return [process.pid for process, run_id in node_processes() if run_id == self.run_id]
 
 
 def remains(folder: Path) -> list[str]:
@@ -39,7 +41,7 @@ def remains(folder: Path) -> list[str]:
     return sorted(
         path.name
         for path in folder.rglob("*")
-        if path.name != "lock" and path.suffix not in LOGS and not path.is_dir()
+        if path.name != "lock" and path.suffix not in (".log", ".old") and not path.is_dir()
     )
 
 

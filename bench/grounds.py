@@ -15,10 +15,11 @@ import psutil
 from bench.aftermath import Traces, remains, rest, unbalanced
 from bench.hosts import World
 from pipeline.bus.histogram import Histogram
-from pipeline.bus.ledger import Ledger, NodeAccount, ledger_file
+from pipeline.bus.ledger import Ledger, NodeAccount
 from pipeline.graph.plan import Plan, sources
+from pipeline.private_folder import PrivateFolder
+from pipeline.run.memory_folder import MEMORY, path_of
 from pipeline.run.report import compose
-from pipeline.run.rundir import MEMORY
 from pipeline.run.supervisor import Supervisor
 
 SETTLE_S = 5.0  # after the last fault, before accounts are looked at
@@ -149,7 +150,7 @@ class ThreeHosts(Ground):
         self.names = tuple(dict.fromkeys(f"{n.host}/{n.process}" for n in self._plan.nodes))
         self._ended = False
         self._ledgers: dict[str, Ledger] = {}
-        self._prefixes: dict[str, str] = {}
+        self._runs: dict[str, str] = {}
 
     def __enter__(self) -> "ThreeHosts":
         self._world.__enter__()
@@ -163,9 +164,9 @@ class ThreeHosts(Ground):
 
     def _open(self) -> None:
         for box in self.boxes:
-            self._prefixes[box] = str(self._noted(box)["prefix"])
-            path = ledger_file(self._memory_folder(box), self._prefixes[box])
-            self._ledgers[box] = Ledger.open(path)
+            self._runs[box] = str(self._noted(box)["run"])
+            folder = path_of(self._runs[box], self._memory_folder(box))
+            self._ledgers[box] = Ledger.open(PrivateFolder(folder))
 
     def __exit__(self, *caught: Any) -> None:
         if not self._ended:
@@ -213,10 +214,10 @@ class ThreeHosts(Ground):
         self.__exit__()
         left += [name for box in self.boxes for name in remains(self._world.home(box))]
         listed = [(p.pid, p.info["cmdline"] or []) for p in psutil.process_iter(["cmdline"])]
-        prefixes = set(self._prefixes.values())
+        runs = set(self._runs.values())
         return {
             "unbalanced": self._unsettled(edges),
-            "orphans": [pid for pid, words in listed if prefixes & set(words)],
+            "orphans": [pid for pid, words in listed if runs & set(words)],
             "left": sorted(left), "loop": loop, "edges": edges,
         }  # fmt: skip
 

@@ -32,7 +32,7 @@ from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan, load_operator
 from pipeline.node.wiring import key_of
 from pipeline.run.report import compose
-from pipeline.run.rundir import MEMORY, base, running
+from pipeline.run.rundir import folder_of, memory_of, running
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 
@@ -45,10 +45,9 @@ class Commands:
 
     def __init__(self, plan: Plan) -> None:
         edge = next(e for e in plan.edges if e.command)
-        folder = base() / plan.name
+        folder = folder_of(plan.name)
         message = outputs_of(load_operator(plan.node(edge.source).operator))[edge.output]
-        prefix = running()[plan.name]["prefix"]
-        pool = PoolReader(MEMORY, f"{prefix}{edge.source}.{edge.output}")
+        pool = PoolReader(memory_of(running()[plan.name]), f"{edge.source}.{edge.output}")
         port = InPort(message, private_ledger(1, 0).edges[0], pool, 1, self._note, tap=True)
         self.seqs: list[int] = []
         self.times_s: list[float] = []

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from pipeline.run.rundir import sweep
+from pipeline.run.leftovers import cleanup
 from tests.shared_data import Footage
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -58,8 +58,15 @@ def own_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("TMPDIR", str(short))
         patch.setattr(tempfile, "tempdir", None)
         yield
-        sweep()
+        cleanup()
     shutil.rmtree(short, ignore_errors=True)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_of_torch() -> None:
+    """Its threads wait by spinning: where cores are short, a step of 0.2 s takes half a minute."""
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(1)
 
 
 @pytest.fixture

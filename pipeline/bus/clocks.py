@@ -6,11 +6,13 @@ The agent writes the file; the nodes of the run read it. One host alone needs no
 
 import ctypes
 import mmap
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.messages import Header
+from pipeline.private_folder import PrivateFolder
 
 ALONE = "monotonic"  # what a header says where there is one host only
 MOST_HOSTS = 64
@@ -35,13 +37,13 @@ class Clocks:
     @staticmethod
     def create(path: Path, own: str, hosts: tuple[str, ...]) -> "Clocks":
         """Make the file, with nothing known."""
-        path.write_bytes(bytes(MOST_HOSTS * ctypes.sizeof(Reading)))
+        PrivateFolder(path.parent).write(path.name, bytes(MOST_HOSTS * ctypes.sizeof(Reading)))
         return Clocks.open(path, own, hosts)
 
     @staticmethod
     def open(path: Path, own: str, hosts: tuple[str, ...]) -> "Clocks":
         """Map the file; hosts in the order of the graph."""
-        with path.open("r+b") as file:
+        with os.fdopen(PrivateFolder(path.parent).open(path.name, writable=True), "r+b") as file:
             memory = mmap.mmap(file.fileno(), 0)
         size = ctypes.sizeof(Reading)
         return Clocks(

@@ -12,14 +12,15 @@ import os
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.bus.histogram import BUCKETS, Histogram
 from pipeline.errors import RunError
+from pipeline.private_folder import PrivateFolder
 
+FILE = "ledger"  # in the memory folder of the run
 PAGE_BYTES = 4096
 EDGE_BYTES = 2 * PAGE_BYTES  # counters, then the histogram of ages
 NODE_BYTES = 6 * PAGE_BYTES  # counters, then the histograms below
@@ -124,11 +125,6 @@ class EdgeAccount(ctypes.Structure):
         }
 
 
-def ledger_file(folder: Path, prefix: str) -> Path:
-    """Where the accounts of a run lie, in the folder of its shared memory."""
-    return folder / f"{prefix}ledger"
-
-
 class NodeAccount(ctypes.Structure):
     """The state, the progress and the latencies of one node; the supervisor only announces it."""
 
@@ -176,36 +172,37 @@ class NodeAccount(ctypes.Structure):
 class Ledger:
     """The mapped accounts of a graph: edges and nodes in the loader's order."""
 
-    path: Path
     edges: tuple[EdgeAccount, ...]
     nodes: tuple[NodeAccount, ...]
 
     @staticmethod
-    def create(path: Path, edges: int, nodes: int) -> "Ledger":
+    def create(folder: PrivateFolder, edges: int, nodes: int) -> "Ledger":
         """Make the file with room for more; raises `RunError` when there is no room for it."""
         size = ledger_bytes(edges, nodes)
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        handle = folder.create(FILE)
         try:
             os.posix_fallocate(handle, 0, size)
             os.pwrite(
                 handle, _LAYOUT.pack(edges + ROOM_EDGES, nodes + ROOM_NODES), size - _LAYOUT.size
             )
         except OSError as error:
-            path.unlink()
-            raise RunError(f"{path.parent}: no room for {size} bytes of accounts") from error
+            folder.remove(FILE)
+            raise RunError(f"{folder.path}: no room for {size} bytes of accounts") from error
         finally:
             os.close(handle)
-        return Ledger.open(path)
+        return Ledger.open(folder)
 
     @staticmethod
-    def open(path: Path) -> "Ledger":
-        """Map an existing file."""
-        with path.open("r+b") as file:
-            memory = memoryview(mmap.mmap(file.fileno(), 0))
+    def open(folder: PrivateFolder) -> "Ledger":
+        """Map the accounts of a run; raises `RunError` when they are not there."""
+        try:
+            with os.fdopen(folder.open(FILE, writable=True), "r+b") as file:
+                memory = memoryview(mmap.mmap(file.fileno(), 0))
+        except (OSError, ValueError) as error:
+            raise RunError(f"{folder.path}: no accounts of a run: {error}") from error
         edges, nodes = _LAYOUT.unpack(memory[-_LAYOUT.size :])
         first = edges * EDGE_BYTES
         return Ledger(
-            path,
             tuple(EdgeAccount.over(part) for part in _parts(memory, 0, edges, EDGE_BYTES)),
             tuple(NodeAccount.over(part) for part in _parts(memory, first, nodes, NODE_BYTES)),
         )
@@ -233,7 +230,6 @@ def private_ledger(edges: int, nodes: int) -> Ledger:
     memory = memoryview(bytearray(edges * EDGE_BYTES + nodes * NODE_BYTES))
     first = edges * EDGE_BYTES
     return Ledger(
-        Path(),
         tuple(EdgeAccount.over(part) for part in _parts(memory, 0, edges, EDGE_BYTES)),
         tuple(NodeAccount.over(part) for part in _parts(memory, first, nodes, NODE_BYTES)),
     )

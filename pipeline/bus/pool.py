@@ -6,22 +6,21 @@ shared one until its readers had their chance; a reader holds a shared lock whil
 the slot lives. The kernel drops the locks of a dead process, so nobody can leak a slot.
 
 A pool never changes its size: bigger messages get a new file, named in their descriptor. The file
-outlives its writer; whoever started the graph removes it.
+outlives its writer; the supervisor removes it with the memory folder of the run.
 """
 
 import contextlib
 import fcntl
 import math
-import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from pipeline.bus.pool_file import MAX_SLOTS, PoolFile, reuse_or_create
+from pipeline.bus.pool_file import MAX_SLOTS, PoolFile, is_pool, reuse_or_create
 from pipeline.errors import MessageError, PoolExhausted, RunError
+from pipeline.private_folder import PrivateFolder
 
 AHEAD_BYTES = 1 << 20
 KEPT, SPARE, DONE = 0, 1, 2  # what readers still want of a slot
@@ -86,7 +85,9 @@ class PoolWriter:
     and writing 9 MB takes half the time. Of those to spare it is the oldest.
     """
 
-    def __init__(self, folder: Path, stem: str, slots: int, claim: Callable[[int], int]) -> None:
+    def __init__(
+        self, folder: PrivateFolder, stem: str, slots: int, claim: Callable[[int], int]
+    ) -> None:
         if not 1 <= slots <= MAX_SLOTS:
             raise RunError(f"{stem}: expected 1 to {MAX_SLOTS} slots, got {slots}")
         self._folder, self._stem, self._slots, self._claim = folder, stem, slots, claim
@@ -130,7 +131,7 @@ class PoolWriter:
             if slot in self._held:  # a reader is in it: our own shared lock is no longer needed
                 del self._held[slot]
                 file.lock(fcntl.F_UNLCK, slot)
-        raise PoolExhausted(f"{file.path.name}: all {self._slots} slots are leased")
+        raise PoolExhausted(f"{file.name}: all {self._slots} slots are leased")
 
     def _candidates(self) -> Iterator[int]:
         spare = []
@@ -181,7 +182,7 @@ class PoolWriter:
 
     def refresh(self) -> None:
         """Another process may have outgrown the file meanwhile."""
-        if self._file is not None and not self._file.path.exists():
+        if self._file is not None and not self._folder.has(self._file.name):
             self._file = None
 
     def abandon(self, lease: Lease) -> None:
@@ -194,9 +195,8 @@ class PoolWriter:
 class PoolReader:
     """The reading end of one input port: descriptors in, read-only memory out."""
 
-    def __init__(self, folder: Path, stem: str) -> None:
-        self._folder = folder
-        self._name = re.compile(re.escape(stem) + r"\.[0-9a-f]{8}")
+    def __init__(self, folder: PrivateFolder, stem: str) -> None:
+        self._folder, self._stem = folder, stem
         self._file: PoolFile | None = None
 
     def take(self, ref: SlotRef) -> NDArray[np.uint8] | None:
@@ -226,17 +226,9 @@ class PoolReader:
 
     def _open(self, ref: SlotRef) -> PoolFile:
         if self._file is None or self._file.name != ref.file:
-            if not self._name.fullmatch(ref.file):
+            if not is_pool(ref.file, self._stem):
                 raise MessageError("a descriptor names a file that is no pool of this port")
-            self._file = PoolFile(self._folder / ref.file, writable=False)
+            self._file = PoolFile(self._folder, ref.file, writable=False)
         if self._file.pool_id != ref.pool_id:
             raise MessageError(f"{ref.file}: expected pool {ref.pool_id}, got another")
         return self._file
-
-
-def remove_pools(folder: Path, prefix: str) -> int:
-    """Delete every pool whose name begins with `prefix`; the number deleted."""
-    found = list(folder.glob(f"{prefix}*"))
-    for path in found:
-        path.unlink(missing_ok=True)
-    return len(found)

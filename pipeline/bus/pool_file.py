@@ -1,34 +1,40 @@
-"""The file of a frame pool: a header page with a generation per slot, page-aligned slots, locks."""
+"""The file of a frame pool: a header page with a generation per slot, page-aligned slots, locks.
+
+Pool files lie in the private memory folder of a run: another user can neither read nor shorten one,
+nor be there first with a file of the same name.
+"""
 
 import fcntl
 import mmap
 import os
+import re
 import secrets
 import struct
 import weakref
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MessageError, RunError
+from pipeline.private_folder import PrivateFolder
 
 PAGE_BYTES = 4096
 MAGIC = 0x31_4C4F4F_50564F46
 MAX_SLOTS = 480  # generation counters fit into the header page
 _HEADER_WORDS = 4  # magic, pool id, slots, slot bytes
+_SUFFIX = re.compile(r"\.[0-9a-f]{8}")
 
 
 class PoolFile:
     """A mapped pool file."""
 
-    def __init__(self, path: Path, *, writable: bool) -> None:
-        self.path, self.name = path, path.name
+    def __init__(self, folder: PrivateFolder, name: str, *, writable: bool) -> None:
+        self.name = name
         try:
-            self.handle = os.open(path, os.O_RDWR if writable else os.O_RDONLY)
+            self.handle = folder.open(name, writable=writable)
         except OSError as error:
-            raise MessageError(f"{path.name}: cannot be opened: {error.strerror}") from error
+            raise MessageError(f"{name}: cannot be opened: {error.strerror}") from error
         weakref.finalize(self, os.close, self.handle).atexit = False
         size = os.fstat(self.handle).st_size
         protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
@@ -36,10 +42,10 @@ class PoolFile:
             self.memory = mmap.mmap(self.handle, size, mmap.MAP_SHARED, protection)
             words = np.frombuffer(self.memory, np.uint64, _HEADER_WORDS + MAX_SLOTS)
         except (ValueError, OSError) as error:
-            raise MessageError(f"{path.name}: not a frame pool") from error
+            raise MessageError(f"{name}: not a frame pool") from error
         magic, self.pool_id, self.slots, self.slot_bytes = (int(w) for w in words[:_HEADER_WORDS])
         if magic != MAGIC or size < PAGE_BYTES + self.slots * self.slot_bytes:
-            raise MessageError(f"{path.name}: not a frame pool")
+            raise MessageError(f"{name}: not a frame pool")
         self.generations = memoryview(self.memory).cast("Q")[
             _HEADER_WORDS : _HEADER_WORDS + MAX_SLOTS
         ]
@@ -78,36 +84,47 @@ class PoolFile:
             self.lock(fcntl.F_UNLCK, slot)
 
 
-def reuse_or_create(folder: Path, stem: str, slots: int, nbytes: int) -> PoolFile:
+def reuse_or_create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -> PoolFile:
     """A restarted writer goes on in its predecessor's file, so readers keep their mapping."""
-    for path in folder.glob(f"{stem}.*"):
+    for name in folder.names():
+        if not is_pool(name, stem):
+            continue
         try:
-            file = PoolFile(path, writable=True)
+            file = PoolFile(folder, name, writable=True)
         except MessageError:
             continue
         if file.slots == slots and file.slot_bytes >= nbytes:
             return file
-        path.unlink(missing_ok=True)  # outgrown; readers inside keep it alive until they leave
+        folder.remove(name)  # outgrown; readers inside keep it alive until they leave
     return _create(folder, stem, slots, nbytes)
 
 
-def _create(folder: Path, stem: str, slots: int, nbytes: int) -> PoolFile:
+def is_pool(name: str, stem: str) -> bool:
+    """Whether a file is called as the pools of a port are.
+
+    >>> is_pool("eye.out.0123abcd", "eye.out"), is_pool("eye.out.0123abcd.part", "eye.out")
+    (True, False)
+    """
+    return _SUFFIX.fullmatch(name.removeprefix(stem)) is not None and name.startswith(stem)
+
+
+def _create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -> PoolFile:
     slot_bytes = -(-max(nbytes, 1) // PAGE_BYTES) * PAGE_BYTES
     size = PAGE_BYTES + slots * slot_bytes
-    path = folder / f"{stem}.{secrets.token_hex(4)}"
-    part = path.with_name(f"{path.name}.part")
-    handle = os.open(part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+    name = f"{stem}.{secrets.token_hex(4)}"
+    part = f"{name}.part"
+    handle = folder.create(part)
     try:
         os.posix_fallocate(handle, 0, size)  # a full disk is an error now, not a SIGBUS later
         header = np.array([MAGIC, secrets.randbits(63), slots, slot_bytes], np.uint64)
         os.pwrite(handle, header.tobytes(), 0)
     except OSError as error:
-        part.unlink()
+        folder.remove(part)
         raise RunError(
-            f"{folder}: no room for a frame pool of {size / 1e6:.0f} MB ({slots} x {slot_bytes}): "
-            f"{error.strerror}"
+            f"{folder.path}: no room for a frame pool of {size / 1e6:.0f} MB ({slots} x "
+            f"{slot_bytes}): {error.strerror}"
         ) from error
     finally:
         os.close(handle)
-    part.rename(path)
-    return PoolFile(path, writable=True)
+    folder.rename(part, name)
+    return PoolFile(folder, name, writable=True)

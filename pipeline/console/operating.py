@@ -112,7 +112,7 @@ def tell(graph: str, order: Order) -> dict[str, Any]:
 
 def same_run(name: str, facts: Mapping[str, Any]) -> bool:
     """Whether a graph is still in the run of which this was noted."""
-    return bool(running().get(name, {}).get("prefix") == facts["prefix"])
+    return bool(running().get(name, {}).get("run") == facts["run"])
 
 
 def _judged(result: dict[str, Any]) -> dict[str, Any]:

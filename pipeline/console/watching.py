@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.bus.inport import InPort
-from pipeline.bus.ledger import Ledger, ledger_file, private_ledger
+from pipeline.bus.ledger import Ledger, private_ledger
 from pipeline.bus.outport import Arrival
 from pipeline.bus.pool import PoolReader
 from pipeline.bus.session import Session
@@ -28,7 +28,7 @@ from pipeline.errors import RunError
 from pipeline.graph.plan import load_operator
 from pipeline.messages import Message
 from pipeline.node.wiring import key_of
-from pipeline.run.rundir import MEMORY, base, running
+from pipeline.run.rundir import folder_of, memory_of, running
 from pipeline.settings import suggest
 from pipeline.terminal import brief, lean_table, losses, pair, rest
 
@@ -128,9 +128,9 @@ def _tap(graph: str, output: str) -> Iterator[Message]:
         if arrival.message is not None and not arrivals.full():
             arrivals.put_nowait(arrival)
 
-    pool = PoolReader(MEMORY, f"{facts['prefix']}{node}.{port}")
+    pool = PoolReader(memory_of(facts), f"{node}.{port}")
     tap = InPort(outputs[port], private_ledger(1, 0).edges[0], pool, 1, keep, tap=True)
-    session = Session(base() / name, f"tap-{os.getpid()}")
+    session = Session(folder_of(name), f"tap-{os.getpid()}")
     try:
         stop = session.listen(key_of(facts["graph"], node, port), tap.receive)
         while True:
@@ -142,7 +142,7 @@ def _tap(graph: str, output: str) -> Iterator[Message]:
     finally:
         stop()
         session.close()
-        (base() / name / f"tap-{os.getpid()}.sock").unlink(missing_ok=True)
+        (folder_of(name) / f"tap-{os.getpid()}.sock").unlink(missing_ok=True)
 
 
 def _refreshed(facts: dict[str, Any], ledger: Ledger, every_s: float) -> Iterator[Group]:
@@ -191,4 +191,4 @@ def find(graph: str) -> tuple[str, dict[str, Any]]:
 
 
 def _ledger(facts: dict[str, Any]) -> Ledger:
-    return Ledger.open(ledger_file(MEMORY, facts["prefix"]))
+    return Ledger.open(memory_of(facts))

@@ -15,7 +15,7 @@ from pipeline.doctor.installation import examine_installation
 from pipeline.doctor.machine import examine_machine
 from pipeline.doctor.needs import examine_graph
 from pipeline.graph.overlay import Overlay
-from pipeline.run.rundir import sweep
+from pipeline.run.leftovers import cleanup
 
 STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
 
@@ -33,7 +33,7 @@ def doctor_command(
 ) -> None:  # fmt: skip
     """Say what is wrong with this installation, or with a graph on it, and what to do."""
     if clean:
-        sweep()
+        cleanup()
     overlay = Overlay(source=source, changes=changes)
     found = list(told(examine(graph, overlay, trial=not no_trial), quiet=as_json))
     if as_json:

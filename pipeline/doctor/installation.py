@@ -1,13 +1,12 @@
 """The installation: package versions, weights, the bus, folders, and what killed runs left."""
 
+import fcntl
 import os
 import secrets
 import sys
 import tempfile
-import time
 import tomllib
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
@@ -15,18 +14,17 @@ import psutil
 from packaging.requirements import Requirement
 
 from pipeline import weights
-from pipeline.bus.ledger import ledger_file
 from pipeline.bus.session import Session
 from pipeline.doctor.finding import Finding, ok, warning, wrong
-from pipeline.errors import FoveaError
-from pipeline.run.rundir import MEMORY, base, leftovers, running
+from pipeline.errors import FoveaError, RunError
+from pipeline.run.leftovers import leftovers, node_processes
+from pipeline.run.memory_folder import MemoryFolder, path_of
+from pipeline.run.rundir import LONGEST_ADDRESS, base
 
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 OLDEST = (3, 11)
-LONGEST_SOCKET = 107  # bytes of a unix socket's path
 LONGEST_NAME = 40  # of graph and node together, as long as they come
 ECHO_S = 3.0
-FRESH_S = 60.0  # a graph that starts has not written down yet what is its own
 
 
 def examine_installation(project: Path = PROJECT) -> Iterator[Finding]:
@@ -103,8 +101,8 @@ def folders() -> Iterator[Finding]:
         yield wrong(what, str(error), "remove it, or set TMPDIR to a folder of this user")
         return
     length = len(os.fsencode(folder)) + LONGEST_NAME
-    if length > LONGEST_SOCKET:
-        why = f"{folder}: {length} bytes with names, a socket's path may have {LONGEST_SOCKET}"
+    if length > LONGEST_ADDRESS:
+        why = f"{folder}: {length} bytes with names, a socket's path may have {LONGEST_ADDRESS}"
         yield wrong(what, why, "set TMPDIR to a shorter path")
     else:
         yield ok(what, f"{folder}, private")
@@ -137,68 +135,23 @@ def remains() -> Iterator[Finding]:
     if dead:
         todo = "start any graph: it removes them; or `fovea doctor --sweep`"
         yield warning("left over", f"runs that were killed: {', '.join(dead)}", todo)
-    prefixes = {str(facts["prefix"]) for facts in running().values()} | supervised()
-    mine = [] if dead else sorted(unclaimed(prefixes))
-    if mine:
-        size_mb = sum(p.stat().st_size for p in mine) / 1e6
-        shown = f"{size_mb:.0f} MB in {MEMORY} of no running graph"
-        yield warning("left over", shown, f"rm {' '.join(map(str, mine))}")
-    orphans = [p.pid for p in orphaned(prefixes)]
+    orphans = [process.pid for process in orphaned()]
     if orphans:
         listed = " ".join(map(str, orphans))
         yield wrong("left over", f"node processes without a supervisor: {listed}", f"kill {listed}")
-    if not (dead or mine or orphans):
+    if not (dead or orphans):
         yield ok("left over", "nothing")
 
 
-def unclaimed(prefixes: Iterable[str]) -> Iterator[Path]:
-    """Files of this user in shared memory that no running graph claims, but for quite new ones."""
-    claimed = tuple(prefixes)
-    for path in MEMORY.glob("fovea-*"):
-        with suppress(FileNotFoundError):
-            seen = path.stat()
-            old = time.time() - seen.st_mtime > FRESH_S
-            if old and seen.st_uid == os.getuid() and not path.name.startswith(claimed):
-                yield path
+def orphaned() -> Iterator[psutil.Process]:
+    """Node processes of this user whose run is over: its memory folder is gone, or not locked."""
+    return (process for process, run_id in node_processes() if not _supervised(process, run_id))
 
 
-def orphaned(prefixes: Iterable[str]) -> Iterator[psutil.Process]:
-    """Node processes of this user whose run is not running."""
-    known = set(prefixes)
-    for process, prefix in _node_processes():
-        if prefix not in known:
-            yield process
-
-
-def supervised() -> set[str]:
-    """Runs whose supervisor lives, wherever its folder is: in a container, for another TMPDIR."""
-    nodes = list(_node_processes())
-    pids = {process.pid for process, _ in nodes}
-    found = set()
-    for process, prefix in nodes:
-        with suppress(psutil.Error):
-            parent = process.ppid()
-            if parent not in pids and _maps(parent, ledger_file(MEMORY, prefix).name):
-                found.add(prefix)
-    return found
-
-
-def _maps(pid: int, name: str) -> bool:
-    """Whether a process has a file of that name in memory; who may not be asked has it."""
+def _supervised(process: psutil.Process, run_id: str) -> bool:
+    """Whether its supervisor lives; seen through the process, which may be in a container."""
+    path = Path(f"/proc/{process.pid}/root") / path_of(run_id).relative_to("/")
     try:
-        return f"/{name}" in Path(f"/proc/{pid}/maps").read_text()
-    except PermissionError:
-        return True
-    except OSError:
-        return False
-
-
-def _node_processes() -> Iterator[tuple[psutil.Process, str]]:
-    """Those of this user, each with the prefix of its run."""
-    for process in psutil.process_iter(["cmdline", "uids"]):
-        words = process.info["cmdline"] or []
-        if "pipeline.node.process" not in words or process.info["uids"].real != os.getuid():
-            continue
-        after = words[words.index("pipeline.node.process") + 1 :]
-        if after:
-            yield process, after[0]
+        return path.exists() and not MemoryFolder(path).lock(fcntl.LOCK_SH)
+    except (RunError, OSError):
+        return bool(process.is_running())  # it has ended, or may not be looked into

@@ -14,7 +14,7 @@ import psutil
 
 from pipeline.bus.network import AGENT_PORT, NODE_PORTS
 from pipeline.doctor.finding import Finding, ok, warning, wrong
-from pipeline.run.rundir import MEMORY
+from pipeline.run.memory_folder import MEMORY
 
 NODE = "pipeline.node.process"
 LEAST_SHARED_MB = 64.0  # an eighth of what a container gives by default is hardly a graph

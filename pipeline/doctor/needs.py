@@ -21,7 +21,8 @@ from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan, load_operator, slots
 from pipeline.messages import Message
 from pipeline.run.inline import InlineRunner
-from pipeline.run.rundir import MEMORY, running
+from pipeline.run.memory_folder import MEMORY
+from pipeline.run.rundir import running
 
 CROWDED = 4  # processes per core from which waiting for one shows
 BASE_FILES = 48  # of the interpreter, the transport and the logs

@@ -34,7 +34,7 @@ class PartSupervisor(Supervisor):
         self.neighbours: tuple[Neighbour, ...] = ()
         self._since_s = time.monotonic()
         try:
-            self.clocks = Clocks.create(self._run.folder / CLOCKS, plan.here, plan.hosts)
+            self.clocks = Clocks.create(self._run.folder.path / CLOCKS, plan.here, plan.hosts)
         except OSError as error:
             self.close()
             raise RunError(f"{CLOCKS}: cannot be made: {error.strerror}") from error

@@ -6,6 +6,7 @@ changed is kept in a file, so that an operator that dies comes back with it.
 """
 
 import json
+import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ import msgspec
 from pipeline import codec
 from pipeline import settings as checked
 from pipeline.contract import Operator, live_of, settings_of
-from pipeline.errors import FoveaError, SettingsError
+from pipeline.errors import FoveaError, RunError, SettingsError
+from pipeline.private_folder import PrivateFolder
 
 CONFIG = "@config"  # the key below a node's own that answers
 
@@ -30,6 +32,9 @@ class Answer(msgspec.Struct, forbid_unknown_fields=True):
 
 _QUESTION = msgspec.msgpack.Decoder(dict[str, Any])
 _ANSWER = msgspec.msgpack.Decoder(Answer)
+_KEPT = msgspec.json.Decoder(dict[str, Any])
+MOST_KEPT_BYTES = 1 << 20
+log = logging.getLogger(__name__)
 
 
 class Live:
@@ -58,7 +63,7 @@ class Live:
         try:
             if self._file is not None:
                 keep(self._file, {name: values[name] for name in live if name in values})
-        except OSError as error:  # what a crash would undo is better not begun
+        except (OSError, RunError) as error:  # what a crash would undo is better not begun
             self._operator.on_settings(before)
             raise SettingsError(f"{self._node}: cannot be kept: {error}") from error
         self._values = values
@@ -103,19 +108,15 @@ def read_answer(answer: bytes) -> Answer:
 
 def keep(file: Path, values: Mapping[str, Any]) -> None:
     """Write values down in one step: whoever is killed meanwhile leaves the old ones or the new."""
-    part = file.with_name(f"{file.name}.part")
-    try:
-        part.write_text(json.dumps(dict(values)))
-        part.replace(file)
-    except OSError:
-        part.unlink(missing_ok=True)
-        raise
+    PrivateFolder(file.parent).write(file.name, json.dumps(dict(values)).encode())
 
 
 def kept(file: Path) -> dict[str, Any]:
     """What a predecessor kept, or nothing."""
     try:
-        values: dict[str, Any] = json.loads(file.read_text())
+        return _KEPT.decode(PrivateFolder(file.parent).read(file.name, MOST_KEPT_BYTES))
     except FileNotFoundError:
         return {}
-    return values
+    except (OSError, FoveaError, msgspec.MsgspecError, ValueError, RecursionError) as error:
+        log.warning("%s: what was set before is not known: %s", file, error)
+        return {}

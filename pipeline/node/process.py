@@ -24,7 +24,7 @@ from typing import Any, TextIO
 from pydantic import TypeAdapter
 
 from pipeline import settings as checked
-from pipeline.bus.ledger import Ledger, ledger_file
+from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import Session
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
@@ -35,6 +35,7 @@ from pipeline.node.place import check_fit
 from pipeline.node.relay import read_cut
 from pipeline.node.source import SourceHost
 from pipeline.node.wiring import ASIDE, Assignment, Wiring
+from pipeline.private_folder import PrivateFolder
 
 ASIDE_NICENESS = 5  # of processes that no sensor command waits for
 AHEAD_NICENESS = 19  # of imports that nobody waits for yet
@@ -49,8 +50,7 @@ class Process:
     def __init__(self, job: Assignment, events: TextIO) -> None:
         self._job, self._events = job, events
         self._nodes = list(job.nodes)
-        path = ledger_file(Path(job.memory_folder), job.prefix)
-        self._ledger = Ledger.open(path)
+        self._ledger = Ledger.open(PrivateFolder(Path(job.memory_folder)))
         self._hosts: list[Host] = []
         self._operators: list[Operator[Any, Any]] = []
         self._session: Session | None = None
@@ -76,8 +76,7 @@ class Process:
                 self._operators.append(self._make(node))
                 self._operators[-1].open()
             loaded_s = time.monotonic()
-            instance = f"{self._job.process}.{max(self._job.epochs.values())}"
-            self._session = Session(Path(self._job.run_folder), instance)
+            self._session = Session(Path(self._job.run_folder), self._job.instance)
             if self._job.network is not None:
                 self._border = Session.across(self._job.network)
             self._wiring = Wiring(self._job, self._session, self._ledger, self.say, self._border)

@@ -8,6 +8,7 @@ since. The old part keeps receiving until its successor has proven itself, and c
 
 import dataclasses
 import queue
+import re
 import time
 import types
 import typing
@@ -26,9 +27,11 @@ from pipeline.contract import Operator
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.node.host import Host
 from pipeline.node.shadow import Heard, Shadow
+from pipeline.private_folder import PrivateFolder
 
 BATON = 0xFFFFFFFF  # the "edge" on which a successor is told to go on
 REST_S = 0.005
+MOST_STATE_BYTES = 1 << 30
 MARGIN = 64  # descriptors kept beyond what the other instance can have waiting
 Say = Callable[..., None]
 Listen = Callable[[Heard], Callable[[], None]]  # to the working part's outputs; how to stop
@@ -80,10 +83,10 @@ class Relay:
     """One instance's side. Everything happens on the thread that calls its handlers."""
 
     def __init__(
-        self, host: Host, *, memory: Path, stem: str, say: Say, voice: Voice, listen: Listen,
+        self, host: Host, *, memory: PrivateFolder, say: Say, voice: Voice, listen: Listen,
         standby: bool,
     ) -> None:  # fmt: skip
-        self._host, self._memory, self._stem = host, memory, stem
+        self._host, self._memory = host, memory
         self._say, self._voice, self._listen = say, voice, listen
         self._shadow: Shadow | None = None
         self._unlisten: Callable[[], None] = lambda: None
@@ -247,21 +250,22 @@ class Relay:
         state = self._host.operator.state()
         if state is None:
             return ""
-        name = f"{self._stem}.{self._host.epoch}.state"
-        (self._memory / name).write_bytes(codec.dumps(state))
+        name = f"{self._host.name}.{self._host.epoch}.state"
+        self._memory.write(name, codec.dumps(state))
         return name
 
     def _read_state(self, name: str) -> str:
         """Give the operator its predecessor's state; what came of it, in words."""
         if not name:
             return "none"
-        if "/" in name or not name.startswith(self._stem):
+        if not re.fullmatch(rf"{re.escape(self._host.name)}\.\d+\.state", name):
             raise MessageError(f"{self._host.name}: the state lies in a file that is not its own")
-        path = self._memory / name
         try:
-            return restore(self._host.operator, path.read_bytes())
+            return restore(self._host.operator, self._memory.read(name, MOST_STATE_BYTES))
+        except OSError as error:
+            raise RunError(f"{self._host.name}: the state cannot be read: {error}") from error
         finally:
-            path.unlink(missing_ok=True)
+            self._memory.remove(name)
 
 
 def restore(operator: Operator[Any, Any], data: bytes) -> str:

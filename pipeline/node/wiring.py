@@ -23,6 +23,7 @@ from pipeline.node.place import Place
 from pipeline.node.relay import BATON, Relay, Say
 from pipeline.node.shadow import MOST_WAITING, Heard
 from pipeline.node.source import SourceHost
+from pipeline.private_folder import PrivateFolder
 
 CLOCKS = "clocks"  # the file in the run's folder that tells what other hosts' clocks show
 
@@ -38,7 +39,6 @@ class Assignment:
     process: str
     run_folder: str
     memory_folder: str
-    prefix: str  # of every file of this run in the memory folder
     epochs: dict[str, int]  # by node
     frames: int = 0
     network: Network | None = None  # to the nodes on other hosts, where an edge leads there
@@ -67,6 +67,18 @@ class Assignment:
         """Where an instance of a node receives."""
         return Path(self.run_folder) / f"{node}.{instance}.door"
 
+    @property
+    def instance(self) -> str:
+        """The name of this instance of the process on the bus."""
+        return f"{self.process}.{max(self.epochs.values())}"
+
+    def sockets(self) -> list[str]:
+        """The names of what this instance may leave in the run folder when it is killed."""
+        if self.trial:
+            return []  # it opens none, and bears the epoch of the instance that works
+        doors = [self.door(node, epoch).name for node, epoch in self.epochs.items()]
+        return [*doors, f"{self.instance}.sock", f"{self.instance}.sock.lock"]
+
 
 class Wiring:
     """What a process holds of its graph; `close` gives everything back."""
@@ -78,7 +90,7 @@ class Wiring:
         self._job, self._session, self._ledger, self._say = job, session, ledger, say
         self._border = border  # the session with other hosts
         self._clocks = clocks_of(job)
-        self._memory = Path(job.memory_folder)
+        self._memory = PrivateFolder(Path(job.memory_folder))
         self._doors: list[Doors] = []
         self._links: list[Links] = []
         self._stops: list[Any] = []
@@ -131,7 +143,7 @@ class Wiring:
             self._listen(host, edge, common["inputs"][edge.input], doors)
         if swappable(plan, node) and not isinstance(operator, Source):
             relay = Relay(
-                host, memory=self._memory, stem=f"{job.prefix}{node.name}", say=self._say,
+                host, memory=self._memory, say=self._say,
                 voice=voice, listen=partial(self._tap, node, type(operator)), standby=job.standby,
             )  # fmt: skip
             host.relay = self.relays[node.name] = relay
@@ -172,7 +184,7 @@ class Wiring:
         key = key_of(job.plan.name, node.name, output)
         urgent = any(e.command for e in edges)
         patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
-        stem = f"{job.prefix}{node.name}.{output}"
+        stem = f"{node.name}.{output}"
         links = Links()
         self._links.append(links)
         return OutPort(
@@ -191,7 +203,7 @@ class Wiring:
         """Hear what another instance of a node sends."""
         stops = []
         for name, message in outputs_of(operator).items():
-            pool = PoolReader(self._memory, f"{self._job.prefix}{node.name}.{name}")
+            pool = PoolReader(self._memory, f"{node.name}.{name}")
             port = InPort(
                 message, private_ledger(1, 0).edges[0], pool, 1, partial(_hear, heard, name),
                 tap=True,
@@ -209,7 +221,7 @@ class Wiring:
         port = InPort(
             declared.message,
             self._ledger.edges[edge.index],
-            PoolReader(self._memory, f"{self._job.prefix}{edge.source}.{edge.output}"),
+            PoolReader(self._memory, f"{edge.source}.{edge.output}"),
             host.epoch,
             partial(host.deliver, edge.input),
             tap=edge.tap,

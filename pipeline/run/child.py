@@ -45,7 +45,7 @@ def spawn(
     Unless it is `wanted` at once, its imports leave the cores to others.
     """
     words = [prefix, *modules, *(() if wanted else (ASIDE,))]
-    with (folder / "spare.log").open("ab") as log:
+    with (folder / "node.stderr.log").open("ab") as log:
         return subprocess.Popen(
             [sys.executable, "-m", "pipeline.node.process", *words],
             stdin=subprocess.PIPE,

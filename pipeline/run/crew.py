@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from pipeline.bus.ledger import EdgeAccount, Ledger, ledger_file
+from pipeline.bus.ledger import EdgeAccount, Ledger
 from pipeline.bus.network import Network
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan, is_source
@@ -20,7 +20,8 @@ from pipeline.node.place import place_of
 from pipeline.node.wiring import Assignment
 from pipeline.run.child import Child, Events, Sample, spawn
 from pipeline.run.judge import Judge
-from pipeline.run.rundir import MEMORY, RunFolder
+from pipeline.run.run_folder import RunFolder
+from pipeline.run.rundir import check_addresses, folder_of
 from pipeline.run.slot import Slot
 from pipeline.run.spare import Spare
 
@@ -34,11 +35,12 @@ class Crew:
         """`folder`: where it runs, else the graph's name; epochs begin after the first one."""
         self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
         self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
+        names = [name for n in plan.nodes for name in (n.name, n.process)]
+        check_addresses(folder_of(folder or plan.name), names)
         self._run = RunFolder.claim(folder or plan.name)
         try:
-            path = ledger_file(MEMORY, self._run.prefix)
-            self.ledger = Ledger.create(path, len(plan.edges), len(plan.nodes))
-        except RunError:
+            self.ledger = Ledger.create(self._run.memory, len(plan.edges), len(plan.nodes))
+        except BaseException:
             self._run.release()
             raise
         self._events: Events = queue.SimpleQueue()
@@ -57,6 +59,7 @@ class Crew:
         self.failure = ""
         self.ending = False  # sources shall make no more frames
         self._finished: set[str] = set()
+        self._sockets: dict[Child, list[str]] = {}  # the names of the sockets of every instance
 
     @property
     def all_going(self) -> bool:
@@ -103,9 +106,8 @@ class Crew:
         return Assignment(
             plan=plan,
             process=slot.name,
-            run_folder=str(self._run.folder),
-            memory_folder=str(MEMORY),
-            prefix=self._run.prefix,
+            run_folder=str(self._run.folder.path),
+            memory_folder=str(self._run.memory.path),
             epochs={node.name: epoch for node in mine},
             frames=self._frames,
             network=self.networks.get(slot.name),
@@ -132,12 +134,19 @@ class Crew:
             account.reader_epoch = account.door = account.next_door = 0
         for node in slot.nodes:
             self.ledger.nodes[node.index].enter("absent")
-            for stale in self._run.folder.glob(f"{node.name}.*.door"):
-                stale.unlink(missing_ok=True)
+        self.remove_sockets()
+
+    def remove_sockets(self) -> None:
+        """Remove the sockets of instances that ended: a killed one cannot do so itself."""
+        for child, sockets in list(self._sockets.items()):
+            if child.ended() is not None:
+                del self._sockets[child]
+                for name in sockets:
+                    self._run.folder.remove(name)
 
     def live_file(self, node: str) -> Path:
         """Where a node keeps the settings that it was told while it ran."""
-        return self._run.folder / f"{node}.live"
+        return self._run.folder.path / f"{node}.live"
 
     def change_plan(self, plan: Plan) -> None:
         """Another plan runs now; a process that left it must have ended."""
@@ -163,10 +172,12 @@ class Crew:
             popen = self.spare.take() or self._spawn(mine if fresh else (), wanted=True)
         except OSError as error:
             raise RunError(f"{job.process}: cannot be started: {error}") from error
-        return Child(popen, job, self._events)
+        child = Child(popen, job, self._events)
+        self._sockets[child] = job.sockets()
+        return child
 
     def _spawn(self, modules: Collection[str], *, wanted: bool) -> "subprocess.Popen[bytes]":
-        return spawn(self._run.prefix, self._run.folder, modules, wanted=wanted)
+        return spawn(self._run.run_id, self._run.folder.path, modules, wanted=wanted)
 
     def let_go(self, slot: Slot) -> None:
         """Let a process that is ready begin, if it may."""

@@ -1,168 +1,155 @@
-"""Where a running graph keeps its sockets, logs and shared memory, and how remains are removed.
+"""Where running graphs keep their sockets, logs and facts, and which of them run.
 
-    <tmp>/fovea-<uid>/<graph>/   0700: lock, run.json, <process>.sock, <process>.log
-    /dev/shm/fovea-<run>-…       the ledger and the frame pools of one run
+    <tmp>/fovea-<uid>/<graph>/   0700: lock, run.json, <process>.<epoch>.sock, <process>.log …
 
-Whoever holds the lock owns the graph. A folder whose lock is free belongs to nobody: the next start
-removes what it left in memory and ends what it left running.
+The process that holds the lock owns the graph's name. A folder whose lock is free belongs to no
+run: the next start removes what a killed run left there (`pipeline.run.leftovers`).
 """
 
 import contextlib
 import fcntl
-import json
-import logging
 import os
-import secrets
-import shutil
-import signal
+import stat
 import tempfile
-import time
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import psutil
+import msgspec
 
-from pipeline.bus.pool import remove_pools
 from pipeline.errors import RunError
+from pipeline.naming import is_name
+from pipeline.private_folder import PrivateFolder
+from pipeline.run.memory_folder import RUN_ID, path_of
 
-MEMORY = Path("/dev/shm")
-LOGS = (".log", ".old")
-KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
-CLAIM_S = 0.5  # who looks whether a graph runs has its lock for a moment
-SWEEP_S = 5.0  # who removes what a killed one left has it for as long as that takes
-log = logging.getLogger(__name__)
+FACTS, LOCK = "run.json", "lock"
+MOST_FACTS_BYTES = 4 << 20
+LONGEST_ADDRESS = 107  # bytes of a unix socket's path
+NEWEST_EPOCH = 9_999_999  # as long as an instance's number gets
+
+
+class _NodeFacts(msgspec.Struct):
+    name: str
+    index: int
+    process: str
+    operator: str
+
+
+class _EdgeFacts(msgspec.Struct, rename={"origin": "from", "end": "to"}):
+    origin: str
+    end: str
+    index: int
+
+
+class _Facts(msgspec.Struct):
+    """What is noted of a run, as it has to look wherever it is read."""
+
+    graph: str
+    run: str
+    pid: int
+    clock: str
+    nodes: list[_NodeFacts]
+    edges: list[_EdgeFacts]
+    plan: dict[str, Any]
+    revision: int
+    pids: dict[str, int]
+
+
+_READ = msgspec.json.Decoder(_Facts)
 
 
 def base() -> Path:
     """The folder of this user's graphs, made when it is not there; raises `RunError`."""
-    folder = Path(tempfile.gettempdir()) / f"fovea-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    seen = folder.lstat()
-    if seen.st_uid != os.getuid() or seen.st_mode & 0o077 or not folder.is_dir():
-        raise RunError(f"{folder}: expected a private folder of this user, got somebody else's")
-    return folder
+    parent = Path(tempfile.gettempdir())
+    path = parent / f"fovea-{os.geteuid()}"
+    seen = parent.stat()
+    if seen.st_mode & 0o022 and not seen.st_mode & stat.S_ISVTX:
+        raise RunError(f"{parent}: others may rename what lies in it: expected a sticky folder")
+    try:
+        path.mkdir(mode=0o700)
+    except FileExistsError:
+        pass
+    except OSError as error:
+        raise RunError(f"{path}: cannot be made: {error.strerror}") from error
+    return PrivateFolder(path).path
 
 
-@dataclass
-class RunFolder:
-    """The owned folder of a running graph."""
+def folder_of(graph: str) -> Path:
+    """The run folder of a graph, or of a graph's part `graph@host`; raises `RunError`."""
+    if not is_run_name(graph):
+        raise RunError(f"expected the name of a graph, got {graph[:80]!r}")
+    return base() / graph
 
-    folder: Path
-    prefix: str
-    _lock: int
 
-    @staticmethod
-    def claim(graph: str) -> "RunFolder":
-        """Own the graph's name; raises `RunError` when it runs already, or there is no room."""
-        folder = base() / graph
-        lock = _claimed(folder)
-        if lock is None:
-            raise RunError(f"{graph}: already running, see `fovea ps`")
-        try:
-            sweep()
-            _remove_remains(folder)
-            os.utime(folder / "lock")
-        except BaseException:
-            os.close(lock)
-            raise
-        prefix = f"fovea-{secrets.token_hex(4)}-"
-        return RunFolder(folder, prefix, lock)
+def check_addresses(folder: Path, names: Iterable[str]) -> None:
+    """Raise `RunError` when a socket of one of these nodes or processes would have no address."""
+    longest = max((folder / f"{name}.{NEWEST_EPOCH}.sock" for name in names), key=_length)
+    if _length(longest) > LONGEST_ADDRESS:
+        raise RunError(
+            f"{longest}: expected up to {LONGEST_ADDRESS} bytes, as the address of a unix socket "
+            f"has, got {_length(longest)}; set TMPDIR to a shorter folder"
+        )
 
-    def note(self, facts: dict[str, Any]) -> None:
-        """Write down what others may want to know about this run.
 
-        Raises `RunError` when that cannot be; later on what was written down before must do.
-        """
-        path, part = self.folder / "run.json", self.folder / "run.json.part"
-        try:
-            part.write_text(json.dumps({"prefix": self.prefix, "pid": os.getpid(), **facts}))
-            part.rename(path)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            sentence = f"{path}: cannot be written: {error.strerror}"
-            if not path.exists():
-                raise RunError(sentence) from error
-            log.warning("%s; process ids there are old", sentence)
+def is_run_name(text: str) -> bool:
+    """Whether it is a graph's name, or a name, @ and a host's label.
 
-    def release(self) -> None:
-        """Remove sockets and memory; the logs stay for reading."""
-        remove_pools(MEMORY, self.prefix)
-        for path in (*_remains(self.folder), self.folder / "run.json"):
-            path.unlink(missing_ok=True)
-        os.close(self._lock)
+    >>> is_run_name("tracking"), is_run_name("trio@sensor"), is_run_name("../x"), is_run_name("a@")
+    (True, True, False, False)
+    """
+    return all(is_name(part) for part in text.split("@", 1))
 
 
 def running() -> dict[str, dict[str, Any]]:
     """What is noted of every graph of this user that runs now, by name."""
     found = {}
-    for folder in sorted(base().iterdir()):
-        lock = _locked(folder, fcntl.LOCK_SH)  # so that two who look see the same
+    for folder in run_folders():
+        lock = locked(folder.path, fcntl.LOCK_SH)  # so that two who look see the same
         if lock is not None:
             os.close(lock)
-            continue
-        try:
-            found[folder.name] = json.loads((folder / "run.json").read_text())
-        except (OSError, ValueError):
-            continue
+        elif facts := noted(folder):
+            found[folder.path.name] = facts
     return found
 
 
-def leftovers() -> list[str]:
-    """Graphs of this user whose supervisor was killed and left something beside its logs."""
-    found = []
-    for folder in sorted(base().iterdir()):
-        lock = _locked(folder, fcntl.LOCK_SH)  # so that two who look see the same
-        if lock is not None:  # held until it was looked into, or a sweep takes the folder away
-            if (folder / "run.json").exists() or _remains(folder):
-                found.append(folder.name)
-            os.close(lock)
-    return found
+def run_folders() -> Iterator[PrivateFolder]:
+    """The run folders of this user, sorted by name; what else lies beside them is left alone."""
+    parent = base()
+    for name in sorted(os.listdir(parent)):
+        if is_run_name(name):
+            with contextlib.suppress(RunError):  # a file, a link, gone meanwhile
+                yield PrivateFolder(parent / name)
 
 
-def sweep() -> None:
-    """Remove what killed supervisors left behind."""
-    for folder in base().iterdir():
-        lock = _locked(folder)
-        if lock is None:
-            continue
-        try:
-            _remove_remains(folder)
-            if time.time() - (folder / "lock").stat().st_mtime > KEEP_LOGS_S:
-                shutil.rmtree(folder, ignore_errors=True)
-        finally:
-            os.close(lock)
-
-
-def _claimed(folder: Path) -> int | None:
-    """The lock, also when somebody who only looks has it for a moment, or sweeps it away."""
-    began_s = time.monotonic()
-    while True:
-        try:
-            folder.mkdir(mode=0o700, exist_ok=True)
-            lock = _locked(folder, create=True)
-        except OSError as error:
-            raise RunError(f"{folder}: cannot be made: {error.strerror}") from error
-        waited_s = time.monotonic() - began_s
-        if lock is not None or waited_s > (CLAIM_S if _at_work(folder) else SWEEP_S):
-            return lock
-        time.sleep(0.02)
-
-
-def _at_work(folder: Path) -> bool:
-    """Whether the supervisor that is noted there lives."""
+def noted(folder: PrivateFolder) -> dict[str, Any]:
+    """What is noted of a run; empty when nothing is, or something that no supervisor wrote."""
     try:
-        pid = int(json.loads((folder / "run.json").read_text())["pid"])
-        return bool(psutil.pid_exists(pid))
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
+        facts = _READ.decode(folder.read(FACTS, MOST_FACTS_BYTES))
+    except (OSError, msgspec.MsgspecError, ValueError, RecursionError):
+        return {}
+    names = [facts.graph, *facts.pids, *(n.name for n in facts.nodes)]
+    names += [n.process for n in facts.nodes]
+    if not all(map(is_name, names)) or not RUN_ID.fullmatch(facts.run):
+        return {}
+    found: dict[str, Any] = msgspec.to_builtins(facts)
+    return found
 
 
-def _locked(folder: Path, kind: int = fcntl.LOCK_EX, *, create: bool = False) -> int | None:
+def _length(path: Path) -> int:
+    return len(os.fsencode(path))
+
+
+def memory_of(facts: dict[str, Any]) -> PrivateFolder:
+    """The memory folder of a run of which this is noted; raises `RunError` when it is gone."""
+    return PrivateFolder(path_of(facts["run"]))
+
+
+def locked(folder: Path, kind: int = fcntl.LOCK_EX, *, create: bool = False) -> int | None:
     """The lock of a folder, or None when another has it; raises `OSError` only to `create`."""
-    path = folder / "lock"
+    path = folder / LOCK
+    flags = os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | (os.O_CREAT if create else 0)
     try:
-        handle = os.open(path, os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0), 0o600)
+        handle = os.open(path, flags, 0o600)
     except OSError:
         if create and folder.is_dir():
             raise
@@ -172,35 +159,6 @@ def _locked(folder: Path, kind: int = fcntl.LOCK_EX, *, create: bool = False) ->
         if os.path.samestat(os.fstat(handle), path.stat()):
             return handle
     except (BlockingIOError, FileNotFoundError):
-        pass  # somebody has it, or it was swept away between the two lines
+        pass  # another process has it, or removed it between the two lines
     os.close(handle)
     return None
-
-
-def _remove_remains(folder: Path) -> None:
-    try:
-        prefix = str(json.loads((folder / "run.json").read_text())["prefix"])
-    except (OSError, ValueError, KeyError, TypeError):
-        prefix = ""
-    if prefix.startswith("fovea-"):
-        _end_orphans(prefix)
-        remove_pools(MEMORY, prefix)
-    for path in (*_remains(folder), folder / "run.json"):
-        path.unlink(missing_ok=True)
-
-
-def _remains(folder: Path) -> list[Path]:
-    """Whatever a run leaves beside its lock, its facts and its logs, also files not known here."""
-    return [
-        path
-        for path in folder.iterdir()
-        if path.name not in ("lock", "run.json") and path.suffix not in LOGS and not path.is_dir()
-    ]
-
-
-def _end_orphans(prefix: str) -> None:
-    """Nodes end by themselves when their supervisor dies; a frozen one cannot."""
-    for process in psutil.process_iter(["cmdline"]):
-        if prefix in (process.info["cmdline"] or []):
-            with contextlib.suppress(psutil.Error):  # it has just ended by itself
-                process.send_signal(signal.SIGKILL)

@@ -37,8 +37,8 @@ class Supervisor(Crew):
         """As for a `Crew`; takes orders from now on."""
         super().__init__(plan, frames=frames, folder=folder, first_epoch=first_epoch)
         try:
-            self._hub = Session(self._run.folder, "hub")
-        except RunError:
+            self._hub = Session(self._run.folder.path, "hub")
+        except BaseException:
             self._run.release()
             raise
         self.desk = Desk(self)
@@ -211,6 +211,7 @@ class Supervisor(Crew):
             self.restarts[slot.name] = self.restarts.get(slot.name, 0) + 1
 
     def _sample(self) -> None:
+        self.remove_sockets()
         for slot in self.slots.values():
             sample = slot.child.sample() if slot.child else None
             if sample:

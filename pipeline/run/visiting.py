@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.node.wiring import key_of
-from pipeline.run.rundir import base
+from pipeline.run.rundir import folder_of
 
 PATIENCE_S = 5.0  # a node answers between two frames; one that hangs does not
 _COUNT = itertools.count()  # several threads may ask
@@ -29,9 +29,10 @@ def ask_on(folder: str, graph: str, node: str, question: str, payload: bytes) ->
 def visit(graph: str, purpose: str) -> Iterator[Session]:
     """A session on the bus of a graph that runs here, gone again afterwards."""
     own = f"{purpose}-{os.getpid()}-{next(_COUNT)}"
-    session = Session(base() / graph, own, patience_s=1.0)
+    folder = folder_of(graph)
+    session = Session(folder, own, patience_s=1.0)
     try:
         yield session
     finally:
         session.close()
-        (base() / graph / f"{own}.sock").unlink(missing_ok=True)
+        (folder / f"{own}.sock").unlink(missing_ok=True)

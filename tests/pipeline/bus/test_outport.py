@@ -1,10 +1,8 @@
 """The ends of an edge: what arrives is accounted for once, whoever sent it."""
 
-import secrets
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +14,12 @@ from pipeline.bus.envelope import Envelope
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import EdgeAccount, private_ledger
 from pipeline.bus.outport import KNOCK_S, Arrival, OutPort, Reader
-from pipeline.bus.pool import PoolReader, PoolWriter, remove_pools
+from pipeline.bus.pool import PoolReader, PoolWriter
 from pipeline.codec import to_bytes
+from pipeline.run.memory_folder import MemoryFolder
 from pipeline.testing import header, picture
 
-MEMORY = Path("/dev/shm")
+STEM = "eye.out"
 
 
 class Wire:
@@ -50,7 +49,7 @@ class Edge:
     """One writer, one reader and the account between them."""
 
     def __init__(self, *, lossless: bool = True, depth: int = 4, remote: bool = False) -> None:
-        self.stem = f"fovea-test-{secrets.token_hex(4)}"
+        self.memory = MemoryFolder.claim()
         self.account: EdgeAccount = private_ledger(1, 0).edges[0]
         self.account.reader_epoch = 1
         self.wire, self.remote = Wire(), Wire(matched=remote)
@@ -63,11 +62,11 @@ class Edge:
         readers = [Reader(self.account, self.lossless, self.depth)]
         return OutPort(
             Frame, self.wire, Wire(), self.remote, readers,  # type: ignore[arg-type]
-            lambda claim: PoolWriter(MEMORY, self.stem, 3, claim), epoch,
+            lambda claim: PoolWriter(self.memory, STEM, 3, claim), epoch,
         )  # fmt: skip
 
     def reader(self, epoch: int, *, tap: bool = False) -> InPort:
-        pool = PoolReader(MEMORY, self.stem)
+        pool = PoolReader(self.memory, STEM)
         return InPort(Frame, self.account, pool, epoch, self.arrivals.append, tap=tap)
 
     def send(self, seq: int, side_px: int = 60) -> None:
@@ -92,7 +91,7 @@ def edge() -> Iterator[Edge]:
     made = Edge()
     yield made
     made.arrivals.clear()
-    remove_pools(MEMORY, made.stem)
+    made.memory.empty()
 
 
 def test_a_loaned_picture_is_not_copied_on_its_way(edge: Edge) -> None:
@@ -137,7 +136,7 @@ def test_a_reader_that_never_came_holds_nobody_up() -> None:
     for seq in range(10):
         assert edge.out.has_credit()
         edge.send(seq)
-    remove_pools(MEMORY, edge.stem)
+    edge.memory.empty()
 
 
 def test_a_lost_descriptor_is_counted_as_a_gap(edge: Edge) -> None:
@@ -246,8 +245,8 @@ def test_bytes_are_rendered_only_while_a_remote_reader_matches() -> None:
     received = far.arrivals[0].message
     assert isinstance(received, Frame)
     assert (received.pixels == 3).all()
-    remove_pools(MEMORY, near.stem)
-    remove_pools(MEMORY, far.stem)
+    near.memory.empty()
+    far.memory.empty()
 
 
 def test_a_tap_copies_what_it_would_pin() -> None:
@@ -260,7 +259,7 @@ def test_a_tap_copies_what_it_would_pin() -> None:
     values = [a.message.pixels[0, 0, 0] for a in edge.arrivals if isinstance(a.message, Frame)]
     assert values == list(range(12))  # kept all, in three slots
     edge.arrivals.clear()
-    remove_pools(MEMORY, edge.stem)
+    edge.memory.empty()
 
 
 def test_nothing_is_a_message_too(edge: Edge) -> None:

@@ -2,7 +2,6 @@
 
 import multiprocessing
 import os
-import secrets
 import signal
 import subprocess
 import sys
@@ -21,21 +20,22 @@ from pipeline.bus.pool import (
     PoolReader,
     PoolWriter,
     SlotRef,
-    remove_pools,
 )
+from pipeline.run.memory_folder import MemoryFolder
 
-MEMORY = Path("/dev/shm")
+STEM = "eye.out"
 
 
 @pytest.fixture
-def stem() -> Iterator[str]:
-    name = f"fovea-test-{secrets.token_hex(4)}"
-    yield name
-    remove_pools(MEMORY, name)
+def memory() -> Iterator[MemoryFolder]:
+    folder = MemoryFolder.claim()
+    yield folder
+    folder.empty()
+    assert not folder.exists
 
 
-def writer(stem: str, slots: int = 3, *, claim: int = DONE) -> PoolWriter:
-    return PoolWriter(MEMORY, stem, slots, lambda _ordinal: claim)
+def writer(memory: MemoryFolder, slots: int = 3, *, claim: int = DONE) -> PoolWriter:
+    return PoolWriter(memory, STEM, slots, lambda _ordinal: claim)
 
 
 def fill(pool: PoolWriter, value: int, ordinal: int = 1, nbytes: int = 8192) -> SlotRef:
@@ -47,14 +47,14 @@ def fill(pool: PoolWriter, value: int, ordinal: int = 1, nbytes: int = 8192) -> 
     return lease.ref()
 
 
-def test_the_readers_array_lies_in_the_writers_memory(stem: str) -> None:
-    pool = writer(stem)
+def test_the_readers_array_lies_in_the_writers_memory(memory: MemoryFolder) -> None:
+    pool = writer(memory)
     lease = pool.lease(8192)
     written = lease.array((8192,), np.uint8)
     assert written is not None
     written[:] = 1
     pool.publish(lease, 1)
-    view = PoolReader(MEMORY, stem).take(lease.ref())
+    view = PoolReader(memory, STEM).take(lease.ref())
     assert view is not None
 
     written[17] = 99  # only memory that both share can show this
@@ -62,8 +62,8 @@ def test_the_readers_array_lies_in_the_writers_memory(stem: str) -> None:
     assert view[17] == 99
 
 
-def test_a_views_slot_is_not_reused_until_its_last_view_dies(stem: str) -> None:
-    pool, reader = writer(stem, 2), PoolReader(MEMORY, stem)
+def test_a_views_slot_is_not_reused_until_its_last_view_dies(memory: MemoryFolder) -> None:
+    pool, reader = writer(memory, 2), PoolReader(memory, STEM)
     view = reader.take(fill(pool, 1))
     assert view is not None
     part = view[10:20].reshape(2, 5)
@@ -78,16 +78,16 @@ def test_a_views_slot_is_not_reused_until_its_last_view_dies(stem: str) -> None:
     assert pool.lease(8192).slot != other.slot
 
 
-def test_views_are_read_only(stem: str) -> None:
-    view = PoolReader(MEMORY, stem).take(fill(writer(stem), 1))
+def test_views_are_read_only(memory: MemoryFolder) -> None:
+    view = PoolReader(memory, STEM).take(fill(writer(memory), 1))
     assert view is not None
 
     with pytest.raises(ValueError, match="read-only"):
         view[0] = 2
 
 
-def test_a_reused_slot_is_noticed_by_its_generation(stem: str) -> None:
-    pool, reader = writer(stem, 1), PoolReader(MEMORY, stem)
+def test_a_reused_slot_is_noticed_by_its_generation(memory: MemoryFolder) -> None:
+    pool, reader = writer(memory, 1), PoolReader(memory, STEM)
     old = fill(pool, 1)
     new = fill(pool, 2)
 
@@ -97,8 +97,8 @@ def test_a_reused_slot_is_noticed_by_its_generation(stem: str) -> None:
     assert taken[0] == 2
 
 
-def test_a_published_slot_waits_for_readers_on_their_way(stem: str) -> None:
-    pool = writer(stem, 2, claim=KEPT)
+def test_a_published_slot_waits_for_readers_on_their_way(memory: MemoryFolder) -> None:
+    pool = writer(memory, 2, claim=KEPT)
     fill(pool, 1, 1)
     fill(pool, 2, 2)
 
@@ -106,14 +106,14 @@ def test_a_published_slot_waits_for_readers_on_their_way(stem: str) -> None:
         pool.lease(8192)
 
 
-def test_the_slot_written_last_is_taken_again_as_soon_as_it_is_done(stem: str) -> None:
-    pool = writer(stem, claim=DONE)
+def test_the_slot_written_last_is_taken_again_as_soon_as_it_is_done(memory: MemoryFolder) -> None:
+    pool = writer(memory, claim=DONE)
 
     assert len({fill(pool, value, value).slot for value in range(6)}) == 1
 
 
-def test_of_slots_to_spare_the_oldest_goes_first(stem: str) -> None:
-    pool = writer(stem, claim=SPARE)
+def test_of_slots_to_spare_the_oldest_goes_first(memory: MemoryFolder) -> None:
+    pool = writer(memory, claim=SPARE)
 
     slots = [fill(pool, value, value).slot for value in range(6)]
 
@@ -121,8 +121,8 @@ def test_of_slots_to_spare_the_oldest_goes_first(stem: str) -> None:
     assert slots[3:] == slots[:3]
 
 
-def test_a_slot_leased_ahead_is_the_next_one_and_holds_nothing_up(stem: str) -> None:
-    pool = writer(stem, 2, claim=KEPT)
+def test_a_slot_leased_ahead_is_the_next_one_and_holds_nothing_up(memory: MemoryFolder) -> None:
+    pool = writer(memory, 2, claim=KEPT)
     fill(pool, 1, 1)
     pool.prepare()
     pool.prepare()
@@ -134,8 +134,10 @@ def test_a_slot_leased_ahead_is_the_next_one_and_holds_nothing_up(stem: str) -> 
         pool.lease(8192)
 
 
-def test_a_slot_leased_ahead_that_is_too_small_is_left_for_a_bigger_file(stem: str) -> None:
-    pool, reader = writer(stem), PoolReader(MEMORY, stem)
+def test_a_slot_leased_ahead_that_is_too_small_is_left_for_a_bigger_file(
+    memory: MemoryFolder,
+) -> None:
+    pool, reader = writer(memory), PoolReader(memory, STEM)
     fill(pool, 1)
     pool.prepare()
 
@@ -145,16 +147,16 @@ def test_a_slot_leased_ahead_that_is_too_small_is_left_for_a_bigger_file(stem: s
     assert view.min() == 7
 
 
-def test_a_restarted_writer_goes_on_in_the_same_file(stem: str) -> None:
-    first = fill(writer(stem), 1)
-    second = fill(writer(stem), 2)
+def test_a_restarted_writer_goes_on_in_the_same_file(memory: MemoryFolder) -> None:
+    first = fill(writer(memory), 1)
+    second = fill(writer(memory), 2)
 
     assert second.file == first.file
     assert second.generation > first.generation or second.slot != first.slot
 
 
-def test_bigger_messages_get_a_new_file_and_old_views_stay_whole(stem: str) -> None:
-    pool, reader = writer(stem), PoolReader(MEMORY, stem)
+def test_bigger_messages_get_a_new_file_and_old_views_stay_whole(memory: MemoryFolder) -> None:
+    pool, reader = writer(memory), PoolReader(memory, STEM)
     small = reader.take(fill(pool, 7))
     big = reader.take(fill(pool, 8, nbytes=100_000))
 
@@ -162,14 +164,14 @@ def test_bigger_messages_get_a_new_file_and_old_views_stay_whole(stem: str) -> N
     assert big is not None
     assert small.sum() == 7 * 8192
     assert big.sum() == 8 * 100_000
-    assert len(list(MEMORY.glob(f"{stem}.*"))) == 1
+    assert len(memory.names()) == 1
 
 
-def test_a_full_memory_is_an_error_and_leaves_nothing(stem: str, tmp_path: Path) -> None:
+def test_a_full_memory_is_an_error_and_leaves_nothing(memory: MemoryFolder, tmp_path: Path) -> None:
     with pytest.raises(RunError, match="no room"):
-        writer(stem, 400).lease(1 << 40)
+        writer(memory, 400).lease(1 << 40)
 
-    assert not list(MEMORY.glob(f"{stem}*"))
+    assert memory.names() == []
 
 
 @pytest.mark.parametrize(
@@ -183,18 +185,18 @@ def test_a_full_memory_is_an_error_and_leaves_nothing(stem: str, tmp_path: Path)
         SlotRef("{file}", -1, -1, 1, 10),
     ],
 )
-def test_a_forged_descriptor_is_refused(stem: str, ref: SlotRef) -> None:
-    real = fill(writer(stem), 1)
-    name = ref.file.format(stem=stem, file=real.file)
+def test_a_forged_descriptor_is_refused(memory: MemoryFolder, ref: SlotRef) -> None:
+    real = fill(writer(memory), 1)
+    name = ref.file.format(stem=STEM, file=real.file)
     pool_id = real.pool_id if ref.pool_id == -1 else ref.pool_id
     forged = SlotRef(name, pool_id, ref.slot, ref.generation, ref.nbytes)
 
     with pytest.raises(MessageError):
-        PoolReader(MEMORY, stem).take(forged)
+        PoolReader(memory, STEM).take(forged)
 
 
-def test_two_arrays_of_one_message_share_a_slot(stem: str) -> None:
-    lease: Lease = writer(stem).lease(30_000)
+def test_two_arrays_of_one_message_share_a_slot(memory: MemoryFolder) -> None:
+    lease: Lease = writer(memory).lease(30_000)
     first, second = lease.array((100, 100), np.uint8), lease.array((50, 50), np.float32)
 
     assert first is not None
@@ -208,17 +210,19 @@ HOLDER = """
 import sys, time
 from pathlib import Path
 from pipeline.bus.pool import PoolReader, SlotRef
-view = PoolReader(Path("/dev/shm"), sys.argv[1]).take(SlotRef(sys.argv[2], *map(int, sys.argv[3:])))
+from pipeline.private_folder import PrivateFolder
+pool = PoolReader(PrivateFolder(Path(sys.argv[1])), "eye.out")
+view = pool.take(SlotRef(sys.argv[2], *map(int, sys.argv[3:])))
 print(view is not None, flush=True)
 time.sleep(60)
 """
 
 
-def test_a_killed_reader_gives_its_slot_back_at_once(stem: str) -> None:
-    pool = writer(stem, 1)
+def test_a_killed_reader_gives_its_slot_back_at_once(memory: MemoryFolder) -> None:
+    pool = writer(memory, 1)
     ref = fill(pool, 1)
     holder = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, stem, ref.file]
+        [sys.executable, "-c", HOLDER, str(memory.path), ref.file]
         + [str(n) for n in (ref.pool_id, ref.slot, ref.generation, ref.nbytes)],
         stdout=subprocess.PIPE,
     )
@@ -234,8 +238,8 @@ def test_a_killed_reader_gives_its_slot_back_at_once(stem: str) -> None:
     assert pool.lease(8192).slot == 0
 
 
-def test_ten_thousand_frames_leave_no_lock_and_no_memory_behind(stem: str) -> None:
-    pool, reader = writer(stem, 3), PoolReader(MEMORY, stem)
+def test_ten_thousand_frames_leave_no_lock_and_no_memory_behind(memory: MemoryFolder) -> None:
+    pool, reader = writer(memory, 3), PoolReader(memory, STEM)
 
     for i in range(10_000):
         view = reader.take(fill(pool, i % 251, i))

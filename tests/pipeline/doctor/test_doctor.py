@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import psutil
@@ -22,8 +21,6 @@ from pipeline.doctor.installation import (
     python,
     remains,
     requirements,
-    supervised,
-    unclaimed,
     versions,
 )  # fmt: skip
 from pipeline.doctor.machine import (
@@ -38,7 +35,9 @@ from pipeline.doctor.machine import (
 )  # fmt: skip
 from pipeline.doctor.needs import crowd, examine_graph, message_bytes, pool_bytes, pools
 from pipeline.graph.overlay import Overlay
-from pipeline.run.rundir import MEMORY, leftovers, running, sweep
+from pipeline.run.leftovers import cleanup, leftovers
+from pipeline.run.memory_folder import MEMORY, path_of
+from pipeline.run.rundir import memory_of, running
 from pipeline.run.supervisor import Supervisor
 from tests.pipeline.run.namespaces import with_small_mounts
 from tests.toy_graphs import CHAIN, KILLED, LOOP, ended, go, handled, plan_of, until, wait_for
@@ -128,8 +127,8 @@ def test_the_pools_of_a_graph_are_as_big_as_foreseen(tmp_path: Path) -> None:
 
     def measure(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
-        prefix = running()[plan.name]["prefix"]
-        sizes.append(sum(path.stat().st_size for path in MEMORY.glob(f"{prefix}*")))
+        folder = memory_of(running()[plan.name])
+        sizes.append(sum(path.stat().st_size for path in folder.path.iterdir()))
         supervisor.finish()
 
     go(plan, 0, measure)
@@ -167,18 +166,15 @@ def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
     supervisor.kill()
     supervisor.wait()
     supervisor.stdout.close()
-    for path in MEMORY.glob(f"{facts['prefix']}*"):
-        os.utime(path, (time.time() - 3600,) * 2)
 
     told = "\n".join(f.why for f in remains())
-    prefixes = {str(f["prefix"]) for f in running().values()}
 
     assert plan.name in told
-    assert frozen.pid in [p.pid for p in orphaned(prefixes)]
-    assert [p for p in unclaimed(prefixes) if p.name.startswith(facts["prefix"])]
-    sweep()
+    listed = [p.pid for p in orphaned()]
+    assert frozen.pid in listed or ended(frozen.pid)  # the start of another graph ends it, too
+    cleanup()
     assert plan.name not in leftovers()
-    assert not [p for p in unclaimed(prefixes) if p.name.startswith(facts["prefix"])]
+    assert not path_of(facts["run"]).exists()
     until(lambda: ended(frozen.pid))
 
 
@@ -203,22 +199,18 @@ def test_a_graph_whose_folder_is_elsewhere_is_no_remains(
 
     def during(supervisor: Supervisor) -> None:
         facts = running()[plan.name]
-        for path in MEMORY.glob(f"{facts['prefix']}*"):
-            os.utime(path, (time.time() - 3600,) * 2)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("other")))
             assert plan.name not in running()
-            told.extend([facts, supervised(), "\n".join(f.why for f in remains())])
-            told.append([p.pid for p in orphaned(supervised())])
-            told.append([p.name for p in unclaimed(supervised())])
+            words = "\n".join(f.why for f in remains())
+            told.extend([facts, words, [p.pid for p in orphaned()]])
         supervisor.finish()
 
     go(plan, 0, during)
 
-    facts, found, words, orphans, files = told
-    assert facts["prefix"] in found
+    facts, words, orphans = told
     assert not set(facts["pids"].values()) & set(orphans)
-    assert not [name for name in files if name.startswith(facts["prefix"])]
+    assert str(path_of(facts["run"])) not in words
     assert not [pid for pid in facts["pids"].values() if str(pid) in words.split()]
 
 

@@ -1,7 +1,6 @@
 """A host calls its operator and holds nothing of a message once it is handled."""
 
 import os
-import secrets
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,11 +14,12 @@ from pipeline.bus.doors import Doors, Links
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import Ledger, private_ledger
 from pipeline.bus.outport import OutPort, Reader
-from pipeline.bus.pool import PoolReader, PoolWriter, remove_pools
+from pipeline.bus.pool import PoolReader, PoolWriter
 from pipeline.messages import Span
 from pipeline.node.host import MOST_ASKED, WAIT_EVERY, Host, waited_on_the_way
+from pipeline.run.memory_folder import MemoryFolder
 from pipeline.testing import header
-from tests.pipeline.bus.test_outport import MEMORY, Wire
+from tests.pipeline.bus.test_outport import STEM, Wire
 from tests.toys import WorkSettings
 
 
@@ -36,11 +36,11 @@ class Scene:
     """A writer, and a reader with its host, in this process."""
 
     def __init__(self, folder: Path) -> None:
-        self.stem = f"fovea-test-{secrets.token_hex(4)}"
+        self.memory = MemoryFolder.claim()
         self.ledger: Ledger = private_ledger(1, 1)
         account = self.ledger.edges[0]
         account.reader_epoch = 1
-        self.pool = PoolReader(MEMORY, self.stem)
+        self.pool = PoolReader(self.memory, STEM)
         self.look = Look(WorkSettings())
         self.look.pool = self.pool
         self.doors = Doors(folder / "look.door")
@@ -53,7 +53,7 @@ class Scene:
         self.doors.expect(0, port.receive)
         self.out = OutPort(
             Frame, self.links, Wire(), Wire(), [Reader(account, True, 4)],  # type: ignore[arg-type]
-            lambda claim: PoolWriter(MEMORY, self.stem, 3, claim), 1,
+            lambda claim: PoolWriter(self.memory, STEM, 3, claim), 1,
         )  # fmt: skip
         self.out.hello()
         self.host.attend()
@@ -61,7 +61,7 @@ class Scene:
     def close(self) -> None:
         self.links.close()
         self.doors.close()
-        remove_pools(MEMORY, self.stem)
+        self.memory.empty()
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.run.rundir import MEMORY
+from pipeline.run.memory_folder import MEMORY
 from tests.pipeline.run.namespaces import with_small_mounts
 from tests.toy_graphs import LOOP
 

@@ -10,7 +10,9 @@ import time
 import pytest
 
 from pipeline import RunError
-from pipeline.run.rundir import CLAIM_S, KEEP_LOGS_S, RunFolder, base, sweep
+from pipeline.run.leftovers import KEEP_LOGS_S, cleanup
+from pipeline.run.run_folder import CLAIM_S, RunFolder
+from pipeline.run.rundir import base
 
 
 def test_a_name_has_one_owner_at_a_time() -> None:
@@ -32,7 +34,7 @@ def test_logs_of_last_week_stay_and_older_ones_go() -> None:
         (folder / "work.log").write_text("so it was")
         os.utime(folder / "lock", (time.time() - age_s,) * 2)
 
-    sweep()
+    cleanup()
 
     assert (fresh / "work.log").exists()
     assert not stale.exists()
@@ -54,7 +56,7 @@ def test_a_claim_that_breaks_leaves_the_name_free(monkeypatch: pytest.MonkeyPatc
 
     name = f"test-{secrets.token_hex(3)}"
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.run.rundir.sweep", broken)
+        patch.setattr("pipeline.run.run_folder.cleanup", broken)
         with pytest.raises(OSError, match="no files left"):
             RunFolder.claim(name)
 
@@ -83,11 +85,11 @@ def test_who_looks_or_sweeps_keeps_nobody_from_starting(*, swept: bool) -> None:
 def test_what_killed_nodes_leave_in_the_folder_is_removed_and_logs_are_not() -> None:
     owned = RunFolder.claim(f"test-{secrets.token_hex(3)}")
     for name in ("a.1.sock", "a.1.sock.lock", "a.1.door", "a.live", "clocks", "a.log"):
-        (owned.folder / name).touch()
+        (owned.folder.path / name).touch()
 
     owned.release()
 
-    assert {path.name for path in owned.folder.iterdir()} == {"a.log", "lock"}
+    assert {path.name for path in owned.folder.path.iterdir()} == {"a.log", "lock"}
 
 
 def test_the_folder_is_private() -> None:

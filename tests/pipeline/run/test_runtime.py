@@ -14,7 +14,8 @@ import pytest
 from pipeline import RunError
 from pipeline.console.changing import ask
 from pipeline.run.inline import InlineRunner
-from pipeline.run.rundir import MEMORY, base, running
+from pipeline.run.memory_folder import path_of
+from pipeline.run.rundir import base, running
 from pipeline.run.supervisor import Supervisor
 from tests.toy_graphs import (
     CHAIN,
@@ -68,12 +69,12 @@ def test_nothing_is_left_behind(tmp_path: Path) -> None:
     plan, seen = plan_of(tmp_path, LOOP), set()
 
     def during(_: Supervisor) -> None:
-        seen.add(running()[plan.name]["prefix"])
+        seen.add(running()[plan.name]["run"])
 
     go(plan, 10, during)
 
-    (prefix,) = seen
-    assert [name for name in os.listdir(MEMORY) if name.startswith(prefix)] == []
+    (run_id,) = seen
+    assert not path_of(run_id).exists()
     assert not [p for p in psutil.Process().children() if "pipeline.node.process" in p.cmdline()]
 
 
@@ -366,6 +367,5 @@ def test_a_killed_supervisor_takes_its_children_along_and_the_next_start_sweeps(
     gone, alive = psutil.wait_procs(children, timeout=60)
     assert (len(gone), alive) == (4, [])
     assert plan.name not in running()
-    assert list(MEMORY.glob(f"{facts['prefix']}*"))
     go(plan, 5)
-    assert not list(MEMORY.glob(f"{facts['prefix']}*"))
+    assert not path_of(facts["run"]).exists()

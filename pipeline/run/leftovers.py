@@ -1,0 +1,113 @@
+"""What killed runs left behind, and its removal: files of our own patterns, processes of our own.
+
+Nothing is removed that fovea did not make: names have to follow the patterns below, files have to
+belong to this user and lie in a private folder, and processes have to bear the id of a dead run.
+"""
+
+import contextlib
+import fcntl
+import os
+import re
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+
+from pipeline.errors import RunError
+from pipeline.naming import GRAMMAR
+from pipeline.private_folder import PrivateFolder
+from pipeline.run.memory_folder import MEMORY, RUN_ID, MemoryFolder, abandoned, path_of
+from pipeline.run.rundir import LOCK, locked, noted, run_folders
+
+KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
+NODE_MODULE = "pipeline.node.process"  # what every node process runs
+_RUN_FILES = re.compile(
+    rf"run\.json(\.part)?|clocks|{GRAMMAR}(\.\d+)?\.sock(\.lock)?|{GRAMMAR}\.\d+\.door"
+    rf"|{GRAMMAR}\.live(\.part)?"
+)
+_LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?")
+
+
+def cleanup() -> None:
+    """Remove what killed supervisors left: processes, shared memory, sockets, very old logs."""
+    clean_memory()
+    for folder in run_folders():
+        lock = locked(folder.path)
+        if lock is None:
+            continue
+        try:
+            clear(folder)
+            if time.time() - os.fstat(lock).st_mtime > KEEP_LOGS_S:
+                _forget(folder)
+        finally:
+            os.close(lock)
+
+
+def clean_memory(memory: Path = MEMORY) -> None:
+    """Remove the memory folders of killed runs, and what of those runs still lives."""
+    for folder in abandoned(memory=memory):
+        end_orphans(folder.run_id)
+        folder.empty()
+
+
+def leftovers() -> list[str]:
+    """What killed supervisors left beside their logs: graphs, and memory of no graph."""
+    found = []
+    for folder in run_folders():
+        lock = locked(folder.path, fcntl.LOCK_SH)  # so that two who look see the same
+        if lock is not None:  # held until it was looked into, or a cleanup takes the folder away
+            if any(map(_RUN_FILES.fullmatch, folder.names())):
+                found.append(folder.path.name)
+            os.close(lock)
+    return found + [str(memory.path) for memory in abandoned(fcntl.LOCK_SH)]
+
+
+def clear(folder: PrivateFolder) -> None:
+    """Remove what a run that is over left in its folder, and in memory; its logs stay."""
+    if run_id := noted(folder).get("run"):
+        with contextlib.suppress(RunError):  # the rule: there is none
+            memory = MemoryFolder(path_of(run_id))
+            if memory.lock(fcntl.LOCK_EX):
+                end_orphans(run_id)
+                memory.empty()
+    for name in folder.names():
+        if _RUN_FILES.fullmatch(name):
+            folder.remove(name)
+    beside, stem = PrivateFolder(folder.path.parent), f"{folder.path.name}."
+    for name in beside.names():  # sockets between hosts
+        if name.startswith(stem) and _RUN_FILES.fullmatch(name.removeprefix(stem)):
+            beside.remove(name)
+
+
+def end_orphans(run_id: str) -> None:
+    """End the processes of a dead run: nodes end by themselves, but a frozen one cannot."""
+    for process, of in node_processes():
+        if of == run_id:
+            with contextlib.suppress(psutil.Error):  # it has just ended by itself
+                process.send_signal(signal.SIGKILL)
+
+
+def node_processes() -> Iterator[tuple[psutil.Process, str]]:
+    """The node processes of this user, each with the id of its run."""
+    for process in psutil.process_iter(["cmdline", "uids"]):
+        words, uids = process.info["cmdline"] or [], process.info["uids"]
+        if NODE_MODULE not in words or uids is None or uids.effective != os.geteuid():
+            continue
+        after = words[words.index(NODE_MODULE) + 1 :]
+        if after and RUN_ID.fullmatch(after[0]):
+            yield process, after[0]
+
+
+def logs_of(folder: Path) -> list[str]:
+    """The names of the log files in a run folder."""
+    return [name for name in os.listdir(folder) if _LOGS.fullmatch(name)]
+
+
+def _forget(folder: PrivateFolder) -> None:
+    """Remove a run folder that nobody has used for long; what is not ours keeps it there."""
+    for name in logs_of(folder.path):
+        folder.remove(name)
+    folder.remove(LOCK)
+    folder.remove_itself()

@@ -1,0 +1,96 @@
+"""What a supervisor owns while its graph runs: the graph's name, run folder and memory folder."""
+
+import json
+import logging
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from pipeline.errors import RunError
+from pipeline.private_folder import PrivateFolder
+from pipeline.run.leftovers import cleanup, clear
+from pipeline.run.memory_folder import MemoryFolder
+from pipeline.run.rundir import FACTS, folder_of, locked, noted
+
+CLAIM_S = 0.5  # a process that looks whether a graph runs has its lock for a moment
+CLEANUP_S = 5.0  # and one that removes what a killed run left has it for as long as that takes
+log = logging.getLogger(__name__)
+
+
+@dataclass
+class RunFolder:
+    """The owned folder of a running graph, and its memory folder."""
+
+    folder: PrivateFolder
+    memory: MemoryFolder
+    _lock: int
+
+    @staticmethod
+    def claim(graph: str) -> "RunFolder":
+        """Own the graph's name; raises `RunError` when it runs already, or there is no room."""
+        path = folder_of(graph)
+        lock = _claimed(path)
+        if lock is None:
+            raise RunError(f"{graph}: already running, see `fovea ps`")
+        try:
+            folder = PrivateFolder(path)
+            cleanup()
+            clear(folder)
+            os.utime(lock)
+            return RunFolder(folder, MemoryFolder.claim(), lock)
+        except BaseException:
+            os.close(lock)
+            raise
+
+    @property
+    def run_id(self) -> str:
+        """Tells this run from all others; every process of it bears the id in its command line."""
+        return self.memory.run_id
+
+    def note(self, facts: dict[str, Any]) -> None:
+        """Write down what others may want to know about this run.
+
+        Raises `RunError` when that cannot be; later on what was written down before must do.
+        """
+        told = {"run": self.run_id, "pid": os.getpid(), **facts}
+        try:
+            self.folder.write(FACTS, json.dumps(told).encode())
+        except OSError as error:
+            sentence = f"{self.folder.path / FACTS}: cannot be written: {error.strerror}"
+            if not self.folder.has(FACTS):
+                raise RunError(sentence) from error
+            log.warning("%s; process ids there are old", sentence)
+
+    def release(self) -> None:
+        """Remove sockets and memory; the logs stay for reading."""
+        self.memory.empty()
+        clear(self.folder)
+        os.close(self._lock)
+
+
+def _claimed(folder: Path) -> int | None:
+    """The lock, also when another process looks at it for a moment, or cleans it up."""
+    began_s = time.monotonic()
+    while True:
+        try:
+            folder.mkdir(mode=0o700, exist_ok=True)
+            lock = locked(folder, create=True)
+        except OSError as error:
+            raise RunError(f"{folder}: cannot be made: {error.strerror}") from error
+        waited_s = time.monotonic() - began_s
+        if lock is not None or waited_s > (CLAIM_S if _at_work(folder) else CLEANUP_S):
+            return lock
+        time.sleep(0.02)
+
+
+def _at_work(folder: Path) -> bool:
+    """Whether the supervisor that is noted there lives."""
+    try:
+        pid = noted(PrivateFolder(folder)).get("pid", 0)
+    except RunError:
+        return False
+    return bool(pid) and psutil.pid_exists(pid)
