@@ -1,9 +1,38 @@
-"""Import paths as graph files write them: `module:Class` -> the class."""
+"""Import paths as graph files write them: `module:Class` -> the class.
 
+What the module does when it is imported is the user's code: whatever it raises becomes one
+sentence with the file and line of the cause, and what it prints goes to standard error.
+"""
+
+import contextlib
 import importlib
+import re
+import sys
 from typing import Any
 
+from pipeline.cause import cause_of, is_signal
 from pipeline.errors import FoveaError
+from pipeline.wording import shown
+
+PATTERN = r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*"
+_PATH = re.compile(PATTERN)
+
+
+def is_import_path(value: object) -> bool:
+    """Whether a value is written like an import path.
+
+    >>> is_import_path("drivers.video:VideoFile"), is_import_path("http://x"), is_import_path(5)
+    (True, False, False)
+    """
+    return isinstance(value, str) and _PATH.fullmatch(value) is not None
+
+
+def check_import_path(value: object, where: str, error: type[FoveaError]) -> str:
+    """The value, which is an import path; raises `error` beginning with `where` for another."""
+    if isinstance(value, str) and is_import_path(value):
+        return value
+    place = f"{where}: " if where else ""
+    raise error(f"{place}expected an import path module:Class, got {shown(value)}")
 
 
 def imported(path: str, error: type[FoveaError], where: str = "") -> Any:
@@ -16,11 +45,13 @@ def imported(path: str, error: type[FoveaError], where: str = "") -> Any:
     Traceback (most recent call last):
     pipeline.errors.SettingsError: sensor: expected an import path module:Class, got 'math'
     """
+    module, _, name = check_import_path(path, where, error).partition(":")
     place = f"{where}: " if where else ""
-    module, _, name = path.partition(":")
-    if not module or not name or module.startswith("."):
-        raise error(f"{place}expected an import path module:Class, got {path!r}")
     try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as cause:
-        raise error(f"{place}{path} cannot be imported: {cause}") from cause
+        known = module in sys.modules  # nothing of it will be run
+        with contextlib.nullcontext() if known else contextlib.redirect_stdout(sys.stderr):
+            return getattr(importlib.import_module(module), name)
+    except BaseException as cause:
+        if is_signal(cause):
+            raise
+        raise error(f"{place}{path} cannot be imported: {cause_of(cause)}") from cause

@@ -1,21 +1,36 @@
 """Plain values from outside into settings dataclasses, strictly: mapping -> frozen dataclass.
 
 Types are checked by pydantic (a list may stand for a tuple and an int for a float, nothing else is
-converted); unknown names get a suggestion; ranges are the dataclass's own affair.
+converted); unknown names get a suggestion; ranges are the dataclass's own affair. Whatever a
+dataclass raises over its values becomes one sentence.
 """
 
 import difflib
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from pipeline.errors import SettingsError
+from pipeline.cause import cause_of
+from pipeline.errors import FoveaError, SettingsError
 from pipeline.once import once
+from pipeline.text import harmless
+from pipeline.wording import shown, shown_key
 
 T = TypeVar("T")
+DEEPEST = 32  # levels of a value
+WHOLE_LOW, WHOLE_HIGH = -(1 << 63), (1 << 64) - 1  # what messages can carry
+
+
+class WrongSetting(SettingsError):
+    """Which setting is wrong, besides the sentence: the keys that lead to it, outermost first."""
+
+    def __init__(self, sentence: str, path: tuple[str, ...] = ()) -> None:
+        super().__init__(sentence)
+        self.path = path
 
 
 def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
@@ -23,15 +38,55 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
     for name in values:
         if name not in known:
-            raise SettingsError(f"{where}.{name}: no such setting{suggest(name, known)}")
+            hint = suggest(str(name), known)
+            raise WrongSetting(f"{where}.{shown_key(name)}: no such setting{hint}", (str(name),))
+        check_plain(values[name], f"{where}.{name}", (name,))
     try:
-        document = json.dumps(dict(values), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise SettingsError(f"{where}: {error}") from error
-    try:
-        return _adapter(cls).validate_json(document, strict=True)  # type: ignore[no-any-return]
+        built: T = _adapter(cls).validate_json(json.dumps(dict(values)), strict=True)
     except ValidationError as error:
-        raise SettingsError(_sentence(error, where)) from error
+        raise _wrong(error, where) from error
+    except FoveaError:
+        raise
+    except Exception as error:  # the dataclass's own code broke over its values
+        raise WrongSetting(f"{where}: {cls.__name__} broke: {cause_of(error)}") from error
+    return built
+
+
+def check_plain(value: Any, where: str, path: tuple[str, ...] = ()) -> None:
+    """Raise `SettingsError` unless a value is what JSON and messages can carry.
+
+    >>> check_plain({"rate_hz": [float("inf")]}, "capture.options")
+    Traceback (most recent call last):
+    pipeline.settings.WrongSetting: capture.options.rate_hz: expected a finite number, got inf
+    """
+    if len(path) > DEEPEST:
+        raise WrongSetting(f"{where[:60]}…: expected up to {DEEPEST} levels, got more", path)
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            if not isinstance(key, str):
+                raise WrongSetting(f"{where}: expected a text as key, got {shown(key)}", path)
+            _check_text(key, where, path)
+            check_plain(item, f"{where}.{shown_key(key)}", (*path, key))
+    elif isinstance(value, (list, tuple)):
+        for item in value:
+            check_plain(item, where, (*path, ""))
+    elif isinstance(value, str):
+        _check_text(value, where, path)
+    elif isinstance(value, float):
+        if not math.isfinite(value):
+            raise WrongSetting(f"{where}: expected a finite number, got {value}", path)
+    elif isinstance(value, int):
+        if not WHOLE_LOW <= value <= WHOLE_HIGH:
+            what = "a whole number within 64 bits"
+            raise WrongSetting(f"{where}: expected {what}, got {shown(value, 40)}", path)
+    elif value is not None:
+        raise WrongSetting(f"{where}: expected a plain value, got a {type(value).__name__}", path)
+
+
+def check_type(cls: type[Any]) -> None:
+    """Raise whatever a settings dataclass raises whose declaration cannot be read."""
+    fields(cls)
+    _adapter(cls)
 
 
 def plain(settings: Any) -> dict[str, Any]:
@@ -57,7 +112,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
     ", did you mean 'capture'?"
     """
     options = list(known)
-    near = difflib.get_close_matches(name, options, 1, 0.6)
+    near = difflib.get_close_matches(name[:100], options, 1, 0.6)
     if near:
         return f", did you mean '{near[0]}'?"
     return f"; there is {', '.join(options)}" if options else "; there is none"
@@ -69,11 +124,24 @@ def _adapter(cls: type[Any]) -> TypeAdapter[Any]:
     return TypeAdapter(cls)
 
 
-def _sentence(error: ValidationError, where: str) -> str:
+def _check_text(text: str, where: str, path: tuple[str, ...]) -> None:
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        what = f"expected a text of whole characters, got {shown(text)}"
+        raise WrongSetting(f"{where}: {what}", path) from error
+
+
+def _wrong(error: ValidationError, where: str) -> WrongSetting:
     first = error.errors(include_url=False)[0]
-    place = ".".join([where, *(str(part) for part in first["loc"])])
+    path = tuple(str(part) for part in first["loc"])
+    place = ".".join([where, *(shown_key(part) for part in path)])
     if first["type"] == "missing":
-        return f"{place}: required, got nothing"
+        return WrongSetting(f"{place}: required, got nothing", path)
     if isinstance(cause := first.get("ctx", {}).get("error"), Exception):
-        return f"{where}.{cause}"
-    return f"{place}: {first['msg'].lower()}, got {first['input']!r}"
+        if isinstance(cause, FoveaError):  # it begins with the setting's name
+            said = str(cause)
+            return WrongSetting(f"{where}.{said}", tuple(said.partition(":")[0].split(".")))
+        return WrongSetting(f"{place}: {cause_of(cause)}", path)
+    said = harmless(first["msg"].lower(), 200)
+    return WrongSetting(f"{place}: {said}, got {shown(first['input'])}", path)

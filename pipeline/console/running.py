@@ -9,6 +9,7 @@ from rich.live import Live
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from pipeline.cause import cause_of, is_signal
 from pipeline.contract import settings_of
 from pipeline.errors import FoveaError, GraphError, RunError
 from pipeline.graph.plan import Node, Plan, load_operator, sources
@@ -87,7 +88,7 @@ def processes(
 def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
     """One line: how far, how fast, what was lost."""
     plan, ledger = supervisor.plan, supervisor.ledger
-    source = ledger.nodes[next(sources(plan)).index]
+    source = ledger.nodes[next(sources(plan), plan.nodes[0]).index]
     loop = source.histograms["loop"].summary()
     dropped = sum(sum(edge.report()["dropped"].values()) for edge in ledger.edges)
     broken = [e.end for e in plan.edges if ledger.edges[e.index].broken]
@@ -112,7 +113,9 @@ def advice(plan: Plan) -> Iterator[str]:
         except FoveaError:
             raise
         except BaseException as error:
-            said = f"{node.name}: {node.operator}.advise: {harmless(error_text(error))}"
+            if is_signal(error):
+                raise
+            said = f"{node.name}: {node.operator}.advise: {cause_of(error)}"
             raise GraphError(said) from error
         for line in lines:
             yield f"{node.name}: {harmless(str(line))}"

@@ -34,8 +34,6 @@ from pipeline.fleet.names import (
     ANYBODY,
     agent_key,
     box,
-    check_label,
-    check_name,
     endpoint,
     host_part,
 )
@@ -45,6 +43,7 @@ from pipeline.fleet.show import state_of
 from pipeline.fleet.steering import Steering
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
 from pipeline.graph.plan import Plan
+from pipeline.naming import check_name
 from pipeline.run.logs import log_lines
 
 WAITING = 64  # questions; more are refused at once
@@ -327,7 +326,7 @@ class Agent:
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:
         for label, point in asked.boxes.items():
-            check_label(label, "boxes")
+            check_name(label, "boxes")
             if self._papers and box(label) not in self._holders:
                 raise RunError(f"{label} is not among the boxes that this one may speak with")
             endpoint(point, "boxes")

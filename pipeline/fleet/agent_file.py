@@ -8,9 +8,10 @@ from pipeline import settings as checked
 from pipeline.bus.network import LOCAL, NODE_PORTS
 from pipeline.errors import GraphError, SettingsError
 from pipeline.fleet.allow import ANY, Allowed, is_digest
-from pipeline.fleet.names import box, check_label, check_name, endpoint, person
+from pipeline.fleet.names import box, check_person, endpoint, person
 from pipeline.fleet.secure import Papers
 from pipeline.graph.yaml_lines import YamlFile, plain
+from pipeline.naming import check_name
 from pipeline.run.rundir import base
 
 
@@ -30,11 +31,11 @@ class AgentFile:
     state: str = ""  # folder of what runs here; empty: beside the run folders
 
     def __post_init__(self) -> None:
-        check_label(self.label, "label")
+        check_name(self.label, "label", SettingsError)
         for other in self.boxes:
-            check_label(other, "boxes")
+            check_name(other, "boxes", SettingsError)
         for name in self.people:
-            check_name(name, "people")
+            check_person(name, "people")
         if self.address and not self.papers and not self.address.startswith(LOCAL):
             raise SettingsError(
                 f"address: {self.address}: a network address needs `papers`, see `fovea secure`"
@@ -111,14 +112,10 @@ def read(path: Path) -> Box:
         raise SettingsError(str(error)) from error
     document = plain(file.document)
     try:
-        return Box(checked.build(AgentFile, document, str(path)), path.resolve().parent)
-    except SettingsError as error:
-        said = str(error)
-        for key in document:
-            if said.startswith((f"{path}.{key}:", f"{path}.{key}.", f"{path}.{key} ")):
-                at = file.at(file.document, key)
-                raise SettingsError(f"{at}: {said.removeprefix(f'{path}.')}") from error
-        raise
+        return Box(checked.build(AgentFile, document, "agent"), path.resolve().parent)
+    except checked.WrongSetting as error:
+        said = str(error).removeprefix("agent.")
+        raise SettingsError(f"{file.deepest(file.document, error.path)}: {said}") from error
 
 
 def local_endpoint(label: str) -> str:

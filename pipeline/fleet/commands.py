@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from pipeline.errors import RunError
+from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, Box, read
@@ -23,11 +23,12 @@ from pipeline.fleet.deploy import (
 )
 from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import KINDS, engines
-from pipeline.fleet.names import check_holder, check_label, check_name, person
+from pipeline.fleet.names import check_holder, check_person, person
 from pipeline.fleet.shipping import Desk, holders
 from pipeline.fleet.unit import agent_unit
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
+from pipeline.naming import check_name
 from pipeline.settings import suggest
 from pipeline.signals import Interruption
 
@@ -126,7 +127,7 @@ def down_command(graph: str) -> None:
 @click.option("--person", "name", metavar="NAME", help="Who deploys; without it, you.")
 def export_command(engine: str, graph: Path, papers: Path, name: str | None) -> None:
     """Print a graph's boxes as units or manifests for an engine of your own."""
-    who = check_name(name or default_person(), "--person")
+    who = check_person(name or default_person(), "--person")
     desk = Desk(graph.resolve(), papers.resolve(), who)
     click.echo(KINDS[engine](load(graph), desk), nl=False)
 
@@ -163,8 +164,8 @@ def _add(
     addresses = {}
     for word in boxes:
         label, _, address = word.partition("=")
-        addresses[check_label(label, "--box")] = address
-    names = tuple(check_name(name, "--person") for name in people or (default_person(),))
+        addresses[check_name(label, "--box", SettingsError)] = address
+    names = tuple(check_person(name, "--person") for name in people or (default_person(),))
     plans = [load(graph) for graph in graphs]
     check_addressed(folder, addresses, plans)
     nodes = [holder for p in plans for label in p.hosts for holder in holders(p, label)]

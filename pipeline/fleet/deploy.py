@@ -24,11 +24,12 @@ from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
 from pipeline.fleet.agent_file import local_endpoint
 from pipeline.fleet.allow import MARK, MOST_WEIGHTS_BYTES, file_digest, is_path
-from pipeline.fleet.names import ANYBODY, agent_key, check_label, endpoint
+from pipeline.fleet.names import ANYBODY, agent_key, endpoint
 from pipeline.fleet.part import END_S
 from pipeline.fleet.placement import check_labels, marks
 from pipeline.fleet.secure import ADDRESSES, Papers
 from pipeline.graph.plan import Plan
+from pipeline.naming import check_name
 
 PATIENCE_S = 5.0  # until an agent must have answered
 DOWN_S = END_S + 5.0
@@ -60,7 +61,7 @@ def read_hosts(words: Iterable[str], papers: Path | None, labels: Iterable[str] 
     known = known_addresses(papers) if papers else {}
     points = {}
     for label in dict.fromkeys([*labels, *said]):
-        check_label(label, "--hosts")
+        check_name(label, "--hosts", SettingsError)
         address = said.get(label) or known.get(label, "")
         if papers and not address:
             raise SettingsError(f"--hosts: expected {label}=ADDRESS, as {papers} knows none")

@@ -4,12 +4,12 @@ import re
 
 from pipeline.bus.network import AGENT_PORT, LOCAL
 from pipeline.errors import SettingsError
-from pipeline.graph.loader import LABEL
 from pipeline.graph.plan import Node
+from pipeline.naming import check_name
 
 ANYBODY = "local"  # who asks over a unix socket that only this user can reach
 MOST_LETTERS = 64  # of a common name: RFC 5280, ub-common-name
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
+_PERSON = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
 _HOST = re.compile(r"(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.-]+?)(?::(\d{1,5}))?")
 
 
@@ -26,10 +26,10 @@ def person(name: str) -> str:
 def node_holder(graph: str, node: Node) -> str:
     """The holder that the process of a node is; raises `SettingsError` for names it cannot have.
 
-    A dot within a name is written `+`, which no name has: `a.b`, `c` is not `a`, `b.c`.
+    No name has a dot, so no two processes are the same holder.
     """
-    names = check_name(graph, "name"), check_name(node.process, "nodes")
-    return ".".join(("node", *(name.replace(".", "+") for name in names)))
+    names = check_name(graph, "name", SettingsError), check_name(node.process, "nodes")
+    return ".".join(("node", *names))
 
 
 def check_holder(holder: str) -> str:
@@ -47,17 +47,10 @@ def agent_key(label: str, holder: str, verb: str) -> str:
     return f"fovea/@agent/{label}/{holder}/{verb}"
 
 
-def check_label(label: str, where: str) -> str:
-    """A label of a box; raises `SettingsError`."""
-    if not LABEL.fullmatch(label):
-        raise SettingsError(f"{where}: expected a label of letters and digits, got {label!r}")
-    return label
-
-
-def check_name(name: str, where: str) -> str:
-    """A name that is safe in keys and file names; raises `SettingsError`."""
-    if not _NAME.fullmatch(name) or ".." in name:
-        raise SettingsError(f"{where}: expected a name of letters, digits, - _ ., got {name!r}")
+def check_person(name: str, where: str) -> str:
+    """The name of somebody, as an e-mail address or a login has it; raises `SettingsError`."""
+    if not _PERSON.fullmatch(name) or ".." in name:
+        raise SettingsError(f"{where}: expected a name of letters, digits, - _ . @, got {name!r}")
     return name
 
 

@@ -11,10 +11,11 @@ from typing import Any
 from pipeline import codec
 from pipeline import settings as checked
 from pipeline.contract import inputs_of, outputs_of, settings_of
-from pipeline.errors import GraphError, SettingsError
+from pipeline.errors import GraphError
 from pipeline.fleet.allow import Allowed
 from pipeline.fleet.form import check_form
-from pipeline.graph.plan import Edge, Node, Plan, load_operator
+from pipeline.graph.plan import Node, Plan, load_operator
+from pipeline.graph.ports import check_ports
 
 
 def part_of(plan: Plan, label: str) -> Plan:
@@ -91,10 +92,7 @@ def inspect(plan: Plan, label: str, allowed: Allowed, over: Mapping[str, Any]) -
             node = replace(node, settings=_inspected(node, allowed, over.get(node.name, {})))
         nodes.append(node)
     part = part_of(replace(plan, nodes=tuple(nodes)), label)
-    for edge in plan.edges:
-        _check_ends(plan, edge, label)
-    for node in filter(part.is_here, part.nodes):
-        _check_given(plan, node)
+    check_ports(plan, lambda node: node.host == label)
     part.order()
     return part
 
@@ -115,28 +113,3 @@ def _inspected(node: Node, allowed: Allowed, own: Mapping[str, Any]) -> dict[str
     values = {**allowed.localise(foreign, node.name), **own}
     checked.build(settings_of(load_operator(node.operator)), values, node.name)
     return values
-
-
-def _check_ends(plan: Plan, edge: Edge, label: str) -> None:
-    """The ports here exist and are what the edge says."""
-    if plan.node(edge.source).host == label:
-        outputs = outputs_of(load_operator(plan.node(edge.source).operator))
-        if edge.output not in outputs:
-            hint = checked.suggest(edge.output, outputs)
-            raise GraphError(f"{edge.source}: no output {edge.output}{hint}")
-    if plan.node(edge.target).host == label:
-        inputs = inputs_of(load_operator(plan.node(edge.target).operator))
-        if edge.input not in inputs:
-            hint = checked.suggest(edge.input, inputs)
-            raise GraphError(f"{edge.target}: no input {edge.input}{hint}")
-        port = inputs[edge.input]
-        same = ("join", "optional", "command", "tap")
-        if any(getattr(port, name) != getattr(edge, name) for name in same):
-            raise SettingsError(f"{edge.end}: expected the input as it is declared")
-
-
-def _check_given(plan: Plan, node: Node) -> None:
-    given = plan.inputs(node.name)
-    for name, port in inputs_of(load_operator(node.operator)).items():
-        if name not in given and port.join and not (port.optional or port.command):
-            raise GraphError(f"{node.name}.inputs.{name}: required, got nothing")

@@ -8,12 +8,12 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml.comments import CommentedMap
-
 from pipeline.errors import GraphError
-from pipeline.graph.loader import EDGE_KEYS, NODE_KEYS, assemble
+from pipeline.graph.loader import assemble
 from pipeline.graph.plan import Edge, Node, Plan
+from pipeline.graph.spec import EDGE_KEYS, NODE_KEYS
 from pipeline.graph.yaml_lines import YamlFile
+from pipeline.graph.yaml_reader import YamlMapping
 from pipeline.settings import suggest
 
 
@@ -79,4 +79,4 @@ class _Words(YamlFile):
     """Stands for the file in complaints about a graph that runs."""
 
     def __init__(self, plan: Plan) -> None:
-        self.path, self.document = Path(plan.name), CommentedMap()
+        self.path, self.document = Path(plan.name), YamlMapping(plan.name)

@@ -5,15 +5,16 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap
-from ruamel.yaml.error import YAMLError
-
 from pipeline.contract import Source, settings_of
 from pipeline.errors import GraphError
 from pipeline.graph.plan import load_operator
-from pipeline.graph.yaml_lines import YamlFile
+from pipeline.graph.spec import GraphSpec, NodeSpec, graph_spec
+from pipeline.graph.yaml_lines import YamlFile, kind_of
+from pipeline.graph.yaml_reader import YamlMapping, read_text
 from pipeline.settings import suggest
+from pipeline.wording import shown
+
+SOURCE_KEYS = ("operator", "settings")
 
 
 @dataclass(frozen=True)
@@ -24,48 +25,43 @@ class Overlay:
     changes: tuple[str, ...] = ()  # node.setting=value
     clock: str = ""
     wanted: tuple[str, ...] = ()  # manual nodes to start
+    values: tuple[tuple[str, str, Any], ...] = ()  # node, setting, and a value as it is
 
-    def lay(self, file: YamlFile, nodes: Any) -> None:
-        """Change the parsed nodes in place; raises `GraphError` for what fits nothing."""
+    def lay(self, file: YamlFile, spec: GraphSpec) -> bool:
+        """Change the parsed file in place; raises `GraphError` for what fits nothing.
+
+        Returns whether something was changed, so that the file has to be checked again.
+        """
+        nodes = file.document["nodes"]
         if self.source:
-            _lay_source(file, nodes, self.source)
+            _lay_source(file, nodes, spec, self.source)
         for change in self.changes:
-            _lay_change(nodes, change, file.path)
+            try:
+                node, setting, value = read_change(change)
+            except GraphError as error:
+                raise GraphError(f"--set {error}") from error
+            _lay_value(file, nodes, f"--set {shown_change(change)}", node, setting, value)
+        for node, setting, value in self.values:
+            _lay_value(file, nodes, f"{node}.{setting}", node, setting, value)
         for name in self.wanted:
             if name not in nodes:
-                raise GraphError(f"{file.path}: no node {name}{suggest(name, nodes)}")
+                raise GraphError(f"{file.path}: no node {shown(name)}{suggest(name, nodes)}")
+        return bool(self.source or self.changes or self.values)
 
 
 def manual_nodes(path: Path, setting: str) -> list[str]:
     """Nodes that start only on request and have that setting."""
-    nodes = YamlFile(path).document.get("nodes") or {}
-    found = []
-    for name, entry in nodes.items():
-        if isinstance(entry, Mapping) and entry.get("manual"):
-            cls = settings_of(load_operator(str(entry.get("operator"))))
-            if setting in {f.name for f in fields(cls)}:
-                found.append(str(name))
-    return found
+    nodes = graph_spec(YamlFile(path)).nodes.values()
+    return [n.name for n in nodes if n.manual and setting in _settings_of(n)]
 
 
-def _lay_source(file: YamlFile, nodes: Any, path: Path) -> None:
+def source_document(path: Path) -> YamlFile:
+    """A source file, its keys checked; raises `GraphError` with file and line."""
     over = YamlFile(path)
-    over.only(over.document, ("operator", "settings"), "source")
-    found = [n for n in nodes if _makes_frames(nodes[n])]
-    if len(found) != 1:
-        raise GraphError(
-            f"{file.path}: --source needs one node that makes frames, got {len(found)}"
-        )
-    entry = nodes[found[0]]
-    for key in over.document:
-        entry[key] = over.document[key]
-
-
-def _makes_frames(entry: Any) -> bool:
-    try:
-        return issubclass(load_operator(str(entry.get("operator"))), Source)
-    except (GraphError, AttributeError):
-        return False
+    over.only(over.document, SOURCE_KEYS, "source")
+    if "settings" in over.document:
+        over.mapping(over.document, "settings", "source")
+    return over
 
 
 def read_change(change: str) -> tuple[str, str, Any]:
@@ -77,7 +73,7 @@ def read_change(change: str) -> tuple[str, str, Any]:
     target, equals, text = change.partition("=")
     node, dot, setting = target.partition(".")
     if not (equals and dot and node and setting):
-        raise GraphError(f"{change}: expected node.setting=value")
+        raise GraphError(f"{shown_change(change)}: expected node.setting=value")
     return node, setting, read_value(text)
 
 
@@ -87,26 +83,54 @@ def read_value(text: str) -> Any:
     >>> read_value("[1, 2]"), read_value("off"), read_value("")
     ([1, 2], 'off', '')
     """
-    try:
-        return YAML(typ="safe").load(text) if text else ""
-    except YAMLError as error:
-        raise GraphError(f"{text}: not a value: {error}") from error
+    if not text:
+        return ""
+    return read_text(text, f"{shown_change(text)}: not a value")
 
 
-def _lay_change(nodes: Any, change: str, path: Path) -> None:
+def shown_change(change: str) -> str:
+    """A word of the command line in an error message: as it was typed if that can be printed."""
+    return change if change.isprintable() and len(change) <= 200 else shown(change, 200)
+
+
+def _lay_source(file: YamlFile, nodes: Any, spec: GraphSpec, path: Path) -> None:
+    over = source_document(path)
+    found = [name for name, node in spec.nodes.items() if _makes_frames(node)]
+    if len(found) != 1:
+        raise GraphError(
+            f"{file.path}: --source needs one node that makes frames, got {len(found)}"
+        )
+    entry: YamlMapping = nodes[found[0]]
+    for key, value in over.document.items():
+        entry.put(key, value, over.document.places[key])
+
+
+def _makes_frames(node: NodeSpec) -> bool:
     try:
-        name, setting, value = read_change(change)
-    except GraphError as error:
-        raise GraphError(f"--set {error}") from error
+        return issubclass(load_operator(node.operator), Source)
+    except GraphError:
+        return False
+
+
+def _settings_of(node: NodeSpec) -> set[str]:
+    return {f.name for f in fields(settings_of(load_operator(node.operator)))}
+
+
+def _lay_value(file: YamlFile, nodes: Any, place: str, name: str, setting: str, value: Any) -> None:
     if name not in nodes:
-        raise GraphError(f"--set {change}: {path} has no node {name}{suggest(name, nodes)}")
-    entry = nodes[name]
-    settings = entry.setdefault("settings", CommentedMap())
-    cls = settings_of(load_operator(str(entry.get("operator"))))
-    names = {f.name for f in fields(cls)}
-    first, *rest = setting.split(".")
-    if first not in names and "options" in names:
-        first, rest = "options", [first, *rest]
-    for key in (first, *rest)[:-1]:
-        settings = settings.setdefault(key, CommentedMap())
-    settings[(first, *rest)[-1]] = value
+        what = f"{file.path} has no node {shown(name)}{suggest(name, nodes)}"
+        raise GraphError(f"{place}: {what}")
+    entry: YamlMapping = nodes[name]
+    names = {f.name for f in fields(settings_of(load_operator(entry["operator"])))}
+    keys = setting.split(".")
+    if keys[0] not in names and "options" in names:
+        keys = ["options", *keys]
+    parent = entry
+    for key in ("settings", *keys[:-1]):
+        if parent.get(key) is None:
+            parent.put(key, YamlMapping(place), parent.places.get(key, place))
+        if not isinstance(parent[key], Mapping):
+            got = kind_of(parent[key])
+            raise GraphError(f"{place}: {name}.{key}: expected a mapping to change, got {got}")
+        parent = parent[key]
+    parent.put(keys[-1], value, place)

@@ -1,8 +1,8 @@
 """A checked graph, ready to run: nodes and edges with every default filled in.
 
 The loader makes a plan; the supervisor hands it to node processes as JSON, the in-line runner uses
-it as it is. Names that do not follow the grammar of `pipeline.naming` are refused here, wherever a
-plan comes from.
+it as it is. Names that do not follow the grammar of `pipeline.naming`, numbers outside
+`pipeline.graph.limits` and edges without ends are refused here, wherever a plan comes from.
 """
 
 from collections.abc import Iterator
@@ -10,9 +10,12 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pipeline.contract import Input, Keep, Operator, Source, inputs_of
-from pipeline.errors import GraphError
+from pipeline.declarations import check_declarations
+from pipeline.errors import GraphError, SettingsError
+from pipeline.graph.limits import EDGE, MOST_EDGES, MOST_NODES, NODE, RESTART, check_numbers
 from pipeline.import_path import imported
 from pipeline.naming import check_name
+from pipeline.wording import shown
 
 Clock = Literal["realtime", "lockstep"]
 RestartPolicy = Literal["never", "on-failure", "always"]
@@ -26,6 +29,9 @@ class Restart:
     backoff_s: float = 0.05
     window_s: float = 60.0
     most: int = 10  # restarts within the window; one more ends the run
+
+    def __post_init__(self) -> None:
+        check_numbers(self, RESTART, "", SettingsError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +57,7 @@ class Edge:
     def __post_init__(self) -> None:
         for name in (self.source, self.output, self.target, self.input):
             check_name(name, "edge")
+        check_numbers(self, EDGE, self.end)
 
     @property
     def origin(self) -> str:
@@ -85,6 +92,7 @@ class Node:
             check_name(self.group, f"{self.name}.group")
         if self.host:
             check_name(self.host, f"{self.name}.host")
+        check_numbers(self, NODE, self.name)
 
     @property
     def process(self) -> str:
@@ -109,6 +117,14 @@ class Plan:
             check_name(host, "hosts")
         if self.here:
             check_name(self.here, "here")
+        names, ends = {node.name for node in self.nodes}, {edge.end for edge in self.edges}
+        if len(names) < len(self.nodes) or len(names) > MOST_NODES:
+            raise GraphError(f"{self.name}: expected up to {MOST_NODES} nodes of different names")
+        if len(ends) < len(self.edges) or len(ends) > MOST_EDGES:
+            raise GraphError(f"{self.name}: expected up to {MOST_EDGES} edges, one for an input")
+        for edge in self.edges:
+            if not {edge.source, edge.target} <= names:
+                raise GraphError(f"{edge.end}: expected an edge between two nodes")
 
     def is_here(self, node: Node) -> bool:
         """Whether this supervisor runs it."""
@@ -186,10 +202,11 @@ def inputs_for(plan: Plan, node: Node) -> dict[str, Input]:
 
 
 def load_operator(path: str) -> type[Operator[Any, Any]]:
-    """The class behind `module:Class`; raises `GraphError` when it is no operator."""
+    """The class behind `module:Class`; raises `GraphError` when it is no sound operator."""
     found = imported(path, GraphError)
     if not (isinstance(found, type) and issubclass(found, Operator)):
-        raise GraphError(f"{path}: expected an Operator, got {found!r}")
+        raise GraphError(f"{path}: expected an Operator, got {shown(found)}")
+    check_declarations(found)
     return found
 
 

@@ -2,78 +2,97 @@
 
 from typing import Any
 
+from pipeline.bus.clocks import MOST_HOSTS
 from pipeline.contract import inputs_of, settings_of
-from pipeline.graph.loader import EDGE_KEYS, NODE_KEYS
+from pipeline.graph.limits import EDGE, MOST_NODES, NODE, RESTART, Limits
 from pipeline.graph.plan import Node, Plan, Restart, load_operator
+from pipeline.graph.spec import CHOICES, CLOCKS, EDGE_KEYS, GRAPH_KEYS, NODE_KEYS
+from pipeline.naming import GRAMMAR
 from pipeline.settings import json_schema
 
+NAME = {"type": "string", "pattern": f"^{GRAMMAR}$"}
+IMPORT_PATH = {"type": "string", "pattern": r"^[^\s:.][^\s:]*:[^\s:.]+$"}
+Schema = dict[str, Any]
 
-def graph_schema(plan: Plan | None = None) -> dict[str, Any]:
+
+def graph_schema(plan: Plan | None = None) -> Schema:
     """A schema document; with a plan, settings and inputs of its nodes are spelled out."""
-    nodes: dict[str, Any] = {"type": "object", "additionalProperties": _node()}
+    definitions: Schema = {}
+    nodes: Schema = {
+        "type": "object",
+        "minProperties": 1,
+        "maxProperties": MOST_NODES,
+        "propertyNames": NAME,
+        "additionalProperties": _node(definitions),
+    }
     if plan:
-        nodes["properties"] = {node.name: _node(node) for node in plan.nodes}
+        nodes["properties"] = {node.name: _node(definitions, node) for node in plan.nodes}
+    hosts = {"type": ["array", "null"], "items": NAME, "uniqueItems": True, "maxItems": MOST_HOSTS}
+    known = {"name": NAME, "clock": {"enum": list(CLOCKS)}, "hosts": hosts, "nodes": nodes}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "fovea graph",
-        "type": "object",
-        "additionalProperties": False,
-        "required": ["nodes"],
-        "properties": {
-            "name": {"type": "string"},
-            "clock": {"enum": ["realtime", "lockstep"]},
-            "hosts": {"type": "array", "items": {"type": "string"}, "uniqueItems": True},
-            "nodes": nodes,
-        },
+        **_object({key: known[key] for key in GRAPH_KEYS}, ["nodes"]),
+        "$defs": definitions,
     }
 
 
-def _node(node: Node | None = None) -> dict[str, Any]:
-    settings: dict[str, Any] = {"type": "object"}
-    inputs: dict[str, Any] = {"type": "object", "additionalProperties": _edge()}
+def _node(definitions: Schema, node: Node | None = None) -> Schema:
+    settings: Schema = {"type": ["object", "null"]}
+    inputs: Schema = {
+        "type": ["object", "null"], "propertyNames": NAME, "additionalProperties": _edge()
+    }  # fmt: skip
     if node:
         operator = load_operator(node.operator)
-        settings = json_schema(settings_of(operator))
-        inputs = {
-            "type": "object",
-            "additionalProperties": False,
-            "properties": dict.fromkeys(inputs_of(operator), _edge()),
+        own = _own(json_schema(settings_of(operator)), node.name, definitions)
+        settings = {**own, "type": ["object", "null"]}
+        inputs |= _object(dict.fromkeys(inputs_of(operator), _edge()), []) | {
+            "type": ["object", "null"]
         }
-    known: dict[str, Any] = {
-        "operator": {"type": "string", "pattern": "^[\\w.]+:\\w+$"},
+    policies = json_schema(Restart)["properties"]["policy"]
+    restart = _object({"policy": policies, **_limited(RESTART)}, [])
+    known: Schema = {
+        "operator": IMPORT_PATH,
         "inputs": inputs,
         "settings": settings,
-        "group": {"type": "string"},
-        "host": {"type": "string"},
-        "threads": {"type": "integer", "minimum": 1},
-        "stall_s": {"type": "number", "exclusiveMinimum": 0},
-        "start_s": {"type": "number", "exclusiveMinimum": 0},
-        "memory_mb": {"type": "number", "exclusiveMinimum": 0},
-        "restart": {"anyOf": [{"enum": ["never", "on-failure", "always"]}, json_schema(Restart)]},
+        "group": NAME,
+        "host": NAME,
+        **_limited(NODE),
+        "restart": {"anyOf": [{"enum": policies["enum"]}, restart]},
         "manual": {"type": "boolean"},
     }
-    return {
-        "type": "object",
-        "additionalProperties": False,
-        "required": ["operator"],
-        "properties": {key: known[key] for key in NODE_KEYS},
-    }
+    return _object({key: known[key] for key in NODE_KEYS}, ["operator"])
 
 
-def _edge() -> dict[str, Any]:
-    known: dict[str, Any] = {
-        "from": {"type": "string"},
-        "keep": {"enum": ["latest", "every"]},
-        "depth": {"type": "integer", "minimum": 1, "maximum": 64},
-        "wait_ms": {"type": "number", "minimum": 0},
-        "max_age_ms": {"type": "number", "minimum": 0},
-        "stale": {"enum": ["drop", "pass"]},
-        "transport": {"enum": ["pool", "bytes"]},
-    }
-    long = {
-        "type": "object",
-        "additionalProperties": False,
-        "required": ["from"],
-        "properties": {key: known[key] for key in EDGE_KEYS},
-    }
-    return {"anyOf": [{"type": "string"}, long]}
+def _edge() -> Schema:
+    choices = {key: {"enum": list(allowed)} for key, allowed in CHOICES.items()}
+    known: Schema = {"from": {"type": "string"}, **choices, **_limited(EDGE)}
+    return {"anyOf": [{"type": "string"}, _object({k: known[k] for k in EDGE_KEYS}, ["from"])]}
+
+
+def _object(properties: Schema, required: list[str]) -> Schema:
+    found: Schema = {
+        "type": "object", "additionalProperties": False, "properties": properties
+    }  # fmt: skip
+    return found | ({"required": required} if required else {})
+
+
+def _limited(limits: Limits) -> Schema:
+    return {name: limit.schema() for name, limit in limits.items()}
+
+
+def _own(schema: Schema, node: str, definitions: Schema) -> Schema:
+    """A settings class's schema, its definitions moved to those of the whole document."""
+    for name, definition in schema.pop("$defs", {}).items():
+        definitions[f"{node}.{name}"] = _moved(definition, node)
+    moved: Schema = _moved(schema, node)
+    return moved
+
+
+def _moved(value: Any, node: str) -> Any:
+    if isinstance(value, dict):
+        return {
+            k: v.replace("#/$defs/", f"#/$defs/{node}.") if k == "$ref" else _moved(v, node)
+            for k, v in value.items()
+        }
+    return [_moved(v, node) for v in value] if isinstance(value, list) else value

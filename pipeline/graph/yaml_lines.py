@@ -1,15 +1,13 @@
-"""A YAML mapping that knows the line of every key, and complains with file and line."""
+"""A YAML file that knows the line of every key, and complains with file and line."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-
 from pipeline.errors import GraphError
+from pipeline.graph.yaml_reader import YamlMapping, read_file
 from pipeline.settings import suggest
+from pipeline.wording import shown_key
 
 
 class YamlFile:
@@ -17,26 +15,25 @@ class YamlFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            document = YAML(typ="rt").load(path.read_text("utf-8"))
-        except OSError as error:
-            raise GraphError(f"{path}: cannot be read: {error.strerror}") from error
-        except MarkedYAMLError as error:
-            line = (error.problem_mark.line + 1) if error.problem_mark else 1
-            raise GraphError(f"{path}:{line}: not YAML: {error.problem}") from error
-        except (YAMLError, UnicodeDecodeError) as error:
-            raise GraphError(f"{path}:1: not YAML: {error}") from error
-        if not isinstance(document, CommentedMap):
-            raise GraphError(f"{path}:1: expected a mapping, got {type(document).__name__}")
+        document = read_file(path)
+        if not isinstance(document, YamlMapping):
+            raise GraphError(f"{path}:1: expected a mapping, got {kind_of(document)}")
         self.document = document
 
     def at(self, parent: Any, key: str) -> str:
         """`file:line` of a key, or of its parent when it is not there."""
-        try:
-            line = parent.lc.key(key)[0] if key in parent else parent.lc.line
-        except (AttributeError, KeyError, TypeError):
-            return str(self.path)  # laid over from the command line
-        return f"{self.path}:{line + 1}"
+        if isinstance(parent, YamlMapping):
+            return parent.places.get(key) or parent.place
+        return str(self.path)
+
+    def deepest(self, parent: Any, keys: Sequence[str]) -> str:
+        """`file:line` of the last of these nested keys that is there."""
+        place = self.at(parent, "")
+        for key in keys:
+            if not isinstance(parent, YamlMapping) or key not in parent:
+                break
+            place, parent = parent.places[key], parent[key]
+        return place
 
     def fail(self, parent: Any, key: str, what: str) -> NoReturn:
         """Raise with the place in front."""
@@ -46,8 +43,8 @@ class YamlFile:
         """A nested mapping."""
         value = parent.get(key)
         if not isinstance(value, Mapping):
-            got = "nothing" if value is None else type(value).__name__
-            self.fail(parent, key, f"{where}.{key}: expected a mapping, got {got}")
+            what = f"{where}.{shown_key(key)}: expected a mapping, got {kind_of(value)}"
+            self.fail(parent, key, what)
         return value
 
     def only(self, mapping: Any, known: Iterable[str], where: str) -> None:
@@ -56,16 +53,18 @@ class YamlFile:
         for key in mapping:
             if key not in known:
                 hint = suggest(str(key), known)
-                self.fail(mapping, key, f"{where}.{key}: no such key{hint}")
+                self.fail(mapping, key, f"{where}.{shown_key(key)}: no such key{hint}")
+
+
+def kind_of(value: object) -> str:
+    """What a value is, in the words of an error message."""
+    if value is None:
+        return "nothing"
+    return "a mapping" if isinstance(value, Mapping) else type(value).__name__
 
 
 def plain(value: Any) -> Any:
-    """Without the parser's own types."""
+    """The same without places."""
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [plain(v) for v in value]
-    for kind in (bool, int, float, str):
-        if isinstance(value, kind):
-            return kind(value)
-    return value
+        return {k: plain(v) for k, v in value.items()}
+    return [plain(v) for v in value] if isinstance(value, list) else value

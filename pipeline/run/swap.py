@@ -15,6 +15,7 @@ import msgspec
 
 from pipeline.bus.ledger import NodeAccount
 from pipeline.errors import RunError
+from pipeline.graph.limits import BudgetMs, FrameCount, SomeFrames, Word
 from pipeline.graph.plan import Plan
 from pipeline.node.live import keep, kept
 from pipeline.node.wiring import swappable
@@ -44,14 +45,14 @@ log = logging.getLogger(__name__)
 class SwapOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="swap"):
     """What `fovea swap` asks for."""
 
-    node: str
-    operator: str = ""  # "": the same, with other settings or from a changed file
+    node: Word
+    operator: Word = ""  # "": the same, with other settings or from a changed file
     changes: dict[str, Any] = {}
     defaults: bool = False  # do not keep the settings that the node has
-    at: int = 0  # the cut comes at this frame or later
-    shadow: int = 0
-    probation: int = 30  # frames
-    budget_ms: float = 0.0  # 0: three times the old part's median
+    at: FrameCount = 0  # the cut comes at this frame or later
+    shadow: FrameCount = 0
+    probation: SomeFrames = 30
+    budget_ms: BudgetMs = 0.0  # 0: three times the old part's median
 
 
 class Swap(Affair):

@@ -13,6 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan, sources
+from pipeline.graph.ports import check_ports
 from pipeline.run.affair import Affair, log
 from pipeline.run.child import Child
 from pipeline.run.crew import Crew
@@ -42,6 +43,9 @@ class Topology(Affair):
             wanted = TypeAdapter(Plan).validate_python(order.plan)
         except ValidationError as error:
             raise RunError(f"not a plan: {error.errors()[0]['msg']}") from error
+        same = ("name", "clock", "hosts", "here")
+        if any(getattr(wanted, name) != getattr(crew.plan, name) for name in same):
+            raise RunError(f"{crew.plan.name}: expected the same {', '.join(same)} as it runs with")
         self._before, self._plan = crew.plan, _numbered(crew, wanted)
         old = {n.name: n for n in crew.plan.nodes}
         new = {n.name: n for n in self._plan.nodes}
@@ -79,6 +83,8 @@ class Topology(Affair):
             before, after = self._before.inputs(node.name), self._plan.inputs(node.name)
             for name in before.keys() ^ after.keys():
                 raise RunError(f"{node.name}.inputs.{name}: can only be connected from the start")
+        self._plan.order()
+        check_ports(self._plan, self._plan.is_here)
         if not any(sources(self._plan)):
             raise RunError(f"{self._plan.name}: expected a node that makes frames, got none")
 

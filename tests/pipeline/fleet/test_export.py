@@ -276,7 +276,7 @@ def test_an_authority_is_made_once_and_papers_are_their_holders(tmp_path: Path) 
             "label: sensor\naddress: 10.0.0.1\n",
             r":2: address: 10\.0\.0\.1: a network address needs",
         ),
-        ("label: ../x\n", r"label: expected a label of letters"),
+        ("label: ../x\n", r":1: label: expected up to 32 letters"),
         ("label: a\nopertors: {}\n", r"no such setting, did you mean 'operators'"),
         ("label: a\noperators: {a:B: yes}\n", r"operators"),
         ("label: a\npapers: .\naddress: h\nports: [9, 1]\n", r"ports: expected first and last"),

@@ -76,7 +76,12 @@ def test_a_good_graph_becomes_a_plan(tmp_path: Path) -> None:
         ("clock: realtime", "clock: sometime", 2, "expected realtime or lockstep"),
         ("clock: realtime", "clok: realtime", 2, "did you mean 'clock'"),
         ("schedule: steer", "schedule: {from: steer, keep: every}", 6, "always latest"),
-        ("    operator: tests.toys:Steer", "    operator: 7", 17, "expected module:Class"),
+        (
+            "    operator: tests.toys:Steer",
+            "    operator: 7",
+            17,
+            "expected an import path module:Class",
+        ),
         ("  work:", "  work: [", 10, "not YAML"),
     ],
 )

@@ -1,0 +1,54 @@
+"""What went wrong in code that is not fovea's own, as one line with its file and line."""
+
+import dis
+import importlib
+import sysconfig
+from pathlib import Path
+from traceback import walk_tb
+
+from pipeline import signals
+from pipeline.text import harmless, said_by
+
+LONGEST = 300  # characters of a message
+_ROOM = str(Path(__file__).parent)
+_BETWEEN = (f"{_ROOM}/import_path.py", importlib.__file__)  # they stand in every traceback
+_INSTALLED = tuple(
+    {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+)
+
+
+def cause_of(error: BaseException) -> str:
+    """`file:line: Type: message`, of the innermost line that belongs to the user's own code.
+
+    Without such a line it is the innermost one of an installed library, and without any the
+    message alone. A syntax error names the line that cannot be read.
+    """
+    kind = "it exits" if isinstance(error, SystemExit) else type(error).__name__
+    text = error.msg if isinstance(error, SyntaxError) else said_by(error)
+    said = f"{kind}: {harmless(str(text), LONGEST)}".rstrip(": ")
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno or 1}: {said}"
+    frames = [
+        (frame.f_code.co_filename, line)
+        for frame, line in walk_tb(error.__traceback__)
+        if not frame.f_code.co_filename.startswith("<") and frame.f_code.co_filename not in _BETWEEN
+    ]
+    outside = [(file, line) for file, line in frames if not file.startswith(_INSTALLED)]
+    mine = [f for f in outside if not f[0].startswith(_ROOM)] or outside
+    for file, line in reversed(mine or frames):
+        return f"{file}:{line}: {said}"
+    return said
+
+
+def is_signal(error: BaseException) -> bool:
+    """Whether a signal to this process raised it, not the code that was running."""
+    traceback = error.__traceback__
+    if traceback is None:
+        return False
+    while traceback.tb_next is not None:
+        traceback = traceback.tb_next
+    code = traceback.tb_frame.f_code
+    if code.co_filename == signals.__file__:
+        return True
+    by_statement = code.co_code[traceback.tb_lasti] == dis.opmap["RAISE_VARARGS"]
+    return isinstance(error, KeyboardInterrupt) and not by_statement

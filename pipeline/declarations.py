@@ -1,0 +1,78 @@
+"""Whether a class declares itself as the contract of operators wants it, before it is used.
+
+A class from outside may declare anything: inputs of no message type, settings that cannot be read,
+commands without a method. What is wrong is told here, once and in one sentence, for all who load
+operators.
+"""
+
+from dataclasses import is_dataclass
+from typing import Any, get_args
+
+from pipeline import settings as checked
+from pipeline.cause import cause_of
+from pipeline.commands import commands_of
+from pipeline.contract import Input, Keep, Operator, inputs_of, live_of, outputs_of, settings_of
+from pipeline.errors import FoveaError, GraphError
+from pipeline.graph.limits import EDGE, check_numbers
+from pipeline.messages import Message
+from pipeline.naming import check_name
+from pipeline.once import once
+from pipeline.wording import shown
+
+FLAGS = ("join", "optional", "command", "tap")
+
+
+@once
+def check_declarations(operator: type[Operator[Any, Any]]) -> None:
+    """Raise `GraphError` for a class that declares what no operator can."""
+    where = f"{operator.__module__}:{operator.__qualname__}"
+    try:
+        _check_settings(operator, where)
+        for name, port in inputs_of(operator).items():
+            _check_input(name, port, where)
+        for name, message in outputs_of(operator).items():
+            check_name(name, f"{where}: an output's name")
+            _check_message(message, f"{where}.{name}")
+        for name in ("live", "commands"):
+            _check_names(getattr(operator, name), f"{where}.{name}")
+        live_of(operator)
+        commands_of(operator)
+    except FoveaError as error:
+        raise GraphError(str(error)) from error
+    except Exception as error:
+        raise GraphError(f"{where}: its declarations cannot be read: {cause_of(error)}") from error
+
+
+def _check_settings(operator: type[Operator[Any, Any]], where: str) -> None:
+    settings = settings_of(operator)
+    if not is_dataclass(settings):
+        raise GraphError(f"{where}: expected a dataclass of settings, got {shown(settings)}")
+    try:
+        checked.check_type(settings)
+    except Exception as error:
+        what = f"{where}: its settings {settings.__qualname__} cannot be read"
+        raise GraphError(f"{what}: {cause_of(error)}") from error
+
+
+def _check_input(name: str, port: Input, where: str) -> None:
+    place = f"{where}.{name}"
+    check_name(name, f"{where}: an input's name")
+    _check_message(port.message, place)
+    allowed = {"keep": get_args(Keep), "stale": ("drop", "pass")}
+    allowed |= dict.fromkeys(FLAGS, (True, False))
+    for attribute, values in allowed.items():
+        value = getattr(port, attribute)
+        if not any(value is v or (isinstance(v, str) and value == v) for v in values):
+            expected = " or ".join(map(str, values))
+            raise GraphError(f"{place}.{attribute}: expected {expected}, got {shown(value)}")
+    check_numbers(port, EDGE, place)
+
+
+def _check_message(message: object, place: str) -> None:
+    if not (isinstance(message, type) and issubclass(message, Message)):
+        raise GraphError(f"{place}: expected a type of message, got {shown(message)}")
+
+
+def _check_names(names: object, place: str) -> None:
+    if not isinstance(names, (tuple, list)) or not all(isinstance(n, str) for n in names):
+        raise GraphError(f"{place}: expected a tuple of names, got {shown(names)}")
