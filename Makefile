@@ -1,11 +1,20 @@
 # Two commands do everything on a machine with Python 3.11: `make demo` and `make test`.
+#
+#   make test          what every change has to pass: needs no footage, no GPU, no torch, no network
+#   make test-slow     the tests that take minutes, and a search for inputs that break something
+#   make test-footage  the tests on recordings and third-party weights, which are in SHARED; what is
+#                      not there is skipped
+#   make check         style, types, import rules and the examples in docstrings
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-slow check train clean
+.PHONY: demo test test-slow test-footage check train clean
+
+# where recordings (data/) and third-party weights (models/) are
+SHARED ?= ../shared
 
 # where `make train` works, and what it is told beside the defaults
 RUNS ?= runs
@@ -22,8 +31,12 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-slow: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "slow and not hardware"
-	$(BIN)/python -m pytest -n 2 -m "hypothesis and not (slow or hardware)" --hypothesis-profile search
+	$(BIN)/python -m pytest -m "slow and not (hardware or footage)"
+	$(BIN)/python -m pytest -n 2 -m "hypothesis and not (slow or hardware or footage)" \
+		--hypothesis-profile search
+
+test-footage: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -m "footage and not hardware" -rs --shared "$(SHARED)"
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

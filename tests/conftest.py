@@ -1,5 +1,8 @@
-"""What every test may count on."""
+"""What every test may count on: an empty home, no variables of the user, folders of its own."""
 
+import os
+import re
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -9,9 +12,16 @@ import pytest
 from hypothesis import settings
 
 from pipeline.run.leftovers import cleanup
+from tests.shared_data import Footage
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+# What a shell, a terminal, a proxy or a git hook sets and what would change an outcome.
+OF_THE_USER = re.compile(
+    r"XDG_.*|GIT_.*|ZENOH_.*|RUST_LOG|LANG|LANGUAGE|LC_.*|COLUMNS|LINES|JUPYTER_.*|"
+    r"(NO|FORCE|CLICOLOR_FORCE|CLICOLOR|PY)_?COLORS?|TTY_.*|(?i:(http|https|ftp|all|no)_proxy)|"
+    r"MPLCONFIGDIR|MPLBACKEND|TEMP|TMP"
+)
+LONGEST_FOLDER = 24  # characters: the path of a socket has at most 107, and names follow
 
 # The usual run draws the same examples every time; `make test-slow` goes looking for others.
 settings.register_profile("same", derandomize=True, deadline=None)
@@ -19,29 +29,68 @@ settings.register_profile("search", max_examples=1000, derandomize=False, deadli
 settings.load_profile("same")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Where footage and third-party weights are."""
+    parser.addoption(
+        "--shared", type=Path, default=ROOT.parent / "shared", metavar="PATH",
+        help="folder of recordings and weights for tests marked `footage` (default: %(default)s)",
+    )  # fmt: skip
+
+
+def pytest_configure() -> None:
+    """Drop what this user has set, for this process and those it starts."""
+    for name in filter(OF_THE_USER.fullmatch, list(os.environ)):
+        del os.environ[name]
+    os.environ["LC_ALL"] = "C.UTF-8"
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    os.environ["PYTHONPATH"] = os.pathsep.join(paths)
+    sys.path.insert(0, str(ROOT))
+
+
 @pytest.fixture(scope="session", autouse=True)
-def own_runs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Each test process has its own place for graphs, away from those that this user runs."""
+def own_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Each test process has an empty home, and its own place for graphs with a short path."""
+    tmp_path_factory.getbasetemp()  # where the user wants it, before that changes
+    short = Path(tempfile.mkdtemp(prefix="fovea-", dir=_parent()))
+    (short / "home").mkdir()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TMPDIR", str(tmp_path_factory.getbasetemp()))
+        patch.setenv("HOME", str(short / "home"))
+        patch.setenv("TMPDIR", str(short))
         patch.setattr(tempfile, "tempdir", None)
         yield
         cleanup()
+    shutil.rmtree(short, ignore_errors=True)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_of_torch() -> None:
+    """Its threads wait by spinning: where cores are short, a step of 0.2 s takes half a minute."""
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(1)
 
 
 @pytest.fixture
-def shared() -> Path:
-    """Real footage beside the checkout; the test is skipped where there is none."""
-    folder = ROOT.parent / "shared"
-    if not folder.is_dir():
-        pytest.skip("no real footage beside this checkout")
-    return folder
+def short_path() -> Iterator[Path]:
+    """As `tmp_path`, with a path short enough for sockets in it."""
+    folder = Path(tempfile.mkdtemp(prefix="t"))
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 @pytest.fixture
-def snmot(shared: Path) -> Path:
-    """The SoccerNet sequence."""
-    folder = shared / "data" / "soccernet" / "SNMOT-116a"
+def footage(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Footage:
+    """Recordings and weights, only for tests marked `footage`; they skip where there are none."""
+    if request.node.get_closest_marker("footage") is None:
+        pytest.fail(f"{request.node.name}: expected the mark `footage` on it, got none")
+    folder: Path = request.config.getoption("--shared")
     if not folder.is_dir():
-        pytest.skip("no SoccerNet sequence beside this checkout")
-    return folder
+        pytest.skip(f"no footage: {folder} is not a folder; --shared PATH says where it is")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))  # weights pulled there are for nobody else
+    return Footage(folder)
+
+
+def _parent() -> str:
+    usual = tempfile.gettempdir()
+    return usual if len(usual) <= LONGEST_FOLDER else "/tmp"

@@ -1,6 +1,8 @@
 """Small graphs of the toys, and how a test runs one and waits for what shall happen in it."""
 
+import os
 import secrets
+import signal
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -9,12 +11,14 @@ from typing import Any
 
 import psutil
 
+from pipeline.bus.ledger import EdgeAccount
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
 from pipeline.run.report import Report, compose
 from pipeline.run.supervisor import Supervisor
 
+# Edges that must not lose a picture hold 60: at 20 Hz a machine may stand still for 3 s.
 LOOP = """\
 nodes:
   ticker:
@@ -35,7 +39,7 @@ CHAIN = """\
 nodes:
   ticker:
     operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 120}
+    settings: {rate_hz: 20, side_px: 120}
   count:
     operator: tests.toys:Count
     inputs: {frame: {from: ticker.roi, depth: 60}}
@@ -47,7 +51,7 @@ LOSSLESS = """\
 nodes:
   ticker:
     operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 120}
+    settings: {rate_hz: 20, side_px: 120}
   work:
     operator: tests.toys:PassEvery
     inputs: {frame: {from: ticker.context, depth: 60}}
@@ -68,6 +72,9 @@ while True:
 """
 
 
+PATIENCE_S = 60.0  # only for what would otherwise hang
+
+
 def plan_of(tmp_path: Path, text: str, **overlay: Any) -> Plan:
     path = tmp_path / "graph.yaml"
     path.write_text(f"name: test-{secrets.token_hex(3)}\n{text}")
@@ -79,9 +86,7 @@ def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = No
         supervisor.start()
         if during:
             during(supervisor)
-        deadline = time.monotonic() + 60
-        while not supervisor.finished and time.monotonic() < deadline:
-            supervisor.tick()
+        wait_for(supervisor, lambda: supervisor.finished, 2 * PATIENCE_S)
         supervisor.finish()
         supervisor.stop()
         report = compose(
@@ -104,18 +109,35 @@ def assert_accounts_add_up(report: Report) -> None:
         assert e["in_flight"] == 0, e
 
 
-def wait_for(supervisor: Supervisor, condition: Callable[[], bool], timeout_s: float = 15) -> None:
+def wait_for(
+    supervisor: Supervisor, condition: Callable[[], object], timeout_s: float = PATIENCE_S
+) -> None:
+    """Look after the graph until the condition holds."""
     deadline = time.monotonic() + timeout_s
     while not condition():
-        assert time.monotonic() < deadline, "timed out"
+        assert time.monotonic() < deadline, f"timed out; the run says: {supervisor.failure!r}"
         supervisor.tick()
+
+
+def wait_for_progress(supervisor: Supervisor, node: str, frames: int = 5) -> None:
+    """Until a node has handled so many frames more."""
+    before = handled(supervisor, node)
+    wait_for(supervisor, lambda: handled(supervisor, node) > before + frames)
+
+
+def send_signal(supervisor: Supervisor, node: str, number: signal.Signals) -> int:
+    """Send a signal to the process of a node that runs; its process id."""
+    pid = supervisor.pid(supervisor.plan.node(node).process)
+    assert pid > 0, f"{node}: expected a process, got none"  # 0 would be the tests themselves
+    os.kill(pid, number)
+    return pid
 
 
 def beside(supervisor: Supervisor, act: Callable[[], Any]) -> Any:
     """Have something done by another thread while the graph is looked after."""
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(act)
-        wait_for(supervisor, done.done, 60)
+        wait_for(supervisor, done.done)
     return done.result()
 
 
@@ -123,7 +145,13 @@ def handled(supervisor: Supervisor, node: str) -> int:
     return supervisor.ledger.nodes[supervisor.plan.node(node).index].handled
 
 
-def until(holds: Callable[[], object], patience_s: float = 60.0) -> None:
+def account_of(supervisor: Supervisor, end: str) -> EdgeAccount:
+    """The account of the edge that ends there, as `node.input`."""
+    index = next(e.index for e in supervisor.plan.edges if e.end == end)
+    return supervisor.ledger.edges[index]
+
+
+def until(holds: Callable[[], object], patience_s: float = PATIENCE_S) -> None:
     end = time.monotonic() + patience_s
     while not holds():
         assert time.monotonic() < end, "it did not come true"

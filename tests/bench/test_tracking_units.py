@@ -92,21 +92,21 @@ def row(strategy: str = "spatial", budget: str = "1/4", **more: Any) -> Case:
 
 
 @pytest.fixture
-def footage(tmp_path: Path) -> Path:
+def recorded(tmp_path: Path) -> Path:
     """A ball of 8 pixels that moves by one a frame."""
     gt = "\n".join(f"{frame},1,{10 + frame},10,8,8,1,-1,-1,-1" for frame in range(1, 17))
     game = "[Sequence]\nnum_tracklets=1\ntrackletID_1= ball;1\n"
     return write_sequence(tmp_path / "clip", gt=gt, gameinfo=game, frames=16)
 
 
-def follow(footage: Path, work: Path, *rows: Case) -> list[Unit]:
+def follow(recorded: Path, work: Path, *rows: Case) -> list[Unit]:
     protocol = Protocol(graph=str(GRAPH), frames=(1, 16), kinds=("ball",))
-    return measured([ClipName(folder=str(footage))], rows or (row(),), protocol, work, jobs=1)
+    return measured([ClipName(folder=str(recorded))], rows or (row(),), protocol, work, jobs=1)
 
 
-def test_an_interrupted_unit_goes_on_within_a_clip(footage: Path, tmp_path: Path) -> None:
+def test_an_interrupted_unit_goes_on_within_a_clip(recorded: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
-    (whole,) = follow(footage, work)
+    (whole,) = follow(recorded, work)
     (file,) = work.iterdir()
     first, *others = whole["episodes"]
     assert others
@@ -116,7 +116,7 @@ def test_an_interrupted_unit_goes_on_within_a_clip(footage: Path, tmp_path: Path
     )
     file.unlink()
 
-    (again,) = follow(footage, work)
+    (again,) = follow(recorded, work)
 
     assert again["episodes"] == [marked, *others]
     assert [path.name for path in work.iterdir()] == [file.name]
@@ -134,26 +134,26 @@ def test_what_a_crash_left_of_a_unit_is_forgotten(tmp_path: Path, left: str) -> 
     assert units(whole) == []
 
 
-def test_damaged_files_are_measured_again(footage: Path, tmp_path: Path) -> None:
-    whole = follow(footage, tmp_path / "work")
+def test_damaged_files_are_measured_again(recorded: Path, tmp_path: Path) -> None:
+    whole = follow(recorded, tmp_path / "work")
     (file,) = (tmp_path / "work").iterdir()
     written = file.read_text()
     file.write_text(written[:40])
     file.with_suffix(".part").write_text("")
 
-    again = follow(footage, tmp_path / "work")
+    again = follow(recorded, tmp_path / "work")
 
     assert again == whole
     assert [path.read_text() for path in (tmp_path / "work").iterdir()] == [written]
 
 
 def test_the_bar_counts_what_was_finished_before(
-    footage: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    follow(footage, tmp_path / "work")
+    follow(recorded, tmp_path / "work")
     capsys.readouterr()
 
-    follow(footage, tmp_path / "work")
+    follow(recorded, tmp_path / "work")
 
     last = capsys.readouterr().err.split("\r")[-1]
     assert "1/1" in last
@@ -161,9 +161,9 @@ def test_the_bar_counts_what_was_finished_before(
 
 
 def test_what_the_parts_complain_of_is_kept_and_counted(
-    footage: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    follow(footage, tmp_path, row("foveated", "1/8"))
+    follow(recorded, tmp_path, row("foveated", "1/8"))
 
     told = (tmp_path / "warnings.log").read_text().splitlines()
     assert told
@@ -185,27 +185,27 @@ def test_what_another_detector_saw_is_not_taken_for_what_this_one_sees() -> None
 
 
 def test_a_clip_is_known_by_its_truth_and_pictures_wherever_it_lies(
-    footage: Path, tmp_path: Path
+    recorded: Path, tmp_path: Path
 ) -> None:
     def known(folder: Path) -> str:
         return clip_key(ClipName(folder=str(folder)), (1, 15))
 
     copy = tmp_path / "elsewhere" / "clip"
-    shutil.copytree(footage, copy, copy_function=shutil.copyfile)
-    before, picture = known(footage), footage / "img1" / "000002.jpg"
+    shutil.copytree(recorded, copy, copy_function=shutil.copyfile)
+    before, picture = known(recorded), recorded / "img1" / "000002.jpg"
     assert known(copy) == before
-    (footage / "img1" / "000016.jpg").write_bytes(b"not looked at")
-    assert known(footage) == before
+    (recorded / "img1" / "000016.jpg").write_bytes(b"not looked at")
+    assert known(recorded) == before
 
     turned = bytearray(picture.read_bytes())
     turned[-9] ^= 1
     picture.write_bytes(turned)
     (copy / "gt" / "gt.txt").write_text("1,1,10,10,8,8,1,-1,-1,-1\n")
 
-    assert len({before, known(footage), known(copy)}) == 3
+    assert len({before, known(recorded), known(copy)}) == 3
     picture.unlink()
     with pytest.raises(DriverError, match=r"000002\.jpg: cannot be read"):
-        known(footage)
+        known(recorded)
 
 
 def test_a_clip_is_cut_where_processes_would_have_nothing_to_do() -> None:

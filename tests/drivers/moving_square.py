@@ -31,12 +31,14 @@ class MovingSquare:
         self._field = np.random.default_rng(seed).integers(0, 200, (height, width, 3), np.uint8)
         self._buffer = np.empty_like(self._field)
         self.threads: set[int] = set()
+        self.made: list[int] = []
         MovingSquare.open_sources += 1
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         if self.length is not None and not 0 <= index < self.length:
             raise IndexError(f"no frame {index}")
         self.threads.add(threading.get_ident())
+        self.made.append(index)
         time.sleep(self._slow_s)
         np.copyto(self._buffer, self._field)
         left, top, right, bottom = (int(v) for v in self.box(index))

@@ -12,7 +12,7 @@ from drivers.sequence import read_rows
 from drivers.soccernet import SoccerNetSequence, parse_role
 from pipeline.errors import DriverError
 from tests.drivers.sequences import write_sequence
-from tests.shared_data import shared
+from tests.shared_data import Footage
 
 GAME = """[Sequence]
 name=made-up
@@ -194,8 +194,9 @@ def test_a_truncated_picture_is_an_error_not_grey(tmp_path: Path) -> None:
         sequence.picture(1)
 
 
-def test_the_real_sequence_reads() -> None:
-    sequence = SoccerNetSequence(path=str(shared("soccernet/SNMOT-116a")))
+@pytest.mark.footage
+def test_the_real_sequence_reads(footage: Footage) -> None:
+    sequence = SoccerNetSequence(path=str(footage.data("soccernet/SNMOT-116a")))
 
     truth = sequence.truth(0)
     assert (sequence.size_px, sequence.rate_hz, sequence.length) == ((1920, 1080), 25.0, 375)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from drivers.video import VideoFile
 from pipeline.errors import DriverError
-from tests.shared_data import shared
+from tests.shared_data import Footage
 
 FRAMES = 90
 SIZE_PX = (192, 64)
@@ -67,8 +67,9 @@ def test_what_is_no_video_is_named(tmp_path: Path) -> None:
         VideoFile(path=str(tmp_path / "b.mp4"))
 
 
-def test_a_real_film_reads_to_its_end() -> None:
-    video = VideoFile(path=str(shared("street/street_720p.mp4")))
+@pytest.mark.footage
+def test_a_real_film_reads_to_its_end(footage: Footage) -> None:
+    video = VideoFile(path=str(footage.data("street/street_720p.mp4")))
 
     assert video.length is not None
     assert video.length >= 150

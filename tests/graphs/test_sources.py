@@ -14,7 +14,7 @@ from pipeline.graph.overlay import Overlay
 from pipeline.settings import build
 from tests.drivers.sequences import write_pictures, write_sequence
 from tests.drivers.test_soccernet import GAME, GT
-from tests.shared_data import shared
+from tests.shared_data import Footage
 
 SOURCES = Path(__file__).resolve().parents[2] / "graphs" / "sources"
 RECORDINGS = ("soccernet", "mot", "video", "images")
@@ -94,8 +94,9 @@ def test_the_soccer_scene_lays_over_and_takes_a_seed(tmp_path: Path) -> None:
     assert first_frame(settings) == (1920, 1080, 480, 270)
 
 
-def test_the_real_sequence_plays(tmp_path: Path) -> None:
-    folder = shared("soccernet/SNMOT-116a")
+@pytest.mark.footage
+def test_the_real_sequence_plays(tmp_path: Path, footage: Footage) -> None:
+    folder = footage.data("soccernet/SNMOT-116a")
 
     settings = capture_of(graph(tmp_path), "soccernet", f"capture.path={folder}")
 

@@ -19,6 +19,7 @@ from pipeline.graph.overlay import Overlay
 from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
+from tests.shared_data import Footage
 from tests.toy_graphs import handled, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -115,7 +116,10 @@ def test_a_model_file_is_swapped_as_any_setting_and_a_missing_one_is_refused(
     assert "no such weights" in answers[1]["refused"]
 
 
-def test_the_graph_runs_on_real_footage_in_real_time(tmp_path: Path, snmot: Path) -> None:
+@pytest.mark.footage
+def test_the_graph_runs_on_real_footage_in_real_time(tmp_path: Path, footage: Footage) -> None:
+    snmot = footage.data("soccernet/SNMOT-116a")
+
     report = run(
         tmp_path, "--source", "graphs/sources/soccernet.yaml", "--set", f"capture.path={snmot}",
         "--frames", "40",

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from pipeline.errors import WeightsError
 from pipeline.weights import Entry, entries, find, pull, pull_hint, require, weights_commands
+from tests.shared_data import Footage
 
 NETWORK = bytes(range(256)) * 700  # more than one chunk
 
@@ -218,12 +219,9 @@ def test_the_shipped_manifest_can_be_read_and_its_files_are_told_apart() -> None
     assert len({entry.file for entry in named.values()}) == len(named)
 
 
-def test_the_shipped_manifest_names_what_the_mirror_holds(tmp_path: Path) -> None:
-    mirror = Path(__file__).resolve().parents[3] / "shared" / "models"
-    if not mirror.is_dir():
-        pytest.skip("no shared/models beside the repository")
-
-    paths = pull(entries(), mirror, tmp_path)
+@pytest.mark.footage
+def test_the_shipped_manifest_names_what_the_mirror_holds(tmp_path: Path, footage: Footage) -> None:
+    paths = pull(entries(), footage.mirror(), tmp_path)
 
     assert [path.name for path in paths] == [entry.file for entry in entries().values()]
 

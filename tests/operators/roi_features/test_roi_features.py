@@ -16,10 +16,9 @@ from operators.roi_features.crops import FILL, cut, shrunk, to_squares
 from pipeline import Frame, MessageError, RoiFeatures, SettingsError, Tracks, WeightsError
 from pipeline.testing import drive, header, picture
 from tests.operators.networks import mean_encoder, verifying_encoder
+from tests.shared_data import Footage
 
 WINDOW = (480, 270, 960, 540)
-SHARED = Path(__file__).parents[4] / "shared"
-TRUNCATED = SHARED / "models/nanotrack/nanotrackv3_nanotrack_backbone_dyn.onnx"
 
 
 def roi_with(*patches: tuple[int, int, int, int, int]) -> Frame:
@@ -206,13 +205,13 @@ def test_a_wrong_setting_is_named(settings: dict[str, object], complaint: str) -
         encoded("unread.onnx", roi_with(), tracks_at(), **settings)
 
 
-@pytest.mark.skipif(not TRUNCATED.exists(), reason="needs ../shared")
-def test_an_encoder_of_one_crop_at_a_time_tells_objects_apart() -> None:
+@pytest.mark.footage
+def test_an_encoder_of_one_crop_at_a_time_tells_objects_apart(footage: Footage) -> None:
     roi = roi_with((20, 20, 120, 120, 200), (220, 120, 320, 220, 200))
     cv2.circle(roi.pixels, (270, 170), 20, (0, 255, 255), -1)
 
     answer = encoded(
-        str(TRUNCATED),
+        str(footage.weights("nanotrack_v3_backbone")),
         roi,
         tracks_at((500, 290, 600, 390), (700, 390, 800, 490), (500, 290, 600, 390)),
         crop_px=127,

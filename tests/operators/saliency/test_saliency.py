@@ -11,10 +11,7 @@ from operators.saliency import Saliency
 from pipeline import Detections, Frame, MessageError, SettingsError, WeightsError
 from pipeline.testing import drive, header, picture
 from tests.operators.networks import constant_network
-
-SHARED = Path(__file__).parents[4] / "shared"
-YOLOX = SHARED / "models/yolox/yolox_nano_416.onnx"
-CLIP = SHARED / "data/soccernet/SNMOT-116a/img1"
+from tests.shared_data import Footage
 
 
 def yolo_output(*rows: tuple[float, ...], anchors: int = 64) -> NDArray[np.float32]:
@@ -180,13 +177,14 @@ def test_a_wrong_setting_is_named(
         seen(weights, **settings)
 
 
-@pytest.mark.skipif(not (YOLOX.exists() and CLIP.exists()), reason="needs ../shared")
-def test_yolox_nano_finds_players_in_real_footage() -> None:
-    full = cv2.imread(str(CLIP / "000100.jpg"), cv2.IMREAD_COLOR_RGB)
+@pytest.mark.footage
+def test_yolox_nano_finds_players_in_real_footage(footage: Footage) -> None:
+    clip = footage.data("soccernet/SNMOT-116a/img1")
+    full = cv2.imread(str(clip / "000100.jpg"), cv2.IMREAD_COLOR_RGB)
     small = cv2.resize(full, (480, 270), interpolation=cv2.INTER_AREA)
     frame = Frame(header=header(), pixels=np.asarray(small), window=(0, 0, 1920, 1080))
 
-    found = seen(str(YOLOX), frame, names={"0": "player", "32": "ball"})
+    found = seen(str(footage.weights("yolox_nano")), frame, names={"0": "player", "32": "ball"})
 
     assert len(found.scores) >= 8
     assert set(found.labels.tolist()) == {0}

@@ -11,7 +11,7 @@ from pipeline import Frame
 from pipeline.boxes import iou
 from pipeline.testing import drive, header
 from tests.operators.tracker.made_up import World
-from tests.shared_data import shared
+from tests.shared_data import Footage
 
 NOTHING = Frame(header=header(), pixels=np.zeros((0, 0, 3), np.uint8))
 
@@ -41,9 +41,10 @@ def opencv(weights: str) -> cv2.TrackerVit:
     return cv2.TrackerVit_create(parameters)
 
 
-def test_boxes_and_scores_agree_with_opencvs():
-    weights = shared("../models/vittrack/vitTracker.onnx")
-    folder = shared("soccernet/SNMOT-116a/img1")
+@pytest.mark.footage
+def test_boxes_and_scores_agree_with_opencvs(footage: Footage):
+    weights = footage.weights("vittrack")
+    folder = footage.data("soccernet/SNMOT-116a/img1")
     left, top, width, height = 136, 520, 51, 135  # a player in the first frame
     theirs, ours = opencv(str(weights)), VitTrack(weights, threads=1)
     box = np.array([left, top, left + width, top + height], np.float32)
@@ -67,8 +68,9 @@ def test_boxes_and_scores_agree_with_opencvs():
     assert np.mean(scores) < 0.05
 
 
-def test_the_operator_follows_with_the_network():
-    weights = shared("../models/vittrack/vitTracker.onnx")
+@pytest.mark.footage
+def test_the_operator_follows_with_the_network(footage: Footage):
+    weights = footage.weights("vittrack")
     world = World(seed=11)
     values = {
         "method": "vittrack",

@@ -9,12 +9,12 @@ from pipeline.bus.doors import Doors, Links
 
 
 @pytest.fixture
-def address(tmp_path: Path) -> Path:
-    return tmp_path / "node.door"
+def address(short_path: Path) -> Path:
+    return short_path / "node.door"
 
 
 def drained(doors: Doors, got: list[bytes], count: int) -> list[bytes]:
-    deadline = time.monotonic() + 5
+    deadline = time.monotonic() + 60
     while len(got) < count and time.monotonic() < deadline:
         doors.wait(0.05)
     return got
@@ -41,16 +41,14 @@ def test_a_writer_never_waits_for_a_reader_that_stands_still(address: Path) -> N
     doors.expect(1, got.append)
     links = Links([(1, address)])
     links.connect()
-    began = time.monotonic()
 
     full = [links.send(b"x" * 1000) for _ in range(5000)]
 
     assert full[0] == []
     assert full[-1] == [(1, address)]
-    assert time.monotonic() - began < 2
-    doors.wait(0.1)
-    doors.wait(0.1)
-    assert 50 < len(got) < 5000
+    arrived = sum(lost == [] for lost in full)
+    assert 50 < arrived < 5000
+    assert len(drained(doors, got, arrived)) == arrived
     links.close()
     doors.close()
 
@@ -81,11 +79,14 @@ def test_a_link_that_names_no_edge_is_closed(address: Path) -> None:
     stranger = Links([(99, address)])
     stranger.connect()
     stranger.send(b"let me in")
+    known = Links([(1, address)])
+    known.connect()
+    known.send(b"as agreed")
 
-    for _ in range(5):
-        doors.wait(0.02)
-
-    assert got == []
+    assert drained(doors, got, 1) == [b"as agreed"]
+    stranger.send(b"let me in")
+    assert stranger.connect()  # its first link was closed
+    known.close()
     stranger.close()
     doors.close()
 
@@ -95,8 +96,8 @@ def test_any_thread_may_wake_the_waiting_one(address: Path) -> None:
     doors.wake()
     began = time.monotonic()
 
-    doors.wait(5)
+    doors.wait(120)
 
-    assert time.monotonic() - began < 1
+    assert time.monotonic() - began < 60
     doors.close()
     assert not address.exists()

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -241,7 +240,6 @@ def test_a_killed_reader_gives_its_slot_back_at_once(memory: MemoryFolder) -> No
 
 def test_ten_thousand_frames_leave_no_lock_and_no_memory_behind(memory: MemoryFolder) -> None:
     pool, reader = writer(memory, 3), PoolReader(memory, STEM)
-    started = time.monotonic()
 
     for i in range(10_000):
         view = reader.take(fill(pool, i % 251, i))
@@ -250,5 +248,4 @@ def test_ten_thousand_frames_leave_no_lock_and_no_memory_behind(memory: MemoryFo
         del view
 
     assert reader.pinned == 0
-    assert time.monotonic() - started < 20
     assert multiprocessing.active_children() == []

@@ -129,8 +129,9 @@ def test_the_pools_of_a_graph_are_as_big_as_foreseen(tmp_path: Path) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
         folder = memory_of(running()[plan.name])
         sizes.append(sum(path.stat().st_size for path in folder.path.iterdir()))
+        supervisor.finish()
 
-    go(plan, 30, measure)
+    go(plan, 0, measure)
 
     assert sizes == [foreseen]
     assert pools(foreseen, 3 * foreseen).verdict == "ok"
@@ -196,15 +197,16 @@ def test_a_graph_whose_folder_is_elsewhere_is_no_remains(
 ) -> None:
     plan, told = plan_of(tmp_path, LOOP), []
 
-    def during(_supervisor: Supervisor) -> None:
+    def during(supervisor: Supervisor) -> None:
         facts = running()[plan.name]
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("other")))
             assert plan.name not in running()
             words = "\n".join(f.why for f in remains())
             told.extend([facts, words, [p.pid for p in orphaned()]])
+        supervisor.finish()
 
-    go(plan, 20, during)
+    go(plan, 0, during)
 
     facts, words, orphans = told
     assert not set(facts["pids"].values()) & set(orphans)

@@ -12,6 +12,7 @@ from pipeline.errors import SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.commands import secure_commands
 from pipeline.fleet.names import node_holder
+from pipeline.naming import LONGEST_NAME
 from tests.pipeline.fleet.boxes import TRIO, plan_of
 
 
@@ -70,7 +71,8 @@ def test_a_name_that_no_certificate_can_bear_is_told_before_anything_is_made(
     tmp_path: Path,
 ) -> None:
     graph, folder = tmp_path / "graph.yaml", tmp_path / "ca"
-    graph.write_text(TRIO.replace("name: trio", f"name: {'a' * 32}").replace("steer", "s" * 32))
+    text = TRIO.replace("name: trio", f"name: {'a' * LONGEST_NAME}")
+    graph.write_text(text.replace("capture", "c" * LONGEST_NAME))
     boxes = [f"--box={label}=h" for label in ("sensor", "compute", "viewer")]
 
     with pytest.raises(SettingsError, match=r"expected a name of up to 64 characters, .* got 70"):

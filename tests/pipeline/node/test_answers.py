@@ -1,8 +1,6 @@
 """Every node answers four questions, one by one or all by a wildcard; one that hangs says so."""
 
-import os
 import signal
-import time
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +13,11 @@ from pipeline import Frame, Operator, RunError, SettingsError
 from pipeline.codec import fingerprint
 from pipeline.commands import carry_out, commands_of, obey, read_outcome, write_order
 from pipeline.console.asking import ask_node, fleet_health, tell
+from pipeline.node.health import Health
 from pipeline.node.interface import SCHEMA, interface, read_interface
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import header
-from tests.toy_graphs import LOOP, go, handled, plan_of, wait_for
+from tests.toy_graphs import LOOP, go, handled, plan_of, send_signal, until, wait_for
 from tests.toys import Pass, WorkSettings
 
 
@@ -115,8 +114,9 @@ def test_a_running_graph_answers_every_question(tmp_path: Path) -> None:
             assert 0 < health.own_mb < 500
         assert held == [held[0], held[0] + 1]
         assert list(shown.inputs) == ["left", "right"]
+        supervisor.finish()
 
-    assert go(plan, 100, during)["failure"] == ""
+    assert go(plan, 0, during)["failure"] == ""
 
 
 def test_who_hangs_says_so_and_who_is_frozen_is_silent(tmp_path: Path) -> None:
@@ -127,11 +127,14 @@ def test_who_hangs_says_so_and_who_is_frozen_is_silent(tmp_path: Path) -> None:
     with Supervisor(plan) as supervisor:
         supervisor.start()
         wait_for(supervisor, lambda: supervisor.ledger.nodes[1].last_seq >= 5)
-        os.kill(supervisor.pid("steer"), signal.SIGSTOP)
-        time.sleep(1.1)  # and the supervisor does not look after them
+        send_signal(supervisor, "steer", signal.SIGSTOP)
+        fleet: dict[str, Health | None] = {}
 
-        fleet = fleet_health(plan.name)
+        def complains() -> bool:  # and the supervisor does not look after them
+            fleet.update(fleet_health(plan.name))
+            return bool(fleet["work"] and fleet["work"].complaint)
 
+        until(complains)
         assert fleet["work"] is not None
         assert "work has worked on frame" in fleet["work"].complaint
         assert fleet["steer"] is None

@@ -65,8 +65,8 @@ class Scene:
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> Iterator[Scene]:
-    made = Scene(tmp_path)
+def scene(short_path: Path) -> Iterator[Scene]:
+    made = Scene(short_path)
     yield made
     made.close()
 
@@ -75,7 +75,7 @@ def test_threads_that_deliver_leave_no_file_open(scene: Scene) -> None:
     def deliver(seq: int) -> None:
         head = header(seq)
         scene.out.send(Frame(header=head, pixels=np.zeros((2, 2, 3), np.uint8)), head)
-        thread = threading.Thread(target=scene.doors.wait, args=(1.0,))
+        thread = threading.Thread(target=scene.doors.wait, args=(60.0,))
         thread.start()
         thread.join()
         scene.host.step()

@@ -1,6 +1,5 @@
 """Settings change while a graph runs, between two frames, or the reason why not is told."""
 
-import os
 import signal
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from pipeline.contract import live_of
 from pipeline.node.live import Live, kept, read_answer, write_question
 from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import LOOP, go, handled, plan_of, wait_for
+from tests.toy_graphs import LOOP, go, handled, plan_of, send_signal, wait_for
 from tests.toys import Pass, WorkSettings
 
 
@@ -141,7 +140,7 @@ def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_tol
         assert ask(plan.name, "ticker", {"rate_hz": 90}).settings["rate_hz"] == 90
         refused = ask(plan.name, "work", {"every": 0})
         assert "must be at least 1" in refused.refused
-        os.kill(supervisor.pid("work"), signal.SIGKILL)
+        send_signal(supervisor, "work", signal.SIGKILL)
         wait_for(supervisor, lambda: supervisor.restarts.get("work") == 1)
         index = plan.node("work").index
         wait_for(supervisor, lambda: supervisor.ledger.nodes[index].condition == "waiting")
@@ -150,8 +149,9 @@ def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_tol
 
         assert answer.settings["every"] == 2
         assert answer.live == ("every", "hold")
+        supervisor.finish()
 
-    report = go(plan, 150, during)
+    report = go(plan, 0, during)
 
     assert report["restarts"] == {"work": 1}
     assert report["failure"] == ""
@@ -164,9 +164,10 @@ def test_the_next_run_begins_with_what_its_graph_says(tmp_path: Path) -> None:
     def change(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 1)
         seen.append(ask(plan.name, "work", {"every": 7} if not seen else {}).settings["every"])
+        supervisor.finish()
 
     for _ in range(2):
-        go(plan, 30, change)
+        go(plan, 0, change)
 
     assert seen == [7, 1]
 

@@ -24,7 +24,7 @@ def _permitted() -> bool:
 
 
 def with_small_mounts(
-    sizes: Mapping[Path | str, str], *words: str, timeout_s: float = 60, **environment: str
+    sizes: Mapping[Path | str, str], *words: str, timeout_s: float = 180, **environment: str
 ) -> "subprocess.CompletedProcess[str]":
     """Run Python with `words`, a tmpfs of so many bytes on each folder; skips where forbidden."""
     if not _permitted():

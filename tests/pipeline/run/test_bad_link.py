@@ -28,12 +28,11 @@ class Far:
         self.sent = 0
         until(lambda: self.sender.matching())
 
-    def send(self, body: bytes = b"") -> float:
-        """Send the next message; how long that took, seconds."""
-        began = time.monotonic()
+    def send(self, body: bytes = b"") -> int:
+        """Send the next message; how many that makes."""
         self.sender.send(self.sent.to_bytes(4, "little") + body)
         self.sent += 1
-        return time.monotonic() - began
+        return self.sent
 
     def close(self) -> None:
         self.link.stalled.clear()
@@ -46,8 +45,8 @@ class Far:
 
 
 @pytest.fixture
-def far(tmp_path: Path) -> Iterator[Far]:
-    made = Far(tmp_path)
+def far(short_path: Path) -> Iterator[Far]:
+    made = Far(short_path)
     yield made
     made.close()
 
@@ -71,12 +70,13 @@ def test_a_stalled_link_never_makes_the_writer_wait_and_brings_no_old_news(far: 
     until(lambda: len(far.heard) == 1)
     far.link.stalled.set()
 
-    took_s = [far.send(PICTURE) for _ in range(150)]
+    for _ in range(150):
+        far.send(PICTURE)
+    assert far.link.links == 1  # a writer that waits does so until the link is given up
     far.link.stalled.clear()
     until(lambda: far.send() > 0 and far.heard[-1][0] > 150)
 
     pictures = [number for number, _ in far.heard if 1 <= number <= 150]
-    assert sum(took_s) < 9  # who waited for the link would wait until it is given up, 10 s
     assert len(pictures) < 100  # what did not fit into the queues of the link was dropped
 
 
@@ -97,8 +97,8 @@ def test_a_link_that_breaks_comes_back_by_itself(far: Far) -> None:
     assert far.link.links >= 2
 
 
-def test_who_is_near_hears_everything_while_another_link_stalls(far: Far, tmp_path: Path) -> None:
-    near = Session(tmp_path / "here", "near")
+def test_who_is_near_hears_everything_while_another_link_stalls(far: Far, short_path: Path) -> None:
+    near = Session(short_path / "here", "near")
     heard: list[int] = []
     near.listen(
         "fovea/far/frame", lambda payload: heard.append(int.from_bytes(payload[:4], "little"))

@@ -14,23 +14,28 @@ from tests.toy_graphs import LOOP
 
 ROOT = Path(__file__).resolve().parents[3]
 ASKED_FOR_FILES = {  # a file's age is by that clock, and so is a certificate's
-    "installation.py", "rundir.py", "secure.py", "spare.py",
+    "leftovers.py", "secure.py", "spare.py",
 }  # fmt: skip
 UNDER_JUMPS = """
-import os, signal, sys, time
+import signal, sys, time
 from pathlib import Path
 from pipeline.console.asking import fleet_health
 from pipeline.graph.loader import load
-from tests.toy_graphs import assert_accounts_add_up, go, handled, wait_for
+from tests.toy_graphs import (
+    assert_accounts_add_up, go, handled, send_signal, wait_for, wait_for_progress,
+)
+
+HOUR_MS = 3_600_000  # every jump is longer
 
 def during(supervisor):
     wait_for(supervisor, lambda: handled(supervisor, "steer") > 10)
-    seen = {time.time() // 43200 for _ in range(60) if not time.sleep(0.01)}
-    print("jumps:", len(seen) > 1)
-    os.kill(supervisor.pid("work"), signal.SIGKILL)
+    seen = {time.time() // 43200}
+    while len(seen) == 1:  # it jumps four times a second
+        seen.add(time.time() // 43200)
+    print("jumps")
+    send_signal(supervisor, "work", signal.SIGKILL)
     wait_for(supervisor, lambda: supervisor.restarts == {"work": 1} and supervisor.pid("work"))
-    after = handled(supervisor, "work")
-    wait_for(supervisor, lambda: handled(supervisor, "work") > after)
+    wait_for_progress(supervisor, "work")
     print("well:", all(h and not h.complaint for h in fleet_health(plan.name).values()))
     supervisor.finish()
 
@@ -39,8 +44,8 @@ report = go(plan, 0, during)
 assert_accounts_add_up(report)
 assert report["restarts"] == {"work": 1}, report["restarts"]
 assert report["failure"] == "", report["failure"]
-assert report["loop"]["latency_ms"]["p99"] < 5000, report["loop"]
-assert report["edges"][0]["age_ms"]["p99"] < 5000, report["edges"][0]
+assert report["loop"]["latency_ms"]["p99"] < HOUR_MS, report["loop"]
+assert report["edges"][0]["age_ms"]["p99"] < HOUR_MS, report["edges"][0]
 print("done")
 """
 
@@ -62,10 +67,10 @@ def test_a_graph_does_not_notice_that_the_wall_clock_jumps(jumping: Path, tmp_pa
 
     done = subprocess.run(
         [sys.executable, "-c", UNDER_JUMPS, str(path)], capture_output=True, text=True,
-        timeout=60, check=False, cwd=ROOT, env={**os.environ, "LD_PRELOAD": str(jumping)},
+        timeout=180, check=False, cwd=ROOT, env={**os.environ, "LD_PRELOAD": str(jumping)},
     )  # fmt: skip
 
-    assert done.stdout.splitlines() == ["jumps: True", "well: True", "done"], done.stderr
+    assert done.stdout.splitlines() == ["jumps", "well: True", "done"], done.stderr
 
 
 def test_nothing_that_runs_asks_for_the_wall_clock() -> None:

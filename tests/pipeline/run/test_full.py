@@ -22,12 +22,14 @@ for i in range(100):
 os.write(2, b"a library's own words\\n")
 """
 IN_FULL_FOLDER = """
-import logging, os, signal, sys
+import logging, signal, sys
 from pathlib import Path
 from pipeline.console.asking import tell
 from pipeline.console.changing import ask
 from pipeline.graph.loader import load
-from tests.toy_graphs import assert_accounts_add_up, go, handled, wait_for
+from tests.toy_graphs import (
+    assert_accounts_add_up, go, handled, send_signal, wait_for, wait_for_progress,
+)
 
 def during(supervisor):
     wait_for(supervisor, lambda: handled(supervisor, "steer") > 3)
@@ -39,10 +41,10 @@ def during(supervisor):
             pass
     print(ask(plan.name, "work", {"every": 2}).refused)
     print(tell(plan.name, "work", "break_down", {}).refused)
-    os.kill(supervisor.pid("pair"), signal.SIGKILL)
+    wait_for(supervisor, lambda: supervisor.pid("pair"))
+    send_signal(supervisor, "pair", signal.SIGKILL)
     wait_for(supervisor, lambda: supervisor.restarts == {"work": 1, "pair": 1})
-    after = handled(supervisor, "steer")
-    wait_for(supervisor, lambda: handled(supervisor, "steer") > after + 5)
+    wait_for_progress(supervisor, "steer")
     supervisor.finish()
 
 logging.basicConfig()

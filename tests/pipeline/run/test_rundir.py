@@ -18,6 +18,7 @@ from pipeline.run.rundir import base
 def test_a_name_has_one_owner_at_a_time() -> None:
     name = f"test-{secrets.token_hex(3)}"
     owned = RunFolder.claim(name)
+    owned.note({})
 
     with pytest.raises(RunError, match="already running"):
         RunFolder.claim(name)

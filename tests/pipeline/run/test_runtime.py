@@ -5,12 +5,14 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 import pytest
 
 from pipeline import RunError
+from pipeline.console.changing import ask
 from pipeline.run.inline import InlineRunner
 from pipeline.run.memory_folder import path_of
 from pipeline.run.rundir import base, running
@@ -19,23 +21,48 @@ from tests.toy_graphs import (
     CHAIN,
     KILLED,
     LOOP,
+    account_of,
     assert_accounts_add_up,
     edge,
     go,
     handled,
     plan_of,
+    send_signal,
+    until,
     wait_for,
+    wait_for_progress,
 )
 
 
+def until_handled(node: str, frames: int) -> Callable[[Supervisor], None]:
+    """Let the graph run until a node has handled more than so many frames."""
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, node) > frames)
+        supervisor.finish()
+
+    return during
+
+
 def test_the_loop_closes_and_every_account_adds_up(tmp_path: Path) -> None:
-    report = go(plan_of(tmp_path, LOOP), 60)
+    began_s = time.monotonic()
+    report = go(plan_of(tmp_path, LOOP), 0, until_handled("steer", 20))
+    took_ms = 1000 * (time.monotonic() - began_s)
 
     assert_accounts_add_up(report)
-    assert report["frames"] == {"exposed": 60, "skipped": 0}
-    assert report["loop"]["commands"] > 20  # of 60; a busy machine leaves some out
-    assert report["loop"]["latency_ms"]["p50"] < 100
+    assert report["loop"]["commands"] > 20
+    assert 0 < report["loop"]["latency_ms"]["p50"] < took_ms
     assert edge(report, "steer.percept")["dropped"] == {}
+
+
+def test_a_run_of_so_many_frames_exposes_them_and_in_lockstep_answers_each(tmp_path: Path) -> None:
+    realtime = go(plan_of(tmp_path, LOOP), 30)
+    lockstep = go(plan_of(tmp_path, LOOP, clock="lockstep"), 30)
+
+    for report in (realtime, lockstep):
+        assert report["frames"] == {"exposed": 30, "skipped": 0}
+        assert_accounts_add_up(report)
+    assert lockstep["loop"]["commands"] == 30
 
 
 def test_nothing_is_left_behind(tmp_path: Path) -> None:
@@ -63,16 +90,18 @@ def test_lockstep_gives_the_same_commands_in_line_and_as_processes(tmp_path: Pat
     assert len(hashes) == 1
 
 
-def test_a_reader_stopped_for_a_second_on_a_lossless_edge_loses_nothing(tmp_path: Path) -> None:
-    def freeze(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
-        os.kill(supervisor.pid("count"), signal.SIGSTOP)
-        end = time.monotonic() + 0.6
-        wait_for(supervisor, lambda: time.monotonic() > end)
-        os.kill(supervisor.pid("count"), signal.SIGCONT)
-
+def test_a_reader_that_stands_still_on_a_lossless_edge_loses_nothing(tmp_path: Path) -> None:
     frames = 60  # a camera does not wait: the edge holds all, however long the machine sleeps
-    report = go(plan_of(tmp_path, CHAIN), frames, freeze)
+    plan = plan_of(tmp_path, CHAIN, changes=("ticker.rate_hz=1",))
+
+    def freeze(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 0)
+        pid = send_signal(supervisor, "count", signal.SIGSTOP)
+        ask(plan.name, "ticker", {"rate_hz": 200})
+        until(lambda: account_of(supervisor, "count.frame").sent == frames)  # nobody is judged
+        os.kill(pid, signal.SIGCONT)
+
+    report = go(plan, frames, freeze)
 
     assert_accounts_add_up(report)
     assert edge(report, "count.frame")["delivered"] == frames
@@ -89,10 +118,10 @@ def test_a_writer_waits_for_a_stopped_lossless_reader(tmp_path: Path) -> None:
 
     def freeze(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "last") > 5)
-        os.kill(supervisor.pid("last"), signal.SIGSTOP)
+        pid = send_signal(supervisor, "last", signal.SIGSTOP)
         relay = supervisor.ledger.nodes[supervisor.plan.node("relay").index]
-        wait_for(supervisor, lambda: relay.condition == "credit")
-        os.kill(supervisor.pid("last"), signal.SIGCONT)
+        until(lambda: relay.condition == "credit")
+        os.kill(pid, signal.SIGCONT)
         wait_for(supervisor, lambda: relay.condition != "credit")
         supervisor.finish()
 
@@ -104,22 +133,32 @@ def test_a_writer_waits_for_a_stopped_lossless_reader(tmp_path: Path) -> None:
 
 
 def test_a_source_that_cannot_wait_counts_an_overrun_on_every_edge(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, CHAIN, changes=("count.sleep_s=0.03",))
+    plan = plan_of(tmp_path, CHAIN, changes=("count.sleep_s=0.03", "ticker.rate_hz=120"))
 
-    report = go(plan, 180)
+    def until_overrun(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: account_of(supervisor, "count.frame").overrun > 10)
+        supervisor.finish()
+
+    report = go(plan, 0, until_overrun)
 
     assert_accounts_add_up(report)
     overruns = [edge(report, end)["dropped"]["overrun"] for end in ("count.frame", "glance.frame")]
     assert overruns[0] == overruns[1] > 10
-    assert edge(report, "count.frame")["delivered"] == 180 - overruns[0]
+    exposed = report["frames"]["exposed"]
+    assert edge(report, "count.frame")["delivered"] == exposed - overruns[0]
 
 
 def test_a_slow_reader_of_the_latest_never_slows_a_lossless_one(tmp_path: Path) -> None:
-    report = go(plan_of(tmp_path, CHAIN, changes=("glance.sleep_s=0.1",)), 100)
+    def until_superseded(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: account_of(supervisor, "glance.frame").superseded > 20)
+        supervisor.finish()
+
+    plan = plan_of(tmp_path, CHAIN, changes=("glance.sleep_s=0.2",))
+    report = go(plan, 0, until_superseded)
 
     assert_accounts_add_up(report)
-    assert edge(report, "count.frame")["delivered"] == 100
-    assert edge(report, "glance.frame")["dropped"]["superseded"] > 50
+    assert edge(report, "count.frame")["delivered"] == report["frames"]["exposed"]
+    assert edge(report, "glance.frame")["dropped"]["superseded"] > 20
 
 
 @pytest.mark.parametrize("victim", ["ticker", "work", "pair", "steer"])
@@ -128,14 +167,13 @@ def test_a_killed_operator_comes_back_and_the_accounts_still_add_up(
 ) -> None:
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 10)
-        os.kill(supervisor.pid(victim), signal.SIGKILL)
+        send_signal(supervisor, victim, signal.SIGKILL)
         wait_for(supervisor, lambda: supervisor.restarts.get(victim) == 1)
         index = supervisor.plan.node(victim).index
         wait_for(
             supervisor, lambda: supervisor.ledger.nodes[index].condition in ("waiting", "busy")
         )
-        after = handled(supervisor, "steer")
-        wait_for(supervisor, lambda: handled(supervisor, "steer") > after + 5)
+        wait_for_progress(supervisor, "steer")
         supervisor.finish()
 
     report = go(plan_of(tmp_path, LOOP), 0, kill)
@@ -145,20 +183,16 @@ def test_a_killed_operator_comes_back_and_the_accounts_still_add_up(
     assert report["failure"] == ""
 
 
-def test_a_run_ends_at_once_while_its_source_is_away(tmp_path: Path) -> None:
-    took: list[float] = []
-
+def test_a_run_ends_while_its_source_is_away(tmp_path: Path) -> None:
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 5)
-        os.kill(supervisor.pid("ticker"), signal.SIGKILL)
-        began = time.monotonic()
+        send_signal(supervisor, "ticker", signal.SIGKILL)
         supervisor.finish()
-        took.append(time.monotonic() - began)
         assert supervisor.finished
+        assert supervisor.pid("ticker") == 0
 
     report = go(plan_of(tmp_path, LOOP), 0, kill)
 
-    assert took[0] < 4
     assert_accounts_add_up(report)
 
 
@@ -167,10 +201,9 @@ def test_a_node_that_shall_never_restart_stays_away_and_the_graph_goes_on(tmp_pa
 
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
-        os.kill(supervisor.pid("count"), signal.SIGKILL)
+        send_signal(supervisor, "count", signal.SIGKILL)
         wait_for(supervisor, lambda: supervisor.pid("count") == 0)
-        after = handled(supervisor, "glance")
-        wait_for(supervisor, lambda: handled(supervisor, "glance") > after + 20)
+        wait_for_progress(supervisor, "glance", 20)
         supervisor.finish()
 
     report = go(plan_of(tmp_path, text), 0, kill)
@@ -184,7 +217,7 @@ def test_a_node_that_dies_too_often_ends_the_run(tmp_path: Path) -> None:
     text = LOOP.replace("  work:\n", "  work:\n    restart: {most: 2, backoff_s: 0.01}\n")
     plan = plan_of(tmp_path, text, changes=("work.every=1", "work.crash_after=3"))
 
-    report = go(plan, 1000)
+    report = go(plan, 0)
 
     assert "work died 3 times" in report["failure"]
 
@@ -193,7 +226,12 @@ def test_an_exception_is_in_the_log_and_the_graph_goes_on(tmp_path: Path) -> Non
     text = LOOP.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
     plan = plan_of(tmp_path, text, changes=("work.crash_at=20",))
 
-    report = go(plan, 120)
+    def until_it_is_back(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: supervisor.restarts.get("work") == 1)
+        wait_for_progress(supervisor, "work")
+        supervisor.finish()
+
+    report = go(plan, 0, until_it_is_back)
 
     log = (base() / plan.name / "work.log").read_text()
     assert "ValueError: told to crash" in log
@@ -221,7 +259,7 @@ def test_a_source_that_breaks_ends_the_run_with_its_sentence(
     report = go(plan_of(tmp_path, LOOP, clock=clock, changes=(change,)), 0)
 
     assert report["failure"] == said
-    assert report["frames"]["exposed"] < 100
+    assert report["frames"]["exposed"] >= 9
 
 
 def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
@@ -232,9 +270,8 @@ def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, text, changes=("work.hang_at=20",))
 
     def until_killed(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: bool(supervisor.restarts), 30)
-        again = handled(supervisor, "pair")
-        wait_for(supervisor, lambda: handled(supervisor, "pair") > again + 5)
+        wait_for(supervisor, lambda: bool(supervisor.restarts))
+        wait_for_progress(supervisor, "pair")
         supervisor.finish()
 
     report = go(plan, 0, until_killed)
@@ -267,13 +304,12 @@ def test_what_two_lossless_ways_lost_on_one_of_them_is_not_waited_for_on_the_oth
 
     def freeze_and_kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "pair") > 5)
-        os.kill(supervisor.pid("work"), signal.SIGSTOP)  # frames pile up before it
-        end = time.monotonic() + 0.3
-        wait_for(supervisor, lambda: time.monotonic() > end)
-        os.kill(supervisor.pid("work"), signal.SIGKILL)
-        wait_for(supervisor, lambda: bool(supervisor.restarts), 30)
-        again = handled(supervisor, "pair")
-        wait_for(supervisor, lambda: handled(supervisor, "pair") > again + 10, 30)
+        pid = send_signal(supervisor, "work", signal.SIGSTOP)
+        account = account_of(supervisor, "work.frame")
+        until(lambda: account.in_flight > 2)  # frames pile up before it
+        os.kill(pid, signal.SIGKILL)
+        wait_for(supervisor, lambda: bool(supervisor.restarts))
+        wait_for_progress(supervisor, "pair", 10)
         supervisor.finish()
 
     report = go(plan, 0, freeze_and_kill)
@@ -286,8 +322,10 @@ def test_what_two_lossless_ways_lost_on_one_of_them_is_not_waited_for_on_the_oth
 def test_a_graph_runs_once_at_a_time(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOOP)
 
-    with Supervisor(plan), pytest.raises(RunError, match="already running"):
-        Supervisor(plan)
+    with Supervisor(plan) as supervisor:
+        supervisor.note()
+        with pytest.raises(RunError, match="already running"):
+            Supervisor(plan)
 
 
 def test_a_reader_without_shared_memory_gets_the_bytes(tmp_path: Path) -> None:
@@ -305,9 +343,9 @@ def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, text)
     assert set(plan.processes()) == {"ticker", "hand", "steer"}
 
-    report = go(plan, 60)
+    report = go(plan, 0, until_handled("steer", 20))
 
-    assert report["loop"]["commands"] > 20  # of 60; a busy machine leaves some out
+    assert report["loop"]["commands"] > 20
     assert_accounts_add_up(report)
 
 
@@ -326,7 +364,7 @@ def test_a_killed_supervisor_takes_its_children_along_and_the_next_start_sweeps(
     supervisor.wait()
     supervisor.stdout.close()
 
-    gone, alive = psutil.wait_procs(children, timeout=6)
+    gone, alive = psutil.wait_procs(children, timeout=60)
     assert (len(gone), alive) == (4, [])
     assert plan.name not in running()
     go(plan, 5)

@@ -1,6 +1,5 @@
 """A machine that gives no process costs the head start, or a moment, never the graph."""
 
-import os
 import signal
 from collections.abc import Collection
 from pathlib import Path
@@ -10,7 +9,16 @@ import pytest
 from pipeline.run.child import NodeProcess
 from pipeline.run.spare import Spare
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import LOOP, assert_accounts_add_up, go, handled, plan_of, wait_for
+from tests.toy_graphs import (
+    LOOP,
+    assert_accounts_add_up,
+    go,
+    handled,
+    plan_of,
+    send_signal,
+    wait_for,
+    wait_for_progress,
+)
 
 
 def test_no_process_to_stand_by_is_no_error_and_not_asked_for_again_at_once() -> None:
@@ -42,12 +50,10 @@ def test_a_node_that_cannot_be_started_is_tried_again_and_the_others_go_on(
         supervisor.spare.dismiss()
         with monkeypatch.context() as patch:
             patch.setattr("pipeline.run.crew.spawn", refuse)
-            os.kill(supervisor.pid("steer"), signal.SIGKILL)
+            send_signal(supervisor, "steer", signal.SIGKILL)
             wait_for(supervisor, lambda: len(refusals) > 1)
-            before = handled(supervisor, "pair")
-            wait_for(supervisor, lambda: handled(supervisor, "pair") > before + 5)
-        before = handled(supervisor, "steer")
-        wait_for(supervisor, lambda: handled(supervisor, "steer") > before + 5)
+            wait_for_progress(supervisor, "pair")
+        wait_for_progress(supervisor, "steer")
         supervisor.finish()
 
     report = go(plan_of(tmp_path, LOOP), 0, kill)

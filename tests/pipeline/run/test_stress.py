@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from pipeline import RunError
+from pipeline.node.health import FROZEN_S
 from pipeline.run.rundir import base, running
 from pipeline.run.supervisor import Supervisor
 from tests.toy_graphs import (
@@ -22,14 +23,17 @@ from tests.toy_graphs import (
     go,
     handled,
     plan_of,
+    send_signal,
+    until,
     wait_for,
-)  # fmt: skip
+    wait_for_progress,
+)
 
 SICK = """\
 nodes:
   ticker:
     operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 60}
+    settings: {rate_hz: 20, side_px: 60}
   sick:
     operator: tests.sick_toys:Sick
     inputs: {frame: {from: ticker.context, depth: 30}}
@@ -49,8 +53,7 @@ def sick(**more: object) -> str:
 
 def recovers(supervisor: Supervisor, node: str, last: str) -> None:
     wait_for(supervisor, lambda: supervisor.restarts.get(node) == 1)
-    after = handled(supervisor, last)
-    wait_for(supervisor, lambda: handled(supervisor, last) > after + 5)
+    wait_for_progress(supervisor, last)
 
 
 @pytest.mark.parametrize("victim", [pytest.param("ticker", marks=pytest.mark.slow), "steer"])
@@ -61,7 +64,7 @@ def test_a_frozen_process_is_replaced_whatever_it_was_doing(tmp_path: Path, vict
     def freeze(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 5)
         began = time.monotonic()
-        os.kill(supervisor.pid(victim), signal.SIGSTOP)
+        send_signal(supervisor, victim, signal.SIGSTOP)
         recovers(supervisor, victim, "steer")
         took.append(time.monotonic() - began)
         supervisor.finish()
@@ -70,7 +73,7 @@ def test_a_frozen_process_is_replaced_whatever_it_was_doing(tmp_path: Path, vict
 
     assert_accounts_add_up(report)
     assert report["restarts"] == {victim: 1}
-    assert 3 < took[0] < 15
+    assert took[0] > FROZEN_S
 
 
 @pytest.mark.parametrize("kind", [pytest.param("deadlock", marks=pytest.mark.slow), "seize"])
@@ -112,7 +115,7 @@ def test_a_leaking_operator_starts_again_before_it_takes_all(
 
 
 def test_who_never_comes_up_is_named_after_its_time(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, sick(start_s=3), changes=("sick.open_s=30",))
+    plan = plan_of(tmp_path, sick(start_s=3), changes=("sick.open_s=1000",))
 
     with Supervisor(plan) as supervisor, pytest.raises(RunError, match="sick: not ready after 3"):
         supervisor.start()
@@ -127,13 +130,12 @@ def test_who_hangs_when_it_starts_again_is_killed_and_who_is_only_slow_is_not(
 
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "after") > 5)
-        os.kill(supervisor.pid("sick"), signal.SIGKILL)
+        send_signal(supervisor, "sick", signal.SIGKILL)
         wait_for(supervisor, lambda: supervisor.restarts.get("sick") == 1)
         (tmp_path / "seen").write_text("once")
         wait_for(supervisor, lambda: supervisor.restarts.get("sick") == 2)
         (tmp_path / "seen").write_text("twice")
-        after = handled(supervisor, "after")
-        wait_for(supervisor, lambda: handled(supervisor, "after") > after + 5)
+        wait_for_progress(supervisor, "after")
         supervisor.finish()
 
     report = go(plan, 0, kill)
@@ -149,7 +151,7 @@ def test_a_crash_loop_costs_the_others_nothing_and_its_end_says_why(tmp_path: Pa
     text = CHAIN.replace("  glance:\n", "  glance:\n    restart: {most: 3, backoff_s: 0.2}\n")
     plan = plan_of(tmp_path, text, changes=("glance.crash_after=1",))
 
-    report = go(plan, 1000)
+    report = go(plan, 0)
 
     assert report["failure"] == (
         "glance died 4 times within 60 s: ValueError: told not to live for long"
@@ -184,14 +186,17 @@ def test_a_graph_frozen_as_a_whole_goes_on_as_if_nothing_had_been(tmp_path: Path
 
 def test_of_two_supervisors_that_start_at_once_one_is_refused(tmp_path: Path) -> None:
     path = plan_of(tmp_path, LOOP) and tmp_path / "graph.yaml"
-    command = [sys.executable, "-m", "pipeline.cli", "run", str(path), "--frames", "60"]
+    command = [sys.executable, "-m", "pipeline.cli", "run", str(path)]
     both = [
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         for _ in range(2)
     ]
 
-    ended = [process.communicate(timeout=60) for process in both]
+    until(lambda: any(process.poll() is not None for process in both))
+    both.sort(key=lambda process: process.poll() is None)
+    _, refused = both[0].communicate(timeout=60)
+    both[1].send_signal(signal.SIGTERM)  # it would run for ever
+    both[1].communicate(timeout=60)
 
-    assert sorted(process.returncode for process in both) == [0, 1]
-    refused = next(err for (_, err), p in zip(ended, both, strict=True) if p.returncode)
+    assert [process.returncode for process in both] == [1, 0]
     assert refused.strip().endswith("already running, see `fovea ps`")

@@ -1,12 +1,10 @@
 """A part is replaced while its graph runs: nothing is lost, nothing comes twice."""
 
 import json
-import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -16,6 +14,7 @@ from typing import Any
 import pytest
 
 from pipeline import GraphError, RunError
+from pipeline.console.changing import ask
 from pipeline.console.operating import swap_lines, tell
 from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report
@@ -26,21 +25,24 @@ from tests.toy_graphs import (
     KILLED,
     LOOP,
     LOSSLESS,
+    account_of,
     assert_accounts_add_up,
     beside,
     edge,
     go,
     handled,
     plan_of,
+    send_signal,
     until,
     wait_for,
+    wait_for_progress,
 )
 
 TALLY = """\
 nodes:
   ticker:
     operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 120}
+    settings: {rate_hz: 20, side_px: 120}
   work:
     operator: tests.toys:Tally
     inputs: {frame: {from: ticker.context, depth: 60}}
@@ -49,6 +51,12 @@ nodes:
     inputs: {percept: {from: work, depth: 60}}
 """
 Results = list[dict[str, Any]]
+UNHURRIED_MS = 60_000.0  # a frame: where no test is about a budget, a busy machine is no reason
+
+
+def order(node: str, **words: Any) -> SwapOrder:
+    """A swap that nothing but what the test does can make fail."""
+    return SwapOrder(**{"node": node, "probation": 5, "budget_ms": UNHURRIED_MS, **words})
 
 
 def swapping(results: Results, *orders: SwapOrder) -> Callable[[Supervisor], None]:
@@ -56,7 +64,7 @@ def swapping(results: Results, *orders: SwapOrder) -> Callable[[Supervisor], Non
         wait_for(supervisor, lambda: handled(supervisor, orders[0].node) > 3)
         for count, order in enumerate(orders, len(results) + 1):
             supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
-            wait_for(supervisor, partial(lambda wanted: len(results) >= wanted, count), 30)
+            wait_for(supervisor, partial(lambda wanted: len(results) >= wanted, count))
         supervisor.finish()
 
     return during
@@ -69,7 +77,7 @@ def exposed(report: Report) -> int:
 
 def test_no_frame_is_lost_and_none_comes_twice(tmp_path: Path) -> None:
     results: Results = []
-    orders = [SwapOrder(node="work", probation=5) for _ in range(2)]
+    orders = [order("work") for _ in range(2)]
 
     report = go(plan_of(tmp_path, LOSSLESS), 0, swapping(results, *orders))
 
@@ -83,24 +91,34 @@ def test_no_frame_is_lost_and_none_comes_twice(tmp_path: Path) -> None:
 
 def test_at_most_one_frame_is_left_out_where_the_latest_counts(tmp_path: Path) -> None:
     results: Results = []
-    orders = [SwapOrder(node="work", probation=5) for _ in range(3)]
+    orders = [order("work", probation=2) for _ in range(3)]
 
-    report = go(plan_of(tmp_path, LOOP), 0, swapping(results, *orders))
+    plan = plan_of(tmp_path, LOOP, changes=("ticker.rate_hz=4",))
+    report = go(plan, 0, swapping(results, *orders))
 
+    assert [r["refused"] for r in results] == [""] * 3
     for result in results:
-        frames_meanwhile = result["answered_ms"] * 60 / 1000  # on a busy machine that may be many
-        assert result["left_out"]["frame"] <= 1 + frames_meanwhile
+        made_meanwhile = 1 + result["answered_ms"] * 4 / 1000  # and the one that was under way
+        assert result["left_out"]["frame"] <= 1 + made_meanwhile
     assert_accounts_add_up(report)
 
 
 def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_path: Path) -> None:
     results: Results = []
+    plan = plan_of(tmp_path, TALLY, changes=("ticker.rate_hz=2",))
 
-    report = go(plan_of(tmp_path, TALLY), 0, swapping(results, SwapOrder(node="work", at=150)))
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 0)
+        supervisor.desk.take(order("work", at=200), lambda a: results.append(json.loads(a)))
+        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_door != 0)
+        beside(supervisor, lambda: ask(plan.name, "ticker", {"rate_hz": 60}))
+        wait_for(supervisor, lambda: bool(results))
+        supervisor.finish()
 
-    assert results[0]["state"] == "carried over"
-    late = results[0]["ready_seq"] > 145  # a busy machine: then there is nothing to wait for
-    assert late or results[0]["seq"] == 149
+    report = go(plan, 0, during)
+
+    assert (results[0]["refused"], results[0]["state"]) == ("", "carried over")
+    assert results[0]["seq"] == 199
     assert report["summaries"]["recall"]["said"] == [[n, n + 1] for n in range(exposed(report))]
 
 
@@ -109,10 +127,10 @@ def test_a_shadow_run_tells_how_the_answers_differ(
     tmp_path: Path, change: dict[str, Any], alike: int
 ) -> None:
     results: Results = []
-    order = SwapOrder(node="work", shadow=15, probation=5, changes=change)
+    shadowed = order("work", shadow=15, changes=change)
 
     inline = ("ticker.side_px=50",)  # a picture in a slot may be gone when a late shadow looks
-    report = go(plan_of(tmp_path, TALLY, changes=inline), 0, swapping(results, order))
+    report = go(plan_of(tmp_path, TALLY, changes=inline), 0, swapping(results, shadowed))
 
     shadow = results[0]["shadow"]
     assert (shadow["frames"], shadow["identical"], shadow["missed"]) == (15, alike, 0)
@@ -136,7 +154,7 @@ def test_a_part_that_fails_its_probation_gives_way_to_the_old_one(tmp_path: Path
     orders = [SwapOrder(node="work", changes=change) for change in failures.values()]
 
     report = go(
-        plan_of(tmp_path, TALLY, changes=("ticker.rate_hz=25",)), 0, swapping(results, *orders)
+        plan_of(tmp_path, TALLY, changes=("ticker.rate_hz=10",)), 0, swapping(results, *orders)
     )
 
     for said, result in zip(failures, results, strict=True):
@@ -153,18 +171,17 @@ def test_a_part_that_dies_while_its_successor_gets_ready_is_started_again(
 ) -> None:
     results: Results = []
     slow = SwapOrder(
-        node="work", operator="tests.sick_toys:Sick", changes={"open_s": 30.0}, defaults=True
+        node="work", operator="tests.sick_toys:Sick", changes={"open_s": 1000.0}, defaults=True
     )
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         supervisor.desk.take(slow, lambda a: results.append(json.loads(a)))
-        account = supervisor.ledger.edges[0]
-        wait_for(supervisor, lambda: supervisor.slots["work"].promised > account.reader_epoch, 30)
-        os.kill(supervisor.pid("work"), signal.SIGKILL)
-        wait_for(supervisor, lambda: bool(results), 30)
-        after = handled(supervisor, "work")
-        wait_for(supervisor, lambda: handled(supervisor, "work") > after + 5)
+        account = account_of(supervisor, "work.frame")
+        wait_for(supervisor, lambda: supervisor.slots["work"].promised > account.reader_epoch)
+        send_signal(supervisor, "work", signal.SIGKILL)
+        wait_for(supervisor, lambda: bool(results))
+        wait_for_progress(supervisor, "work")
         supervisor.finish()
 
     report = go(plan_of(tmp_path, LOSSLESS), 0, during)
@@ -181,12 +198,11 @@ def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         old = supervisor.pid("work")
         supervisor.desk.take(
-            SwapOrder(node="work", probation=1000), lambda a: results.append(json.loads(a))
+            order("work", probation=1_000_000), lambda a: results.append(json.loads(a))
         )
         wait_for(supervisor, lambda: supervisor.pid("work") != old)
-        after = handled(supervisor, "work")
-        wait_for(supervisor, lambda: handled(supervisor, "work") > after + 5)
-        os.kill(supervisor.pid("work"), signal.SIGKILL)
+        wait_for_progress(supervisor, "work")
+        send_signal(supervisor, "work", signal.SIGKILL)
         wait_for(supervisor, lambda: bool(results))
         assert supervisor.pid("work") == old
         supervisor.finish()
@@ -233,7 +249,7 @@ def test_a_node_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
 
 def test_joined_inputs_and_latest_edges_keep_their_accounts(tmp_path: Path) -> None:
     results: Results = []
-    orders = [SwapOrder(node=node, probation=10) for node in ("pair", "steer", "work")]
+    orders = [order(node, probation=10) for node in ("pair", "steer", "work")]
 
     report = go(plan_of(tmp_path, LOOP), 0, swapping(results, *orders))
 
@@ -245,21 +261,16 @@ def test_joined_inputs_and_latest_edges_keep_their_accounts(tmp_path: Path) -> N
 
 def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
     results: Results = []
-    plans = [plan_of(tmp_path, LOOP, clock="lockstep") for _ in range(2)]
+    plan = plan_of(tmp_path, LOOP, clock="lockstep")
 
-    def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: handled(supervisor, "pair") > 3)
-        order = SwapOrder(node="pair", probation=5)
-        supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
-
-    with InlineRunner(plans[0]) as runner:
-        for _ in runner.run(800):
+    swapped = go(plan, 0, swapping(results, order("pair")))
+    with InlineRunner(plan) as runner:
+        for _ in runner.run(exposed(swapped)):
             pass
         plain = runner.report()
-    swapped = go(plans[1], 800, during)
 
     assert results[0]["refused"] == ""
-    assert 3 < results[0]["seq"] < 799
+    assert 3 < results[0]["seq"] < exposed(swapped) - 1
     assert swapped["schedule_sha256"] == plain["schedule_sha256"]
 
 
@@ -268,16 +279,16 @@ def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: P
     text = LOOP.replace("  work:\n", "  work:\n    group: hand\n")
     text = text.replace("  pair:\n", "  pair:\n    group: hand\n")
     orders = [
-        SwapOrder(node="work", changes={"every": 2}, probation=5),
-        SwapOrder(node="work", changes={"crash_after": 3}),
-        SwapOrder(node="work", changes={"every": 0}),
-        SwapOrder(node="ticker", changes={"rate_hz": 90}, probation=5),
+        order("work", changes={"every": 2}),
+        order("work", changes={"crash_after": 3}, probation=30),
+        order("work", changes={"every": 0}),
+        order("ticker", changes={"rate_hz": 90}),
     ]
 
     report = go(plan_of(tmp_path, text), 0, swapping(results, *orders))
 
     assert results[0]["refused"] == results[3]["refused"] == ""
-    assert all(0 < r["gap_ms"] < 20_000 for r in (results[0], results[3]))
+    assert all(r["gap_ms"] > 0 for r in (results[0], results[3]))
     assert results[2] == {
         "node": "work", "hot": False, "refused": "work.every: must be at least 1, got 0"
     }  # fmt: skip
@@ -296,14 +307,14 @@ def test_a_part_that_shall_never_restart_is_not_started_by_a_swap_that_failed(
     with Supervisor(plan) as supervisor:
         supervisor.start()
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
-        order = SwapOrder(node="work", at=1 << 30)
-        supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
-        account = supervisor.ledger.edges[0]
-        wait_for(supervisor, lambda: account.next_door != 0, 30)
-        os.kill(supervisor.pid("work"), signal.SIGKILL)
-        wait_for(supervisor, lambda: bool(results), 60)
-        end = time.monotonic() + 0.5
-        wait_for(supervisor, lambda: time.monotonic() > end)
+        never = order("work", at=1 << 30)
+        supervisor.desk.take(never, lambda answer: results.append(json.loads(answer)))
+        account = account_of(supervisor, "work.frame")
+        wait_for(supervisor, lambda: account.next_door != 0)
+        send_signal(supervisor, "work", signal.SIGKILL)
+        wait_for(supervisor, lambda: bool(results) and supervisor.pid("work") == 0)
+        made = account_of(supervisor, "work.frame").sent
+        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").sent > made + 10)
 
         assert supervisor.pid("work") == 0
         assert supervisor.restarts == {}
@@ -314,10 +325,10 @@ def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> Non
     told: list[str] = []
 
     def operate() -> None:
-        told.extend(swap_lines(tell(plan.name, SwapOrder(node="work", probation=5))))
-        for order in (SwapOrder(node="wrk"), "noise"):
+        told.extend(swap_lines(tell(plan.name, order("work"))))
+        for wrong in (SwapOrder(node="wrk"), "noise"):
             with pytest.raises(GraphError) as refusal:
-                tell(plan.name, order)  # type: ignore[arg-type]
+                tell(plan.name, wrong)  # type: ignore[arg-type]
             told.append(str(refusal.value))
 
     def during(supervisor: Supervisor) -> None:
@@ -341,11 +352,11 @@ def test_an_order_to_a_supervisor_that_is_killed_is_not_waited_for(tmp_path: Pat
     ):
         assert supervisor.stdout is not None
         supervisor.stdout.readline()
-        order = pool.submit(tell, plan.name, SwapOrder(node="work", at=1 << 30))
+        asked = pool.submit(tell, plan.name, SwapOrder(node="work", at=1 << 30))
         until(lambda: any((base() / plan.name).glob("work.2.door")))
         supervisor.kill()
         with pytest.raises(RunError, match="ended before that was done"):
-            order.result(20)
+            asked.result(60)
 
 
 def test_an_order_that_the_end_of_the_run_overtakes_is_answered(tmp_path: Path) -> None:
