@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import secrets
 import subprocess
 import sys
@@ -37,7 +38,7 @@ finally:
         batch = chunk.to_record_batch()
         if "frame" in batch.schema.names:
             frames |= set(batch.column("frame").to_pylist())
-    print("newest", max(f for f in frames if f is not None))
+    print("newest", max((f for f in frames if f is not None), default=-1))
 """
 
 
@@ -145,17 +146,18 @@ def test_a_recording_whose_disk_fills_is_told_and_can_be_read_up_to_there(
 ) -> None:
     small = tmp_path / "small"
     small.mkdir()
-    limit = ("--frames", "400") if "--inline" in words else ()
+    limit = ("--frames", "1500") if "--inline" in words else ()
     done = with_small_mounts(
-        {small: "300k"}, "-c", CHECK, str(small / "x.rrd"), "run", str(graph), *words, *limit,
+        {small: "100k"}, "-c", CHECK, str(small / "x.rrd"), "run", str(graph), *words, *limit,
         "--save", str(small / "x.rrd"), "--set", "ticker.side_px=700", "--set",
         "viewer.jpeg_quality=100", timeout_s=120,
     )  # fmt: skip
 
     assert done.returncode == 2, done.stdout + done.stderr
-    assert "x.rrd: the disk is full; it can be read up to frame " in done.stderr
-    said = int(done.stderr.split("up to frame ")[1].split()[0])
-    assert f"newest {said}\n" in done.stdout
+    found = re.search(r"x\.rrd: the disk is full; (?:it can be read up to frame (\d+)|nothing)",
+                      done.stderr)  # fmt: skip
+    assert found
+    assert f"newest {found[1] or -1}\n" in done.stdout
     assert "Traceback" not in done.stderr
 
 
