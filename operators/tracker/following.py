@@ -20,6 +20,7 @@ NOBODY = -1  # the id of an object that is no track
 NEAR = 0.75  # centres this near are one object, in sizes of the larger box
 ALIKE = 2.0  # if their sizes differ by less than this factor
 SHOWN = 0.5  # share of a box inside the ROI from which the ROI shows it
+FAR_PX = 2.0**20  # beyond any field: no box, and nothing to calculate with
 Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
 Memory = tuple[NDArray[np.uint8] | NDArray[np.float32], ...]
 
@@ -178,12 +179,12 @@ class Following:
 
 
 def proposed(scanpath: Scanpath | None, seq: int) -> Proposal | None:
-    """What a scanpath shows in frame `seq`; None where it does not speak of it."""
+    """What a scanpath shows in frame `seq`; None where it does not speak of it, or with no box."""
     row = seq - scanpath.first_seq if scanpath else -1
     if scanpath is None or not 0 <= row < len(scanpath.choice):
         return None
     box = scanpath.boxes[row]
-    if not np.isfinite(box).all() or (box[2:] <= box[:2]).any():
+    if not (np.abs(box) < FAR_PX).all() or (box[2:] <= box[:2]).any():
         return None
     return Proposal(object_id=max(int(scanpath.choice[row]), NOBODY), box=box)
 

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from operators.tracker.following import Following, Method, Rules, TrackerState, proposed
+from operators.tracker.following import FAR_PX, Following, Method, Rules, TrackerState, proposed
 from operators.tracker.look import Picture, Streams
 from pipeline import Frame, Header, Input, Operator, Percept, Scanpath, SettingsError
 
@@ -149,5 +149,5 @@ class Tracker(Operator[S, Percept]):
 def check_box(name: str, box: tuple[float, float, float, float]) -> None:
     """Raise `SettingsError` unless these are left, top, right and bottom of a box."""
     left, top, right, bottom = box
-    if not (np.isfinite(box).all() and left < right and top < bottom):
+    if not (max(map(abs, box)) < FAR_PX and left < right and top < bottom):
         raise SettingsError(f"{name}: expected left, top, right, bottom, got {box}")

@@ -129,7 +129,9 @@ def _lines(report: Report) -> list[Text]:
         shares = ", ".join(f"{n} {_share(v)}" for n, v in coverage.items())
         lines.append(f"ROI coverage of the true boxes: {shares}")
     if overlap := report.get("iou"):
-        lines.append(f"IoU with the truth: {overlap['mean']:.3f} over {overlap['frames']} frames")
+        told = f", a box in {overlap['answered']:.1%} of them" if "answered" in overlap else ""
+        counted = f"{overlap['frames']} frames{told}"
+        lines.append(f"IoU with the truth: {overlap['mean']:.3f} over {counted}")
     if report["restarts"]:
         counts = ", ".join(f"{name} {count}" for name, count in report["restarts"].items())
         lines.append(f"restarts: {counts}")
