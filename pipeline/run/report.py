@@ -138,7 +138,9 @@ def _lines(report: Report) -> list[Text]:
         lines.append(f"ROI coverage of the true boxes: {shares}")
     if (overlap := _figures(report.get("iou"))) and {"mean", "frames"} <= overlap.keys():
         mean, frames = _share(overlap["mean"]), overlap["frames"]
-        lines.append(f"IoU with the truth: {mean} over {frames} frames")
+        told = overlap.get("answered")
+        answered = f", a box in {told:.1%} of them" if isinstance(told, float) else ""
+        lines.append(f"IoU with the truth: {mean} over {frames} frames{answered}")
     if report["restarts"]:
         counts = ", ".join(f"{name} {count}" for name, count in report["restarts"].items())
         lines.append(f"restarts: {counts}")
