@@ -102,7 +102,7 @@ class Correlation:
         """The box, a step nearer to the foreseen one in place and size."""
         step = ALIGN_GAIN * (centres(foreseen) - centres(box))
         size = box[2:] - box[:2]
-        grown = size + ALIGN_GAIN * (foreseen[2:] - foreseen[:2] - size)
+        grown = np.asarray(size + ALIGN_GAIN * (foreseen[2:] - foreseen[:2] - size), np.float32)
         self._offset = (self._offset + step / np.float32(scale_of(box))).astype(np.float32)
         return from_centres(centres(box) + step, grown)
 
