@@ -50,6 +50,8 @@ class Score(Operator[ScoreSettings, None]):
     truth = Input(Percept, keep="latest")
     scanpath = Input(Scanpath, join=False, optional=True)
 
+    _scanpath: Scanpath | None = None
+
     def open(self) -> None:
         """Nothing counted yet."""
         self._total, self._recent, self._frames, self._answered = 0.0, 0.0, 0, 0
@@ -91,7 +93,7 @@ class Score(Operator[ScoreSettings, None]):
     def _begin(self) -> None:
         self._object = self._rival = self._followed_id = NOBODY
         self._rival_frames = 0
-        self._scanpath: Scanpath | None = None
+        self._scanpath = None
 
     def _row(self, percept: Percept, truth: Percept, overlap: NDArray[np.float32]) -> int:
         """Which object to compare with: a row of the truth, -1: none."""

@@ -94,16 +94,15 @@ class Correlation:
         if score > TRUSTED:
             look = streams.look(centre, FACTOR * scale * zoom, TEMPLATE_PX)
             self._renewed += RENEWAL * (look - self._renewed)
-        now = from_centres(
-            centre + np.float32(scale * zoom) * self._offset, (box[2:] - box[:2]) * np.float32(zoom)
-        )
-        return now, float(np.clip(score, 0, 1))
+        middle = (centre + scale * zoom * self._offset).astype(np.float32)
+        size = np.asarray((box[2:] - box[:2]) * zoom, np.float32)
+        return from_centres(middle, size), float(np.clip(score, 0, 1))
 
     def aligned(self, box: Box, foreseen: Box) -> Box:
         """The box, a step nearer to the foreseen one in place and size."""
         step = ALIGN_GAIN * (centres(foreseen) - centres(box))
         size = box[2:] - box[:2]
-        grown = size + ALIGN_GAIN * (foreseen[2:] - foreseen[:2] - size)
+        grown = np.asarray(size + ALIGN_GAIN * (foreseen[2:] - foreseen[:2] - size), np.float32)
         self._offset = (self._offset + step / np.float32(scale_of(box))).astype(np.float32)
         return from_centres(centres(box) + step, grown)
 
