@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import Frame, Input, Message, Operator
-from tests.toys import Ticker
+from tests.toys import Pair, Ticker
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,3 +207,10 @@ class Deserter(Ticker):
         if self.seq == 10:
             os._exit(0)
         return super().produce()
+
+
+class Clinging(Pair):
+    """Takes its time to close."""
+
+    def close(self) -> None:
+        time.sleep(600)

@@ -157,7 +157,7 @@ def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
     assert "did you mean 'steer'" in unknown.stderr
     running.send_signal(signal.SIGINT)
     out, _ = running.communicate(timeout=20)
-    assert running.returncode == 0
+    assert running.returncode == 128 + signal.SIGINT
     assert "edges: offered = delivered" in out
     assert name not in fovea("ps").stdout
 
@@ -187,7 +187,7 @@ def test_sigterm_ends_a_run_like_ctrl_c(running: "subprocess.Popen[str]") -> Non
     running.send_signal(signal.SIGTERM)
     out, _ = running.communicate(timeout=20)
 
-    assert running.returncode == 0
+    assert running.returncode == 128 + signal.SIGTERM
     assert "stages" in out
 
 
