@@ -52,7 +52,7 @@ def raising() -> Iterator[None]:
         if asked:
             ignore()
         else:
-            _restore(before)
+            _restore(before, note)
 
 
 def ignore() -> None:
@@ -89,7 +89,7 @@ class Interruption:
             ignore()
             end_by_kernel(LAST_RESORT_S)
         else:
-            _restore(self._before)
+            _restore(self._before, self._note)
 
     @property
     def status(self) -> int:
@@ -145,6 +145,8 @@ def _install(handler: Handler | signal.Handlers) -> dict[int, Any]:
     return before
 
 
-def _restore(before: dict[int, Any]) -> None:
-    for number, handler in before.items():
-        signal.signal(number, handler)
+def _restore(before: dict[int, Any], handler: Handler) -> None:
+    """Handle signals as before, but for those that were given another handler meanwhile."""
+    for number, earlier in before.items():
+        if signal.getsignal(number) == handler:
+            signal.signal(number, earlier)

@@ -147,6 +147,15 @@ class Unruly(Operator[UnrulySettings, Frame]):
         """Start a program in a session of its own."""
         self._note(subprocess.Popen(["sleep", "1000"], start_new_session=True).pid)
 
+    def do_tell(self) -> None:
+        """Tell that it works."""
+        self._note(os.getpid())
+
+    def do_hang(self) -> None:
+        """Tell, and come to no end."""
+        self._note(os.getpid())
+        time.sleep(1000)
+
     def do_exit_0(self) -> None:
         """Leave without a word."""
         os._exit(0)
@@ -194,10 +203,6 @@ class Unruly(Operator[UnrulySettings, Frame]):
         for _ in range(self.settings.size // 65536):
             os.write(1, b"\xff\x00\x1b" * 21845)
         raise ValueError("after it printed")
-
-    def do_deaf(self) -> None:
-        """Stop for good."""
-        os.kill(os.getpid(), signal.SIGSTOP)
 
 
 class Deserter(Ticker):

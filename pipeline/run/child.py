@@ -40,6 +40,7 @@ class Sample:
     rss_mb: float
     own_mb: float = 0.0  # what it shares with nobody: no pools, no libraries
     stopped: bool = False  # by a signal; it does nothing at all
+    pid: int = 0
 
 
 class NodeProcess:
@@ -143,10 +144,10 @@ class Child:
         self.load_s = 0.0  # time it took to open its operators, models included
         self._usage: psutil.Process | None = None
         self._told_left_out = False
-        self._socket: Path | None = None  # of its session: Zenoh leaves the file behind
+        self._files: tuple[Path, ...] = ()  # of its session's socket: a killed one leaves them
         if not job.trial:  # which opens none, and has the epoch of the part that works
-            instance = f"{job.process}.{max(job.epochs.values())}"
-            self._socket = Path(job.run_folder) / f"{instance}.sock"
+            own = Path(job.run_folder) / f"{job.process}.{max(job.epochs.values())}"
+            self._files = (Path(f"{own}.sock"), Path(f"{own}.sock.lock"))
         exchange.add(process.channel)
         self._write(TypeAdapter(Assignment).dump_json(job).decode())
 
@@ -203,8 +204,8 @@ class Child:
         if self.ended() is not None:
             self._exchange.remove(self._process.channel)
             self._process.bury(descendants=descendants)
-            if self._socket is not None:
-                self._socket.unlink(missing_ok=True)
+            for file in self._files:
+                file.unlink(missing_ok=True)
 
     def sample(self) -> Sample | None:
         """Processor time and memory now; None when it is gone."""
@@ -218,7 +219,7 @@ class Child:
         except (psutil.Error, OSError):
             return None
         cpu_s, own_mb = times.user + times.system, (memory.rss - memory.shared) / 1e6
-        return Sample(time.monotonic(), cpu_s, memory.rss / 1e6, own_mb, stopped)
+        return Sample(time.monotonic(), cpu_s, memory.rss / 1e6, own_mb, stopped, self.pid)
 
     def _write(self, line: str) -> None:
         self._process.channel.send(line)

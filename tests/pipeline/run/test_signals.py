@@ -63,6 +63,12 @@ def ends(process: "subprocess.Popen[str]", *numbers: int) -> tuple[str, float]:
     return out + err, time.monotonic() - began_s
 
 
+def works(name: str) -> bool:
+    """Whether every node of a graph answers."""
+    asked = subprocess.run([*FOVEA, "health", name], capture_output=True, check=False)
+    return asked.returncode == 0
+
+
 def nodes_of(name: str) -> list[int]:
     pids: dict[str, int] = running().get(name, {}).get("pids", {})
     return list(pids.values())
@@ -80,12 +86,11 @@ def test_a_signal_ends_a_graph_in_whatever_state_it_is(
     tmp_path: Path, number: int, text: str
 ) -> None:
     graph, report = written(tmp_path, text), tmp_path / "report.json"
-    name, goal = name_of(graph), 3 if text is CRASHING else 4
+    name, goal = name_of(graph), 2 if text is CRASHING else 4
     with fovea("run", str(graph), "--report", str(report)) as process:
-        until(lambda: len(nodes_of(name)) >= min(goal, 2))
+        until(lambda: len(nodes_of(name)) >= goal)
         if text is LOOP:
-            until(lambda: process.poll() is not None or bool(nodes_of(name)))
-            time.sleep(2.0)
+            until(lambda: works(name))
         pids, prefix = nodes_of(name), running()[name]["prefix"]
 
         said, took_s = ends(process, number)
@@ -137,31 +142,38 @@ def answers_signals(pid: int) -> bool:
 
 @pytest.mark.parametrize("number", SIGNALS)
 def test_a_signal_ends_an_inline_run_and_its_report_is_written(tmp_path: Path, number: int) -> None:
-    graph, report = written(tmp_path, LOOP), tmp_path / "report.json"
+    note, report = tmp_path / "note", tmp_path / "report.json"
+    graph = unruly_file(tmp_path, kind="tell", note=note, once=tmp_path / "once")
     with fovea("run", str(graph), "--inline", "--report", str(report)) as process:
-        until(lambda: answers_signals(process.pid))
-        time.sleep(4)
+        until(note.exists)
 
         said, took_s = ends(process, number)
 
     assert took_s < LIMIT_S
     assert "stages" in said
-    assert json.loads(report.read_text())["frames"]["exposed"] > 0
+    assert json.loads(report.read_text())["frames"]["exposed"] > 10
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_signal_ends_an_inline_run_that_hangs_in_a_handler(tmp_path: Path, count: int) -> None:
-    text = LOOP.replace("    operator: tests.toys:Pass\n",
-                        "    operator: tests.toys:Pass\n    settings: {hang_at: 3}\n")  # fmt: skip
-    graph, report = written(tmp_path, text), tmp_path / "report.json"
+    note, report = tmp_path / "note", tmp_path / "report.json"
+    graph = unruly_file(tmp_path, kind="hang", note=note)
     with fovea("run", str(graph), "--inline", "--report", str(report)) as process:
-        until(lambda: answers_signals(process.pid))
-        time.sleep(4)
+        until(note.exists)
 
         _, took_s = ends(process, *[signal.SIGINT] * count)
 
-    assert took_s < 10
-    assert len(json.loads(report.read_text())["stages"]) == 4
+    assert took_s < LIMIT_S
+    assert len(json.loads(report.read_text())["stages"]) == 3
+
+
+def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) -> None:
+    graph = unruly_file(tmp_path, kind="system_exit")
+    with fovea("run", str(graph), "--inline") as process:
+        _, err = process.communicate(timeout=60)
+
+    assert process.returncode == 1
+    assert err.endswith(": an operator raised SystemExit: 0\n")
 
 
 @pytest.mark.parametrize("number", SIGNALS)
