@@ -77,6 +77,8 @@ class Unruly(Operator[UnrulySettings, Frame]):
     def open(self) -> None:
         if self.settings.kind == "exit_in_open" and self.first():
             raise SystemExit(0)
+        if self.settings.kind == "slow_open":
+            time.sleep(1000)
 
     def first(self) -> bool:
         """Whether it has not been so before; notes that it has."""
