@@ -176,7 +176,7 @@ class Unruly(Operator[UnrulySettings, Frame]):
 
     def do_long_text(self) -> None:
         """Break with many words."""
-        raise ValueError("word " * (self.settings.size // 5))
+        raise ValueError("x" * self.settings.size)
 
     def do_odd_text(self) -> None:
         """Break with words that no terminal takes."""

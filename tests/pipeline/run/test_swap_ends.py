@@ -27,7 +27,7 @@ def swap(supervisor: Supervisor, **changes: Any) -> list[dict[str, Any]]:
     [
         ("exit_in_open", "SystemExit: 0"),
         ("exit_0", "the new part ended by exit status 0"),
-        ("long_text", "ValueError: word word"),
+        ("long_text", "ValueError: xxxx"),
         ("fork_and_die", "the new part ended by signal SIGKILL"),
     ],
 )
