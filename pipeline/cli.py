@@ -117,7 +117,7 @@ def run(
     plan = _load(graph, save=save, **laid)
     if report:
         report.parent.mkdir(parents=True, exist_ok=True)
-    with signals.Interruption() as asked:
+    with signals.Interruption(last=True) as asked:
         if inline:
             result = running.inline(plan, frames or 0, console, asked)
         else:

@@ -251,9 +251,7 @@ class Relay:
         try:
             state = self._host.operator.state()
         except Exception as error:  # the part works on: only the swap comes to nothing
-            raise RunError(
-                f"{self._host.name}: its state cannot be had: {error_text(error)}"
-            ) from error
+            raise RunError(f"its state cannot be had: {error_text(error)}") from error
         if state is None:
             return ""
         name = f"{self._host.name}.{self._host.epoch}.state"

@@ -87,7 +87,7 @@ def _cpu_percent(samples: Sequence[Sample]) -> float:
     """Mean over the last incarnation: processor time restarts at zero with a new process."""
     newest = list(samples)
     for i in range(len(samples) - 1, 0, -1):
-        if samples[i].cpu_s < samples[i - 1].cpu_s:
+        if samples[i].cpu_s < samples[i - 1].cpu_s or samples[i].pid != samples[i - 1].pid:
             newest = list(samples[i:])
             break
     if len(newest) < 2:

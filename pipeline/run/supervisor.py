@@ -134,7 +134,7 @@ class Supervisor(Crew):
             child.tell("stop")
         self._await_ends(children, STOP_S)
         for child in children:
-            if child.ended() is None:
+            if child.ended() is None and not self.in_haste:
                 log.warning("%s: did not stop; killed", child.name)
             child.kill()
         self._await_ends(children, KILLED_S, hurries=False)
@@ -143,6 +143,10 @@ class Supervisor(Crew):
         if self.children:
             end_marked(self._run.run_id)
         self._hear()
+        for child in children:
+            status = child.ended()
+            if status is not None and status >= 0 and not child.left:
+                log.warning("%s: ended by %s while it was stopped", child.name, ending(status))
         for slot in self.slots.values():
             slot.child = None
         self._leaving.clear()
@@ -152,11 +156,13 @@ class Supervisor(Crew):
         try:
             self.stop()
         finally:
-            self.exchange.close()
-            leaving = threading.Thread(target=self._hub.close, name="leave-the-bus", daemon=True)
-            leaving.start()
-            leaving.join(CLOSE_S)
-            self._run.release()
+            try:
+                self.exchange.close()
+                leave = threading.Thread(target=self._hub.close, name="leave-bus", daemon=True)
+                leave.start()
+                leave.join(CLOSE_S)
+            finally:
+                self._run.release()
 
     def _await_ends(self, children: set[Child], limit_s: float, *, hurries: bool = True) -> None:
         """Wait until all have ended, hearing what they say; not at all in haste."""
