@@ -8,7 +8,9 @@ import socket
 import sys
 import time
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from subprocess import DEVNULL, Popen
@@ -22,8 +24,9 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from pipeline.boxes import centres
-from pipeline.contract import Input, Operator
+from pipeline.contract import INCOMPLETE, Input, Operator
 from pipeline.errors import MessageError, RunError, SettingsError
+from pipeline.growing_file import GrowingFile
 from pipeline.messages import (
     Detections,
     Frame,
@@ -87,6 +90,7 @@ class Visualise(Operator[VisualiseSettings, None]):
     percept = Input(Percept, join=False, optional=True, tap=True)
 
     _recording: rr.RecordingStream | None = None
+    _file: GrowingFile | None = None
     _server: Popen[bytes] | None = None
 
     def open(self) -> None:
@@ -102,17 +106,33 @@ class Visualise(Operator[VisualiseSettings, None]):
             self._server = serve(s.port, s.web_port)
         if url:
             await_listener(url)
+        self._newest: int | None = None  # frame
         self._recording = record(s.save, url)
+        if s.save:
+            self._file = GrowingFile(Path(s.save).absolute(), partial(flushed, self._recording))
+
+    def summary(self) -> Mapping[str, Any]:
+        """Whether the recording is whole, and if not, up to where."""
+        if self._file is not None:
+            self._file.look(self._newest)
+            if self._file.failure:
+                return {INCOMPLETE: f"visualise.save: {self._file.failure}"}
+        return {}
 
     def close(self) -> None:
-        """Write out what is left and end the server."""
-        if self._recording is not None:
-            self._recording.disconnect()
-            self._recording = None
+        """Write out what is left and end the server; raises `RunError` when that is not all."""
+        recording, self._recording = self._recording, None
+        late = ""  # what went wrong after the summary
+        if recording is not None and self._file is not None:
+            late = self._file.close(recording.disconnect)
+        elif recording is not None:
+            recording.disconnect()
         if self._server is not None:
             self._server.terminate()
             self._server.wait()
             self._server = None
+        if late:
+            raise RunError(f"visualise.save: {late}")
 
     def on_stream(self, header: Header) -> None:
         """Tell that a sensor was opened; old trails belong to other objects."""
@@ -198,7 +218,10 @@ class Visualise(Operator[VisualiseSettings, None]):
         """Whether this frame is shown; if so, sets the time and tells how its stage did."""
         if message.header.seq % self.settings.every:
             return False
+        if self._file is not None and not self._file.is_written(self._newest):
+            return False  # what cannot be written is not kept in memory either
         self._at(message.header)
+        self._newest = message.header.seq
         for name, value in latencies(message.header).items():
             self._log(f"latency/{name}", rr.Scalars(value))
         return True
@@ -300,8 +323,20 @@ def record(path: str, url: str) -> rr.RecordingStream:
         if not folder.is_dir():
             raise RunError(f"visualise.save: expected a folder {folder}, got none")
         sinks.append(rr.FileSink(path))
-    recording.set_sinks(*sinks, default_blueprint=panels())
+    try:
+        recording.set_sinks(*sinks, default_blueprint=panels())
+    except RuntimeError as error:
+        raise RunError(f"visualise.save: {path} cannot be written: {error}") from error
     return recording
+
+
+def flushed(recording: rr.RecordingStream, timeout_s: float) -> bool:
+    """Wait until everything that was logged has been written; whether it was, in that time."""
+    try:
+        recording.flush(timeout_sec=timeout_s)
+    except RuntimeError:
+        return False
+    return True
 
 
 def panels() -> rrb.Blueprint:

@@ -13,10 +13,13 @@ from rich.console import Console
 from pipeline import output, signals
 from pipeline.bus.session import silence
 from pipeline.console import running, watching
+from pipeline.console.arguments import DURATION_S, FRAMES, FRAMES_OR_NONE, INTERVAL_S, LINES
 from pipeline.console.asking import health_command, schema_command, tell_command
 from pipeline.console.changing import set_command
+from pipeline.console.files import try_recording, try_report, write_report
 from pipeline.console.operating import add, remove, rewire, swap
 from pipeline.console.tasks import task_command
+from pipeline.contract import INCOMPLETE
 from pipeline.doctor import doctor_command
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, WeightsError
 from pipeline.fleet import overview
@@ -27,6 +30,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay, manual_nodes
 from pipeline.graph.plan import Plan
 from pipeline.graph.schema import graph_schema
+from pipeline.graph.survey import survey
 from pipeline.run.logs import log_lines
 from pipeline.run.report import tables
 from pipeline.run.rundir import running as running_here
@@ -99,8 +103,8 @@ def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
 @GRAPH
 @overlaid
 @click.option("--inline", is_flag=True, help="One thread, no processes, in lockstep.")
-@click.option("--frames", type=click.IntRange(1), help="Stop after so many exposures.")
-@click.option("--duration-s", type=click.FloatRange(0, min_open=True), help="Stop after this.")
+@click.option("--frames", type=FRAMES, help="Stop after so many exposures.")
+@click.option("--duration-s", type=DURATION_S, help="Stop after this.")
 @click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
 @click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
 def run(
@@ -114,22 +118,27 @@ def run(
         raise click.UsageError("--inline runs in lockstep: limit it by --frames")
     if inline:
         laid["clock"] = "lockstep"
-    plan = _load(graph, save=save, **laid)
     if report:
-        report.parent.mkdir(parents=True, exist_ok=True)
+        try_report(report, "--report")
+    if save:
+        try_recording(save, "--save")
+    plan, unwritten = _load(graph, save=save, **laid), ""
     with signals.Interruption(last=True) as asked:
         if inline:
             result = running.inline(plan, frames or 0, console, asked)
         else:
             result = running.processes(plan, frames or 0, duration_s or 0.0, console, asked)
         if report:
-            report.write_text(json.dumps(result, indent=1))
+            unwritten = write_report(report, result, "--report")
         console.print(tables(result))
+        if unwritten:
+            click.echo(json.dumps(result, indent=1))
         if save:
             console.print(f"recording: {save}, open it with: rerun {save}", markup=False)
-    if result.get("failure"):
-        click.echo(f"Error: {result['failure']}", err=True)
-    if asked.status or result.get("failure"):
+    wrong = [why for why in (result.get("failure"), result.get(INCOMPLETE), unwritten) if why]
+    for why in wrong:
+        click.echo(f"Error: {harmless(str(why))}", err=True)
+    if asked.status or wrong:
         sys.exit(asked.status or 2)
 
 
@@ -137,8 +146,12 @@ def run(
 @click.argument("graph", required=False, type=click.Path(path_type=Path, dir_okay=False))
 @overlaid
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of graph files.")
-def check(graph: Path | None, schema: bool, **laid: Any) -> None:
+@click.option("--no-import", is_flag=True, help="Look at the files alone, execute nothing of them.")
+def check(graph: Path | None, schema: bool, no_import: bool, **laid: Any) -> None:
     """Check a graph without starting anything."""
+    if no_import:
+        _survey(graph, schema=schema, **laid)
+        return
     plan = _load(graph, **laid) if graph else None
     if schema:
         click.echo(json.dumps(graph_schema(plan), indent=1))
@@ -146,8 +159,8 @@ def check(graph: Path | None, schema: bool, **laid: Any) -> None:
         raise click.UsageError("Missing argument 'GRAPH'.")
     else:
         console.print(
-            f"{graph}: {plan.name}, {len(plan.nodes)} nodes in {len(plan.processes())} processes, "
-            f"{len(plan.edges)} edges, {plan.clock}",
+            f"{harmless(str(graph))}: {plan.name}, {len(plan.nodes)} nodes in "
+            f"{len(plan.processes())} processes, {len(plan.edges)} edges, {plan.clock}",
             markup=False,
         )
         for line in running.advice(plan):
@@ -177,7 +190,7 @@ def ps(as_json: bool) -> None:
 @commands.command()
 @click.argument("graph", required=False)
 @click.option("--once", is_flag=True, help="Print one table and leave.")
-@click.option("--every-s", default=1.0, type=click.FloatRange(0.1), show_default=True)
+@click.option("--every-s", default=1.0, type=INTERVAL_S, show_default=True)
 def top(graph: str | None, once: bool, every_s: float) -> None:
     """Watch rates, latencies, drops and back-pressure of a running graph."""
     deployed = None if _runs_here(graph or "") else overview.known_graph(graph or "")
@@ -191,7 +204,7 @@ def top(graph: str | None, once: bool, every_s: float) -> None:
 @click.argument("node")
 @click.option("--graph", default="", help="Which graph, when several run.")
 @click.option("--follow", "-f", is_flag=True)
-@click.option("--lines", "-n", default=40, type=click.IntRange(0), show_default=True)
+@click.option("--lines", "-n", default=40, type=LINES, show_default=True)
 def logs(node: str, graph: str, follow: bool, lines: int) -> None:
     """Show what a node wrote, also after it ended."""
     try:
@@ -208,7 +221,7 @@ def logs(node: str, graph: str, follow: bool, lines: int) -> None:
 @commands.command()
 @click.argument("output", metavar="NODE[.OUTPUT]")
 @click.option("--graph", default="", help="Which graph, when several run.")
-@click.option("--count", default=0, type=click.IntRange(0), help="Leave after so many.")
+@click.option("--count", default=0, type=FRAMES_OR_NONE, help="Leave after so many.")
 def echo(output: str, graph: str, count: int) -> None:
     """Print the messages of an output as they come."""
     for line in watching.echo(graph, output, count):
@@ -218,7 +231,7 @@ def echo(output: str, graph: str, count: int) -> None:
 @commands.command()
 @click.argument("output", metavar="NODE[.OUTPUT]")
 @click.option("--graph", default="", help="Which graph, when several run.")
-@click.option("--duration-s", default=5.0, type=click.FloatRange(0.1), show_default=True)
+@click.option("--duration-s", default=5.0, type=INTERVAL_S, show_default=True)
 def hz(output: str, graph: str, duration_s: float) -> None:
     """Measure rate, jitter and age of an output's messages."""
     click.echo(watching.rate(graph, output, duration_s))
@@ -229,17 +242,30 @@ def _runs_here(graph: str) -> bool:
     return graph in found or (not graph and bool(found))
 
 
+def _survey(
+    graph: Path | None, *, schema: bool, source: Path | None, changes: tuple[str, ...],
+    clock: str | None, wanted: tuple[str, ...],
+) -> None:  # fmt: skip
+    if graph is None:
+        raise click.UsageError("Missing argument 'GRAPH'.")
+    if schema or changes or wanted:
+        raise click.UsageError("--no-import: goes with --source and --clock alone")
+    for line in survey(graph, source=source, clock=clock or ""):
+        console.print(harmless(line), markup=False, highlight=False, soft_wrap=True)
+
+
 def _load(
     graph: Path, *, save: Path | None = None, source: Path | None, changes: tuple[str, ...],
     clock: str | None, wanted: tuple[str, ...],
 ) -> Plan:  # fmt: skip
+    values: tuple[tuple[str, str, Any], ...] = ()
     if save:
         viewer = manual_nodes(graph, "save")
         if not viewer:
             raise GraphError(f"{graph}: --save needs a node with a setting `save`, got none")
         wanted = (*wanted, viewer[0])
-        changes = (*changes, f"{viewer[0]}.save={save}")
-    return load(graph, Overlay(source, changes, clock or "", wanted))
+        values = ((viewer[0], "save", str(save)),)
+    return load(graph, Overlay(source, changes, clock or "", wanted, values))
 
 
 commands.add_command(weights_commands)

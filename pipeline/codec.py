@@ -23,10 +23,12 @@ from pipeline.errors import MessageError
 from pipeline.fields import DTYPES, Array, Fetch, Kind, Nested, Place, Plain, Tuples
 from pipeline.messages import Message, Shape
 from pipeline.once import once
+from pipeline.text import harmless
 
 T = TypeVar("T")
 Buffer = bytes | msgspec.Raw
 
+LONGEST_REASON = 300  # characters: it may quote what came
 _SCALARS = (bool, int, float, str, bytes)
 _AS_THEY_ARE = (bytes,)  # not as text, which stands for bytes in other formats
 
@@ -213,7 +215,7 @@ def parse(decode: Callable[[Buffer], T], data: Buffer, what: str) -> T:
     try:
         return decode(data)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise MessageError(f"{what}: {error}") from error
+        raise MessageError(f"{what}: {harmless(str(error), LONGEST_REASON)}") from error
 
 
 def _kind(hint: Any, where: str) -> Kind:

@@ -85,8 +85,8 @@ def read_arguments(cls: type[Operator[Any, Any]], order: Order, node: str) -> di
 
 
 def write_order(command: str, arguments: Mapping[str, Any]) -> bytes:
-    """The bytes that tell a node what to do."""
-    return msgspec.msgpack.encode(Order(command, dict(arguments)))
+    """The bytes that tell a node what to do; raises `MessageError` for what cannot travel."""
+    return codec.to_bytes(Order(command, dict(arguments)))
 
 
 def read_order(order: bytes, node: str) -> Order:

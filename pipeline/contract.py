@@ -18,6 +18,7 @@ from pipeline.messages import Header, Message
 S = TypeVar("S")
 Out = TypeVar("Out")
 Keep = Literal["latest", "every"]
+INCOMPLETE = "incomplete"  # in a summary: what could not be written, as a sentence
 Loan = Callable[[str, tuple[int, ...], DTypeLike], NDArray[Any]]  # output, shape, dtype -> memory
 
 
@@ -91,7 +92,11 @@ class Operator(Generic[S, Out]):
         """Take over what another instance's `state` gave."""
 
     def summary(self) -> Mapping[str, Any]:
-        """Figures for the run's report, asked for once at the end."""
+        """Figures for the run's report, asked for once at the end.
+
+        A sentence as `incomplete` tells what could not be written: `fovea run` prints it, and its
+        exit status is not zero.
+        """
         return {}
 
     def headline(self) -> str:

@@ -12,11 +12,11 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.commands import COMMAND, Outcome, read_outcome, write_order
+from pipeline.console.arguments import named_value
 from pipeline.console.watching import find
 from pipeline.errors import RunError
 from pipeline.fleet.deploy import remembered
 from pipeline.fleet.remote import ask_there, health_there, is_deployed
-from pipeline.graph.overlay import read_value
 from pipeline.node.health import HEALTH, Health, read_health
 from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.node.wiring import key_of
@@ -63,12 +63,7 @@ def schema_command(node: str, graph: str) -> None:
 @click.argument("arguments", nargs=-1, metavar="[NAME=VALUE]…")
 def tell_command(graph: str, node: str, command: str, arguments: tuple[str, ...]) -> None:
     """Have a running node do something; `fovea schema NODE` shows what it can."""
-    given = {}
-    for argument in arguments:
-        name, equals, value = argument.partition("=")
-        if not equals:
-            raise click.UsageError(f"{argument}: expected NAME=VALUE")
-        given[name] = read_value(value)
+    given = dict(named_value(argument) for argument in arguments)
     outcome = tell(graph, node, command, given)
     if outcome.refused:
         raise RunError(outcome.refused)

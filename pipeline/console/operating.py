@@ -8,17 +8,18 @@ import click
 import msgspec
 from pydantic import TypeAdapter
 
+from pipeline.console.arguments import BUDGET_MS, FRAMES, FRAMES_OR_NONE, named_value
 from pipeline.console.watching import find
-from pipeline.errors import GraphError, RunError
+from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet.remote import is_deployed, swap_there
 from pipeline.graph.editing import rewired, with_nodes, without_node
-from pipeline.graph.overlay import read_change
 from pipeline.graph.plan import Plan
 from pipeline.run.desk import COMMAND, Order
 from pipeline.run.rundir import running
 from pipeline.run.swap import SwapOrder
 from pipeline.run.topology import PlanOrder
 from pipeline.run.visiting import visit
+from pipeline.text import error_text, harmless
 
 PATIENCE_S = 300.0  # loading a model, a shadow run and probation take their time
 
@@ -29,16 +30,13 @@ PATIENCE_S = 300.0  # loading a model, a shadow run and probation take their tim
 @click.option("--operator", default="", metavar="MODULE:CLASS", help="Another operator.")
 @click.option("--set", "changes", multiple=True, metavar="SETTING=VALUE")
 @click.option("--defaults", is_flag=True, help="Begin with the operator's own settings.")
-@click.option("--shadow", default=0, type=click.IntRange(0), help="Frames to compare before.")
-@click.option("--at", default=0, type=click.IntRange(0), help="Not before this frame.")
-@click.option("--probation", default=30, type=click.IntRange(1), show_default=True, help="Frames.")
-@click.option("--budget-ms", default=0.0, type=click.FloatRange(0), help="Per frame.")
+@click.option("--shadow", default=0, type=FRAMES_OR_NONE, help="Frames to compare before.")
+@click.option("--at", default=0, type=FRAMES_OR_NONE, help="Not before this frame.")
+@click.option("--probation", default=30, type=FRAMES, show_default=True, help="Frames.")
+@click.option("--budget-ms", default=0.0, type=BUDGET_MS, help="Per frame.")
 def swap(graph: str, node: str, changes: tuple[str, ...], **order: Any) -> None:
     """Replace a node's operator, settings or model file while the graph runs."""
-    wanted = {}
-    for change in changes:
-        _, setting, value = read_change(f"{node}.{change}")
-        wanted[setting] = value
+    wanted = dict(named_value(change) for change in changes)
     result = tell(graph, SwapOrder(node=node, changes=wanted, **order))
     for line in swap_lines(result):
         click.echo(line)
@@ -100,14 +98,19 @@ def tell(graph: str, order: Order) -> dict[str, Any]:
     name, facts = find(graph)
     with visit(name, "order") as session:
         key = f"fovea/{facts['graph']}/{COMMAND}"
-        answer = session.ask(
-            key, msgspec.json.encode(order), PATIENCE_S, lambda: same_run(name, facts)
-        )
+        answer = session.ask(key, _written(order), PATIENCE_S, lambda: same_run(name, facts))
     if answer is None and not same_run(name, facts):
         raise RunError(f"{name}: ended before that was done")
     if answer is None:
         raise RunError(f"{name}: no answer for {PATIENCE_S:.0f} s; see `fovea ps`")
     return _judged(msgspec.json.decode(answer))
+
+
+def _written(order: Order) -> bytes:
+    try:
+        return msgspec.json.encode(order)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise SettingsError(f"not an order: {harmless(error_text(error))}") from error
 
 
 def same_run(name: str, facts: Mapping[str, Any]) -> bool:

@@ -18,7 +18,7 @@ from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Clock, Edge, Node, Plan, load_operator
 from pipeline.graph.spec import EdgeSpec, NodeSpec, check_places, graph_spec, node_specs
 from pipeline.graph.yaml_lines import YamlFile
-from pipeline.wording import shown
+from pipeline.wording import shown_key
 
 FROM_PORT = ("keep", "depth", "wait_ms", "max_age_ms", "stale")  # unless the file says otherwise
 
@@ -147,12 +147,12 @@ def _edge(
     place = f"{spec.place}: {spec.where}"
     if spec.source not in parts:
         hint = _suggest_origin(spec.origin, parts)
-        raise _Placed(f"{place}: no node {shown_node(spec.source)}{hint}")
+        raise _Placed(f"{place}: no node {shown_key(spec.source)}{hint}")
     outputs = parts[spec.source].outputs
     if spec.output not in outputs:
         options = [_origin(spec.source, output) for output in outputs]
         hint = checked.suggest(spec.origin, options)
-        raise _Placed(f"{place}: {spec.source} has no output {shown_node(spec.output)}{hint}")
+        raise _Placed(f"{place}: {spec.source} has no output {shown_key(spec.output)}{hint}")
     if (sent := outputs[spec.output]) is not port.message:
         expected = f"expected {port.message.__name__}, got {sent.__name__}"
         raise _Placed(f"{place}: {expected} from {spec.origin}")
@@ -175,8 +175,3 @@ def _suggest_origin(origin: str, parts: Mapping[str, _Part]) -> str:
 
 def _origin(node: str, output: str) -> str:
     return node if output == "out" else f"{node}.{output}"
-
-
-def shown_node(name: str) -> str:
-    """A name in a complaint that there is none of it."""
-    return name if name.isidentifier() else shown(name)

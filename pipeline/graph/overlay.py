@@ -12,7 +12,7 @@ from pipeline.graph.spec import GraphSpec, NodeSpec, graph_spec
 from pipeline.graph.yaml_lines import YamlFile, kind_of
 from pipeline.graph.yaml_reader import YamlMapping, read_text
 from pipeline.settings import suggest
-from pipeline.wording import shown
+from pipeline.wording import shown, shown_key
 
 SOURCE_KEYS = ("operator", "settings")
 
@@ -45,7 +45,7 @@ class Overlay:
             _lay_value(file, nodes, f"{node}.{setting}", node, setting, value)
         for name in self.wanted:
             if name not in nodes:
-                raise GraphError(f"{file.path}: no node {shown(name)}{suggest(name, nodes)}")
+                raise GraphError(f"{file.path}: no node {shown_key(name)}{suggest(name, nodes)}")
         return bool(self.source or self.changes or self.values)
 
 
@@ -118,7 +118,7 @@ def _settings_of(node: NodeSpec) -> set[str]:
 
 def _lay_value(file: YamlFile, nodes: Any, place: str, name: str, setting: str, value: Any) -> None:
     if name not in nodes:
-        what = f"{file.path} has no node {shown(name)}{suggest(name, nodes)}"
+        what = f"{file.path} has no node {shown_key(name)}{suggest(name, nodes)}"
         raise GraphError(f"{place}: {what}")
     entry: YamlMapping = nodes[name]
     names = {f.name for f in fields(settings_of(load_operator(entry["operator"])))}

@@ -1,0 +1,1 @@
+"""Generated input against everything that reads what comes from outside."""

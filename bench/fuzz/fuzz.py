@@ -1,0 +1,79 @@
+"""Figures of generated input: cases, refusals, and what broke, which should be nothing.
+
+python -m bench.fuzz graphs --count 10000; python -m bench.fuzz orders --count 10000;
+python -m bench.fuzz wire --count 1000000
+"""
+
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench import machine
+from bench.fuzz.graphs import fuzz_graphs
+from bench.fuzz.orders import fuzz_orders
+from bench.fuzz.tally import Tally
+from bench.fuzz.wire import fuzz_wire
+from bench.options import JSON, Bench
+
+SHIPPED = (Path("graphs/tracking.yaml"), Path("graphs/boxes.yaml"))
+
+
+@click.group()
+def fuzz() -> None:
+    """Give generated input to everything that reads what comes from outside."""
+
+
+def options(count: int) -> Callable[..., Any]:
+    """How many cases, drawn from which seed, written where."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        command = click.option("--seed", default=0, show_default=True)(command)
+        return JSON(click.option("--count", default=count, show_default=True)(command))
+
+    return decorate
+
+
+@fuzz.command(cls=Bench)
+@click.argument("graphs", nargs=-1, type=click.Path(path_type=Path))
+@options(10_000)
+def graphs(graphs: Sequence[Path], count: int, seed: int, path: Path | None) -> None:
+    """Load malformed versions of GRAPHS, of the shipped ones without any."""
+    with tempfile.TemporaryDirectory() as folder:
+        tally = fuzz_graphs(graphs or SHIPPED, count, Path(folder), seed=seed)
+    tell("graphs", tally, seed, path)
+
+
+@fuzz.command(cls=Bench)
+@options(10_000)
+def orders(count: int, seed: int, path: Path | None) -> None:
+    """Give malformed orders to a small graph that runs, and to a node."""
+    with tempfile.TemporaryDirectory() as folder:
+        tally = fuzz_orders(count, Path(folder), seed=seed)
+    tell("orders", tally, seed, path)
+
+
+@fuzz.command(cls=Bench)
+@options(1_000_000)
+def wire(count: int, seed: int, path: Path | None) -> None:
+    """Decode malformed bytes."""
+    tell("wire", fuzz_wire(count, seed=seed), seed, path)
+
+
+def tell(what: str, tally: Tally, seed: int, path: Path | None) -> None:
+    """Print the figures, write them with their origin, and exit with 1 when something broke."""
+    figures = asdict(tally)
+    examples = figures.pop("examples")
+    click.echo(json.dumps({what: figures}, indent=1))
+    for example in examples:
+        click.echo(example, err=True)
+    if path:
+        whole = {"fuzz": what, "seed": seed, **figures, **machine.facts()}
+        path.write_text(json.dumps(whole, indent=1))
+    if not tally.sound:
+        sys.exit(1)

@@ -1,0 +1,182 @@
+"""Spoilt orders to a running graph: each is answered once, in one sentence, and the graph goes on.
+
+Orders to the supervisor go to the desk of a small graph that runs; those to a node go to an
+operator in this process, as its host would pass them on.
+"""
+
+import json
+import random
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from pydantic import TypeAdapter
+
+from bench.fuzz import nasty
+from bench.fuzz.tally import Tally
+from pipeline import Frame, Input, Operator, SettingsError
+from pipeline.commands import carry_out, write_outcome
+from pipeline.errors import GraphError, RunError
+from pipeline.graph.loader import load
+from pipeline.graph.plan import Plan
+from pipeline.node.live import Live
+from pipeline.run.supervisor import Supervisor
+
+GRAPH = """\
+name: fuzz-orders
+nodes:
+  metronome: {operator: bench.toys:Metronome, settings: {rate_hz: 100, side_px: 16}}
+  forward: {operator: bench.toys:Forward, inputs: {frame: metronome}}
+  sink: {operator: bench.toys:Sink, inputs: {frame: forward}}
+  spare: {operator: bench.toys:Sink, inputs: {frame: metronome}}
+"""
+ROUND = 1000  # orders to one run of the graph
+ANSWER_S = 120.0
+SWAP = {"type": "swap", "node": "forward", "operator": "", "changes": {}, "defaults": False,
+        "at": 0, "shadow": 0, "probation": 1, "budget_ms": 1000.0}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class TunableSettings:
+    """One number."""
+
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.gain <= 10:
+            raise SettingsError(f"gain: expected 0 to 10, got {self.gain}")
+
+
+class Tunable(Operator[TunableSettings, None]):
+    """Can be set and told."""
+
+    live = ("gain",)
+    commands = ("recall",)
+    frame = Input(Frame)
+
+    def on_frame(self, frame: Frame) -> None:
+        """Look."""
+
+    def do_recall(self, last: int = 1, words: tuple[str, ...] = ()) -> dict[str, Any]:
+        """Count what it was told."""
+        return {"last": last, "words": len(words)}
+
+
+def fuzz_orders(count: int, folder: Path, *, seed: int = 0) -> Tally:
+    """Give so many orders, half of them to the supervisor and half to a node."""
+    rng, tally = random.Random(seed), Tally()
+    path = folder / "graph.yaml"
+    path.write_text(GRAPH)
+    to_graph = count // 2
+    _to_node(count - to_graph, rng, tally)
+    while to_graph > 0:
+        _to_graph(load(path), min(to_graph, ROUND), rng, tally)
+        to_graph -= ROUND
+    path.unlink()
+    return tally
+
+
+def _to_node(count: int, rng: random.Random, tally: Tally) -> None:
+    operator = Tunable(TunableSettings())
+    live = Live("work", operator, {}, None)
+    order = {"command": "recall", "arguments": {"last": 2, "words": ["a"]}}
+    for number in range(count):
+        if number % 2:
+            data = _packed({"gain": 2.0}, rng)
+            tally.judge(data, partial(_answered, live, data))
+        else:
+            data = _packed(order, rng)
+            tally.judge(data, partial(_told, operator, data))
+
+
+def _told(operator: Operator[Any, Any], data: bytes) -> None:
+    outcome = carry_out("work", operator, data)
+    write_outcome(outcome)
+    if outcome.refused:
+        raise RunError(outcome.refused)
+
+
+def _answered(live: Live, data: bytes) -> None:
+    replies: list[bytes] = []
+    live.answer(data, replies.append)
+    if len(replies) != 1:
+        raise AssertionError(f"answered {len(replies)} times")
+    if refused := msgspec.msgpack.decode(replies[0])["refused"]:
+        raise RunError(refused)
+
+
+def _to_graph(plan: Plan, count: int, rng: random.Random, tally: Tally) -> None:
+    with Supervisor(plan) as supervisor:
+        supervisor.patience = count
+        supervisor.start()
+        for _ in range(count):
+            order = _order(supervisor, plan, rng)
+            tally.judge(order, partial(_asked, supervisor, order))
+        tally.judge("the graph goes on", partial(_goes_on, supervisor))
+
+
+def _order(supervisor: Supervisor, plan: Plan, rng: random.Random) -> bytes:
+    running = TypeAdapter(Plan).dump_python(supervisor.plan, mode="json")
+    wanted = TypeAdapter(Plan).dump_python(plan, mode="json")  # what was taken away comes back
+    document: Mapping[str, Any] = SWAP
+    if rng.random() < 0.6:
+        what = running if rng.random() < 0.8 else wanted
+        document = {"type": "plan", "plan": what, "revision": supervisor.revision}
+    kind = rng.random()
+    if kind < 0.01:
+        return json.dumps(document).encode()
+    if kind < 0.75:
+        spoilt = nasty.spoilt(document, rng, rng.choice((1, 1, 2, 4)))
+        return json.dumps(spoilt).encode()
+    if kind < 0.95:
+        return nasty.flipped(json.dumps(document).encode(), rng)
+    return rng.randbytes(rng.randrange(100))
+
+
+def _asked(supervisor: Supervisor, order: bytes) -> None:
+    replies: list[bytes] = []
+    supervisor.desk.ask(order, replies.append)
+    late_s = time.monotonic() + ANSWER_S
+    supervisor.desk.attend()
+    while not replies:
+        supervisor.tick()
+        if time.monotonic() > late_s:
+            raise AssertionError("no answer")
+    if len(replies) != 1:
+        raise AssertionError(f"answered {len(replies)} times")
+    if supervisor.failure:
+        raise AssertionError(f"the run failed: {supervisor.failure}")
+    refused = msgspec.json.decode(replies[0]).get("refused", "")
+    if "it broke" in refused:
+        raise AssertionError(refused)
+    if refused:
+        raise GraphError(refused)
+
+
+def _goes_on(supervisor: Supervisor) -> None:
+    node = supervisor.plan.node("metronome")
+    before = supervisor.ledger.nodes[node.index].last_seq
+    late_s = time.monotonic() + 8
+    while supervisor.ledger.nodes[node.index].last_seq <= before + 5:
+        supervisor.tick()
+        if time.monotonic() > late_s or supervisor.failure:
+            raise AssertionError(f"it stands still {supervisor.failure}")
+
+
+def _packed(document: Mapping[str, Any], rng: random.Random) -> bytes:
+    kind = rng.random()
+    if kind < 0.1:
+        return msgspec.msgpack.encode(document)
+    if kind < 0.6:
+        spoilt = nasty.spoilt(document, rng, rng.choice((1, 1, 2)))
+        try:
+            return msgspec.msgpack.encode(spoilt)
+        except (OverflowError, TypeError, ValueError, RecursionError):
+            pass  # what no sender can write; flipped bytes instead
+    if kind < 0.95:
+        return nasty.flipped(msgspec.msgpack.encode(document), rng)
+    return rng.randbytes(rng.randrange(60))

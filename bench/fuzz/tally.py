@@ -1,0 +1,126 @@
+"""What came of generated cases: how many were accepted, refused, or broke something."""
+
+import os
+import signal
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import FoveaError
+
+LONGEST_S = 10.0  # a case that takes longer hangs
+MOST_SENTENCE = 2000  # characters
+KEPT = 20  # examples of what broke
+WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
+CHANGES = ("os.mkdir", "os.remove", "os.rename", "os.rmdir", "os.link", "os.symlink")
+
+
+class TooSlow(BaseException):
+    """A case took longer than it may; no `except Exception` keeps it."""
+
+
+@dataclass
+class Tally:
+    """The figures of a run."""
+
+    cases: int = 0
+    accepted: int = 0
+    refused: int = 0
+    tracebacks: int = 0
+    hangs: int = 0
+    bad_sentences: int = 0
+    slowest_ms: float = 0.0
+    files_touched: int = 0
+    examples: list[str] = field(default_factory=list)
+    kinds: Counter[str] = field(default_factory=Counter)
+
+    def judge(
+        self, case: object, act: Callable[[], Any], sentence: Callable[[str], bool] = bool
+    ) -> None:
+        """Do one case, and note what came of it; `sentence` says whether a refusal is a good one.
+
+        >>> tally = Tally()
+        >>> tally.judge("1", lambda: 1)
+        >>> tally.judge("x", lambda: int("x"))
+        >>> (tally.cases, tally.accepted, tally.tracebacks)
+        (2, 1, 1)
+        """
+        self.cases += 1
+        began_s = time.perf_counter()
+        try:
+            with bounded(LONGEST_S):
+                act()
+            self.accepted += 1
+        except FoveaError as error:
+            self.refused += 1
+            said = str(error)
+            if "\n" in said or len(said) > MOST_SENTENCE or not said or not sentence(said):
+                self.bad_sentences += 1
+                self._keep(case, f"not a sentence: {said}")
+        except TooSlow:
+            self.hangs += 1
+            self._keep(case, "hangs")
+        except BaseException as error:
+            self.tracebacks += 1
+            self.kinds[type(error).__name__] += 1
+            self._keep(case, traceback.format_exc(limit=-4))
+        self.slowest_ms = max(self.slowest_ms, 1000 * (time.perf_counter() - began_s))
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing broke."""
+        wrong = self.tracebacks + self.hangs + self.bad_sentences + self.files_touched
+        return self.cases > 0 and wrong == 0
+
+    def _keep(self, case: object, what: str) -> None:
+        if len(self.examples) < KEPT:
+            self.examples.append(f"{str(case)[:1500]}\n=> {what}")
+
+
+@contextmanager
+def bounded(seconds: float) -> Iterator[None]:
+    """Raise `TooSlow` in the main thread after so long."""
+
+    def stop(_number: int, _frame: object) -> None:
+        raise TooSlow
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+class Watch:
+    """Notes which files outside one folder this process opens for writing, makes or removes."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = str(folder.resolve())
+        self.on = False
+        self.touched: set[str] = set()
+        sys.addaudithook(self._hear)  # it stays for good, and is switched off
+
+    def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if not self.on:
+            return
+        if event == "open":
+            path, _mode, flags = arguments
+            if not isinstance(flags, int) or not flags & WRITES:
+                return
+        elif event not in CHANGES and event != "subprocess.Popen":
+            return
+        else:
+            path = arguments[0]
+        if isinstance(path, int):
+            return
+        place = os.path.abspath(os.fsdecode(path) if isinstance(path, (str, bytes)) else str(path))
+        if not place.startswith(self._folder) and "__pycache__" not in place:
+            self.touched.add(f"{event} {place}")

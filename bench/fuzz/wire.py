@@ -1,0 +1,100 @@
+"""Spoilt byte strings against every decoder: each says what it is, or raises a `FoveaError`."""
+
+import random
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from bench.fuzz import nasty
+from bench.fuzz.tally import Tally
+from pipeline import codec
+from pipeline.bus.envelope import MESSAGE, NOTHING, Envelope
+from pipeline.bus.pool import SlotRef
+from pipeline.commands import Outcome, read_order, read_outcome, write_order, write_outcome
+from pipeline.fleet import wire
+from pipeline.messages import Detections, Frame, Header, Message, Percept, RoiSchedule
+from pipeline.node.health import Health, read_health
+from pipeline.node.live import read_answer, read_question, write_question
+
+Reader = Callable[[bytes], Any]
+Case = tuple[bytes, Reader]  # valid bytes and what reads them
+HEADER = Header(stream="fuzz", seq=7, stamp_ns=1)
+
+
+def fuzz_wire(count: int, *, seed: int = 0) -> Tally:
+    """Read so many spoilt byte strings with the decoders they are meant for, or with any other."""
+    rng, tally, cases = random.Random(seed), Tally(), list(known().values())
+    for _ in range(count):
+        data, read = _input(rng, cases)
+        tally.judge(data, partial(read, data))
+    return tally
+
+
+def known() -> Mapping[str, Case]:
+    """Valid bytes of every kind that is read, by name."""
+    found: dict[str, Case] = {}
+    for message in messages():
+        cls = type(message)
+        found[cls.__name__] = codec.dumps(message), _loader(cls)
+        body = codec.pack(message)
+        mark = codec.fingerprint(cls)
+        found[f"envelope of {cls.__name__}"] = (
+            Envelope.render(MESSAGE, 3, 1, mark, None, body), _opener(cls)
+        )  # fmt: skip
+    slot = SlotRef("eye.out", 7, 1, 2, 4096)
+    found["nothing"] = (
+        Envelope.render(NOTHING, 3, 1, b"", slot, codec.pack(HEADER)), _opener(Header)
+    )  # fmt: skip
+    found["order"] = write_order("recall", {"last": 3}), lambda data: read_order(data, "work")
+    found["outcome"] = write_outcome(Outcome(answer={"a": [1, 2.5]})), read_outcome
+    found["question"] = write_question({"rate_hz": 5.0, "box": [1, 2]}), read_question
+    answer = msgspec.msgpack.encode({"settings": {"a": 1}, "live": ["a"], "refused": ""})
+    found["answer"] = answer, read_answer
+    health = {f: 1 for f in Health.__struct_fields__}
+    found["health"] = msgspec.msgpack.encode(health), read_health
+    for asked in (
+        wire.Named("g"), wire.Lines("g", "n"), wire.Ping(1), wire.ToNode("g", "n", "@health", b"x"),
+        wire.Prepare("{}", wire.Versions.ours(), {"a": "b"}), wire.Lacks(("0" * 64,)),
+        wire.Accounts(1, "m", True, {0: (1, 2)}, {1: (3,)}),
+    ):  # fmt: skip
+        found[type(asked).__name__] = wire.encode(asked), _decoder(type(asked))
+    return found
+
+
+def messages() -> tuple[Message, ...]:
+    """One of each kind that has arrays, ids, texts or windows."""
+    boxes, ids = np.ones((2, 4), np.float32), np.arange(2, dtype=np.int32)
+    scores = np.ones(2, np.float32)
+    return (
+        Frame(header=HEADER, pixels=np.ones((2, 3, 3), np.uint8), window=(0, 0, 3, 2)),
+        Detections(header=HEADER, boxes=boxes, angles=scores, scores=scores, labels=ids,
+                   features=np.ones((2, 3), np.float32), names=("ball", "player")),
+        Percept(header=HEADER, boxes=boxes, ids=ids, scores=scores, texts=("a", "b"),
+                action=np.zeros(1, np.float32)),
+        RoiSchedule(header=HEADER, first_seq=1, windows=np.ones((2, 4), np.int32)),
+    )  # fmt: skip
+
+
+def _input(rng: random.Random, cases: list[Case]) -> Case:
+    data, read = rng.choice(cases)
+    kind = rng.random()
+    if kind < 0.1:
+        return rng.randbytes(rng.randrange(120)), read
+    if kind < 0.2:
+        return data, rng.choice(cases)[1]
+    return nasty.flipped(data, rng), read
+
+
+def _loader(cls: type[Any]) -> Reader:
+    return lambda data: codec.loads(cls, data)
+
+
+def _opener(cls: type[Any]) -> Reader:
+    return lambda data: codec.unpack(cls, Envelope.parse(data).body)
+
+
+def _decoder(cls: type[Any]) -> Reader:
+    return lambda data: wire.decode(cls, data)

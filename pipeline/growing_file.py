@@ -1,0 +1,84 @@
+"""A file that a library writes in the background: does it still grow, and up to where is it whole?
+
+Libraries that write recordings do not tell of a full disk. Their file is looked at once a second
+instead; when it stops growing it is cut where it was whole last, so that it can be read.
+"""
+
+import contextlib
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+LOOK_S = 1.0
+FLUSH_S = 2.0
+CLOSE_S = 2.0
+FULL_BYTES = 1 << 20  # with less than this left, the disk is what stopped the writer
+
+
+class GrowingFile:
+    """A recording under way. `flush` waits so long for what was written; False: it is not there."""
+
+    def __init__(self, path: Path, flush: Callable[[float], bool]) -> None:
+        self._path, self._flush = path, flush
+        self._whole_bytes = self._bytes()
+        self._seen_bytes = self._whole_bytes
+        self._whole_seq: int | None = None
+        self._looked_s = time.monotonic()
+        self.failure = ""  # one sentence, once nothing more can be written
+
+    def is_written(self, seq: int | None) -> bool:
+        """Whether what was handed to the library up to a frame arrives; looked at at times."""
+        if not self.failure and time.monotonic() - self._looked_s >= LOOK_S:
+            self.look(seq)
+        return not self.failure
+
+    def look(self, seq: int | None) -> None:
+        """Wait for what was written up to a frame, and find out whether it is in the file."""
+        if self.failure:
+            return
+        arrived = self._flush(FLUSH_S)
+        size, before = self._bytes(), self._seen_bytes
+        self._looked_s, self._seen_bytes = time.monotonic(), size
+        if arrived:
+            self._whole_bytes = size
+            self._whole_seq = seq if seq is not None else self._whole_seq
+        elif size <= before or self._is_full():  # else it is slow, and grows
+            self._give_up()
+
+    def close(self, disconnect: Callable[[], None]) -> str:
+        """Have the library end the file; returns what goes wrong over it.
+
+        What the library cannot end is left to the end of the process.
+        """
+        if self.failure:
+            return ""
+        ending = threading.Thread(target=disconnect, daemon=True)
+        ending.start()
+        ending.join(CLOSE_S)
+        if self._bytes() <= self._whole_bytes and self._is_full():  # its last bytes are missing
+            self._give_up()
+        return self.failure
+
+    def _give_up(self) -> None:
+        with contextlib.suppress(OSError):
+            os.truncate(self._path, self._whole_bytes)
+        why = "the disk is full" if self._is_full() else "its writer stopped"
+        until = "nothing of it can be read"
+        if self._whole_seq is not None:
+            until = f"it can be read up to frame {self._whole_seq}"
+        self.failure = f"{self._path}: {why}; {until}"
+
+    def _bytes(self) -> int:
+        try:
+            return self._path.stat().st_size
+        except OSError:
+            return 0
+
+    def _is_full(self) -> bool:
+        try:
+            return shutil.disk_usage(self._path.parent).free < FULL_BYTES
+        except OSError:
+            return False
