@@ -12,7 +12,7 @@ from rich.console import Console
 
 from pipeline import output, signals
 from pipeline.bus.session import silence
-from pipeline.console import running, watching
+from pipeline.console import listening, running, watching
 from pipeline.console.arguments import DURATION_S, FRAMES, FRAMES_OR_NONE, INTERVAL_S, LINES
 from pipeline.console.asking import health_command, schema_command, tell_command
 from pipeline.console.changing import set_command
@@ -224,7 +224,7 @@ def logs(node: str, graph: str, follow: bool, lines: int) -> None:
 @click.option("--count", default=0, type=FRAMES_OR_NONE, help="Leave after so many.")
 def echo(output: str, graph: str, count: int) -> None:
     """Print the messages of an output as they come."""
-    for line in watching.echo(graph, output, count):
+    for line in listening.echo(graph, output, count):
         click.echo(line)
 
 
@@ -234,7 +234,7 @@ def echo(output: str, graph: str, count: int) -> None:
 @click.option("--duration-s", default=5.0, type=INTERVAL_S, show_default=True)
 def hz(output: str, graph: str, duration_s: float) -> None:
     """Measure rate, jitter and age of an output's messages."""
-    click.echo(watching.rate(graph, output, duration_s))
+    click.echo(listening.rate(graph, output, duration_s))
 
 
 def _runs_here(graph: str) -> bool:

@@ -41,14 +41,19 @@ class Session:
     """A peer of the graph's bus. Close it before the process ends, or Zenoh keeps it alive."""
 
     def __init__(
-        self, folder: Path, name: str, *, hub: str = "hub", patience_s: float = 10.0
-    ) -> None:
-        """`patience_s`: how long a frozen peer may keep this one from opening or closing a link."""
+        self, folder: Path, name: str, *, hub: str = "hub", patience_s: float = 10.0,
+        guest: bool = False,
+    ) -> None:  # fmt: skip
+        """`patience_s`: how long a frozen peer may keep this one from opening or closing a link.
+
+        A `guest` listens nowhere: it leaves no socket behind, however it ends, and no other process
+        ever waits for it to open a link.
+        """
         self._files: tuple[Path, ...] = ()
-        if name != hub:  # whose folder is cleared with the run, and may be another run's by then
+        if name != hub and not guest:  # the hub's go with the run's folder
             self._files = (folder / f"{name}.sock", folder / f"{name}.sock.lock")
         own = f"unixsock-stream/{folder / name}.sock"
-        links = {"listen": {"endpoints": [own]}}
+        links = {"listen": {"endpoints": [] if guest else [own]}}
         if name != hub:
             links["connect"] = {"endpoints": [f"unixsock-stream/{folder / hub}.sock"]}
         unicast = {"open_timeout": int(patience_s * 1000)}
