@@ -1,7 +1,6 @@
 """A machine that has too little of something is told of in one sentence; nothing is left behind."""
 
 import gc
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,8 @@ import pytest
 from bench.aftermath import remains
 from pipeline import RunError
 from pipeline.run.child import NodeProcess, spawn
-from pipeline.run.rundir import MEMORY, base
+from pipeline.run.memory_folder import path_of
+from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from tests.toy_graphs import LOOP, plan_of
 from tests.unruly_graphs import name_of, unruly_file
@@ -49,14 +49,14 @@ def test_a_start_that_fails_half_way_leaves_nothing(
 
     monkeypatch.setattr("pipeline.run.crew.spawn", refuse)
     with Supervisor(plan) as supervisor:
-        prefix = supervisor._run.prefix
+        run_id = supervisor._run.run_id
         with pytest.raises(RunError, match="cannot be started: Resource temporarily unavailable"):
             supervisor.start()
 
     assert len(started) == number
     assert not any(psutil.pid_exists(process.pid) for process in started)
     assert remains(base() / plan.name) == []
-    assert not [name for name in os.listdir(MEMORY) if name.startswith(prefix)]
+    assert not path_of(run_id).exists()
 
 
 def test_a_supervisor_that_cannot_come_up_holds_no_name_and_no_descriptor(

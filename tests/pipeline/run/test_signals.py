@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from bench.aftermath import remains
-from pipeline.run.rundir import MEMORY, base, running
+from pipeline.run.memory_folder import path_of
+from pipeline.run.rundir import base, running
 from tests.toy_graphs import LOOP, ended, until
 from tests.unruly_graphs import UNRULY, name_of, unruly_file
 
@@ -74,9 +75,9 @@ def nodes_of(name: str) -> list[int]:
     return list(pids.values())
 
 
-def assert_nothing_left(name: str, prefix: str, pids: list[int]) -> None:
+def assert_nothing_left(name: str, run_id: str, pids: list[int]) -> None:
     assert remains(base() / name) == []
-    assert [n for n in os.listdir(MEMORY) if n.startswith(prefix)] == []
+    assert not path_of(run_id).exists()
     until(lambda: all(ended(pid) for pid in pids))
 
 
@@ -91,14 +92,14 @@ def test_a_signal_ends_a_graph_in_whatever_state_it_is(
         until(lambda: len(nodes_of(name)) >= goal)
         if text is LOOP:
             until(lambda: works(name))
-        pids, prefix = nodes_of(name), running()[name]["prefix"]
+        pids, run_id = nodes_of(name), running()[name]["run"]
 
         said, took_s = ends(process, number)
 
     assert took_s < LIMIT_S
     assert "stages" in said
     assert {"edges", "stages"} <= set(json.loads(report.read_text()))
-    assert_nothing_left(name, prefix, pids)
+    assert_nothing_left(name, run_id, pids)
 
 
 @pytest.mark.parametrize("count", [2, 3])
@@ -108,13 +109,13 @@ def test_a_second_signal_waits_for_nothing_and_leaves_nothing(tmp_path: Path, co
     name = name_of(graph)
     with fovea("run", str(graph), "--report", str(report)) as process:
         until(lambda: len(nodes_of(name)) == 4)
-        pids, prefix = nodes_of(name), running()[name]["prefix"]
+        pids, run_id = nodes_of(name), running()[name]["run"]
 
         _, took_s = ends(process, *[signal.SIGINT] * count)
 
     assert took_s < 6
     assert report.exists()
-    assert_nothing_left(name, prefix, pids)
+    assert_nothing_left(name, run_id, pids)
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -251,13 +252,13 @@ def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path
     )  # fmt: skip
     os.close(other)
     until(lambda: os.read(terminal, 4096) and len(nodes_of(name)) == 4)
-    pids, prefix = nodes_of(name), running()[name]["prefix"]
+    pids, run_id = nodes_of(name), running()[name]["run"]
 
     os.close(terminal)
 
     assert process.wait(LIMIT_S) == 128 + signal.SIGHUP
     assert report.exists()
-    assert_nothing_left(name, prefix, pids)
+    assert_nothing_left(name, run_id, pids)
 
 
 def test_a_visitor_that_is_frozen_does_not_hold_up_the_end(tmp_path: Path) -> None:

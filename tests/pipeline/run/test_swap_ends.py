@@ -57,7 +57,7 @@ def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str,
 def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: Path) -> None:
     plan = unruly_plan(tmp_path)
     with Supervisor(plan) as supervisor:
-        prefix = supervisor._run.prefix
+        run_id = supervisor._run.run_id
         supervisor.start()
         answers = swap(supervisor, kind="slow_open")
         slot = supervisor.slots["unruly"]
@@ -66,7 +66,7 @@ def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: P
         supervisor.finish()
 
     assert answers == [{"refused": f"{plan.name}: the run ended before that was done"}]
-    assert list(marked(prefix)) == []
+    assert list(marked(run_id)) == []
 
 
 def of(supervisor: Supervisor, process: str) -> list[Any]:
