@@ -132,7 +132,7 @@ def test_a_state_that_cannot_be_had_costs_the_swap_alone(tmp_path: Path) -> None
     report = go(unruly_plan(tmp_path, kind="broken_state", size=100_000), 0, during)
 
     assert answers[0]["refused"].startswith(
-        "unruly: unruly: its state cannot be had: ValueError: no statexxx"
+        "unruly: its state cannot be had: ValueError: no statexxx"
     )
     assert len(answers[0]["refused"]) < 2200
     assert report["restarts"] == {}
