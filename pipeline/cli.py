@@ -101,6 +101,8 @@ def run(
     plan = _load(graph, save=save, **laid)
     if report:
         report.parent.mkdir(parents=True, exist_ok=True)
+    for line in running.advice(plan):
+        console.print(line, markup=False)
     if inline:
         result = running.inline(plan, frames or 0, console)
     else:
