@@ -101,7 +101,7 @@ def test_a_graph_that_tracks_nothing_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "toy.yaml"
     path.write_text(f"name: toy\n{LOOP}")
 
-    with pytest.raises(RunError, match="expected a node .* to watch, got none"):
+    with pytest.raises(RunError, match=r"expected a node .* to watch, got none"):
         watched(load(path))
 
 
