@@ -124,6 +124,8 @@ def run(
     if save:
         try_recording(save, "--save")
     plan, unwritten = _load(graph, save=save, **laid), ""
+    for line in running.advice(plan):
+        console.print(line, markup=False)
     with signals.Interruption(last=True) as asked:
         if inline:
             result = running.inline(plan, frames or 0, console, asked)
