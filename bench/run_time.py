@@ -33,7 +33,7 @@ COUNTS = (1, 5, 10, 15, 20, 25)  # objects
 Figures = dict[str, dict[str, float]]
 
 
-def run_time(changes: Sequence[str], frames: int = FRAMES) -> Figures:
+def run_time(changes: Sequence[str], frames: int = FRAMES, *, tracker: str = "") -> Figures:
     """Milliseconds per call of each part on one thread: p50 and p99; and how many objects.
 
     `TOTAL`: of the parts that the paper counts, frame by frame.
@@ -49,7 +49,7 @@ def run_time(changes: Sequence[str], frames: int = FRAMES) -> Figures:
     spent: dict[str, list[float]] = {}
     objects: list[float] = []
     cv2.setNumThreads(1)
-    with Stages(GRAPH, changes) as stages:
+    with Stages(GRAPH, changes, tracker) as stages:
         aim: dict[str, Any] = {"prompt_box": box, "target": ""}
         stages.begin(camera.header(0), *NEEDED, policy=aim, tracker={"init_box": box})
         for frame in range(frames):

@@ -1,11 +1,14 @@
-"""Whether memory grows: `python -m bench.soak [GRAPH] --minutes 30 [--json FILE]`.
+"""Whether memory grows or tracking fades: `python -m bench.soak [GRAPH] [--minutes 30]`.
 
 Runs a graph of processes in real time and compares every process's resident memory in the first
-and the last minute; prints frame rate, drops and the loop's latency beside it.
+and the last minute; prints frame rate, drops and the loop's latency beside it. Of a tracking graph
+it also tells, minute by minute, the IoU with the true box of the policy's target and the share of
+that box inside the ROI, and compares the first ten minutes with the last ten.
 """
 
 import json
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -17,6 +20,7 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
+from bench.overlap import NEEDED, Spans, ends, watched
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.run.child import Sample
@@ -36,11 +40,16 @@ def main(
 ) -> None:
     """Let a graph run for long."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
+    tracks = {node.name for node in plan.nodes}.issuperset(NEEDED)
+    plan = watched(plan) if tracks else plan
     with Supervisor(plan) as supervisor, Progress() as progress:
         supervisor.start()
+        spans = Minutes(supervisor, plan.node("policy").settings) if tracks else None
         task = progress.add_task(f"{plan.name}, {minutes:g} min", total=minutes * 60)
         while (elapsed_s := time.monotonic() - supervisor.started_s) < minutes * 60:
             supervisor.tick()
+            if spans:
+                spans.attend(elapsed_s)
             progress.update(task, completed=elapsed_s)
             if supervisor.failure:
                 raise click.ClickException(supervisor.failure)
@@ -51,14 +60,46 @@ def main(
             plan, supervisor.ledger, supervisor.summaries, samples, duration_s=elapsed_s,
             restarts=supervisor.restarts,
         )  # fmt: skip
+    rows = spans.rows() if spans else []
     memory = {name: growth(found) for name, found in samples.items()}
     console = Console()
     console.print(tables(report))
     console.print(_table(memory))
+    for line in faded(rows):
+        console.print(line)
     if path:
         path.parent.mkdir(parents=True, exist_ok=True)
-        result = {"bench": "soak", **facts(), "minutes": minutes, "memory": memory, **report}
+        result = {"bench": "soak", **facts(), "minutes": minutes, "memory": memory,
+                  "overlap": {"ends": ends(rows), "rows": rows}, **report}  # fmt: skip
         path.write_text(json.dumps(result, indent=1))
+
+
+class Minutes(Spans):
+    """A span for each minute, of the class that the policy looks for."""
+
+    def __init__(self, supervisor: Supervisor, policy: Mapping[str, Any]) -> None:
+        super().__init__(supervisor)
+        self._target, self._minute = str(policy.get("target") or "ball"), 0
+        self.begin(0, self._target)
+
+    def attend(self, elapsed_s: float) -> None:
+        """Read what is new, and begin the next minute when it is time."""
+        self.read()
+        if elapsed_s >= (self._minute + 1) * WINDOW_S:
+            self._minute += 1
+            self.begin(self._minute, self._target)
+
+
+def faded(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What became of IoU and ROI share, in a line each; none without a truth."""
+    told = ends(rows)["all"]
+    if not told["grown"]:
+        return []
+    names = {"iou": "IoU", "shown": "share in the ROI", "answered": "share with an answer"}
+    return [
+        f"{words}, first ten minutes -> last ten: {told['first'][n]:.3f} -> {told['last'][n]:.3f}"
+        for n, words in names.items()
+    ]
 
 
 def growth(samples: list[Sample]) -> dict[str, float]:

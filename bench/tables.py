@@ -19,7 +19,7 @@ import click
 from bench.machine import facts
 from bench.options import Bench
 from bench.run_time import by_objects, by_objects_markdown, markdown, run_time
-from bench.tracking.cases import policy_changes, tracker_changes
+from bench.tracking.cases import policy_changes
 from bench.tracking.evaluate import asked, command, try_out
 from bench.tracking.options import make_folder, options_of, policy_files
 from bench.tracking.replaced import PARTS
@@ -146,7 +146,7 @@ def together(out: Path) -> None:
 @click.option("--policy", multiple=True, help="as fovea eval tracking has it; the graph's own")
 @click.option("--ablation", multiple=True, help="NAME=FILE.onnx of operators.policy.train --use")
 @click.option("--far", default="", help="FILE.onnx of a policy that was trained for late plans")
-@click.option("--tracker", default="auto", show_default=True, help="as fovea eval tracking has it")
+@click.option("--tracker", default="", help="as fovea eval tracking has it; the graph's own")
 @click.option("--only", multiple=True, type=click.Choice(list(NAMES)))
 @click.option("--quick", is_flag=True, help="one short clip: whether everything works")
 @click.option("--jobs", default=2, show_default=True)
@@ -181,7 +181,7 @@ def main(
         together(out)
     if not only or "run-time" in only:
         changes = policy_changes(policy_files(policy[:1]).popitem()[1])
-        parts = run_time((*changes, *tracker_changes(tracker)))
+        parts = run_time(changes, tracker=tracker)
         crowds = by_objects(changes)
         told = {**facts(), "ms": parts, "ms_by_objects": crowds}
         (out / "run-time.json").write_text(json.dumps(told, indent=1) + "\n")

@@ -1,7 +1,15 @@
 """Compare what a consumer saw with the truth, where the source knows it: Percept, Percept -> IoU.
 
-Who is being followed is settled by overlap when the consumer starts, and again when it starts anew
-on another object; until then nothing counts. A class named in the settings is settled by itself.
+Which object of the truth counts:
+- with a `label`, one of that class, whatever is looked at: of several, the one overlapped most;
+- with a scanpath connected, the one that the policy shows. It is settled by the overlap of the
+  truth with the box that the policy foresees for its choice, and changes when another object is
+  under that box in `SETTLED` frames. A choice that lies on nothing, or a place, changes nothing: a
+  policy that loses its target is no excuse for its consumer. The consumer's own box has no say;
+- else the one that the consumer's box overlapped when it started, or began with another id.
+
+From then on every frame counts in which that object can be seen. A frame without a box (lost)
+counts as 0, so that nothing is gained by silence; the share of frames with a box is told beside it.
 """
 
 from collections.abc import Mapping
@@ -9,21 +17,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.boxes import iou
 from pipeline.contract import Input, Operator
 from pipeline.errors import SettingsError
-from pipeline.messages import Header, Percept
+from pipeline.messages import Header, Percept, Scanpath
 
 NOBODY = -1
-SAME_IOU = 0.3  # from here on somebody is followed: what is beside them overlaps a little, too
+SAME_IOU = 0.3  # from here on a box is on an object: what is beside it overlaps a little, too
+SETTLED = 3  # frames in which the policy shows another object before that one counts
+RECENT = 0.05  # weight of a frame in the figure of now
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreSettings:
     """What a graph may set."""
 
-    label: str = ""  # of the truth to compare with, e.g. ball; empty: whoever is followed
+    label: str = ""  # of the truth to compare with, e.g. ball; empty: what is shown or followed
     least_visible: float = 0.25  # share of the object below which a frame does not count
 
     def __post_init__(self) -> None:
@@ -34,50 +45,96 @@ class ScoreSettings:
 class Score(Operator[ScoreSettings, None]):
     """Answers nothing; its figure is shown while the graph runs, and in the report."""
 
+    live = ("label", "least_visible")
     percept = Input(Percept, keep="latest")
     truth = Input(Percept, keep="latest")
+    scanpath = Input(Scanpath, join=False, optional=True)
+
+    _scanpath: Scanpath | None = None
 
     def open(self) -> None:
         """Nothing counted yet."""
-        self._followed = self._object_id = NOBODY
-        self._total, self._frames, self._recent = 0.0, 0, 0.0
+        self._total, self._recent, self._frames, self._answered = 0.0, 0.0, 0, 0
+        self._begin()
 
     def on_stream(self, header: Header) -> None:
-        """Another stream shows others."""
-        self._followed = self._object_id = NOBODY
+        """Another stream shows other objects."""
+        self._begin()
+
+    def on_scanpath(self, scanpath: Scanpath) -> None:
+        """Remember what the policy shows."""
+        self._scanpath = scanpath
 
     def on_percept_truth(self, percept: Percept, truth: Percept) -> None:
-        """Count one frame in which both know where the object is."""
-        if not len(percept.boxes) or not len(truth.boxes):
-            return
-        overlap = iou(truth.boxes, percept.boxes[:1])[:, 0]
+        """Count one frame in which the object can be seen."""
+        overlap = np.zeros(len(truth.boxes), np.float32)
+        if len(percept.boxes):
+            overlap = iou(truth.boxes, percept.boxes[:1])[:, 0]
         row = self._row(percept, truth, overlap)
         if row < 0 or truth.scores[row] < self.settings.least_visible:
             return
         value = float(overlap[row])
-        self._recent = value if not self._frames else 0.95 * self._recent + 0.05 * value
+        self._recent += (RECENT if self._frames else 1.0) * (value - self._recent)
         self._total += value
         self._frames += 1
+        self._answered += len(percept.boxes) > 0
 
     def headline(self) -> str:
         """The figure of now."""
         return f"IoU {self._recent:.2f}" if self._frames else ""
 
     def summary(self) -> Mapping[str, Any]:
-        """The mean over all frames that counted."""
-        if not self._frames:
+        """The mean over all frames that counted, and the share of them with a box."""
+        if not (frames := self._frames):
             return {}
-        return {"iou": {"mean": round(self._total / self._frames, 4), "frames": self._frames}}
+        figures = {"mean": round(self._total / frames, 4), "frames": frames}
+        return {"iou": {**figures, "answered": round(self._answered / frames, 4)}}
 
-    def _row(self, percept: Percept, truth: Percept, overlap: Any) -> int:
-        """Whom to compare with: a row of the truth, -1: nobody."""
+    def _begin(self) -> None:
+        self._object = self._rival = self._followed_id = NOBODY
+        self._rival_frames = 0
+        self._scanpath = None
+
+    def _row(self, percept: Percept, truth: Percept, overlap: NDArray[np.float32]) -> int:
+        """Which object to compare with: a row of the truth, -1: none."""
         if self.settings.label:
             rows = np.flatnonzero(np.array(truth.texts) == self.settings.label)
-            return int(rows[0]) if len(rows) else -1
-        if self._followed == NOBODY or percept.ids[0] != self._object_id:
-            if overlap.max() < SAME_IOU:
-                return -1
-            self._followed = int(truth.ids[overlap.argmax()])
-            self._object_id = int(percept.ids[0])
-        rows = np.flatnonzero(truth.ids == self._followed)
+            return int(rows[overlap[rows].argmax()]) if len(rows) else -1
+        if self._scanpath is not None:
+            self._settle_shown(foreseen(self._scanpath, percept.header.seq), truth)
+        elif len(percept.boxes):
+            self._settle_followed(int(percept.ids[0]), truth, overlap)
+        rows = np.flatnonzero(truth.ids == self._object)
         return int(rows[0]) if len(rows) else -1
+
+    def _settle_shown(self, box: NDArray[np.float32], truth: Percept) -> None:
+        """Change to another object once the policy has shown it often enough."""
+        found = on_object(iou(truth.boxes, box)[:, 0], truth) if len(box) else NOBODY
+        if found == NOBODY:
+            return
+        if found == self._object or found != self._rival:
+            self._rival, self._rival_frames = found, 0
+        self._rival_frames += 1
+        if self._object == NOBODY or self._rival_frames >= SETTLED:
+            self._object = found
+
+    def _settle_followed(self, own_id: int, truth: Percept, overlap: NDArray[np.float32]) -> None:
+        """Change to another object where the consumer says that it follows another."""
+        if self._object != NOBODY and own_id == self._followed_id:
+            return
+        if (found := on_object(overlap, truth)) != NOBODY:
+            self._object, self._followed_id = found, own_id
+
+
+def on_object(overlap: NDArray[np.float32], truth: Percept) -> int:
+    """Id of the object that a box with these overlaps (n,) is on, `NOBODY` for none."""
+    if not len(overlap) or overlap.max() < SAME_IOU:
+        return NOBODY
+    return int(truth.ids[overlap.argmax()])
+
+
+def foreseen(scanpath: Scanpath, seq: int) -> NDArray[np.float32]:
+    """Where the policy's object is foreseen in frame `seq`: (1, 4), (0, 4) for none or a place."""
+    row = seq - scanpath.first_seq
+    chosen = 0 <= row < len(scanpath.choice) and scanpath.choice[row] >= 0
+    return scanpath.boxes[row : row + 1] if chosen else scanpath.boxes[:0]

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from pipeline import output, signals
 from pipeline.bus.session import silence
-from pipeline.console import running, watching
+from pipeline.console import listening, running, watching
 from pipeline.console.arguments import DURATION_S, FRAMES, FRAMES_OR_NONE, INTERVAL_S, LINES
 from pipeline.console.asking import health_command, schema_command, tell_command
 from pipeline.console.changing import set_command
@@ -52,10 +52,11 @@ def main() -> None:
         logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[log_handler()])
         try:
             _carry_out()
-        except OSError:
-            if not output.lost():
+        except OSError as error:
+            if not output.is_lost(error):
                 raise
-            sys.exit(1)  # who would have read it has left
+            output.abandon()
+            sys.exit(1)
 
 
 def _carry_out() -> None:
@@ -70,7 +71,7 @@ def _carry_out() -> None:
         click.echo(f"fovea: {error}", err=True)
         sys.exit(2 if isinstance(error, (GraphError, SettingsError, WeightsError)) else 1)
     except (OSError, MemoryError) as error:  # no descriptors left, no memory, a full disk
-        if output.lost():
+        if isinstance(error, OSError) and output.is_lost(error):
             raise
         click.echo(f"fovea: {harmless(error_text(error))}", err=True)
         sys.exit(1)
@@ -123,7 +124,9 @@ def run(
     if save:
         try_recording(save, "--save")
     plan, unwritten = _load(graph, save=save, **laid), ""
-    with signals.Interruption() as asked:
+    for line in running.advice(plan):
+        console.print(line, markup=False)
+    with signals.Interruption(last=True) as asked:
         if inline:
             result = running.inline(plan, frames or 0, console, asked)
         else:
@@ -224,7 +227,7 @@ def logs(node: str, graph: str, follow: bool, lines: int) -> None:
 @click.option("--count", default=0, type=FRAMES_OR_NONE, help="Leave after so many.")
 def echo(output: str, graph: str, count: int) -> None:
     """Print the messages of an output as they come."""
-    for line in watching.echo(graph, output, count):
+    for line in listening.echo(graph, output, count):
         click.echo(line)
 
 
@@ -234,7 +237,7 @@ def echo(output: str, graph: str, count: int) -> None:
 @click.option("--duration-s", default=5.0, type=INTERVAL_S, show_default=True)
 def hz(output: str, graph: str, duration_s: float) -> None:
     """Measure rate, jitter and age of an output's messages."""
-    click.echo(watching.rate(graph, output, duration_s))
+    click.echo(listening.rate(graph, output, duration_s))
 
 
 def _runs_here(graph: str) -> bool:

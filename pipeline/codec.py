@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import MessageError
 from pipeline.fields import DTYPES, Array, Fetch, Kind, Nested, Place, Plain, Tuples
-from pipeline.messages import Shape
+from pipeline.messages import Message, Shape
 from pipeline.once import once
 from pipeline.text import harmless
 
@@ -30,6 +30,7 @@ Buffer = bytes | msgspec.Raw
 
 LONGEST_REASON = 300  # characters: it may quote what came
 _SCALARS = (bool, int, float, str, bytes)
+_AS_THEY_ARE = (bytes,)  # not as text, which stands for bytes in other formats
 
 
 class Schema(Generic[T]):
@@ -48,6 +49,13 @@ class Schema(Generic[T]):
         )
         self.wire: type[Any] = cls if not self.converted else _twin(cls, kinds)
         self._decode = msgspec.msgpack.Decoder(self.wire).decode
+        trusted = {"header"} if issubclass(cls, Message) else set()  # the runtime writes it
+        self._plain = {n: k for n, k in kinds.items() if k.plain and n not in trusted}
+        # what tells wrong types at once; it does not look into dataclasses
+        deep = any(_holds_dataclass(hints[name]) for name in self._plain)
+        self._quick = None if deep else _twin(cls, self._plain)
+        flat = all(isinstance(kind, Array) for _, _, kind, _ in self.converted)
+        self._flat = flat and not deep and bool(self.converted)
         self._checked = hasattr(cls, "__post_init__") or not hasattr(cls, "__dict__")
 
     @property
@@ -56,7 +64,13 @@ class Schema(Generic[T]):
         return hashlib.sha256(self.text.encode()).digest()[:8]
 
     def write(self, value: T, place: Place) -> Any:
-        """What msgspec is to encode in the place of a value."""
+        """What msgspec is to encode in the place of a value.
+
+        Raises `MessageError` for a field that is not of its type, as the reader would; only the
+        header of a message, which the runtime writes, is trusted.
+        """
+        if self._plain and self._look(value) is None:
+            self._check(value)  # it knows numpy's numbers too, and the name of the field
         if not self.converted:
             return value
         known: dict[str, int] = {}
@@ -64,6 +78,59 @@ class Schema(Generic[T]):
         for index, _name, kind, where in self.converted:
             items[index] = kind.pack(items[index], place, known, where)
         return items
+
+    def carried(self, value: T) -> T:
+        """The value as a reader in another process gets it; arrays are read-only views of its own.
+
+        Raises `MessageError` for what cannot travel.
+        """
+        plain = self._look(value) if self._flat and not self._checked else None
+        if plain is None:
+            return self._sent(value)
+        to_bytes(plain)  # too great a number is found only here
+        known: dict[str, int] = {}
+        values = {**vars(value), **msgspec.structs.asdict(plain)}
+        for _index, name, kind, where in self.converted:
+            assert isinstance(kind, Array)
+            values[name] = kind.carried(values[name], known, where)
+        fresh = object.__new__(self.cls)
+        fresh.__dict__.update(values)
+        return fresh
+
+    def _sent(self, value: T) -> T:
+        """Likewise, by way of the bytes; only the arrays' own stay where they are."""
+        arrays: list[NDArray[Any]] = []
+
+        def place(array: NDArray[Any]) -> int:
+            arrays.append(np.ascontiguousarray(array))
+            return 8 * (len(arrays) - 1)  # an offset of whole items, whatever they are
+
+        def fetch(offset: int, _nbytes: int) -> NDArray[np.uint8]:
+            raw = arrays[offset // 8].reshape(-1).view(np.uint8)
+            raw.flags.writeable = False
+            return raw
+
+        return self.read(to_bytes(self.write(value, place)), fetch)
+
+    def _look(self, value: T) -> Any:
+        """The plain fields as their reader gets them; None where a closer look is needed."""
+        if self._quick is None:
+            return None
+        plain = [getattr(value, name) for name in self._plain]
+        try:
+            return msgspec.convert(plain, self._quick, builtin_types=_AS_THEY_ARE)
+        except msgspec.ValidationError:
+            return None
+
+    def _check(self, value: T) -> None:
+        """Raise `MessageError` for a plain field that its reader would refuse."""
+        for name, kind in self._plain.items():
+            item = getattr(value, name)
+            try:
+                msgspec.msgpack.decode(_encode(item), type=kind.wire)
+            except (msgspec.MsgspecError, MessageError, TypeError, ValueError, OverflowError):
+                where = f"{self.cls.__name__}.{name}"
+                raise MessageError(f"{where}: expected {kind.text}, got {_brief(item)}") from None
 
     def read(self, data: Buffer, fetch: Fetch) -> T:
         """The value behind untrusted bytes; raises `MessageError`."""
@@ -108,6 +175,19 @@ def unpack(cls: type[T], data: Buffer, fetch: Fetch | None = None) -> T:
     """The dataclass behind the bytes of a `pack`; arrays are views of what `fetch` gives."""
     value: T = schema(cls).read(data, fetch or nowhere)
     return value
+
+
+def carried(value: T) -> T:
+    """The dataclass as a reader in another process gets it, without the way there.
+
+    >>> from pipeline import Frame
+    >>> from pipeline.testing import header, picture
+    >>> frame = carried(Frame(header=header(), pixels=picture(2, 2, seed=1)))
+    >>> frame.pixels.flags.writeable
+    False
+    """
+    own: Schema[T] = schema(type(value))
+    return own.carried(value)
 
 
 def dumps(value: Any) -> bytes:
@@ -187,6 +267,28 @@ def _fields(cls: type[Any]) -> tuple[dataclasses.Field[Any], ...]:
     if not dataclasses.is_dataclass(cls):
         raise MessageError(f"{cls.__name__}: expected a dataclass")
     return dataclasses.fields(cls)
+
+
+def _holds_dataclass(hint: Any) -> bool:
+    if get_origin(hint) is tuple:
+        return any(map(_holds_dataclass, get_args(hint)))
+    return isinstance(hint, type) and dataclasses.is_dataclass(hint)
+
+
+def _brief(value: Any) -> str:
+    """What a value is, in a few words.
+
+    >>> _brief("x" * 100), _brief(np.zeros(3, np.float32))
+    ("a str 'xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx…", 'a float32 array of (3,)')
+    """
+    if isinstance(value, np.ndarray):
+        return f"a {value.dtype} array of {value.shape}"
+    if value is None:
+        return "None"
+    shown = repr(value)
+    name = type(value).__name__
+    article = "an" if name[0] in "aeiou" else "a"
+    return f"{article} {name} {shown if len(shown) <= 40 else shown[:39] + '…'}"
 
 
 def _inline(array: NDArray[Any]) -> bytes:

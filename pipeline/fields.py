@@ -110,12 +110,16 @@ class Array(Kind):
         self.dtypes, self.shape = dtypes, shape
 
     def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
-        if not isinstance(value, np.ndarray) or value.dtype.str not in self.dtypes:
-            got = value.dtype.str if isinstance(value, np.ndarray) else type(value).__name__
-            raise MessageError(f"{where}: expected {self.text}, got {got}")
-        if self.shape:
-            self.shape.check(where, value.shape, known)
+        self._check(value, known, where)
         return (value.dtype.str, value.shape, place(value))
+
+    def carried(self, value: Any, known: dict[str, int], where: str) -> NDArray[Any]:
+        """The array as `unpack` gives it: read-only, in one piece; a view where it is in one."""
+        self._check(value, known, where)
+        view: NDArray[Any] = np.asarray(value)
+        view = view.view() if view.flags.c_contiguous else view.copy(order="C")
+        view.flags.writeable = False
+        return view
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
         if item.dtype not in self.dtypes:
@@ -137,3 +141,10 @@ class Array(Kind):
         except (ValueError, OverflowError) as error:  # nothing, as 0 x 2^63, is too big as well
             raise MessageError(f"{where}: no array has the sides {sides}") from error
         return array
+
+    def _check(self, value: Any, known: dict[str, int], where: str) -> None:
+        if not isinstance(value, np.ndarray) or value.dtype.str not in self.dtypes:
+            got = value.dtype.str if isinstance(value, np.ndarray) else type(value).__name__
+            raise MessageError(f"{where}: expected {self.text}, got {got}")
+        if self.shape:
+            self.shape.check(where, value.shape, known)

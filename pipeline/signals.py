@@ -49,7 +49,15 @@ def raising() -> Iterator[None]:
     try:
         yield
     finally:
-        _restore(before)
+        if asked:
+            ignore()
+        else:
+            _restore(before, note)
+
+
+def ignore() -> None:
+    """Have signals change nothing any more: this process ends as it is."""
+    _install(signal.SIG_IGN)
 
 
 def end_by_kernel(seconds: float) -> None:
@@ -59,9 +67,13 @@ def end_by_kernel(seconds: float) -> None:
 
 
 class Interruption:
-    """How often the process was asked to end. Use it as a context; nothing is raised in it."""
+    """How often the process was asked to end. Use it as a context; nothing is raised in it.
 
-    def __init__(self) -> None:
+    After the `last` one, where there was a signal, more of them change nothing: the process ends.
+    """
+
+    def __init__(self, *, last: bool = False) -> None:
+        self._last = last
         self.count = 0
         self.number = 0  # the first signal
         self.on_signal: Callable[[], None] = lambda: None
@@ -73,7 +85,11 @@ class Interruption:
         return self
 
     def __exit__(self, *_: object) -> None:
-        _restore(self._before)
+        if self._last and self.count:
+            ignore()
+            end_by_kernel(LAST_RESORT_S)
+        else:
+            _restore(self._before, self._note)
 
     @property
     def status(self) -> int:
@@ -118,7 +134,7 @@ class Interruption:
             raise Interrupted
 
 
-def _install(handler: Handler) -> dict[int, Any]:
+def _install(handler: Handler | signal.Handlers) -> dict[int, Any]:
     """Handle the signals, return how they were handled; a hang-up that is ignored (nohup) stays."""
     before = {}
     for name in _NAMES:
@@ -129,6 +145,8 @@ def _install(handler: Handler) -> dict[int, Any]:
     return before
 
 
-def _restore(before: dict[int, Any]) -> None:
-    for number, handler in before.items():
-        signal.signal(number, handler)
+def _restore(before: dict[int, Any], handler: Handler) -> None:
+    """Handle signals as before, but for those that were given another handler meanwhile."""
+    for number, earlier in before.items():
+        if signal.getsignal(number) == handler:
+            signal.signal(number, earlier)

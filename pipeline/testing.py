@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.contract import Operator, handler_of, joined, settings_of
-from pipeline.messages import Geometry, Header, Message
+from pipeline.contract import Operator, inputs_of, joined, settings_of
+from pipeline.errors import RunError
+from pipeline.executor import Executor, carried
+from pipeline.messages import Geometry, Header, Message, altered
+from pipeline.settings import build, suggest
 
 
 def header(seq: int = 0, *, stream: str = "test", geometry: Geometry | None = None) -> Header:
@@ -23,26 +26,71 @@ def drive(
     """Open the operator, hand it each message (or each set by input name), close it.
 
     A single message goes to the joined set; a mapping whose only key is an unjoined input goes
-    to that input. Returns what the handlers answered, None for explicit nothing.
+    to that input. Returns what the handlers answered: a message, a mapping of named outputs to
+    messages, or None for explicit nothing.
+
+    What a graph would refuse is a `FoveaError` here too: settings, messages of the wrong type, and
+    answers. As in a graph, the operator cannot write into what it is handed.
     """
-    subject = operator(settings_of(operator)(**(settings or {})))
-    names = joined(operator)
-    answers = []
+    name = operator.__qualname__
+    subject = operator(build(settings_of(operator), settings or {}, name))
+    executor = Executor(name, subject)
+    answers: list[Any] = []
     stream = ""
     try:
         subject.open()
         for message in messages:
-            given = {names[0]: message} if isinstance(message, Message) else dict(message)
-            seen = next(iter(given.values())).header
+            arguments = _arguments(operator, message)
+            seen = next(m for m in arguments.values() if m is not None).header
             if seen.stream != stream:
                 subject.on_stream(seen)
                 stream = seen.stream
-            wanted = names if set(given) & set(names) else tuple(given)
-            arguments = {name: given.get(name) for name in wanted}
-            answers.append(handler_of(subject, wanted)(**arguments))
+            answers.append(_checked(executor, arguments, name))
     finally:
         subject.close()
     return answers
+
+
+def _arguments(operator: type[Operator[Any, Any]], given: Any) -> dict[str, Message | None]:
+    """A message or a set as the arguments of one handler; raises `RunError`, `MessageError`."""
+    name, together = operator.__qualname__, joined(operator)
+    if isinstance(given, Message) and together:
+        given = {together[0]: given}
+    if not isinstance(given, Mapping) or not given:
+        expected = "a message or a mapping" if together else "a mapping"
+        raise RunError(
+            f"{name}: expected {expected} of inputs to messages, got {type(given).__name__}"
+        )
+    inputs = inputs_of(operator)
+    received: dict[str, Message | None] = {}
+    for key, message in given.items():
+        if key not in inputs:
+            raise RunError(f"{name}: no input {key}{suggest(str(key), inputs)}")
+        wanted = inputs[key].message
+        if type(message) is not wanted and not (message is None and inputs[key].optional):
+            got = type(message).__name__
+            raise RunError(f"{name}.{key}: expected a {wanted.__name__}, got {got}")
+        if message is not None:
+            received[key] = carried(message, f"{name}.{key}")
+    if not received:
+        raise RunError(f"{name}: expected at least one message in a mapping, got none")
+    if not set(given) & set(together):
+        return received
+    for key in (*together, *received):
+        if key not in together:
+            raise RunError(f"{name}.{key}: expected it in a mapping of its own, got it in a set")
+        if key not in received and not inputs[key].optional:
+            raise RunError(f"{name}.{key}: expected a {inputs[key].message.__name__}, got none")
+    return {key: received.get(key) for key in together}
+
+
+def _checked(executor: Executor, arguments: dict[str, Message | None], name: str) -> Any:
+    """What the operator answered, after the checks that a graph makes."""
+    given = {output: m for output, m in executor.call(arguments).items() if m is not None}
+    head = next(m for m in arguments.values() if m is not None).header
+    for output, message in given.items():
+        carried(altered(message, header=head), f"{name}.{output}")
+    return given.get("out") if executor.single else given or None
 
 
 def picture(height_px: int, width_px: int, *, seed: int) -> np.ndarray[Any, np.dtype[np.uint8]]:

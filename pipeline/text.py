@@ -46,7 +46,7 @@ def said_by(error: BaseException) -> str:
 
 
 def plain(value: Any, depth: int = MOST_DEPTH) -> Any:
-    """Return figures that came as JSON with harmless strings and keys; too deep ones are cut off.
+    r"""Return figures that came as JSON with harmless strings and keys; too deep ones are cut off.
 
     >>> plain({"a": ["b\x00", 1.5, None]})
     {'a': ['b\\x00', 1.5, None]}

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import Frame, Input, Message, Operator
-from tests.toys import Ticker
+from tests.toys import Pair, Ticker
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +77,8 @@ class Unruly(Operator[UnrulySettings, Frame]):
     def open(self) -> None:
         if self.settings.kind == "exit_in_open" and self.first():
             raise SystemExit(0)
+        if self.settings.kind == "slow_open":
+            time.sleep(1000)
 
     def first(self) -> bool:
         """Whether it has not been so before; notes that it has."""
@@ -147,6 +149,15 @@ class Unruly(Operator[UnrulySettings, Frame]):
         """Start a program in a session of its own."""
         self._note(subprocess.Popen(["sleep", "1000"], start_new_session=True).pid)
 
+    def do_tell(self) -> None:
+        """Tell that it works."""
+        self._note(os.getpid())
+
+    def do_hang(self) -> None:
+        """Tell, and come to no end."""
+        self._note(os.getpid())
+        time.sleep(1000)
+
     def do_exit_0(self) -> None:
         """Leave without a word."""
         os._exit(0)
@@ -165,7 +176,7 @@ class Unruly(Operator[UnrulySettings, Frame]):
 
     def do_long_text(self) -> None:
         """Break with many words."""
-        raise ValueError("word " * (self.settings.size // 5))
+        raise ValueError("x" * self.settings.size)
 
     def do_odd_text(self) -> None:
         """Break with words that no terminal takes."""
@@ -195,10 +206,6 @@ class Unruly(Operator[UnrulySettings, Frame]):
             os.write(1, b"\xff\x00\x1b" * 21845)
         raise ValueError("after it printed")
 
-    def do_deaf(self) -> None:
-        """Stop for good."""
-        os.kill(os.getpid(), signal.SIGSTOP)
-
 
 class Deserter(Ticker):
     """A source that leaves at its tenth picture, without a word."""
@@ -207,3 +214,10 @@ class Deserter(Ticker):
         if self.seq == 10:
             os._exit(0)
         return super().produce()
+
+
+class Clinging(Pair):
+    """Takes its time to close."""
+
+    def close(self) -> None:
+        time.sleep(600)

@@ -31,13 +31,12 @@ def unruly_plan(tmp_path: Path, *, text: str = UNRULY, clock: str = "", **settin
 
 def unruly_file(tmp_path: Path, *, text: str = UNRULY, **settings: Any) -> Path:
     """Likewise, as a file for the command line."""
-    words = ", ".join(f"{name}: {value}" for name, value in settings.items())
-    operator = "    operator: tests.sick_toys:Unruly\n"
+    if settings:
+        words = ", ".join(f"{name}: {value}" for name, value in settings.items())
+        operator = "    operator: tests.sick_toys:Unruly\n"
+        text = text.replace(operator, f"{operator}    settings: {{{words}}}\n")
     path = tmp_path / "graph.yaml"
-    path.write_text(
-        f"name: unruly-{secrets.token_hex(3)}\n"
-        + text.replace(operator, f"{operator}    settings: {{{words}}}\n")
-    )
+    path.write_text(f"name: unruly-{secrets.token_hex(3)}\n{text}")
     return path
 
 

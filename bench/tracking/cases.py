@@ -1,14 +1,12 @@
 """The rows of a table: what is asked for -> a case for each strategy, budget and change."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 from bench.tracking.episode import Rules
 from bench.tracking.options import Options
 from drivers.simulated.strategies import WITH_ROI
-from pipeline.errors import SettingsError
-from pipeline.weights import find
 
 ROI_ALONE = ", ROI alone"  # ends the name of a row whose tracker does not see the context
 
@@ -23,6 +21,7 @@ class Case:
     rules: Rules
     replaced: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()  # of the graph, as --set takes them
+    tracker: str = ""  # as --tracker takes it; empty: the class that the graph names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,20 +39,17 @@ class Protocol:
 def cases(options: Options) -> list[Case]:
     """Every row that is asked for; what does not plan has one row a budget, `full` one in all."""
     rules = rules_of(options)
-    changes = (*options.changes, *tracker_changes(options.tracker))
-    found = []
+    found: list[Case] = []
     for strategy, budget in product(options.strategies, options.budgets):
         if strategy == "foveated":
-            found += _planned(options, str(budget), rules, changes)
+            found += _planned(options, str(budget), rules)
         elif strategy != "full" or budget == options.budgets[0]:
             share = "1" if strategy == "full" else str(budget)
-            found += _plain(strategy, share, rules, changes)
-    return found
+            found += _plain(strategy, share, rules, options.changes)
+    return [replace(case, tracker=options.tracker) for case in found]
 
 
-def _planned(
-    options: Options, budget: str, rules: Sequence[Rules], changes: tuple[str, ...]
-) -> list[Case]:
+def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case]:
     """Of the policy: a row for each of its files, rules and parts known from the truth."""
     late = len({(rule.delay, rule.replan) for rule in rules}) > 1
     found = []
@@ -68,7 +64,7 @@ def _planned(
             name=name + told(rule, late=late),
             rules=rule,
             replaced=parts,
-            changes=(*changes, *policy_changes(path)),
+            changes=(*options.changes, *policy_changes(path)),
         )
         found.append(case)
     return found
@@ -119,16 +115,3 @@ def policy_changes(path: str) -> tuple[str, ...]:
     if path == "pursue":
         return ("policy.strategy=pursue",)
     return (f"policy.weights={path}", "policy.strategy=learned") if path else ()
-
-
-def tracker_changes(choice: str) -> tuple[str, ...]:
-    """Changes to the graph for `--tracker`; auto is settled here, for it decides the figures."""
-    if choice.endswith(".onnx"):
-        return ("tracker.method=auto", f"tracker.weights={choice}")
-    if choice not in ("auto", "vittrack", "correlation"):
-        raise SettingsError(
-            f"tracker: expected auto, vittrack, correlation or an ONNX file, got {choice}"
-        )
-    if choice == "auto":
-        choice = "vittrack" if find("vittrack") else "correlation"
-    return (f"tracker.method={choice}",)

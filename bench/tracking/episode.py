@@ -89,7 +89,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
             if how.looks and not rules.context:
                 context = camera.nothing(frame)
             percept: Percept = loop.stages.tell("tracker", context=context, roi=roi)
-            box = percept.boxes[0]
+            box = percept.boxes[0] if len(percept.boxes) else box
             if how.looks:
                 shown = float(covered(target.boxes[frame][None], np.array(window, np.float32))[0])
                 found.windows.append(window)

@@ -24,9 +24,10 @@ import click
 from bench.machine import facts
 from bench.tracking import report as reporting
 from bench.tracking.budgets import acquisition
-from bench.tracking.cases import Case, Protocol, cases, tracker_changes
+from bench.tracking.cases import Case, Protocol, cases
 from bench.tracking.clip import ClipName, frames_of, names, size_of
 from bench.tracking.episode import Rules
+from bench.tracking.follower import NODE, TRACKERS, planned
 from bench.tracking.options import ALL, GRAPH, WHOLE, Options, options_of
 from bench.tracking.replaced import PARTS
 from bench.tracking.stages import Stages
@@ -34,7 +35,7 @@ from bench.tracking.units import measured
 from pipeline.errors import DriverError, FoveaError, SettingsError
 
 SCENE_FRAMES = 96
-FOLLOWS = "auto, vittrack, correlation, or an ONNX file of ViTTrack or MixFormerV2"
+FOLLOWS = f"{', '.join(TRACKERS)}, or one of them as NAME=FILE.onnx; else the graph's own"
 SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi), or a row of each"
 
 
@@ -50,7 +51,7 @@ SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi
 @click.option("--longest", default=Rules.longest, help="frames for which a start is followed")
 @click.option("--graph", default=str(GRAPH), help="the loop")
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
-@click.option("--tracker", default="auto", help=FOLLOWS)
+@click.option("--tracker", default="", help=FOLLOWS)
 @click.option("--sees", default="each", type=click.Choice(["both", "roi", "each"]), help=SEES)
 @click.option("--policy", multiple=True, help="[NAME=]FILE.onnx, or pursue; more give more rows")
 @click.option("--delay", default="0", help="frames by which plans come late, e.g. 0,2,13")
@@ -77,8 +78,6 @@ def evaluate(options: Options) -> None:
     wanted, protocol, clips = asked(options)
     options.make_room()
     try_out(wanted, protocol)
-    if options.tracker == "auto":
-        click.echo(f"tracker: {tracker_changes('auto')[0].partition('=')[2]}", err=True)
     units = measured(clips, wanted, protocol, options.folder, jobs=options.jobs)
     if not any(unit["episodes"] for unit in units):
         raise DriverError(
@@ -89,6 +88,7 @@ def evaluate(options: Options) -> None:
     found = {
         **facts(),
         "graph": Path(protocol.graph).name,
+        "tracker": tracker_of(protocol, options),
         "changes": sorted({change for case in wanted for change in case.changes}),
         "weighting": "frames: every frame of every start with truth counts once",
         "longest": options.longest,
@@ -122,10 +122,12 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
     sizes_px = {size_of(clip) for clip in clips}
     for strategy, budget, size_px in product(options.strategies, options.budgets, sizes_px):
         acquisition(strategy, budget, size_px)  # refuses what cannot be read
+    planned(Path(options.graph), options.changes, options.tracker)  # refuses no tracker
     wanted = cases(options)
     if late := max(options.delay):
         for changes in {case.changes for case in wanted if case.rules.delay}:
-            _refuse_too_late(late, Stages(Path(options.graph), changes).settings("policy").horizon)
+            stages = Stages(Path(options.graph), changes, options.tracker)
+            _refuse_too_late(late, stages.settings("policy").horizon)
     protocol = Protocol(
         graph=options.graph,
         frames=options.frames,
@@ -142,9 +144,16 @@ def try_out(wanted: Sequence[Case], protocol: Protocol) -> None:
 
     Raises `FoveaError`.
     """
-    for changes in dict.fromkeys(case.changes for case in wanted):
-        with Stages(Path(protocol.graph), changes):
+    for changes, tracker in dict.fromkeys((case.changes, case.tracker) for case in wanted):
+        with Stages(Path(protocol.graph), changes, tracker):
             pass
+
+
+def tracker_of(protocol: Protocol, options: Options) -> str:
+    """The class that measured, and its weights where they were named."""
+    node = planned(Path(protocol.graph), options.changes, options.tracker).node(NODE)
+    weights = node.settings.get("weights", "")
+    return f"{node.operator} {weights}".strip()
 
 
 def _refuse_too_late(delay: int, reach: int) -> None:

@@ -36,8 +36,8 @@ def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, complaints:
     seen: Seen = {}
     looked: dict[Case, Gazes] = {}
     with _complaints_into(complaints, str(name)):
-        for changes in sorted({case.changes for case, _ in work}):
-            with Stages(Path(protocol.graph), changes) as stages:
+        for changes, tracker in sorted({(case.changes, case.tracker) for case, _ in work}):
+            with Stages(Path(protocol.graph), changes, tracker) as stages:
                 for case, path in (w for w in work if w[0].changes == changes):
                     loop = loop_of(clip, case, stages, seen)
                     gaze = looked.setdefault(same_gaze(case), {})

@@ -15,13 +15,12 @@ import numpy as np
 
 from bench.tracking.budgets import TOLERANCE, Acquisition
 from bench.tracking.clip import Clip
+from bench.tracking.follower import planned
 from bench.tracking.replaced import Replaced
 from drivers.simulated.readout import Readout, Window
 from pipeline import settings as checked
 from pipeline.contract import Operator, handler_of, settings_of
 from pipeline.errors import GraphError, RunError
-from pipeline.graph.loader import load
-from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import load_operator
 from pipeline.messages import Frame, Header, Message, Tracks
 
@@ -32,8 +31,8 @@ EMPTY: Window = (0, 0, 0, 0)
 class Stages:
     """The opened operators of a tracking graph, by node name; use as a context."""
 
-    def __init__(self, graph: Path, changes: Sequence[str] = ()) -> None:
-        self.plan = load(graph, Overlay(changes=tuple(changes), clock="lockstep"))
+    def __init__(self, graph: Path, changes: Sequence[str] = (), tracker: str = "") -> None:
+        self.plan = planned(graph, changes, tracker)
         known = {node.name for node in self.plan.nodes}
         for name in NEEDED:
             if name not in known:

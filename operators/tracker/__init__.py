@@ -1,5 +1,18 @@
-"""Tracker: context and ROI -> where the one followed object is."""
+"""Trackers: context and ROI -> where the one followed object is. One class for each method."""
 
-from operators.tracker.tracker import Tracker, TrackerSettings, TrackerState
+from operators.tracker.correlation import CorrelationSettings, CorrelationTracker
+from operators.tracker.following import TrackerState
+from operators.tracker.mixformer import MixFormerTracker, MixFormerTrackerSettings
+from operators.tracker.tracker import TrackerSettings
+from operators.tracker.vittrack import VitTracker, VitTrackerSettings
 
-__all__ = ["Tracker", "TrackerSettings", "TrackerState"]
+__all__ = [
+    "CorrelationSettings",
+    "CorrelationTracker",
+    "MixFormerTracker",
+    "MixFormerTrackerSettings",
+    "TrackerSettings",
+    "TrackerState",
+    "VitTracker",
+    "VitTrackerSettings",
+]

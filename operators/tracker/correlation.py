@@ -3,13 +3,20 @@
 Two templates are compared with the search picture, the first one and a slowly renewed one: the
 renewed follows changes of light, pose and resolution, the first keeps it from drifting away. The
 object's last motion says where to search, and a window prefers places near there.
+
+A box that comes from a policy lies some pixels beside the object, and a template keeps that offset.
+It is measured over the frames in which both follow the same object, and taken out.
 """
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.tracker.following import Memory, Method
 from operators.tracker.look import Picture, Streams
+from operators.tracker.tracker import Tracker, TrackerSettings
 from pipeline.boxes import centres, from_centres
 
 TEMPLATE_PX = 32  # of a look twice as wide as the object: 16 px for the object itself
@@ -21,7 +28,22 @@ RENEWAL = 0.05  # share of a new sight that enters the renewed template
 TRUSTED = 0.6  # score above which a sight may enter it
 SPEED_GAIN = 0.5
 WINDOW_WEIGHT = 0.25  # of the preference for the foreseen place
+ALIGN_GAIN = 0.2  # share of what the box and the foreseen one differ by that is taken over
+SHAPES = ((TEMPLATE_PX, TEMPLATE_PX, 3), (TEMPLATE_PX, TEMPLATE_PX, 3), (2,), (2,))  # of a memory
 Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrelationSettings(TrackerSettings):
+    """What a graph may set."""
+
+
+class CorrelationTracker(Tracker[CorrelationSettings]):
+    """Needs no weights."""
+
+    def method(self) -> Method:
+        """Correlation."""
+        return Correlation()
 
 
 class Correlation:
@@ -33,22 +55,31 @@ class Correlation:
         ramp = np.hanning(SEARCH_PX - TEMPLATE_PX + 3)[1:-1].astype(np.float32)
         self._window = 1 - WINDOW_WEIGHT * (1 - np.outer(ramp, ramp))
 
-    def start(self, streams: Streams, box: Box) -> Picture:
-        """Take the template; returns the look it was taken from, which `resume` understands."""
-        look = streams.look(centres(box), FACTOR * scale_of(box), TEMPLATE_PX).copy()
-        self.resume(look)
-        return look
+    def start(self, streams: Streams, box: Box) -> None:
+        """Take the template."""
+        look = streams.look(centres(box), FACTOR * scale_of(box), TEMPLATE_PX)
+        template, still = look.astype(np.float32), np.zeros(2, np.float32)
+        self.resume((template, template, still, still))
 
-    def resume(self, template: Picture) -> None:
-        """Go on with the template of another instance."""
-        self._first = template.astype(np.float32)
-        self._renewed = self._first.copy()
-        self._velocity = np.zeros(2, np.float32)  # px per call
+    def memory(self) -> Memory:
+        """First and renewed template, velocity, and the template's place beside the object."""
+        return self._first, self._renewed, self._velocity, self._offset
+
+    def resume(self, memory: Memory) -> bool:
+        """Take over what `memory` gave."""
+        if tuple(part.shape for part in memory) != SHAPES:
+            return False
+        first, renewed, velocity, offset = (part.astype(np.float32) for part in memory)
+        self._first, self._renewed = first, renewed
+        self._velocity = velocity  # px per call
+        self._offset = offset  # of the object's centre from the template's, in its scale
+        return True
 
     def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
         """Where the object is now, given where it was, and how sure that is (0..1)."""
         scale = scale_of(box)
-        foreseen = centres(box) + self._velocity
+        before = centres(box) - scale * self._offset  # of the template
+        foreseen = before + self._velocity
         score, zoom, moved = -1.0, 1.0, np.zeros(2, np.float32)
         for tried in SCALES:
             side = FACTOR * scale * tried * SEARCH_PX / TEMPLATE_PX
@@ -58,12 +89,22 @@ class Correlation:
                 score, zoom, moved = value, tried, shift * np.float32(side / SEARCH_PX)
         centre = foreseen + moved
         if score > self.patience_score:
-            step = SPEED_GAIN * (centre - centres(box) - self._velocity)
+            step = SPEED_GAIN * (centre - before - self._velocity)
             self._velocity = self._velocity + step
         if score > TRUSTED:
             look = streams.look(centre, FACTOR * scale * zoom, TEMPLATE_PX)
             self._renewed += RENEWAL * (look - self._renewed)
-        return from_centres(centre, (box[2:] - box[:2]) * zoom), float(np.clip(score, 0, 1))
+        middle = (centre + scale * zoom * self._offset).astype(np.float32)
+        size = np.asarray((box[2:] - box[:2]) * zoom, np.float32)
+        return from_centres(middle, size), float(np.clip(score, 0, 1))
+
+    def aligned(self, box: Box, foreseen: Box) -> Box:
+        """The box, a step nearer to the foreseen one in place and size."""
+        step = ALIGN_GAIN * (centres(foreseen) - centres(box))
+        size = box[2:] - box[:2]
+        grown = np.asarray(size + ALIGN_GAIN * (foreseen[2:] - foreseen[:2] - size), np.float32)
+        self._offset = (self._offset + step / np.float32(scale_of(box))).astype(np.float32)
+        return from_centres(centres(box) + step, grown)
 
     def _match(self, look: Picture) -> tuple[float, NDArray[np.float32]]:
         """Best correlation and its offset (x, y) from the middle, in pixels of the look."""

@@ -7,14 +7,19 @@ settings. No weights of it lie in this repository; it is tested with networks wh
 known.
 """
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.tracker.look import Picture, Streams, normalise, size_of
+from operators.tracker.following import Memory, Method
+from operators.tracker.look import Streams, normalise, size_of
+from operators.tracker.tracker import Tracker, TrackerSettings
 from pipeline.boxes import centres, from_centres
-from pipeline.errors import WeightsError
+from pipeline.errors import SettingsError, WeightsError
 from pipeline.inference import Network
 
 INPUTS = ("img_t", "img_ot", "img_search")
@@ -23,7 +28,40 @@ TEMPLATE_FACTOR = 2.0  # side of a look in box sizes
 SEARCH_FACTOR = 4.5
 RENEW_EVERY = 200  # frames; the surest look since then becomes the second template
 RENEW_SCORE = 0.5
+NO_LOOK = (0, 0, 3)
 Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class MixFormerTrackerSettings(TrackerSettings):
+    """What a graph may set; `weights` it must."""
+
+    weights: str  # an ONNX file
+    threads: int = 1
+    renew_every: int = RENEW_EVERY
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("threads", "renew_every"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
+
+
+class MixFormerTracker(Tracker[MixFormerTrackerSettings]):
+    """Follows with a MixFormerV2 of the user's own."""
+
+    @classmethod
+    def advise(
+        cls, settings: MixFormerTrackerSettings, upstream: Mapping[str, Any]
+    ) -> Iterable[str]:
+        """Nothing; raises `WeightsError` for weights that are not there."""
+        weights_of(settings)
+        return ()
+
+    def method(self) -> Method:
+        """MixFormerV2; raises `WeightsError`."""
+        s = self.settings
+        return MixFormer(weights_of(s), threads=s.threads, renew_every=s.renew_every)
 
 
 class MixFormer:
@@ -31,7 +69,7 @@ class MixFormer:
 
     patience_score = 0.2
 
-    def __init__(self, weights: Path, *, threads: int) -> None:
+    def __init__(self, weights: Path, *, threads: int = 1, renew_every: int = RENEW_EVERY) -> None:
         self._network = Network(weights, threads=threads)
         got = self._network.inputs, self._network.outputs
         if set(got[0]) != set(INPUTS) or set(got[1]) != set(OUTPUTS):
@@ -44,22 +82,35 @@ class MixFormer:
             name: np.zeros((1, 3, side, side), np.float32) for name, side in sides.items()
         }
         self._template_px, self._search_px = sides["img_t"], sides["img_search"]
+        self._renew_every = renew_every
         self._begin()
 
-    def _begin(self) -> None:
-        self._age, self._best, self._candidate = 0, RENEW_SCORE, np.zeros(0, np.uint8)
-
-    def start(self, streams: Streams, box: Box) -> Picture:
-        """Take both templates; returns the look they were taken from, for `resume`."""
-        look = self._template(streams, box).copy()
-        self.resume(look)
-        return look
-
-    def resume(self, template: Picture) -> None:
-        """Go on with the template of another instance."""
-        normalise(template, self._feeds["img_t"])
-        normalise(template, self._feeds["img_ot"])
+    def start(self, streams: Streams, box: Box) -> None:
+        """Take both templates."""
+        look = self._template(streams, box)
+        normalise(look, self._feeds["img_t"])
+        normalise(look, self._feeds["img_ot"])
         self._begin()
+
+    def memory(self) -> Memory:
+        """Both templates, the surest look since the second, and its age and score."""
+        counts = np.array([self._age, self._best], np.float32)
+        return self._feeds["img_t"], self._feeds["img_ot"], self._candidate, counts
+
+    def resume(self, memory: Memory) -> bool:
+        """Take over what `memory` gave."""
+        shapes, templates = [part.shape for part in memory], (self._feeds[n] for n in INPUTS[:2])
+        rest = [[look, (2,)] for look in ((self._template_px, self._template_px, 3), NO_LOOK)]
+        if shapes[:2] != [t.shape for t in templates] or shapes[2:] not in rest:
+            return False
+        self._feeds["img_t"][:], self._feeds["img_ot"][:] = memory[:2]
+        self._candidate = memory[2].astype(np.uint8)
+        self._age, self._best = int(memory[3][0]), float(memory[3][1])
+        return True
+
+    def aligned(self, box: Box, foreseen: Box) -> Box:
+        """The box: the network's own is nearer to the object than what was foreseen."""
+        return box
 
     def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
         """Where the object is now, given where it was, and how sure that is (0..1)."""
@@ -78,13 +129,26 @@ class MixFormer:
         self._age += 1
         if score > self._best:
             self._best, self._candidate = score, self._template(streams, box).copy()
-        if self._age >= RENEW_EVERY:
+        if self._age >= self._renew_every:
             if self._candidate.size:
                 normalise(self._candidate, self._feeds["img_ot"])
             self._begin()
 
-    def _template(self, streams: Streams, box: Box) -> Picture:
+    def _begin(self) -> None:
+        self._age, self._best = 0, RENEW_SCORE
+        self._candidate = np.zeros(NO_LOOK, np.uint8)
+
+    def _template(self, streams: Streams, box: Box) -> NDArray[np.uint8]:
         return streams.look(centres(box), TEMPLATE_FACTOR * size_of(box), self._template_px)
+
+
+def weights_of(settings: MixFormerTrackerSettings) -> Path:
+    """The file to load; raises `WeightsError`."""
+    path = Path(settings.weights)
+    if not path.is_file():
+        got = path if settings.weights else "nothing"
+        raise WeightsError(f"weights: expected MixFormerV2 as an ONNX file, got {got}")
+    return path
 
 
 def probability(score: float) -> float:

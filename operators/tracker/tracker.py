@@ -1,179 +1,153 @@
 """Follow one object through context and ROI: Frame, Frame (and a Scanpath) -> Percept.
 
-The consumer of the paper's tracking task: a search-template tracker, ViTTrack in place of
-MixFormerV2, or MixFormerV2 itself for those who have its weights.
+The consumer of the paper's tracking task. It follows what the policy shows: it starts on the object
+that a scanpath chose, is bound anew when the policy chooses another object or has been beside this
+one for some frames, and answers without a box while it has lost it: an empty `Percept` says *lost*,
+or that there was nothing to follow yet. `follow` and `reset` tell it otherwise.
+
+A graph names one class for each method: `CorrelationTracker`, `VitTracker`, `MixFormerTracker`.
 """
 
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Literal, Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from operators.tracker.correlation import Correlation
+from operators.tracker.following import FAR_PX, Following, Method, Rules, TrackerState, proposed
 from operators.tracker.look import Picture, Streams
-from operators.tracker.mixformer import MixFormer
-from operators.tracker.vittrack import VitTrack
 from pipeline import Frame, Header, Input, Operator, Percept, Scanpath, SettingsError
-from pipeline.errors import WeightsError
-from pipeline.inference import Network
-from pipeline.weights import find
 
-NOBODY = -1  # the id of an object that is no track
+COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerSettings:
-    """What a graph may set. auto: the network when its weights are there, else correlation."""
+    """What a graph may set of every tracker; counts are frames in succession."""
 
-    method: Literal["auto", "vittrack", "mixformer", "correlation"] = "auto"
-    weights: str = ""  # an ONNX file; empty: vitTracker.onnx as `fovea weights pull` left it
     init_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor px, first frame
-    lost_score: float = -1.0  # below it the object counts as lost; negative: the method's own
-    lost_after: int = 5  # lost frames in succession before the scanpath's object is taken instead
-    threads: int = 1
+    lost_score: float = -1.0  # below it the object was not found; negative: the method's own
+    lost_after: int = 5  # frames without finding it, before it counts as lost
+    drift_after: int = 6  # frames beside the object that the policy shows
+    switch_after: int = 2  # the same, where the policy has chosen another object
+    hidden_after: int = 8  # frames outside the ROI while the policy looks at a place
 
     def __post_init__(self) -> None:
-        left, top, right, bottom = self.init_box
-        if any(self.init_box) and not (left < right and top < bottom):
-            raise SettingsError(f"init_box: expected left, top, right, bottom, got {self.init_box}")
-        for name in ("lost_after", "threads"):
+        if any(self.init_box):
+            check_box("init_box", self.init_box)
+        for name in COUNTS:
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        if self.lost_score > 1:
+        if not self.lost_score <= 1:
             raise SettingsError(f"lost_score: must be at most 1, got {self.lost_score}")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrackerState:
-    """What a successor needs: where the object is, and what it looked like at the start."""
-
-    box: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4), np.float32))
-    object_id: int = NOBODY
-    lost_frames: int = 0
-    template: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
+S = TypeVar("S", bound=TrackerSettings)
 
 
-class Follower(Protocol):
-    """A method of following: start on a box, then find it again and again."""
+class Tracker(Operator[S, Percept]):
+    """One box per frame, or none: nothing to follow yet, or lost.
 
-    patience_score: float
-
-    def start(self, streams: Streams, box: NDArray[np.float32]) -> Picture: ...
-
-    def resume(self, template: Picture) -> None: ...
-
-    def follow(
-        self, streams: Streams, box: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float]: ...
-
-
-class Tracker(Operator[TrackerSettings, Percept]):
-    """One box per frame, none before there is anything to follow; a lost object keeps its place.
-
-    It starts on `init_box` in the first frame, else on the object that a scanpath chose.
+    The box told by `init_box` or `follow` is kept until it is lost, or until `reset`; after that,
+    and without it, the policy's object is followed. An object that is not found keeps its place
+    for less than `lost_after` frames. Each method's class says what `method` is.
     """
 
+    live: ClassVar[tuple[str, ...]] = ("lost_score", *COUNTS)
+    commands: ClassVar[tuple[str, ...]] = ("follow", "reset")
     context = Input(Frame, keep="latest")
     roi = Input(Frame, keep="latest")
     scanpath = Input(Scanpath, join=False)
 
+    def method(self) -> Method:
+        """The method, ready to be used; raises `WeightsError`."""
+        raise NotImplementedError
+
     def open(self) -> None:
-        """Load the network, if it is to be used; raises `WeightsError`."""
-        s = self.settings
-        self._follower = chosen(s.method, s.weights, s.threads)
-        own = self._follower.patience_score
-        self._lost_score = own if s.lost_score < 0 else s.lost_score
+        """Load what the method needs; raises `WeightsError`."""
+        method = self.method()
+        self._usual_score = method.patience_score
+        self._following = Following(method, self._rules())
         self._scratch: dict[int, Picture] = {}
-        self._scanpath: Scanpath | None = None
-        self._forget()
+        self._frames = self._answered = 0
+        self._begin()
+
+    def on_settings(self, settings: S) -> None:
+        """Other thresholds from the next frame on."""
+        self.settings = settings
+        self._following.rules = self._rules()
 
     def on_stream(self, header: Header) -> None:
         """Another stream shows other objects."""
-        self._forget()
+        self._begin()
+
+    def do_follow(self, box: tuple[float, float, float, float]) -> dict[str, list[float]]:
+        """Follow what is in this box (sensor pixels) in the next frame, whatever is looked at."""
+        check_box("follow.box", box)
+        self._following.take(np.array(box, np.float32))
+        return {"following": list(box)}
+
+    def do_reset(self) -> dict[str, int]:
+        """Let go of the object, a told one too; start again on what the policy shows."""
+        forgotten = len(self._following.box)
+        self._following.forget()
+        return {"forgotten": forgotten}
 
     def state(self) -> TrackerState:
-        """The object as of now."""
-        return TrackerState(
-            box=self._box,
-            object_id=self._object_id,
-            lost_frames=self._lost_frames,
-            template=self._template,
-        )
+        """The object as of now, and what the method knows of it."""
+        return self._following.state()
 
     def restore(self, state: TrackerState) -> None:
         """Follow what another instance followed."""
-        self._box, self._object_id = state.box, state.object_id
-        self._lost_frames, self._template = state.lost_frames, state.template
-        self._fresh = False
-        if len(self._box):
-            self._follower.resume(self._template)
+        self._following.restore(state)
 
     def on_scanpath(self, scanpath: Scanpath) -> None:
-        """Remember what the policy looks at, for the next start."""
-        self._scanpath = scanpath
+        """Remember what the policy shows."""
+        self._scanpath: Scanpath | None = scanpath
 
     def on_context_roi(self, context: Frame, roi: Frame) -> Percept:
         """Find the object in this exposure, or start on one."""
+        following = self._following
         streams = Streams(context=context, roi=roi, scratch=self._scratch)
-        score = self._follow(streams) if len(self._box) else 0.0
-        if not len(self._box) or self._lost_frames >= self.settings.lost_after:
-            score = self._start(streams, context.header, score)
-        self._fresh = False
+        score = following.step(streams, proposed(self._scanpath, context.header.seq))
+        count = len(following.box)
+        self._frames, self._answered = self._frames + 1, self._answered + count
         return Percept(
             header=context.header,
-            boxes=self._box,
-            ids=np.full(len(self._box), self._object_id, np.int32),
-            scores=np.full(len(self._box), score, np.float32),
+            boxes=following.box,
+            ids=np.full(count, following.object_id, np.int32),
+            scores=np.full(count, score, np.float32),
         )
 
-    def _forget(self) -> None:
-        self.restore(TrackerState())
+    def headline(self) -> str:
+        """Whether it has lost what it followed."""
+        return "tracker: lost" if self._answered and not len(self._following.box) else ""
+
+    def summary(self) -> Mapping[str, Any]:
+        """In how many frames it answered with a box, and how often it let go of one, and why."""
+        counts = {"frames": self._frames, "answered": self._answered}
+        return {"tracker": {**counts, "let_go": dict(self._following.lost)}}
+
+    def _rules(self) -> Rules:
+        s = self.settings
+        return Rules(
+            lost_score=self._usual_score if s.lost_score < 0 else s.lost_score,
+            lost_after=s.lost_after,
+            drift_after=s.drift_after,
+            switch_after=s.switch_after,
+            hidden_after=s.hidden_after,
+        )
+
+    def _begin(self) -> None:
+        """Before the first frame of a stream."""
         self._scanpath = None
-        self._fresh = True  # no frame of this stream has been seen
-
-    def _follow(self, streams: Streams) -> float:
-        box, score = self._follower.follow(streams, self._box[0])
-        lost = score < self._lost_score
-        self._lost_frames = self._lost_frames + 1 if lost else 0
-        if not lost:
-            self._box = box[None]
-        return score
-
-    def _start(self, streams: Streams, header: Header, score: float) -> float:
-        """Take the object asked for, if any; returns the score to tell."""
-        box, object_id = np.array(self.settings.init_box, np.float32), NOBODY
-        if not (self._fresh and box.any()):
-            box, object_id = proposed(self._scanpath, header.seq)
-        if not box.any():
-            return score
-        self._template = self._follower.start(streams, box)
-        self._box, self._object_id, self._lost_frames = box[None], object_id, 0
-        return 1.0
+        self._following.forget()
+        if any(self.settings.init_box):
+            self._following.take(np.array(self.settings.init_box, np.float32))
 
 
-def proposed(scanpath: Scanpath | None, seq: int) -> tuple[NDArray[np.float32], int]:
-    """Where the chosen object is foreseen in frame `seq`, and its id; zeros without an object."""
-    row = seq - scanpath.first_seq if scanpath else -1
-    if scanpath is None or not 0 <= row < len(scanpath.choice) or scanpath.choice[row] < 0:
-        return np.zeros(4, np.float32), NOBODY
-    return scanpath.boxes[row], int(scanpath.choice[row])
-
-
-def chosen(method: str, weights: str, threads: int) -> Follower:
-    """The method asked for; raises `WeightsError` when it needs weights that are not there."""
-    if method == "correlation":
-        return Correlation()
-    if method == "mixformer" and not weights:
-        raise WeightsError("tracker.weights: expected MixFormerV2 as an ONNX file, got nothing")
-    path = Path(weights) if weights else find("vittrack")
-    if path is None or not path.is_file():
-        if method == "auto" and not weights:
-            return Correlation()
-        raise WeightsError(
-            f"tracker.weights: expected an ONNX file, got {path or 'nothing'}; "
-            "try `fovea weights pull vittrack`, or set method: correlation"
-        )
-    mixed = method == "mixformer" or (method == "auto" and "img_search" in Network(path).inputs)
-    return MixFormer(path, threads=threads) if mixed else VitTrack(path, threads=threads)
+def check_box(name: str, box: tuple[float, float, float, float]) -> None:
+    """Raise `SettingsError` unless these are left, top, right and bottom of a box."""
+    left, top, right, bottom = box
+    if not (max(map(abs, box)) < FAR_PX and left < right and top < bottom):
+        raise SettingsError(f"{name}: expected left, top, right, bottom, got {box}")

@@ -5,19 +5,52 @@ Sizes, factors, mean and deviation, and the meaning of the maps are those of Ope
 (Apache-2.0), against which this is tested with the same weights.
 """
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.tracker.look import Picture, Streams, normalise, size_of
+from operators.tracker.following import Memory, Method
+from operators.tracker.look import Streams, normalise, size_of
+from operators.tracker.tracker import Tracker, TrackerSettings
 from pipeline.boxes import centres, from_centres
-from pipeline.errors import WeightsError
+from pipeline.errors import SettingsError, WeightsError
 from pipeline.inference import Network
+from pipeline.weights import require
 
 TEMPLATE_PX, SEARCH_PX, CELLS = 128, 256, 16
 TEMPLATE_FACTOR, SEARCH_FACTOR = 2, 4  # side of a look in box sizes
 Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
+
+
+@dataclass(frozen=True, kw_only=True)
+class VitTrackerSettings(TrackerSettings):
+    """What a graph may set."""
+
+    weights: str = ""  # an ONNX file; empty: what `fovea weights pull vittrack` fetched
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.threads < 1:
+            raise SettingsError(f"threads: must be at least 1, got {self.threads}")
+
+
+class VitTracker(Tracker[VitTrackerSettings]):
+    """Follows with ViTTrack, and with nothing else: missing weights are a `WeightsError`."""
+
+    @classmethod
+    def advise(cls, settings: VitTrackerSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `WeightsError` for weights that are not there."""
+        weights_of(settings)
+        return ()
+
+    def method(self) -> Method:
+        """ViTTrack; raises `WeightsError`."""
+        return VitTrack(weights_of(self.settings), threads=self.settings.threads)
 
 
 class VitTrack:
@@ -39,16 +72,25 @@ class VitTrack:
         self._search = np.empty((1, 3, SEARCH_PX, SEARCH_PX), np.float32)
         self._template = np.empty((1, 3, TEMPLATE_PX, TEMPLATE_PX), np.float32)
 
-    def start(self, streams: Streams, box: Box) -> Picture:
-        """Take the template; returns the look it was taken from, which `resume` understands."""
+    def start(self, streams: Streams, box: Box) -> None:
+        """Take the template."""
         side = TEMPLATE_FACTOR * size_of(box)
-        look = streams.look(centres(box), side, TEMPLATE_PX).copy()
-        self.resume(look)
-        return look
+        normalise(streams.look(centres(box), side, TEMPLATE_PX), self._template)
 
-    def resume(self, template: Picture) -> None:
-        """Go on with the template of another instance."""
-        normalise(template, self._template)
+    def memory(self) -> Memory:
+        """The template, as the network takes it."""
+        return (self._template,)
+
+    def resume(self, memory: Memory) -> bool:
+        """Take over what `memory` gave."""
+        if [part.shape for part in memory] != [self._template.shape]:
+            return False
+        self._template[:] = memory[0]
+        return True
+
+    def aligned(self, box: Box, foreseen: Box) -> Box:
+        """The box: the network's own is nearer to the object than what was foreseen."""
+        return box
 
     def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
         """Where the object is now, given where it was, and how sure that is (0..1)."""
@@ -58,6 +100,19 @@ class VitTrack:
         found, score = decode(maps["output1"], maps["output2"], maps["output3"], self._window)
         corner = centres(box) - side / 2
         return (found * side + np.tile(corner, 2)).astype(np.float32), score
+
+
+def weights_of(settings: VitTrackerSettings) -> Path:
+    """The file to load; raises `WeightsError` with the command that gets it."""
+    if not settings.weights:
+        return require("vittrack")
+    path = Path(settings.weights)
+    if not path.is_file():
+        raise WeightsError(
+            f"weights: expected an ONNX file, got {path}; without one named, what "
+            "`fovea weights pull vittrack` fetched is used"
+        )
+    return path
 
 
 def decode(

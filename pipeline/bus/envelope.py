@@ -13,6 +13,16 @@ HELLO, MESSAGE, NOTHING = 0, 1, 2
 # bodies of greetings: by who took over and lost nothing, and by who has lost something just now
 GOES_ON, LOST = msgspec.msgpack.encode(True), msgspec.msgpack.encode(False)
 
+EPOCH_BITS = 32
+
+
+def first_of(epoch: int) -> int:
+    """The first number of an instance whose output has no reader, and so no account to go on from.
+
+    Numbers of one output thus only grow, also where no predecessor's are known.
+    """
+    return (epoch << EPOCH_BITS) + 1
+
 
 class Envelope(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     """What surrounds a message on the bus."""

@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from pipeline import codec
 from pipeline.bus.doors import Links, Target
-from pipeline.bus.envelope import HELLO, MESSAGE, NOTHING, Envelope
+from pipeline.bus.envelope import HELLO, MESSAGE, NOTHING, Envelope, first_of
 from pipeline.bus.ledger import EdgeAccount
 from pipeline.bus.pool import DONE, KEPT, SPARE, Lease, PoolWriter, SlotRef
 from pipeline.bus.session import Sender
@@ -79,7 +79,7 @@ class OutPort:
         self._taps, self._remote = taps, remote
         self.readers = tuple(readers)
         self._epoch = epoch
-        self._ordinal = max((r.account.base + r.account.sent for r in readers), default=0)
+        self._ordinal = self._counted()
         self._mark = codec.fingerprint(message)
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
@@ -91,7 +91,7 @@ class OutPort:
     def begin(self, epoch: int) -> None:
         """Speak for the node from now on, where whoever spoke before stopped."""
         self._epoch, self._goes_on = epoch, True
-        self._ordinal = max((r.account.base + r.account.sent for r in self.readers), default=0)
+        self._ordinal = self._counted()
         self._doors = [(0, 0)] * len(self.readers)
         self._links.aim(())  # a reader takes what comes on its newest link last
         self._pool.refresh()
@@ -197,6 +197,11 @@ class OutPort:
             reader.account.overrun += 1
             if not reader.has_credit():
                 reader.account.broken = 1
+
+    def _counted(self) -> int:
+        """The number of the last message, whichever instance sent it."""
+        sent = (r.account.base + r.account.sent for r in self.readers)
+        return max(sent, default=first_of(self._epoch) - 1)
 
     def _stuck(self) -> bool:
         """Whether it is time to knock."""

@@ -204,11 +204,7 @@ class PoolReader:
 
         Raises `MessageError` when the descriptor does not fit the pool it names.
         """
-        file = self._file
-        if file is None or file.name != ref.file or file.pool_id != ref.pool_id:
-            file = self._open(ref)
-        if not (0 <= ref.slot < file.slots and 0 <= ref.nbytes <= file.slot_bytes):
-            raise MessageError(f"{ref.file}: no slot {ref.slot} of {ref.nbytes} bytes")
+        file = self.file_of(ref)
         if not file.lock(fcntl.F_RDLCK, ref.slot):
             return None
         if file.generations[ref.slot] != ref.generation:
@@ -218,6 +214,15 @@ class PoolReader:
         bytes_ = np.frombuffer(file.memory, np.uint8, ref.nbytes, file.start(ref.slot))
         file.hold(ref.slot, bytes_)
         return bytes_
+
+    def file_of(self, ref: SlotRef) -> PoolFile:
+        """The pool that a descriptor names; raises `MessageError` when it does not fit."""
+        file = self._file
+        if file is None or file.name != ref.file or file.pool_id != ref.pool_id:
+            file = self._open(ref)
+        if not (0 <= ref.slot < file.slots and 0 <= ref.nbytes <= file.slot_bytes):
+            raise MessageError(f"{ref.file}: no slot {ref.slot} of {ref.nbytes} bytes")
+        return file
 
     @property
     def pinned(self) -> int:

@@ -21,6 +21,7 @@ from pipeline.errors import RunError
 OnBytes = Callable[[bytes], None]
 OnQuestion = Callable[[bytes, OnBytes], None]  # the question, and how to reply
 LOGGED = "error,zenoh::net::protocol::gossip=off"  # which mistakes a peer that leaves for a fault
+PANIC = "PanicException"  # how Rust fails without descriptors or threads; it has no other name here
 AGAIN_S = 0.05  # a new session does not know at once who answers
 
 
@@ -40,11 +41,19 @@ class Session:
     """A peer of the graph's bus. Close it before the process ends, or Zenoh keeps it alive."""
 
     def __init__(
-        self, folder: Path, name: str, *, hub: str = "hub", patience_s: float = 10.0
-    ) -> None:
-        """`patience_s`: how long a frozen peer may keep this one from opening or closing a link."""
+        self, folder: Path, name: str, *, hub: str = "hub", patience_s: float = 10.0,
+        guest: bool = False,
+    ) -> None:  # fmt: skip
+        """`patience_s`: how long a frozen peer may keep this one from opening or closing a link.
+
+        A `guest` listens nowhere: it leaves no socket behind, however it ends, and no other process
+        ever waits for it to open a link.
+        """
+        self._files: tuple[Path, ...] = ()
+        if name != hub and not guest:  # the hub's go with the run's folder
+            self._files = (folder / f"{name}.sock", folder / f"{name}.sock.lock")
         own = f"unixsock-stream/{folder / name}.sock"
-        links = {"listen": {"endpoints": [own]}}
+        links = {"listen": {"endpoints": [] if guest else [own]}}
         if name != hub:
             links["connect"] = {"endpoints": [f"unixsock-stream/{folder / hub}.sock"]}
         unicast = {"open_timeout": int(patience_s * 1000)}
@@ -55,6 +64,7 @@ class Session:
     def across(cls, network: Network) -> "Session":
         """A session with other hosts; opens at once, whoever is there already."""
         session = cls.__new__(cls)
+        session._files = ()
         session._session = _open(network.config(), ", ".join(network.listen) or "network")
         session._session.info.declare_link_events_listener(
             zenoh.handlers.Callback(_hasten, indirect=False), history=True
@@ -163,8 +173,10 @@ class Session:
         return found
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Leave the bus; Zenoh would leave the files of its socket behind."""
         self._session.close()  # type: ignore[no-untyped-call]
+        for file in self._files:
+            file.unlink(missing_ok=True)
 
 
 class _Sender:
@@ -216,5 +228,7 @@ def _open(config: dict[str, object], what: str) -> zenoh.Session:
     zenoh.init_log_from_env_or(LOGGED)
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-    except zenoh.ZError as error:
+    except BaseException as error:
+        if not isinstance(error, zenoh.ZError) and type(error).__name__ != PANIC:
+            raise
         raise RunError(f"{what}: {error}") from error

@@ -1,34 +1,21 @@
-"""Looking at a running graph from outside: `ps`, `top`, `logs`, `echo`, `hz`.
+"""Looking at running graphs from outside: `ps`, `top`; figures come from the ledger's memory.
 
-Figures are read from the ledger's shared memory; messages are tapped from the bus. Neither slows
-the graph: a tap has no account there and copies what it would pin.
+What outputs send is heard by `pipeline.console.listening`.
 """
 
-import os
-import queue
 import time
 from collections.abc import Iterator
-from dataclasses import fields
 from typing import Any
 
-import numpy as np
 import psutil
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.bus.inport import InPort
-from pipeline.bus.ledger import Ledger, private_ledger
-from pipeline.bus.outport import Arrival
-from pipeline.bus.pool import PoolReader
-from pipeline.bus.session import Session
-from pipeline.contract import outputs_of
+from pipeline.bus.ledger import Ledger
 from pipeline.errors import RunError
-from pipeline.graph.plan import load_operator
-from pipeline.messages import Message
-from pipeline.node.wiring import key_of
-from pipeline.run.rundir import folder_of, memory_of, running
+from pipeline.run.rundir import memory_of, running
 from pipeline.settings import suggest
 from pipeline.terminal import brief, lean_table, losses, pair, rest
 
@@ -66,83 +53,6 @@ def top(graph: str, every_s: float, *, once: bool, console: Console) -> None:
         while name in running():
             live.update(next(tables), refresh=True)
             time.sleep(every_s)
-
-
-def echo(graph: str, output: str, count: int) -> Iterator[str]:
-    """One line per message of an output."""
-    for i, message in enumerate(_tap(graph, output)):
-        yield describe(message)
-        if count and i + 1 >= count:
-            return
-
-
-def rate(graph: str, output: str, duration_s: float) -> str:
-    """Rate, jitter and age over some seconds."""
-    stamps, ages = [], []
-    end = time.monotonic() + duration_s
-    for message in _tap(graph, output):
-        now = time.monotonic_ns()
-        stamps.append(now)
-        ages.append((now - message.header.stamp_ns) / 1e6)
-        if now / 1e9 > end:
-            break
-    if len(stamps) < 2:
-        return f"{output}: fewer than two messages in {duration_s:.1f} s"
-    gaps = np.diff(stamps) / 1e6
-    return (
-        f"{output}: {1000 / gaps.mean():.2f} Hz, gap {gaps.min():.1f} .. {gaps.max():.1f} ms "
-        f"(std {gaps.std():.2f}), age {np.median(ages):.1f} ms p50, {len(stamps)} messages"
-    )
-
-
-def describe(message: Message) -> str:
-    """A message on one line: small values as they are, arrays by shape."""
-    parts = [f"seq {message.header.seq}"]
-    for item in fields(message):
-        value = getattr(message, item.name)
-        if item.name == "header":
-            continue
-        if isinstance(value, np.ndarray):
-            small = np.array2string(value, precision=1, separator=",").replace("\n", "")
-            text = small if value.size <= 8 else f"{value.dtype}{list(value.shape)}"
-        else:
-            text = str(value)
-        parts.append(f"{item.name} {text}")
-    return "  ".join(parts)
-
-
-def _tap(graph: str, output: str) -> Iterator[Message]:
-    name, facts = find(graph)
-    node, _, port = output.partition(".")
-    operators = {n["name"]: n["operator"] for n in facts["nodes"]}
-    if node not in operators:
-        raise RunError(f"{name}: no node {node}{suggest(node, operators)}")
-    outputs = outputs_of(load_operator(operators[node]))
-    port = port or "out"
-    if port not in outputs:
-        options = [o if o != "out" else node for o in (f"{node}.{p}" for p in outputs)]
-        raise RunError(f"{name}: {node} has no output {port}{suggest(output, options)}")
-    arrivals: queue.Queue[Arrival] = queue.Queue(8)  # a slow terminal loses, the graph does not
-
-    def keep(arrival: Arrival) -> None:
-        if arrival.message is not None and not arrivals.full():
-            arrivals.put_nowait(arrival)
-
-    pool = PoolReader(memory_of(facts), f"{node}.{port}")
-    tap = InPort(outputs[port], private_ledger(1, 0).edges[0], pool, 1, keep, tap=True)
-    session = Session(folder_of(name), f"tap-{os.getpid()}")
-    try:
-        stop = session.listen(key_of(facts["graph"], node, port), tap.receive)
-        while True:
-            message = arrivals.get(timeout=QUIET_S).message
-            assert message is not None
-            yield message
-    except queue.Empty:
-        raise RunError(f"{output}: no message for {QUIET_S:.0f} s") from None
-    finally:
-        stop()
-        session.close()
-        (folder_of(name) / f"tap-{os.getpid()}.sock").unlink(missing_ok=True)
 
 
 def _refreshed(facts: dict[str, Any], ledger: Ledger, every_s: float) -> Iterator[Group]:

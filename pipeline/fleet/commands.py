@@ -52,7 +52,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
     own = read(config) if config else Box(AgentFile(label=label), Path.cwd())
     if state:
         own = replace(own, file=replace(own.file, state=str(state.resolve())))
-    with Interruption() as asked, Agent(own) as agent:
+    with Interruption(last=True) as asked, Agent(own) as agent:
         asked.on_signal = agent.stop
         if asked.count:  # while it came up
             agent.stop()

@@ -20,9 +20,10 @@ from pipeline.bus.inbox import Inbox, Work
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import EdgeAccount, NodeAccount
 from pipeline.bus.outport import Arrival, OutPort
-from pipeline.contract import Input, Operator, handler_of, joined
-from pipeline.errors import PoolExhausted, RunError
-from pipeline.messages import Header, Message, Span, altered, stamped
+from pipeline.contract import Input, Operator
+from pipeline.errors import MessageError, PoolExhausted
+from pipeline.executor import Answers, Executor
+from pipeline.messages import Header, Span, altered, stamped
 from pipeline.node.corewait import CoreWait
 
 IDLE_S = 0.2  # the heartbeat of a host that has nothing to do
@@ -64,10 +65,9 @@ class Host:
         self.relay: Rests | None = None
         self.clocks = Clocks()
         self.inbox = Inbox(inputs, self.settle, lockstep=lockstep, age_ns=self._age_ns)
-        self._together = frozenset(joined(type(operator)))
+        self.executor = Executor(name, operator)
         self._arrived_wait_ns = self._waiter = 0
         self.answered = 0  # sets of joined inputs, by this instance
-        self._handlers: dict[tuple[str, ...], Callable[..., Any]] = {}
         self.corewait = CoreWait()
         self.stopping = threading.Event()
         operator._loan = self._loan
@@ -184,12 +184,8 @@ class Host:
         self.busy(begun, work.header.seq)
         if work.new_stream:
             self.operator.on_stream(work.header)
-        answers: Mapping[str, Message | None] = dict.fromkeys(self.outs)
-        side = not self._together.issuperset(work.messages)
-        if work.answer:
-            given = self._handler(tuple(work.messages))(**work.messages)
-            if not side:
-                answers = self.answers(given)
+        side = bool(work.messages) and self.executor.is_side(tuple(work.messages))
+        answers = self.executor.call(work.messages) if work.answer else {}
         ended = time.monotonic_ns()
         if not side:
             critical = _critical(work)
@@ -232,21 +228,24 @@ class Host:
         self.account.heartbeat_ns = time.monotonic_ns()
         self.account.enter(state)
 
-    def publish(self, answers: Mapping[str, Message | None], header: Header) -> None:
+    def publish(self, answers: Answers, header: Header) -> None:
         """Send every output's answer, waiting for the credit of lossless readers."""
         self.await_credit()
         self.send_all(answers, header)
 
-    def send_all(self, answers: Mapping[str, Message | None], header: Header) -> None:
-        """Send every output's answer under the header that leaves."""
+    def send_all(self, answers: Answers, header: Header) -> None:
+        """Send every output's answer under the header that leaves; raises `MessageError`."""
         for name, port in self.outs.items():
             message = answers.get(name)
             if message is not None:
                 message = altered(message, header=header)
             try:
-                port.send(message, header)
-            except PoolExhausted:
-                self.patiently(partial(port.send, message, header))
+                try:
+                    port.send(message, header)
+                except PoolExhausted:
+                    self.patiently(partial(port.send, message, header))
+            except MessageError as error:
+                raise MessageError(f"{self.name}.{name}: {error}") from error
 
     def has_credit(self) -> bool:
         """Whether every lossless reader of every output has room."""
@@ -279,21 +278,6 @@ class Host:
             finally:
                 self.resume()
 
-    def answers(self, given: Any) -> Mapping[str, Message | None]:
-        """What a handler returned, by output name; raises `RunError` for anything else."""
-        if given is None:
-            return dict.fromkeys(self.outs)
-        if isinstance(given, Message) and not self.outs:
-            return {}
-        if isinstance(given, Message) and "out" in self.outs:
-            return {"out": given}
-        if isinstance(given, Mapping) and set(given) <= set(self.outs):
-            return given
-        raise RunError(
-            f"{self.name}: expected a message per output ({', '.join(self.outs) or 'none'}), got "
-            f"{type(given).__name__}"
-        )
-
     def _loan(self, output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         port = self.outs.get(output)
         if port is None:  # nobody reads it
@@ -320,11 +304,6 @@ class Host:
         ahead = self.clocks.ahead_ns(header.clock)
         if header.trace and ahead is not None:
             self.account.histograms["hop"].add(now_ns + ahead - header.trace[-1].done_ns)
-
-    def _handler(self, names: tuple[str, ...]) -> Callable[..., Any]:
-        if names not in self._handlers:
-            self._handlers[names] = handler_of(self.operator, names)
-        return self._handlers[names]
 
     def _take_arrived_wait(self) -> int:
         with self._lock:

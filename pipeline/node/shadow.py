@@ -16,8 +16,8 @@ import numpy as np
 from pipeline.bus.inbox import Inbox, Marks, Work
 from pipeline.bus.outport import Arrival
 from pipeline.bus.tape import EdgeCut
-from pipeline.contract import handler_of, joined
-from pipeline.messages import Message
+from pipeline.executor import carried
+from pipeline.messages import Message, altered
 from pipeline.node.host import Host
 
 MOST_WAITING = 64  # answers of either side whose counterpart has not come
@@ -89,20 +89,19 @@ class Shadow:
         return lambda arrival: self._inbox.offer(name, arrival, time.monotonic_ns())
 
     def _handle(self, work: Work) -> None:
-        operator, begun = self._host.operator, time.monotonic()
+        host, begun = self._host, time.monotonic()
         if work.new_stream:
-            operator.on_stream(work.header)
-        side = not set(joined(type(operator))).issuperset(work.messages)
-        answers: Mapping[str, Message | None] = dict.fromkeys(self._host.outs)
-        if work.answer:
-            given = handler_of(operator, tuple(work.messages))(**work.messages)
-            if side:
-                return
-            answers = self._host.answers(given)
-        if not side:
-            self._times_ms.append(1000 * (time.monotonic() - begun))
-            for output in self._host.outs:
-                self._mine[output, work.header.seq] = answers.get(output)
+            host.operator.on_stream(work.header)
+        answers = host.executor.call(work.messages) if work.answer else {}
+        if work.messages and host.executor.is_side(tuple(work.messages)):
+            return
+        self._times_ms.append(1000 * (time.monotonic() - begun))
+        for output in host.outs:
+            message = answers.get(output)
+            if message is not None:
+                leaving = altered(message, header=work.header)
+                message = carried(leaving, f"{host.name}.{output}")
+            self._mine[output, work.header.seq] = message
 
     def _compare(self, mine: Message | None, theirs: Message | None) -> None:
         self.frames += 1

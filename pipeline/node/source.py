@@ -16,8 +16,9 @@ from numpy.typing import DTypeLike, NDArray
 from pipeline.bus.clocks import ALONE
 from pipeline.bus.inbox import Work
 from pipeline.bus.outport import OutPort
-from pipeline.contract import Source, handler_of
+from pipeline.contract import Source
 from pipeline.errors import PoolExhausted
+from pipeline.executor import Answers, header_of
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.node.host import IDLE_S, WAIT_EVERY, Host, waited_on_the_way
 
@@ -40,8 +41,7 @@ class SourceHost(Host):
 
         What the operator raises passes through, also from the thread that takes commands.
         """
-        source = self.operator
-        assert isinstance(source, Source)
+        assert isinstance(self.operator, Source)
         commands = threading.Thread(target=self._command_loop, name=f"{self.name}-commands")
         commands.start()
         self.alive("waiting")
@@ -52,7 +52,7 @@ class SourceHost(Host):
                 self.do_asked()
                 if self.lockstep and not self._await_answer():
                     break
-                if not self._expose(source):
+                if not self._expose():
                     break
                 exposures += 1
             if self._broken is None:
@@ -81,11 +81,11 @@ class SourceHost(Host):
         """What the report says of the commands that came."""
         return {"schedule_sha256": self.commands.hexdigest()}
 
-    def _expose(self, source: Source[Any, Any]) -> bool:
+    def _expose(self) -> bool:
         begun = time.monotonic_ns()
         self.busy(begun, int(self.account.last_seq))
         try:
-            frames = source.produce()
+            frames = self.executor.produce()
             if frames is None:
                 return False
             self._send(frames, begun)
@@ -96,8 +96,8 @@ class SourceHost(Host):
         self.idle()
         return True
 
-    def _send(self, frames: Any, begun_ns: int) -> None:
-        header = next(iter(frames.values())).header
+    def _send(self, frames: Answers, begun_ns: int) -> None:
+        header = header_of(frames)
         if not self.lockstep and not self.has_credit():
             raise PoolExhausted(f"{self.name}: a lossless reader has no room")
         ended = time.monotonic_ns()
@@ -149,7 +149,7 @@ class SourceHost(Host):
         waited = self._take_arrived_wait()
         ((name, message),) = work.messages.items()
         if message is not None:
-            handler_of(self.operator, (name,))(message)
+            self.executor.call(work.messages)
             accepted = time.monotonic_ns()
             fold(self.commands, message)
             waited = waited_on_the_way(message.header, begun, waited)

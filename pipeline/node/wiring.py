@@ -13,6 +13,7 @@ from pipeline.bus.ledger import Ledger, private_ledger
 from pipeline.bus.network import Network
 from pipeline.bus.outport import BYTES_SUFFIX, Arrival, OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
+from pipeline.bus.pool_tap import PoolTap
 from pipeline.bus.session import Sender, Session
 from pipeline.contract import Input, Operator, Source, outputs_of
 from pipeline.graph.plan import Edge, Node, Plan, inputs_for, slots
@@ -203,7 +204,7 @@ class Wiring:
         """Hear what another instance of a node sends."""
         stops = []
         for name, message in outputs_of(operator).items():
-            pool = PoolReader(self._memory, f"{node.name}.{name}")
+            pool = PoolTap(self._memory, f"{node.name}.{name}")
             port = InPort(
                 message, private_ledger(1, 0).edges[0], pool, 1, partial(_hear, heard, name),
                 tap=True,

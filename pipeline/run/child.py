@@ -40,6 +40,7 @@ class Sample:
     rss_mb: float
     own_mb: float = 0.0  # what it shares with nobody: no pools, no libraries
     stopped: bool = False  # by a signal; it does nothing at all
+    pid: int = 0
 
 
 class NodeProcess:
@@ -216,7 +217,7 @@ class Child:
         except (psutil.Error, OSError):
             return None
         cpu_s, own_mb = times.user + times.system, (memory.rss - memory.shared) / 1e6
-        return Sample(time.monotonic(), cpu_s, memory.rss / 1e6, own_mb, stopped)
+        return Sample(time.monotonic(), cpu_s, memory.rss / 1e6, own_mb, stopped, self.pid)
 
     def _write(self, line: str) -> None:
         self._process.channel.send(line)

@@ -221,7 +221,7 @@ class Crew:
         return self._judge.complaint(slot, self.ledger)
 
     def samples(self, process: str) -> list[Sample]:
-        """What a process used, about once a second, the last two hours."""
+        """What a process used, about once a second: the first minutes and the last."""
         return list(self.slots[process].samples)
 
     def load_s(self, process: str) -> float:

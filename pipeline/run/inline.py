@@ -1,7 +1,8 @@
 """A graph in one thread of this process: no Zenoh, no clock, no race. For tests, training, tables.
 
 Every frame goes through the whole graph before the next is exposed, nodes in dependency order; what
-comes beside a joined set is handled after it, as in a lockstep run of processes.
+comes beside a joined set is handled after it, as in a lockstep run of processes. A message is
+checked as the wire checks it, and its readers may not write into its arrays.
 """
 
 import hashlib
@@ -14,8 +15,9 @@ from pipeline import settings as checked
 from pipeline.bus.inbox import Inbox, Work
 from pipeline.bus.ledger import Ledger, private_ledger
 from pipeline.bus.outport import Arrival
-from pipeline.contract import Operator, Source, handler_of, joined, outputs_of, settings_of
+from pipeline.contract import Operator, Source, outputs_of, settings_of
 from pipeline.errors import GraphError, RunError
+from pipeline.executor import Answers, Executor, carried, header_of
 from pipeline.graph.plan import Edge, Node, Plan, inputs_for, load_operator
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.node.live import Live
@@ -38,7 +40,7 @@ class _Part:
         self.edges = plan.inputs(node.name)
         self.account = ledger.nodes[node.index]
         self.outputs = tuple(outputs_of(cls))
-        self.together = joined(cls)
+        self.executor = Executor(node.name, self.operator)
         accounts = {name: ledger.edges[e.index] for name, e in self.edges.items()}
         self.inbox = Inbox(
             inputs_for(plan, node),
@@ -59,7 +61,8 @@ class InlineRunner:
         self._began_s = time.monotonic()
 
     def __enter__(self) -> "InlineRunner":
-        self._source.realtime = False
+        assert isinstance(self._source.operator, Source)
+        self._source.operator.realtime = False
         try:
             for part in self._parts.values():
                 part.operator.open()
@@ -93,11 +96,11 @@ class InlineRunner:
         """Expose up to `frames` frames (0: all), yielding each seq after the loop answered it."""
         count = 0
         while not frames or count < frames:
-            exposed = self._source.produce()
+            exposed = self._source.executor.produce()
             if exposed is None:
                 return
-            header = next(iter(exposed.values())).header
-            self._send(self._source_name, exposed, header, begun_ns=header.stamp_ns)
+            header = header_of(exposed)
+            self._send(self._source, exposed, header, begun_ns=header.stamp_ns)
             self._settle_frame()
             count += 1
             yield header.seq
@@ -106,19 +109,17 @@ class InlineRunner:
         """The same report as a run of processes gives; or what is known without the operators."""
         parts = self._parts.items() if summaries else ()
         found = {name: dict(p.operator.summary()) for name, p in parts}
-        found.setdefault(self._source_name, {})["schedule_sha256"] = self.commands.hexdigest()
+        found.setdefault(self._source.node.name, {})["schedule_sha256"] = self.commands.hexdigest()
         duration_s = time.monotonic() - self._began_s
         return compose(self.plan, self.ledger, found, {}, duration_s=duration_s)
 
-    def _only_source(self) -> Source[Any, Any]:
+    def _only_source(self) -> _Part:
         found = [p for p in self._parts.values() if isinstance(p.operator, Source)]
         if len(found) != 1:
             raise GraphError(
                 f"{self.plan.name}: expected one node that makes frames, got {len(found)}"
             )
-        self._source_name = found[0].node.name
-        assert isinstance(found[0].operator, Source)
-        return found[0].operator
+        return found[0]
 
     def _settle_frame(self) -> None:
         """Let everything that was sent find its end."""
@@ -140,36 +141,30 @@ class InlineRunner:
         if work.new_stream:
             part.operator.on_stream(work.header)
         names = tuple(work.messages)
-        answers: Mapping[str, Message | None] = dict.fromkeys(part.outputs)
+        answers: Answers = {}
         if work.answer:
-            given = handler_of(part.operator, names)(**work.messages)
-            if isinstance(given, Message) and part.outputs:
-                answers = {"out": given}
-            elif isinstance(given, Mapping):
-                answers = given
+            answers = part.executor.call(work.messages)
             if part.edges[names[0]].command:
                 message = work.messages[names[0]]
                 assert message is not None
                 fold(self.commands, message)
         part.account.handled += 1
         part.account.histograms["handler"].add(time.monotonic_ns() - begun)
-        if names == part.together:
-            self._send(part.node.name, answers, work.header, begun_ns=begun)
+        if not part.executor.is_side(names):
+            self._send(part, answers, work.header, begun_ns=begun)
         for name in work.arrived:
             self.ledger.edges[part.edges[name].index].delivered += 1
 
-    def _send(
-        self, node: str, answers: Mapping[str, Message | None], header: Header, *, begun_ns: int
-    ) -> None:
-        now = time.monotonic_ns()
+    def _send(self, part: _Part, answers: Answers, header: Header, *, begun_ns: int) -> None:
+        node, now = part.node.name, time.monotonic_ns()
         span = Span(
             stage=node, received_ns=begun_ns, done_ns=now, handler_ns=now - begun_ns, wait_ns=0
         )
         leaving = stamped(header, epoch=1, span=span)
-        for output in self._parts[node].outputs:
+        for output in part.outputs:
             message = answers.get(output)
             if message is not None:
-                message = altered(message, header=leaving)
+                message = carried(altered(message, header=leaving), f"{node}.{output}")
                 if self._watch:
                     self._watch(f"{node}.{output}", message)
             for edge in self.plan.readers(node, output):

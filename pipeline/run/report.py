@@ -87,7 +87,7 @@ def _cpu_percent(samples: Sequence[Sample]) -> float:
     """Mean over the last incarnation: processor time restarts at zero with a new process."""
     newest = list(samples)
     for i in range(len(samples) - 1, 0, -1):
-        if samples[i].cpu_s < samples[i - 1].cpu_s:
+        if samples[i].cpu_s < samples[i - 1].cpu_s or samples[i].pid != samples[i - 1].pid:
             newest = list(samples[i:])
             break
     if len(newest) < 2:
@@ -138,7 +138,9 @@ def _lines(report: Report) -> list[Text]:
         lines.append(f"ROI coverage of the true boxes: {shares}")
     if (overlap := _figures(report.get("iou"))) and {"mean", "frames"} <= overlap.keys():
         mean, frames = _share(overlap["mean"]), overlap["frames"]
-        lines.append(f"IoU with the truth: {mean} over {frames} frames")
+        told = overlap.get("answered")
+        answered = f", a box in {told:.1%} of them" if isinstance(told, float) else ""
+        lines.append(f"IoU with the truth: {mean} over {frames} frames{answered}")
     if report["restarts"]:
         counts = ", ".join(f"{name} {count}" for name, count in report["restarts"].items())
         lines.append(f"restarts: {counts}")

@@ -21,6 +21,7 @@ WINDOW = (480, 270, 960, 540)
 def tracks(*lefts: float) -> Tracks:
     """Objects of 60x120 pixels, seen in four frames and foreseen in two."""
     box = np.array([[left, 300, left + 60, 420] for left in lefts], np.float32)
+    box = box.reshape(-1, 4)  # also of none
     n = len(lefts)
     return Tracks(
         header=header(7),

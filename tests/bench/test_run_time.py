@@ -19,7 +19,7 @@ from bench.tracking.stages import Stages
 
 
 def test_every_part_is_timed_with_all_objects_described() -> None:
-    table = run_time(("policy.strategy=pursue", "tracker.method=correlation"), frames=4)
+    table = run_time(("policy.strategy=pursue",), frames=4)
 
     assert table["objects"]["p50"] > 5
     total = table[TOTAL]

@@ -158,7 +158,7 @@ def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
         list(runner.run(14))
 
     camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
-    with Stages(GRAPH, ("policy.strategy=pursue", "tracker.method=correlation")) as stages:
+    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
         tracks = watched(camera, stages, 14, Replaced())
         outcome = run(loop(camera, stages, tracks, aimed=False), ball, 0)
 
@@ -170,7 +170,7 @@ def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
 def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     means = {}
-    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
         for strategy in ("full", "oracle", "spatial"):
             camera = Camera(clip, acquisition(strategy, Fraction(1, 16), clip.size_px))
             outcome = run(loop(camera, stages), ball, 0)
@@ -185,7 +185,7 @@ def test_a_perfect_tracker_is_as_good_as_what_the_roi_shows(clip: Clip) -> None:
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
     known = Replaced(parts=frozenset({"tracker"}), truths=clip.truths)
 
-    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
         outcome = run(replace(loop(camera, stages), replaced=known), ball, 0)
 
     assert np.nanmin(outcome.iou) == pytest.approx(1)
@@ -200,7 +200,7 @@ def test_a_tracker_that_sees_the_roi_alone_holds_its_box_while_the_target_is_out
     aside = max(players, key=lambda t: abs(float(centres(t.boxes[0])[0]) - HD[0] / 2))
     camera = Camera(clip, acquisition("centred", Fraction(1, 16), clip.size_px))
 
-    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
         alone, both = (
             run(loop(camera, stages, context=context), aside, 0) for context in (False, True)
         )
@@ -226,7 +226,7 @@ def test_what_the_sensor_reads_of_an_episode_is_counted(clip: Clip, strategy: st
     how = acquisition(strategy, Fraction(1, 8), clip.size_px)
     camera = Camera(clip, how)
 
-    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
         tracks = watched(camera, stages, 14, Replaced())
         both, alone = (
             run(loop(camera, stages, tracks, context=context), ball, 2) for context in (True, False)
@@ -242,7 +242,7 @@ def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip) -> No
     camera = Camera(clip, replace(quarter, budget=Fraction(1, 8)))
 
     with (
-        Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages,
+        Stages(GRAPH, ("policy.strategy=pursue",)) as stages,
         pytest.raises(RunError, match=r"oracle read 0\.25\d* of the pixels, expected 0\.125"),
     ):
         run(loop(camera, stages), ball, 0)
@@ -251,7 +251,7 @@ def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip) -> No
 def test_where_the_roi_was_can_be_told_again(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
-    with Stages(GRAPH, ("tracker.method=correlation", "policy.strategy=pursue")) as stages:
+    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
         first = run(loop(camera, stages), ball, 2)
         again = run(loop(camera, stages), ball, 2, first.windows)
 

@@ -39,7 +39,7 @@ def read(*words: str) -> Options:
         (["--delay", "60"], "delay: plans reach 16 frames"),
         (["--delay", "soon"], "delay: expected whole numbers"),
         (["--replace", "luck"], "replace: expected detections"),
-        (["--tracker", "magic"], "tracker: expected auto"),
+        (["--tracker", "magic"], "tracker: expected correlation, vittrack, mixformer or NAME"),
         (["--frames", "5-2"], "frames: expected A-B"),
         (["--frames", "0-9"], "frames: expected A-B"),
         (["--frames", "1"], "frames: expected A-B with B after A, got 1-1"),

@@ -86,7 +86,7 @@ def test_an_unfinished_unit_keeps_what_it_has_found_out(
 
 
 def row(strategy: str = "spatial", budget: str = "1/4", **more: Any) -> Case:
-    changes = ("tracker.method=correlation",)
+    changes = ("tracker.lost_score=0.35",)
     given = {"name": strategy, "rules": Rules(), "changes": changes, **more}
     return Case(strategy=strategy, budget=budget, **given)
 

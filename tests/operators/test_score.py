@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from operators.score import Score, ScoreSettings
-from pipeline import Percept, SettingsError
+from operators.score import SETTLED, Score, ScoreSettings
+from pipeline import Percept, Scanpath, SettingsError
 from pipeline.testing import header
 
 BALL, REFEREE = (100.0, 100.0, 120.0, 120.0), (300.0, 100.0, 340.0, 200.0)
@@ -26,6 +26,30 @@ def percept(seq: int, box: tuple[float, ...] | None, object_id: int = 1) -> Perc
     return Percept(header=header(seq), boxes=boxes, ids=ids, scores=np.ones(len(boxes), np.float32))
 
 
+def scanpath(seq: int, box: tuple[float, ...], choice: int = 4) -> Scanpath:
+    """What the policy shows in frame `seq`: an object, or a place (-1)."""
+    return Scanpath(
+        header=header(seq - 1),
+        ids=np.array([4], np.int32),
+        probability=np.ones((1, 1), np.float32),
+        choice=np.array([choice], np.int32),
+        boxes=np.array([box], np.float32),
+        first_seq=seq,
+    )
+
+
+def watched(
+    *frames: tuple[tuple[float, ...] | None, tuple[float, ...], int], **settings: object
+) -> Score:
+    """Frames in which the consumer and the policy have these boxes; a choice of -1 is a place."""
+    subject = Score(ScoreSettings(**settings))  # type: ignore[arg-type]
+    subject.open()
+    for seq, (seen, shown, choice) in enumerate(frames):
+        subject.on_scanpath(scanpath(seq, shown, choice))
+        subject.on_percept_truth(percept(seq, seen), truth(seq))
+    return subject
+
+
 def scored(*pairs: tuple[Percept, Percept], **settings: object) -> Score:
     subject = Score(ScoreSettings(**settings))  # type: ignore[arg-type]
     subject.open()
@@ -38,7 +62,11 @@ def test_it_compares_with_whoever_was_followed_first() -> None:
     half = (110.0, 100.0, 130.0, 120.0)
     subject = scored((percept(0, BALL), truth(0)), (percept(1, half), truth(1)))
 
-    assert subject.summary()["iou"] == {"mean": pytest.approx((1 + 1 / 3) / 2, 1e-3), "frames": 2}
+    assert subject.summary()["iou"] == {
+        "mean": pytest.approx((1 + 1 / 3) / 2, 1e-3),
+        "frames": 2,
+        "answered": 1.0,
+    }
 
 
 def test_following_another_object_is_a_miss_unless_the_consumer_says_so() -> None:
@@ -52,14 +80,75 @@ def test_following_another_object_is_a_miss_unless_the_consumer_says_so() -> Non
 def test_a_class_can_be_asked_for_whoever_is_followed() -> None:
     subject = scored((percept(0, REFEREE), truth(0)), label="ball")
 
-    assert subject.summary()["iou"] == {"mean": 0.0, "frames": 1}
+    assert subject.summary()["iou"] == {"mean": 0.0, "frames": 1, "answered": 1.0}
 
 
-def test_frames_that_hide_the_object_or_show_nothing_do_not_count() -> None:
-    subject = scored((percept(0, BALL), truth(0, visible=0.1)), (percept(1, None), truth(1)))
+def test_of_several_alike_the_one_that_is_followed_counts() -> None:
+    both = Percept(
+        header=header(0),
+        boxes=np.array([BALL, REFEREE], np.float32),
+        ids=np.array([7, 9], np.int32),
+        scores=np.ones(2, np.float32),
+        texts=("referee", "referee"),
+    )
+
+    assert scored((percept(0, REFEREE), both), label="referee").summary()["iou"]["mean"] == 1.0
+
+
+def test_frames_that_hide_the_object_or_come_before_anything_is_followed_do_not_count() -> None:
+    subject = scored((percept(0, None), truth(0)), (percept(1, BALL), truth(1, visible=0.1)))
 
     assert subject.summary() == {}
     assert subject.headline() == ""
+
+
+def test_saying_lost_counts_as_nothing_found_and_is_told_beside_the_mean() -> None:
+    subject = scored(*((percept(k, BALL if k % 4 == 0 else None), truth(k)) for k in range(8)))
+
+    assert subject.summary()["iou"] == {"mean": 0.25, "frames": 8, "answered": 0.25}
+
+
+def test_lost_while_the_object_cannot_be_seen_costs_nothing() -> None:
+    hidden = (percept(1, None), truth(1, visible=0.1))
+
+    assert scored((percept(0, BALL), truth(0)), hidden).summary()["iou"]["mean"] == 1.0
+
+
+def test_what_the_policy_shows_counts_whatever_the_consumer_starts_on() -> None:
+    subject = watched(*[(REFEREE, BALL, 4)] * 5)
+
+    assert subject.summary()["iou"] == {"mean": 0.0, "frames": 5, "answered": 1.0}
+
+
+def test_once_the_policy_shows_another_object_the_old_one_does_not_flatter_any_more() -> None:
+    subject = watched(*[(BALL, BALL, 4)] * 4, *[(BALL, REFEREE, 8)] * 6)
+
+    assert subject.summary()["iou"]["mean"] == pytest.approx((4 + SETTLED - 1) / 10)
+
+
+def test_one_wrong_scanpath_does_not_change_what_counts() -> None:
+    subject = watched(
+        (BALL, BALL, 4), (BALL, REFEREE, 8), (BALL, BALL, 4), (BALL, REFEREE, 8), (BALL, REFEREE, 8)
+    )
+
+    assert subject.summary()["iou"]["mean"] == 1.0
+
+
+@pytest.mark.parametrize("choice", [-1, 8])
+def test_a_policy_that_looks_at_a_place_or_at_nothing_still_has_its_target(choice: int) -> None:
+    shown = REFEREE if choice < 0 else (600.0, 600.0, 640.0, 640.0)
+    subject = watched((BALL, BALL, 4), *[(None, shown, choice)] * 3)
+
+    assert subject.summary()["iou"] == {"mean": 0.25, "frames": 4, "answered": 0.25}
+
+
+def test_another_label_is_asked_for_while_it_runs() -> None:
+    subject = watched((BALL, BALL, 4), label="ball")
+
+    subject.on_settings(ScoreSettings(label="main referee"))
+    subject.on_percept_truth(percept(1, BALL), truth(1))
+
+    assert subject.summary()["iou"]["mean"] == 0.5
 
 
 def test_the_headline_tells_the_figure_of_now() -> None:

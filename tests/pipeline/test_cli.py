@@ -114,7 +114,7 @@ def test_a_wrong_graph_exits_with_2_and_one_sentence(graph: Path) -> None:
         (["--set", "work.evry=2"], "did you mean 'every'"),
         (["--source", "nowhere.yaml"], "cannot be read"),
         (["--save", "x.rrd"], "needs a node with a setting `save`"),
-        (["--with", "viewer"], "no node viewer"),
+        (["--with", "viewer"], "no node 'viewer'"),
     ],
 )
 def test_wrong_options_exit_with_2_and_say_why(graph: Path, words: list[str], said: str) -> None:
@@ -157,7 +157,7 @@ def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
     assert "did you mean 'steer'" in unknown.stderr
     running.send_signal(signal.SIGINT)
     out, _ = running.communicate(timeout=60)
-    assert running.returncode == 0
+    assert running.returncode == 128 + signal.SIGINT
     assert "edges: offered = delivered" in out
     assert name not in fovea("ps").stdout
 
@@ -187,7 +187,7 @@ def test_sigterm_ends_a_run_like_ctrl_c(running: "subprocess.Popen[str]") -> Non
     running.send_signal(signal.SIGTERM)
     out, _ = running.communicate(timeout=60)
 
-    assert running.returncode == 0
+    assert running.returncode == 128 + signal.SIGTERM
     assert "stages" in out
 
 

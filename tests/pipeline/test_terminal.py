@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from pipeline.bus.ledger import Ledger
+from pipeline.bus.ledger import private_ledger
 from pipeline.graph.loader import load
 from pipeline.run.report import compose, tables
 from pipeline.terminal import losses, rest
@@ -15,10 +15,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize("frames", [600, 54_000, 2_600_000])  # a day at 30 fps
 def test_every_name_and_figure_of_the_shipped_graph_stands_whole_in_80_columns(
-    tmp_path: Path, frames: int
+    frames: int,
 ) -> None:
     plan = load(ROOT / "graphs" / "tracking.yaml")
-    ledger = Ledger.create(tmp_path / "ledger", len(plan.edges), len(plan.nodes))
+    ledger = private_ledger(len(plan.edges), len(plan.nodes))
     for account in ledger.edges:
         account.sent, account.delivered, account.superseded = frames, frames - 7, 5
         for age_ms in (23, 412):

@@ -43,3 +43,23 @@ def test_a_picture_without_structure_is_not_the_object():
 
     assert score < subject.patience_score
     assert np.isfinite(found).all()
+
+
+def test_a_template_taken_beside_the_object_is_aligned_with_where_it_is_foreseen():
+    world = World(seed=3)
+    streams, true = Streams(**world.frames(0)), world.box(0)
+    box = true + np.float32(10)
+    subject = Correlation()
+
+    subject.start(streams, box)
+    before, _ = subject.follow(streams, box)
+    for _ in range(20):
+        box = subject.aligned(box, true)
+        box, _ = subject.follow(streams, box)
+
+    assert np.abs(before - true).max() > 8
+    np.testing.assert_allclose(box, true, atol=1.5)
+
+
+def test_memory_of_another_method_is_not_taken_over():
+    assert not Correlation().resume((np.zeros((1, 3, 128, 128), np.float32),))

@@ -5,12 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.tracker import Tracker, mixformer
+from operators.tracker import (
+    CorrelationSettings,
+    MixFormerTracker,
+    MixFormerTrackerSettings,
+    mixformer,
+)
 from operators.tracker.look import Streams
 from operators.tracker.mixformer import MixFormer
 from pipeline import Frame
 from pipeline.boxes import centres
-from pipeline.errors import WeightsError
+from pipeline.errors import SettingsError, WeightsError
+from pipeline.settings import build
 from pipeline.testing import drive, header
 from tests.operators.tracker.made_up import FIELD, World
 
@@ -56,7 +62,7 @@ def grey(level: int) -> Streams:
 
 
 def test_the_mean_of_its_boxes_is_told_in_sensor_pixels(tmp_path: Path) -> None:
-    subject = MixFormer(network(tmp_path / "m.onnx"), threads=1)
+    subject = MixFormer(network(tmp_path / "m.onnx"))
     box = np.array([380, 280, 420, 320], np.float32)
     subject.start(grey(128), box)
 
@@ -68,11 +74,8 @@ def test_the_mean_of_its_boxes_is_told_in_sensor_pixels(tmp_path: Path) -> None:
     assert 0 < score < 1
 
 
-def test_the_surest_look_becomes_the_second_template_in_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(mixformer, "RENEW_EVERY", 3)
-    subject = MixFormer(network(tmp_path / "m.onnx"), threads=1)
+def test_the_surest_look_becomes_the_second_template_in_time(tmp_path: Path) -> None:
+    subject = MixFormer(network(tmp_path / "m.onnx"), renew_every=3)
     box = np.array([380, 280, 420, 320], np.float32)
     subject.start(grey(150), box)
 
@@ -82,19 +85,32 @@ def test_the_surest_look_becomes_the_second_template_in_time(
     assert scores[3] < scores[0]  # a darker template
 
 
-def test_who_resumes_has_the_template_of_the_one_before(tmp_path: Path) -> None:
+@pytest.mark.parametrize("frames", [0, 2])
+def test_a_successor_goes_on_with_both_templates_and_their_age(tmp_path: Path, frames: int) -> None:
     weights, box = network(tmp_path / "m.onnx"), np.array([380, 280, 420, 320], np.float32)
-    first, second = (MixFormer(weights, threads=1) for _ in range(2))
-    second.resume(first.start(grey(150), box))
+    first, second = (MixFormer(weights, renew_every=3) for _ in range(2))
+    first.start(grey(150), box)
+    for _ in range(frames):
+        first.follow(grey(140), box)
 
-    assert first.follow(grey(0), box)[1] == second.follow(grey(0), box)[1]
+    assert second.resume(first.memory())
+    scores = [[s.follow(grey(140), box)[1] for _ in range(4)] for s in (first, second)]
+
+    assert scores[0] == scores[1]
 
 
-def test_the_tracker_knows_the_network_by_its_inputs(tmp_path: Path) -> None:
+def test_memory_of_a_network_of_another_size_is_not_taken_over(tmp_path: Path) -> None:
+    small, large = (MixFormer(network(tmp_path / f"{s}.onnx", side=s)) for s in (32, 64))
+    small.start(grey(150), np.array([380, 280, 420, 320], np.float32))
+
+    assert not large.resume(small.memory())
+
+
+def test_the_operator_follows_with_the_network(tmp_path: Path) -> None:
     world, weights = World(seed=3), network(tmp_path / "m.onnx")
     settings = {"weights": str(weights), "init_box": tuple(world.box(0).tolist())}
 
-    percepts = drive(Tracker, [world.frames(k) for k in range(2)], settings)
+    percepts = drive(MixFormerTracker, [world.frames(k) for k in range(2)], settings)
 
     side = 4.5 * 40
     assert np.allclose(
@@ -106,6 +122,19 @@ def test_networks_of_another_kind_are_refused(tmp_path: Path) -> None:
     other = network(tmp_path / "other.onnx", names=("a", "b", "c"))
 
     with pytest.raises(WeightsError, match=r"expected img_t, img_ot, img_search -> .* got a, b, c"):
-        drive(Tracker, [], {"method": "mixformer", "weights": str(other)})
-    with pytest.raises(WeightsError, match="expected MixFormerV2 as an ONNX file, got nothing"):
-        drive(Tracker, [], {"method": "mixformer"})
+        drive(MixFormerTracker, [], {"weights": str(other)})
+
+
+@pytest.mark.parametrize("weights", ["", "nowhere.onnx"])
+def test_missing_weights_are_told_when_the_graph_is_checked_and_when_it_opens(weights: str) -> None:
+    with pytest.raises(WeightsError, match="expected MixFormerV2 as an ONNX file, got n"):
+        drive(MixFormerTracker, [], {"weights": weights})
+    with pytest.raises(WeightsError, match="expected MixFormerV2 as an ONNX file, got n"):
+        MixFormerTracker.advise(MixFormerTrackerSettings(weights=weights), {})
+
+
+def test_the_settings_of_one_tracker_are_not_those_of_another() -> None:
+    with pytest.raises(SettingsError, match=r"tracker\.weights: required"):
+        build(MixFormerTrackerSettings, {}, "tracker")
+    with pytest.raises(SettingsError, match=r"tracker\.renew_every: no such setting"):
+        build(CorrelationSettings, {"renew_every": 4}, "tracker")

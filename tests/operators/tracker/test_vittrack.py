@@ -1,13 +1,15 @@
 """The network tracker against OpenCV's, with the same weights on the same footage."""
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
-from operators.tracker import Tracker
+from operators.tracker import VitTracker, VitTrackerSettings
 from operators.tracker.look import Streams
 from operators.tracker.vittrack import VitTrack, decode
-from pipeline import Frame
+from pipeline import Frame, WeightsError
 from pipeline.boxes import iou
 from pipeline.testing import drive, header
 from tests.operators.tracker.made_up import World
@@ -68,16 +70,47 @@ def test_boxes_and_scores_agree_with_opencvs(footage: Footage):
     assert np.mean(scores) < 0.05
 
 
+@pytest.fixture
+def bare_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    return tmp_path
+
+
+def test_weights_that_were_not_pulled_are_an_error_with_the_command_that_gets_them(bare_home):
+    with pytest.raises(WeightsError, match="run `fovea weights pull vittrack`"):
+        drive(VitTracker, [])
+    with pytest.raises(WeightsError, match="run `fovea weights pull vittrack`"):
+        VitTracker.advise(VitTrackerSettings(), {})
+
+
+def test_a_file_that_is_not_there_is_named_with_the_command_that_gets_one(bare_home):
+    with pytest.raises(WeightsError, match=r"got nowhere\.onnx; .*`fovea weights pull vittrack`"):
+        drive(VitTracker, [], {"weights": "nowhere.onnx"})
+
+
+@pytest.mark.footage
+def test_a_successor_goes_on_with_the_template_it_is_given(footage: Footage):
+    weights = footage.weights("vittrack")
+    world = World(seed=11)
+    first, second = (VitTrack(weights, threads=1) for _ in range(2))
+    first.start(Streams(**world.frames(0)), world.box(0))
+
+    assert second.resume(first.memory())
+    ours, theirs = (s.follow(Streams(**world.frames(1)), world.box(0)) for s in (second, first))
+
+    np.testing.assert_array_equal(ours[0], theirs[0])
+    assert not second.resume(())
+
+
 @pytest.mark.footage
 def test_the_operator_follows_with_the_network(footage: Footage):
     weights = footage.weights("vittrack")
     world = World(seed=11)
     values = {
-        "method": "vittrack",
         "weights": str(weights),
         "init_box": tuple(world.box(0).tolist()),
     }
 
-    percepts = drive(Tracker, [world.frames(k) for k in range(15)], values)
+    percepts = drive(VitTracker, [world.frames(k) for k in range(15)], values)
 
     assert min(float(iou(p.boxes, world.box(k)[None])[0, 0]) for k, p in enumerate(percepts)) > 0.5

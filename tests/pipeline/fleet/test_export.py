@@ -216,7 +216,7 @@ def test_a_graph_without_hosts_is_one_service(tmp_path: Path) -> None:
     assert service["command"] == ["fovea", "run", "/etc/fovea/graph/graph.yaml"]
     assert service["volumes"] == [f"{desk.graph}:/etc/fovea/graph/graph.yaml:ro"]
     (unit,) = units(systemd(plan, desk))
-    assert unit["Service"]["ExecStart"].endswith(f"run {desk.graph}")
+    assert shlex.split(unit["Service"]["ExecStart"])[1:] == ["run", str(desk.graph)]
     config, deployment = YAML(typ="safe").load_all(k8s(plan, desk))
     root = tmp_path / "root"
     data = {config["metadata"]["name"]: config["data"]}

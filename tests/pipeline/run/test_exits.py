@@ -66,11 +66,16 @@ def test_a_source_that_may_not_restart_and_leaves_is_the_reason_for_the_end(
 
 
 @pytest.mark.parametrize("kind", ["exit_in_close", "exit_in_summary"])
-def test_a_part_that_leaves_while_it_is_stopped_takes_nothing_along(
-    tmp_path: Path, kind: str
+def test_a_part_that_leaves_while_it_is_stopped_is_told_of_and_takes_nothing_along(
+    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     report = go(unruly_plan(tmp_path, kind=kind), 20)
 
+    said = {
+        "exit_in_close": "unruly: ended by exit status 0 while it was stopped",
+        "exit_in_summary": "unruly: SystemExit: 0",
+    }
+    assert said[kind] in caplog.text
     assert report["failure"] == ""
     assert report["summaries"]["after"]["seen"] == list(range(20))
 

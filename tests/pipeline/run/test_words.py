@@ -47,10 +47,9 @@ def test_figures_that_are_nested_too_deep_are_cut_off() -> None:
     assert "…" in json.dumps(plain(deep), ensure_ascii=False)
 
 
-@pytest.mark.parametrize("size", [20_000, 400_000])
-def test_a_long_exception_costs_no_time_and_its_log_has_it_whole(tmp_path: Path, size: int) -> None:
+def test_a_long_exception_holds_nothing_up_and_its_log_has_it_whole(tmp_path: Path) -> None:
+    size = 400_000  # a quarter of it took Rich for ever
     graph = unruly_file(tmp_path, kind="long_text", size=size, once=tmp_path / "once")
-    began_s = time.monotonic()
 
     done = subprocess.run(
         [*FOVEA, "run", str(graph), "--frames", "60"],
@@ -58,9 +57,9 @@ def test_a_long_exception_costs_no_time_and_its_log_has_it_whole(tmp_path: Path,
     )  # fmt: skip
 
     assert done.returncode == 0, done.stderr
-    assert time.monotonic() - began_s < 30
-    assert "ValueError: word word" in done.stdout
-    assert "more characters)" in done.stdout or "characters more)" in done.stdout
+    said = "".join(done.stdout.split())
+    assert "ValueError:xxxx" in said
+    assert "charactersmore)" in said
     assert len(done.stdout) < 20_000
     assert len((base() / name_of(graph) / "unruly.log").read_text()) > size
 
@@ -132,7 +131,7 @@ def test_a_state_that_cannot_be_had_costs_the_swap_alone(tmp_path: Path) -> None
     report = go(unruly_plan(tmp_path, kind="broken_state", size=100_000), 0, during)
 
     assert answers[0]["refused"].startswith(
-        "unruly: unruly: its state cannot be had: ValueError: no statexxx"
+        "unruly: its state cannot be had: ValueError: no statexxx"
     )
     assert len(answers[0]["refused"]) < 2200
     assert report["restarts"] == {}

@@ -1,0 +1,214 @@
+"""Follow one object by a method, and let go of it where the policy shows another.
+
+A method (correlation, ViTTrack, MixFormerV2) finds an object again from frame to frame and does not
+notice when it slips onto another one. The scanpath does: for every frame it names the object that
+the policy chose and where that one is foreseen. The two are compared in every frame, and only
+disagreement for several frames in succession counts: one wrong scanpath changes nothing.
+"""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.tracker.look import Streams
+from pipeline import Frame, Scanpath
+from pipeline.boxes import centres, covered, sizes
+
+NOBODY = -1  # the id of an object that is no track
+NEAR = 0.75  # centres this near are one object, in sizes of the larger box
+ALIKE = 2.0  # if their sizes differ by less than this factor
+SHOWN = 0.5  # share of a box inside the ROI from which the ROI shows it
+FAR_PX = 2.0**20  # beyond any field: no box, and nothing to calculate with
+Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
+Memory = tuple[NDArray[np.uint8] | NDArray[np.float32], ...]
+
+
+class Method(Protocol):
+    """A way to find one object again and again."""
+
+    patience_score: float  # a lower score means that the object is not there
+
+    def start(self, streams: Streams, box: Box) -> None:
+        """Learn what the object in this box looks like."""
+
+    def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
+        """Where the object is now, given where it was, and how sure that is (0..1)."""
+
+    def aligned(self, box: Box, foreseen: Box) -> Box:
+        """The box, brought nearer to where the same object was foreseen, if that helps."""
+
+    def memory(self) -> Memory:
+        """What it has learned, for another instance; empty before `start`."""
+
+    def resume(self, memory: Memory) -> bool:
+        """Go on with another instance's memory; False, and nothing changed, when it is not one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """When to let go of an object, in frames in succession."""
+
+    lost_score: float  # below it the method has not found the object
+    lost_after: int  # frames without finding it
+    drift_after: int  # frames beside the object that the policy shows
+    switch_after: int  # the same, where the policy shows another object than before
+    hidden_after: int  # frames outside the ROI while the policy looks at a place
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackerState:
+    """What a successor needs to go on with the same object."""
+
+    box: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4), np.float32))
+    object_id: int = NOBODY  # the track that the policy calls it; NOBODY: the box was told
+    told: bool = False  # the box was told: the policy's choice does not count
+    begun: bool = False  # the method has seen the object
+    missed_frames: int = 0  # in succession, in which the method did not find it
+    apart_frames: int = 0  # in succession, in which the policy's object was elsewhere
+    hidden_frames: int = 0  # in succession, in which the ROI did not show it
+    memory: Memory = ()  # the method's own
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proposal:
+    """What the policy shows in one frame: an object, or a place (`NOBODY`)."""
+
+    object_id: int
+    box: Box
+
+
+class Following:
+    """One object at a time: started on what is told or shown, followed, let go of."""
+
+    def __init__(self, method: Method, rules: Rules) -> None:
+        self.rules, self._method = rules, method
+        self.lost: dict[str, int] = dict.fromkeys(("missed", "drift", "switch", "hidden"), 0)
+        self.forget()
+
+    @property
+    def box(self) -> NDArray[np.float32]:
+        """Where the object is believed to be: (1, 4), or (0, 4) without one."""
+        return self._box
+
+    @property
+    def object_id(self) -> int:
+        """The policy's id of the object, `NOBODY` where there is none."""
+        return self._id
+
+    def state(self) -> TrackerState:
+        """Everything a successor needs."""
+        return TrackerState(
+            box=self._box,
+            object_id=self._id,
+            told=self._told,
+            begun=self._begun,
+            missed_frames=self._missed,
+            apart_frames=self._apart,
+            hidden_frames=self._hidden,
+            memory=tuple(part.copy() for part in self._method.memory()) if self._begun else (),
+        )
+
+    def restore(self, state: TrackerState) -> None:
+        """Go on where another instance stopped; one of another method learns the object anew."""
+        self._box, self._id, self._told = state.box, state.object_id, state.told
+        self._missed, self._apart = state.missed_frames, state.apart_frames
+        self._hidden = state.hidden_frames
+        self._begun = state.begun and self._method.resume(state.memory)
+
+    def forget(self) -> None:
+        """Follow nothing, until there is something to follow."""
+        self.restore(TrackerState())
+
+    def take(self, box: Box) -> None:
+        """Follow what is in this box from the next frame on, whatever the policy shows."""
+        self.restore(TrackerState(box=box[None].copy(), told=True))
+
+    def step(self, streams: Streams, shown: Proposal | None) -> float:
+        """Go on by one frame; returns the method's score, 1 at a start, 0 without an object."""
+        score = 0.0
+        if len(self._box) and self._begun:
+            score = self._follow(streams)
+            self._compare(streams, shown)
+            self._let_go(shown)
+        if not len(self._box) and shown and _startable(shown, streams.roi):
+            self.restore(TrackerState(box=shown.box[None].copy(), object_id=shown.object_id))
+        if len(self._box) and not self._begun:
+            self._method.start(streams, self._box[0])
+            self._begun, score = True, 1.0
+        return score if len(self._box) else 0.0
+
+    def _follow(self, streams: Streams) -> float:
+        box, score = self._method.follow(streams, self._box[0])
+        found = score >= self.rules.lost_score
+        self._missed = 0 if found else self._missed + 1
+        if found:
+            self._box = box[None]
+        return score
+
+    def _compare(self, streams: Streams, shown: Proposal | None) -> None:
+        """Count the frames in which the policy shows something else; silence counts nothing."""
+        if shown is None or self._told:
+            return
+        if shown.object_id == NOBODY:
+            seen = shows(streams.roi, self._box[0])
+            self._hidden = 0 if seen else self._hidden + 1
+            return
+        self._hidden = 0
+        if not same(self._box[0], shown.box):
+            self._apart += 1
+            return
+        self._apart, self._id = 0, shown.object_id
+        if not self._missed:
+            self._box = self._method.aligned(self._box[0], shown.box)[None]
+
+    def _let_go(self, shown: Proposal | None) -> None:
+        """Forget the object once one of the counts is reached."""
+        rules = self.rules
+        switched = shown is not None and shown.object_id not in (NOBODY, self._id)
+        reasons = {
+            "missed": self._missed >= rules.lost_after,
+            "switch": switched and self._apart >= rules.switch_after,
+            "drift": self._apart >= rules.drift_after,
+            "hidden": self._hidden >= rules.hidden_after,
+        }
+        if reason := next((name for name, reached in reasons.items() if reached), ""):
+            self.lost[reason] += 1
+            self.forget()
+
+
+def proposed(scanpath: Scanpath | None, seq: int) -> Proposal | None:
+    """What a scanpath shows in frame `seq`; None where it does not speak of it, or with no box."""
+    row = seq - scanpath.first_seq if scanpath else -1
+    if scanpath is None or not 0 <= row < len(scanpath.choice):
+        return None
+    box = scanpath.boxes[row]
+    if not (np.abs(box) < FAR_PX).all() or (box[2:] <= box[:2]).any():
+        return None
+    return Proposal(object_id=max(int(scanpath.choice[row]), NOBODY), box=box)
+
+
+def same(box: Box, other: Box) -> bool:
+    """Whether two boxes are of one object, as far as place and size tell.
+
+    Overlap would not do: a ball of 15 pixels is foreseen some pixels beside itself.
+
+    >>> ball = np.array([100, 100, 116, 116], np.float32)
+    >>> same(ball, ball + 10), same(ball, ball + 20), same(ball, ball * [1, 1, 2, 2])
+    (True, False, False)
+    """
+    small, large = sorted(float(sizes(b[None])[0]) for b in (box, other))
+    apart = float(np.linalg.norm(centres(box) - centres(other)))
+    return apart <= NEAR * large and large <= ALIKE * small
+
+
+def shows(roi: Frame, box: Box) -> bool:
+    """Whether the ROI shows at least half of a box; a sensor without a ROI shows everything."""
+    if not roi.pixels.size:
+        return True
+    return bool(covered(box[None], np.array(roi.window, np.float32))[0] >= SHOWN)
+
+
+def _startable(shown: Proposal, roi: Frame) -> bool:
+    return shown.object_id != NOBODY and shows(roi, shown.box)

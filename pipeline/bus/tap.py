@@ -1,0 +1,160 @@
+"""Hears an output from outside the graph: descriptors in, headers and small values out.
+
+A tap has no account in the graph and never looks into the frame pool: big arrays are told by their
+type and shape alone. So it cannot hold a slot, whatever becomes of it, and a slot that is written
+anew costs it nothing. What it misses it counts: every message has a number.
+"""
+
+import queue
+import threading
+import time
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import codec
+from pipeline.bus.envelope import HELLO, NOTHING, Envelope, first_of
+from pipeline.errors import MessageError
+from pipeline.messages import Header, Message
+
+ROOM = 4096  # descriptors that may wait for a terminal
+
+
+class Heard(NamedTuple):
+    """What an output sent for one exposure."""
+
+    at_ns: int  # monotonic, when it came
+    header: Header
+    message: Message | None  # big arrays are zeros; None: it had nothing to say
+    after_loss: bool  # whether something was missed just before it
+
+
+class Missed(NamedTuple):
+    """How many messages a tap did not get, by reason."""
+
+    on_the_way: int = 0  # the bus dropped them, or they died with their node
+    slow: int = 0  # the tap's own reader did not come for them
+    refused: int = 0  # not of the schema that the tap expects
+
+    def __str__(self) -> str:
+        """The reasons in words.
+
+        >>> str(Missed(on_the_way=2, slow=1)), str(Missed())
+        ('missed 3: 2 lost on the way, 1 not read in time', '')
+        """
+        words = ("lost on the way", "not read in time", "of another schema")
+        reasons = [f"{count} {word}" for count, word in zip(self, words, strict=True) if count]
+        return f"missed {sum(self)}: {', '.join(reasons)}" if reasons else ""
+
+    def since(self, earlier: "Missed") -> "Missed":
+        """What was missed after an earlier count."""
+        return Missed(*(b - a for a, b in zip(earlier, self, strict=True)))
+
+
+@dataclass
+class _Instance:
+    """What came of one instance of the node: the first number it used, the last, how many."""
+
+    first: int
+    last: int
+    heard: int = 0
+
+
+class Tap:
+    """`receive` is called by the transport's thread, everything else by one other."""
+
+    def __init__(self, message: type[Message], room: int = ROOM) -> None:
+        self._schema = codec.schema(message)
+        self._mark = self._schema.fingerprint
+        self._waiting: queue.Queue[tuple[int, Envelope, bool]] = queue.Queue(room)
+        self._lock = threading.Lock()
+        self._instances: dict[int, _Instance] = {}  # by epoch
+        self._slow = self._refused = 0
+        self._torn = False  # something was missed since the last one that was kept
+
+    def receive(self, payload: bytes) -> None:
+        """Take one descriptor; never raises, never waits."""
+        at_ns = time.monotonic_ns()
+        try:
+            envelope = Envelope.parse(payload)
+        except MessageError:
+            return  # without a number it is no message of the output
+        with self._lock:
+            if not self._count(envelope):
+                return
+            if envelope.mark != self._mark:
+                self._refused += 1
+                self._torn = True
+                return
+            try:
+                self._waiting.put_nowait((at_ns, envelope, self._torn))
+                self._torn = False
+            except queue.Full:
+                self._slow += 1
+                self._torn = True
+
+    def next(self, timeout_s: float) -> Heard | None:
+        """The next exposure; None when nothing came in time."""
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                left_s = max(0.0, deadline - time.monotonic())
+                at_ns, envelope, torn = self._waiting.get(timeout=left_s)
+            except queue.Empty:
+                return None
+            try:
+                return Heard(at_ns, *self._read(envelope), torn)
+            except MessageError:
+                self._refused += 1
+
+    @property
+    def missed(self) -> Missed:
+        """What did not come since the first descriptor that did."""
+        with self._lock:
+            instances = sorted(self._instances.items())
+            lost = sum(max(0, i.last - i.first + 1 - i.heard) for _, i in instances)
+            for (_, before), (epoch, after) in pairwise(instances):
+                if after.first < first_of(epoch):  # it goes on with its predecessor's numbers
+                    lost += max(0, after.first - before.last - 1)
+            return Missed(lost, self._slow, self._refused)
+
+    @property
+    def instances(self) -> int:
+        """How many instances of the node were heard."""
+        return len(self._instances)
+
+    def _count(self, envelope: Envelope) -> bool:
+        """Whether it is a message of the instance that spoke for the node when it was sent."""
+        epoch, ordinal, greeting = envelope.epoch, envelope.ordinal, envelope.kind == HELLO
+        known = self._instances.get(epoch)
+        if known is None:
+            if any(other > epoch for other in self._instances):
+                return False  # not heard while it spoke
+            first = ordinal + greeting
+            if self._instances and first > first_of(epoch):
+                first = first_of(epoch)  # it counts anew, and this is not its first
+            known = self._instances[epoch] = _Instance(first, first - 1)
+        later = [i.first for e, i in self._instances.items() if e > epoch]
+        if later and min(later) <= ordinal:
+            return False  # its successor had taken over by then
+        if ordinal > known.last + 1:
+            self._torn = True
+        known.last = max(known.last, ordinal)
+        known.heard += not greeting
+        return not greeting
+
+    def _read(self, envelope: Envelope) -> tuple[Header, Message | None]:
+        if envelope.kind == NOTHING:
+            return codec.unpack(Header, envelope.body), None
+        slot_bytes = envelope.slot.nbytes if envelope.slot else 0
+
+        def blank(offset: int, nbytes: int) -> NDArray[np.uint8]:
+            if offset + nbytes > slot_bytes:
+                raise MessageError(f"an array ends at {offset + nbytes} of {slot_bytes} bytes")
+            return np.zeros(nbytes, np.uint8)  # memory that nobody touches costs nothing
+
+        message: Any = self._schema.read(envelope.body, blank)
+        return message.header, message

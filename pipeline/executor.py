@@ -1,0 +1,159 @@
+"""Calls the handlers of one operator and checks what they return, in every way to run it.
+
+A process, a shadow, the in-line runner and `pipeline.testing.drive` all call operators through
+this, so that a wrong answer is the same error, in the same words, wherever it is given.
+"""
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from pipeline import codec
+from pipeline.contract import Operator, Source, handler_of, joined, outputs_of
+from pipeline.errors import MessageError, RunError, SettingsError
+from pipeline.messages import Header, Message
+
+Answers = Mapping[str, Message | None]  # by output; None or absent: nothing for this exposure
+M = TypeVar("M", bound=Message)
+
+
+class Executor:
+    """The handlers of one operator. `node` is what errors begin with."""
+
+    def __init__(self, node: str, operator: Operator[Any, Any]) -> None:
+        self._node, self._operator = node, operator
+        self._outputs = outputs_of(type(operator))
+        self._together = frozenset(joined(type(operator)))
+        self._nothing: Answers = dict.fromkeys(self._outputs)
+        self._handlers: dict[tuple[str, ...], Callable[..., Any]] = {}
+
+    @property
+    def single(self) -> bool:
+        """Whether there is no named output."""
+        return set(self._outputs) <= {"out"}
+
+    def is_side(self, names: tuple[str, ...]) -> bool:
+        """Whether inputs are beside the joined set: their handler answers nothing."""
+        return not self._together.issuperset(names)
+
+    def call(self, messages: Mapping[str, Message | None]) -> Answers:
+        """Call the handler of these inputs; its answers by output, none beside the joined set.
+
+        Raises `RunError` for an answer that is not of the operator's outputs; what the operator
+        raises passes through.
+        """
+        names = tuple(messages)
+        handler = self._handlers.get(names) or self._find(names)
+        given = handler(**messages)
+        if self._together.issuperset(names):
+            return self.answers(given)
+        if given is not None:
+            where = f"{self._node}.{handler.__name__}"
+            raise RunError(f"{where}: expected no answer, got {_kind_of(given)}")
+        return {}
+
+    def produce(self) -> Answers | None:
+        """The next exposure of a source; None at its end. Raises `RunError` as `call` does."""
+        assert isinstance(self._operator, Source)
+        given = self._operator.produce()
+        if given is None:
+            return None
+        where = f"{self._node}.produce"
+        if not isinstance(given, Mapping):
+            raise RunError(
+                f"{where}: expected a mapping of outputs ({self._named()}) to messages or None, "
+                f"got {_kind_of(given)}"
+            )
+        self._check_outputs(given)
+        self._check_headers([m.header for m in given.values() if m is not None], where)
+        return given
+
+    def answers(self, given: Any) -> Answers:
+        """What the handler of the joined set returned, by output; raises `RunError`."""
+        if given is None:
+            return self._nothing
+        if isinstance(given, Message) and "out" in self._outputs:
+            given = {"out": given}
+        elif not isinstance(given, Mapping):
+            expected = (
+                f"a message per output ({self._named()}) or None" if self._outputs else "None"
+            )
+            raise RunError(f"{self._node}: expected {expected}, got {_kind_of(given)}")
+        self._check_outputs(given)
+        return given  # type: ignore[no-any-return]
+
+    def _check_outputs(self, given: Mapping[Any, Any]) -> None:
+        for output, message in given.items():
+            if output not in self._outputs:
+                raise RunError(
+                    f"{self._node}: expected answers for its outputs ({self._named()}), got one "
+                    f"for {output!r}"
+                )
+            wanted = self._outputs[output]
+            if message is not None and type(message) is not wanted:
+                raise RunError(
+                    f"{self._node}.{output}: expected {_article(wanted.__name__)} or None, got "
+                    f"{_kind_of(message)}"
+                )
+
+    def _check_headers(self, headers: list[Header], where: str) -> None:
+        if not headers:
+            raise RunError(f"{where}: expected at least one message or None, got no message")
+        first = headers[0]
+        if type(first) is not Header:
+            raise RunError(f"{where}: expected a Header in each message, got {_kind_of(first)}")
+        try:
+            codec.pack(first)
+        except MessageError as error:
+            raise MessageError(f"{where}: {error}") from error
+        for other in headers:
+            if other is not first and exposure_of(other) != exposure_of(first):
+                raise RunError(f"{where}: expected messages of one exposure, got several")
+
+    def _find(self, names: tuple[str, ...]) -> Callable[..., Any]:
+        handler = handler_of(self._operator, names)
+        try:
+            inspect.signature(handler).bind(**dict.fromkeys(names))
+        except ValueError:
+            pass  # a function that does not tell its arguments
+        except TypeError as error:
+            cls = type(self._operator).__qualname__
+            raise SettingsError(
+                f"{cls}.{handler.__name__}: expected the arguments {', '.join(names)}, got {error}"
+            ) from error
+        self._handlers[names] = handler
+        return handler
+
+    def _named(self) -> str:
+        return ", ".join(self._outputs) or "none"
+
+
+def header_of(answers: Answers) -> Header:
+    """The header of an exposure that `Executor.produce` gave."""
+    return next(m.header for m in answers.values() if m is not None)
+
+
+def carried(message: M, where: str) -> M:
+    """A message as its readers get it: checked, its arrays read-only; raises `MessageError`."""
+    try:
+        return codec.carried(message)
+    except MessageError as error:
+        raise MessageError(f"{where}: {error}") from error
+
+
+def exposure_of(header: Any) -> Any:
+    """What tells exposures apart."""
+    return (header.stream, header.seq) if type(header) is Header else header
+
+
+def _kind_of(value: Any) -> str:
+    return _article(type(value).__name__) if value is not None else "None"
+
+
+def _article(name: str) -> str:
+    """A name with its article.
+
+    >>> _article("Frame"), _article("int")
+    ('a Frame', 'an int')
+    """
+    return f"{'an' if name[:1].lower() in 'aeiou' else 'a'} {name}"

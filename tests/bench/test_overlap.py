@@ -1,0 +1,120 @@
+"""IoU and ROI share of a running graph, minute by minute."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from bench import follow
+from bench.overlap import Sums, Watcher, WatcherSettings, counted, ends, mean, watched
+from bench.soak import faded
+from pipeline import Frame, Percept
+from pipeline.errors import RunError
+from pipeline.graph.loader import load
+from pipeline.testing import header
+from tests.toy_graphs import LOOP
+
+ROOT = Path(__file__).resolve().parents[2]
+BALL, FIRST, SECOND = (100, 100, 120, 120), (300, 100, 340, 200), (900, 100, 940, 200)
+ROI = (0, 0, 480, 270)
+
+
+def seen(*boxes: tuple[int, ...], texts: tuple[str, ...] = (), visible: float = 1.0) -> Percept:
+    return Percept(
+        header=header(0),
+        boxes=np.array(boxes, np.float32).reshape(-1, 4),
+        ids=np.arange(len(boxes), dtype=np.int32),
+        scores=np.full(len(boxes), visible, np.float32),
+        texts=texts,
+    )
+
+
+def roi() -> Frame:
+    return Frame(header=header(0), pixels=np.zeros((270, 480, 3), np.uint8), window=ROI)
+
+
+def test_a_frame_without_an_answer_counts_as_nothing_found() -> None:
+    truth = seen(BALL, FIRST, texts=("ball", "main referee"))
+    sums = Sums(target="ball")
+
+    for box in (BALL, None):
+        sums = counted(sums, seen(*([box] if box else [])), truth, roi())
+
+    assert sums == Sums(target="ball", frames=2, answered=1, iou=1.0, shown=2.0)
+
+
+def test_any_object_of_the_class_will_do() -> None:
+    truth = seen(FIRST, SECOND, texts=("main referee", "assistant referee"))
+    nothing = Sums(target="referee")
+
+    assert counted(nothing, seen(SECOND), truth, roi()).iou == 1.0
+    assert counted(nothing, seen(SECOND), truth, roi()).shown == 0.0
+    assert counted(nothing, seen(BALL), truth, roi()).shown == 1.0
+
+
+def test_what_cannot_be_seen_does_not_count() -> None:
+    truth = seen(BALL, texts=("ball",), visible=0.1)
+
+    assert counted(Sums(target="ball"), seen(BALL), truth, roi()).frames == 0
+    assert counted(Sums(target="referee"), seen(BALL), truth, roi()).frames == 0
+
+
+def test_the_watcher_tells_the_last_two_spans_each_with_its_own_target() -> None:
+    subject = Watcher(WatcherSettings())
+    subject.open()
+    for span, target in enumerate(("ball", "referee", "ball")):
+        subject.on_settings(WatcherSettings(span=span, target=target))
+        subject.on_percept_truth_roi(seen(BALL), seen(BALL, texts=("ball",)), roi())
+
+    told = json.loads(subject.headline())
+
+    assert list(told) == ["1", "2"]
+    assert told["1"] == {"target": "referee", "frames": 0, "answered": 0, "iou": 0.0, "shown": 0.0}
+    assert told["2"]["iou"] == 1.0
+
+
+def row(span: int, iou: float, target: str = "ball") -> dict[str, Any]:
+    figures = {"iou": iou, "shown": 1.0, "answered": 1.0}
+    return {"span": span, "target": target, "frames": 10, **figures}
+
+
+def test_the_first_ten_minutes_are_compared_with_the_last_ten() -> None:
+    rows = [row(k, 0.6 if k < 10 else 0.1 if k < 20 else 0.5) for k in range(30)]
+
+    found = ends(rows)["ball"]
+
+    assert (found["first"]["iou"], found["last"]["iou"]) == (0.6, 0.5)
+    assert found["grown"]["iou"] == -0.1
+    assert faded(rows)[0] == "IoU, first ten minutes -> last ten: 0.600 -> 0.500"
+    assert faded([]) == []
+
+
+def test_minutes_count_by_their_frames() -> None:
+    assert mean([row(0, 1.0), {**row(1, 0.0), "frames": 30}])["iou"] == 0.25
+    assert mean([]) == {}
+
+
+def test_a_graph_that_tracks_nothing_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "toy.yaml"
+    path.write_text(f"name: toy\n{LOOP}")
+
+    with pytest.raises(RunError, match=r"expected a node .* to watch, got none"):
+        watched(load(path))
+
+
+@pytest.mark.slow
+def test_every_change_of_target_is_counted_by_itself_and_written_at_once(tmp_path: Path) -> None:
+    out, picture = tmp_path / "follow.json", tmp_path / "follow.png"
+    words = ["--minutes", "0.4", "--change-every-s", "8", "--out", str(out)]
+
+    graph = str(ROOT / "graphs" / "tracking.yaml")
+    done = CliRunner().invoke(follow.main, [graph, *words, "--plot", str(picture)])
+
+    assert done.exit_code == 0, done.output
+    found = json.loads(out.read_text())
+    assert [r["target"] for r in found["rows"]] == ["ball", "referee", "ball"]
+    assert {"commit", "machine", "seed", "tracker"} <= set(found)
+    assert picture.stat().st_size > 1000

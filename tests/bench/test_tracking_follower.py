@@ -1,0 +1,80 @@
+"""The tracker that measures is the one that is named, whatever lies on the machine."""
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from bench.tracking.cases import Case, Protocol, cases
+from bench.tracking.episode import Rules
+from bench.tracking.evaluate import command
+from bench.tracking.follower import TRACKERS, planned
+from bench.tracking.key import key
+from bench.tracking.options import GRAPH
+from bench.tracking.stages import Stages
+from pipeline.contract import Operator
+from pipeline.errors import SettingsError
+from pipeline.graph.plan import load_operator
+from tests.bench.test_tracking_options import read
+
+
+@pytest.fixture(autouse=True)
+def bare_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+
+def test_without_a_word_the_graphs_own_class_measures_with_the_graphs_settings() -> None:
+    node = planned(GRAPH, ("tracker.lost_after=9",), "").node("tracker")
+
+    assert node.operator == "operators.tracker:CorrelationTracker"
+    assert node.settings == {"lost_after": 9}
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+def test_a_named_class_takes_its_place_with_weights_and_settings_of_its_own(name: str) -> None:
+    word = name if name == "correlation" else f"{name}=mine.onnx"
+
+    plan = planned(GRAPH, ("tracker.lost_after=9", "policy.strategy=pursue"), word)
+
+    own = {} if name == "correlation" else {"weights": "mine.onnx"}
+    assert plan.node("tracker").operator == TRACKERS[name]
+    assert plan.node("tracker").settings == {"lost_after": 9, **own}
+    assert plan.node("policy").settings["strategy"] == "pursue"
+    assert issubclass(load_operator(TRACKERS[name]), Operator)
+
+
+def test_settings_of_another_tracker_are_refused() -> None:
+    with pytest.raises(SettingsError, match=r"tracker\.renew_every: no such setting"):
+        planned(GRAPH, ("tracker.renew_every=3",), "vittrack")
+
+
+@pytest.mark.parametrize("tracker", ["vittrack", "vittrack=none.onnx", "mixformer=none.onnx"])
+def test_missing_weights_are_told_before_any_work(tracker: str, tmp_path: Path) -> None:
+    words = ["--data", "procedural", "--work", str(tmp_path / "work"), "--tracker", tracker]
+
+    result = CliRunner().invoke(command, words)
+
+    assert result.exit_code == 2
+    assert "weights" in result.output
+    assert ("fovea weights pull vittrack" in result.output) == ("vittrack" in tracker)
+    assert list((tmp_path / "work").iterdir()) == []
+
+
+def test_units_of_different_trackers_are_told_apart() -> None:
+    protocol = Protocol(graph=str(GRAPH), frames=(1, 16), kinds=("ball",))
+    own, same, other = (
+        key(Case(strategy="spatial", budget="1/4", name="", rules=Rules(), tracker=t), protocol)
+        for t in ("", "correlation", "vittrack")
+    )
+
+    assert own == same
+    assert own != other
+
+
+def test_every_row_is_measured_by_the_tracker_that_was_asked_for() -> None:
+    assert {case.tracker for case in cases(read("--tracker", "vittrack"))} == {"vittrack"}
+
+
+def test_the_parts_of_an_evaluation_are_those_of_the_plan() -> None:
+    with Stages(GRAPH, ("policy.strategy=pursue",), "correlation") as stages:
+        assert type(stages.settings("tracker")).__name__ == "CorrelationSettings"

@@ -1,0 +1,186 @@
+"""When a consumer lets go of an object: what the policy shows against what the method finds."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from operators.tracker import CorrelationSettings, CorrelationTracker, TrackerState
+from pipeline import Percept, Scanpath
+from pipeline.boxes import centres, iou
+from pipeline.codec import dumps, loads
+from pipeline.testing import drive, header
+from tests.operators.tracker.made_up import AWAY, World
+
+WORLD = World(seed=11)
+OTHER = WORLD.other_box()
+SWITCH, DRIFT, HIDDEN = 3, 6, 4
+RULES = {"switch_after": SWITCH, "drift_after": DRIFT, "hidden_after": HIDDEN}
+Show = tuple[int, NDArray[np.float32] | None] | None  # id and box (None: the object's), or silence
+
+
+def play(
+    shows: Callable[[int], Show],
+    frames: int,
+    *,
+    looks: Callable[[int], NDArray[np.float32] | None] = lambda k: None,
+    hidden: Callable[[int], bool] = lambda k: False,
+) -> list[Percept]:
+    """Frames with the scanpath made before each; the ROI is on the object unless `looks` says."""
+    messages: list[dict[str, object]] = []
+    for k in range(frames):
+        if (shown := shows(k)) is not None:
+            messages.append(dict(WORLD.scanpath(k - 1, object_id=shown[0], box=shown[1])))
+        messages.append(dict(WORLD.frames(k, at=looks(k), hidden=hidden(k))))
+    answers = drive(CorrelationTracker, messages, RULES)  # type: ignore[arg-type]
+    return [answer for answer in answers if answer is not None]
+
+
+def on_object(percept: Percept) -> bool:
+    return (
+        bool(len(percept.boxes)) and iou(percept.boxes, WORLD.box(percept.header.seq)[None]) > 0.5
+    )
+
+
+def on_other(percept: Percept) -> bool:
+    return bool(len(percept.boxes)) and iou(percept.boxes, OTHER[None]) > 0.5
+
+
+def test_another_target_is_followed_once_it_was_shown_for_some_frames() -> None:
+    percepts = play(
+        lambda k: (3, None) if k < 10 else (8, OTHER),
+        20,
+        looks=lambda k: None if k < 10 else centres(OTHER),
+    )
+
+    assert all(on_object(p) for p in percepts[1 : 10 + SWITCH - 1])
+    assert all(on_other(p) for p in percepts[10 + SWITCH - 1 :])
+    assert [int(p.ids[0]) for p in percepts[-2:]] == [8, 8]
+
+
+def test_one_wrong_scanpath_changes_nothing() -> None:
+    percepts = play(lambda k: (8, OTHER) if k in (6, 9, 10) else (3, None), 16)
+
+    assert all(on_object(p) for p in percepts)
+    assert {int(p.ids[0]) for p in percepts} == {3}
+
+
+def test_another_id_for_the_same_object_is_taken_over_without_starting_again() -> None:
+    percepts = play(lambda k: (3 if k < 8 else 5, None), 12)
+
+    assert all(on_object(p) for p in percepts)
+    assert [int(p.ids[0]) for p in percepts] == [3] * 8 + [5] * 4
+    assert sum(p.scores[0] == 1 for p in percepts) == 1
+
+
+def test_drifted_beside_the_object_it_is_brought_back() -> None:
+    percepts = play(lambda k: (3, OTHER) if k == 0 else (3, None), 14, looks=lambda k: (
+        centres(OTHER) if k == 0 else None
+    ))  # fmt: skip
+
+    assert all(on_other(p) for p in percepts[:DRIFT])
+    assert all(on_object(p) for p in percepts[DRIFT:])
+
+
+def test_an_object_out_of_sight_is_lost_and_not_guessed_and_found_again_when_it_is_shown() -> None:
+    percepts = play(
+        lambda k: (3, None) if k < 6 or k >= 16 else (-1, WORLD.box(6)),
+        20,
+        hidden=lambda k: 6 <= k < 16,
+    )
+
+    assert all(on_object(p) for p in percepts[:6])
+    assert all(len(p.boxes) == len(p.ids) == len(p.scores) == 0 for p in percepts[12:16])
+    assert all(on_object(p) for p in percepts[16:])
+
+
+def test_what_the_roi_does_not_show_while_the_policy_looks_at_a_place_is_lost() -> None:
+    percepts = play(
+        lambda k: (3, None) if k < 6 else (-1, np.array([1480, 880, 1520, 920], np.float32)),
+        16,
+        looks=lambda k: None if k < 6 else AWAY,
+    )
+
+    assert all(on_object(p) for p in percepts[: 6 + HIDDEN - 1])
+    assert all(len(p.boxes) == 0 for p in percepts[6 + HIDDEN - 1 :])
+
+
+def test_what_the_roi_still_shows_is_followed_while_the_policy_looks_at_a_place() -> None:
+    percepts = play(lambda k: (3, None) if k < 6 else (-1, WORLD.box(k)), 30)
+
+    assert all(on_object(p) for p in percepts)
+
+
+def test_while_the_scanpath_is_silent_the_object_is_followed() -> None:
+    percepts = play(lambda k: (3, None) if k < 3 else None, 40)
+
+    assert all(on_object(p) for p in percepts)
+
+
+def test_nothing_is_started_before_the_roi_shows_it() -> None:
+    percepts = play(lambda k: (3, None), 10, looks=lambda k: AWAY if k < 5 else None)
+
+    assert [len(p.boxes) for p in percepts] == [0] * 5 + [1] * 5
+
+
+@pytest.mark.parametrize("choice", [-1, 3])
+def test_a_place_and_a_scanpath_that_has_run_out_start_nothing(choice: int) -> None:
+    messages = [WORLD.scanpath(0, object_id=choice), WORLD.frames(1 if choice < 0 else 5)]
+
+    percepts = drive(CorrelationTracker, messages)
+
+    assert len(percepts[-1].boxes) == 0
+
+
+def test_a_successor_goes_on_counting_where_the_predecessor_stopped() -> None:
+    old, successor = (CorrelationTracker(CorrelationSettings(**RULES)) for _ in range(2))
+    for subject in (old, successor):
+        subject.open()
+        subject.on_stream(header(0))
+    old.on_scanpath(**WORLD.scanpath(-1, object_id=3))
+    old.on_context_roi(**WORLD.frames(0))
+    for k in range(1, SWITCH):
+        old.on_scanpath(**WORLD.scanpath(k - 1, object_id=8, box=OTHER))
+        assert on_object(old.on_context_roi(**WORLD.frames(k)))
+
+    successor.restore(loads(TrackerState, dumps(old.state())))
+    successor.on_scanpath(**WORLD.scanpath(SWITCH - 1, object_id=8, box=OTHER))
+
+    assert on_other(successor.on_context_roi(**WORLD.frames(SWITCH, at=centres(OTHER))))
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(-3, 4),
+            st.lists(st.floats(width=32), min_size=4, max_size=4),
+        ),
+        min_size=4,
+        max_size=4,
+    )
+)
+def test_whatever_a_scanpath_holds_the_answer_is_one_box_or_none(
+    rows: list[tuple[int, list[float]]],
+) -> None:
+    subject = CorrelationTracker(CorrelationSettings(drift_after=1, switch_after=1))
+    subject.open()
+    subject.on_stream(header(0))
+    scanpath = Scanpath(
+        header=header(0),
+        ids=np.zeros(0, np.int32),
+        probability=np.zeros((4, 0), np.float32),
+        choice=np.array([choice for choice, _ in rows], np.int32),
+        boxes=np.array([box for _, box in rows], np.float32),
+        first_seq=1,
+    )
+
+    subject.on_scanpath(scanpath)
+    percepts = [subject.on_context_roi(**WORLD.frames(k, roi=False)) for k in range(1, 5)]
+
+    for percept in percepts:
+        assert len(percept.boxes) in (0, 1)
+        assert np.isfinite(percept.boxes).all()
+        assert len(percept.ids) == len(percept.scores) == len(percept.boxes)

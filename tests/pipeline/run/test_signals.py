@@ -1,0 +1,276 @@
+"""Ctrl-C, SIGTERM and a closed terminal end everything, at any moment, and leave nothing."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from bench.aftermath import remains
+from pipeline.run.memory_folder import path_of
+from pipeline.run.rundir import base, running
+from tests.toy_graphs import LOOP, ended, until
+from tests.unruly_graphs import UNRULY, name_of, unruly_file
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+LIMIT_S = 20  # drain and stop, on a busy machine
+SLOW = LOOP.replace(
+    "    operator: tests.toys:Pass\n",
+    "    operator: tests.sick_toys:Sick\n    settings: {open_s: 600}\n    start_s: 600\n",
+)
+CRASHING = UNRULY.replace("backoff_s: 0.01", "backoff_s: 0.01, most: 10000").replace(
+    "    operator: tests.sick_toys:Unruly\n",
+    "    operator: tests.sick_toys:Unruly\n    settings: {kind: exit_in_open}\n",
+)
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    return unruly_file(tmp_path, text=text)
+
+
+@contextmanager
+def fovea(*words: str) -> Iterator["subprocess.Popen[str]"]:
+    """The command in a session of its own; SIGINT is heard whoever started the tests."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(
+        [*FOVEA, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    signal.signal(signal.SIGINT, before)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def ends(process: "subprocess.Popen[str]", *numbers: int) -> tuple[str, float]:
+    """Send signals one after the other; what it said and how long its end took."""
+    began_s = time.monotonic()
+    for number in numbers:
+        process.send_signal(number)
+        time.sleep(0.2)
+    out, err = process.communicate(timeout=60)
+    assert "Traceback" not in out + err, out + err
+    assert process.returncode == 128 + numbers[0], out + err
+    return out + err, time.monotonic() - began_s
+
+
+def works(name: str) -> bool:
+    """Whether every node of a graph answers."""
+    asked = subprocess.run([*FOVEA, "health", name], capture_output=True, check=False)
+    return asked.returncode == 0
+
+
+def nodes_of(name: str) -> list[int]:
+    pids: dict[str, int] = running().get(name, {}).get("pids", {})
+    return list(pids.values())
+
+
+def assert_nothing_left(name: str, run_id: str, pids: list[int]) -> None:
+    assert remains(base() / name) == []
+    assert not path_of(run_id).exists()
+    until(lambda: all(ended(pid) for pid in pids))
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("text", [LOOP, SLOW, CRASHING], ids=["running", "starting", "crashing"])
+def test_a_signal_ends_a_graph_in_whatever_state_it_is(
+    tmp_path: Path, number: int, text: str
+) -> None:
+    graph, report = written(tmp_path, text), tmp_path / "report.json"
+    name, goal = name_of(graph), 2 if text is CRASHING else 4
+    with fovea("run", str(graph), "--report", str(report)) as process:
+        until(lambda: len(nodes_of(name)) >= goal)
+        if text is LOOP:
+            until(lambda: works(name))
+        pids, run_id = nodes_of(name), running()[name]["run"]
+
+        said, took_s = ends(process, number)
+
+    assert took_s < LIMIT_S
+    assert "stages" in said
+    assert {"edges", "stages"} <= set(json.loads(report.read_text()))
+    assert_nothing_left(name, run_id, pids)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_second_signal_waits_for_nothing_and_leaves_nothing(tmp_path: Path, count: int) -> None:
+    text = LOOP.replace("tests.toys:Pair", "tests.sick_toys:Clinging")
+    graph, report = written(tmp_path, text), tmp_path / "report.json"
+    name = name_of(graph)
+    with fovea("run", str(graph), "--report", str(report)) as process:
+        until(lambda: len(nodes_of(name)) == 4)
+        pids, run_id = nodes_of(name), running()[name]["run"]
+
+        _, took_s = ends(process, *[signal.SIGINT] * count)
+
+    assert took_s < 6
+    assert report.exists()
+    assert_nothing_left(name, run_id, pids)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("after_s", [0.1, 0.3, 0.6, 1.0, 1.5])
+def test_a_signal_while_the_command_comes_up_ends_it_without_a_word(
+    tmp_path: Path, number: int, after_s: float
+) -> None:
+    graph = written(tmp_path, LOOP)
+    with fovea("run", str(graph)) as process:
+        until(lambda: answers_signals(process.pid))
+        time.sleep(after_s)
+
+        ends(process, number)
+
+    folder = base() / name_of(graph)
+    assert not folder.exists() or remains(folder) == []
+
+
+def answers_signals(pid: int) -> bool:
+    """Whether a process has handlers for all three."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    caught = int(status.partition("SigCgt:")[2].split()[0], 16)
+    return all(caught >> (number - 1) & 1 for number in SIGNALS)
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_ends_an_inline_run_and_its_report_is_written(tmp_path: Path, number: int) -> None:
+    note, report = tmp_path / "note", tmp_path / "report.json"
+    graph = unruly_file(tmp_path, kind="tell", note=note, once=tmp_path / "once")
+    with fovea("run", str(graph), "--inline", "--report", str(report)) as process:
+        until(note.exists)
+
+        said, took_s = ends(process, number)
+
+    assert took_s < LIMIT_S
+    assert "stages" in said
+    assert json.loads(report.read_text())["frames"]["exposed"] > 10
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_signal_ends_an_inline_run_that_hangs_in_a_handler(tmp_path: Path, count: int) -> None:
+    note, report = tmp_path / "note", tmp_path / "report.json"
+    graph = unruly_file(tmp_path, kind="hang", note=note)
+    with fovea("run", str(graph), "--inline", "--report", str(report)) as process:
+        until(note.exists)
+
+        _, took_s = ends(process, *[signal.SIGINT] * count)
+
+    assert took_s < LIMIT_S
+    assert len(json.loads(report.read_text())["stages"]) == 3
+
+
+def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) -> None:
+    graph = unruly_file(tmp_path, kind="system_exit")
+    with fovea("run", str(graph), "--inline") as process:
+        _, err = process.communicate(timeout=60)
+
+    assert process.returncode == 1
+    assert err.endswith(": an operator raised SystemExit: 0\n")
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("words", [("top",), ("echo", "steer"), ("logs", "work", "-f")])
+def test_a_signal_ends_a_command_that_looks(
+    tmp_path: Path, number: int, words: tuple[str, ...]
+) -> None:
+    graph = written(tmp_path, LOOP)
+    name = name_of(graph)
+    options = () if words[0] == "top" else ("--graph", name)
+    with fovea("run", str(graph)) as process:
+        until(lambda: len(nodes_of(name)) == 4)
+        time.sleep(1)
+        with fovea(*words, *([name] if words[0] == "top" else []), *options) as looking:
+            until(lambda: answers_signals(looking.pid))
+            time.sleep(2)
+            assert looking.poll() is None
+
+            ends(looking, number)
+
+        ends(process, signal.SIGTERM)
+    assert remains(base() / name) == []
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_ends_an_agent_as_it_is_meant_to(tmp_path: Path, number: int) -> None:
+    with fovea("agent", "--label", "here", "--state", str(tmp_path)) as process:
+        assert process.stdout is not None
+        assert "listens" in process.stdout.readline()
+
+        process.send_signal(number)
+        out, err = process.communicate(timeout=30)
+
+    assert (process.returncode, "Traceback" in out + err) == (0, False)
+
+
+def test_a_reader_that_leaves_costs_words_and_not_the_graph(tmp_path: Path) -> None:
+    graph, report = written(tmp_path, LOOP), tmp_path / "report.json"
+    with fovea("run", str(graph), "--frames", "200", "--report", str(report)) as process:
+        assert process.stdout is not None
+        process.stdout.close()
+        process.stdout = None
+
+        _, err = process.communicate(timeout=60)
+
+    assert (process.returncode, err) == (0, "")
+    assert json.loads(report.read_text())["frames"]["exposed"] == 200
+
+
+def test_a_reader_that_leaves_ends_a_command_that_only_shows(tmp_path: Path) -> None:
+    graph = written(tmp_path, LOOP)
+    name = name_of(graph)
+    with fovea("run", str(graph)) as process:
+        until(lambda: len(nodes_of(name)) == 4)
+        with fovea("echo", "steer", "--graph", name) as looking:
+            assert looking.stdout is not None
+            assert "windows" in looking.stdout.readline()
+            looking.stdout.close()
+            looking.stdout = None
+
+            _, err = looking.communicate(timeout=30)
+
+        assert (looking.returncode, err) == (1, "")
+        ends(process, signal.SIGTERM)
+    assert remains(base() / name) == []
+
+
+def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path) -> None:
+    graph, report = written(tmp_path, LOOP), tmp_path / "report.json"
+    name = name_of(graph)
+    terminal, other = pty.openpty()
+    process = subprocess.Popen(
+        ["setsid", "--ctty", "--wait", *FOVEA, "run", str(graph), "--report", str(report)],
+        stdin=other, stdout=other, stderr=other,
+    )  # fmt: skip
+    os.close(other)
+    until(lambda: os.read(terminal, 4096) and len(nodes_of(name)) == 4)
+    pids, run_id = nodes_of(name), running()[name]["run"]
+
+    os.close(terminal)
+
+    assert process.wait(LIMIT_S) == 128 + signal.SIGHUP
+    assert report.exists()
+    assert_nothing_left(name, run_id, pids)
+
+
+def test_a_visitor_that_is_frozen_does_not_hold_up_the_end(tmp_path: Path) -> None:
+    graph = written(tmp_path, LOOP)
+    name = name_of(graph)
+    with fovea("run", str(graph)) as process:
+        until(lambda: len(nodes_of(name)) == 4)
+        with fovea("echo", "steer", "--graph", name) as looking:
+            assert looking.stdout is not None
+            assert "windows" in looking.stdout.readline()
+            looking.send_signal(signal.SIGSTOP)
+
+            _, took_s = ends(process, signal.SIGINT)
+
+    assert took_s < LIMIT_S

@@ -1,0 +1,73 @@
+"""What goes wrong with a successor, or with the run, in the middle of a swap, is cleared away."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.run.descendants import marked
+from pipeline.run.supervisor import Supervisor
+from pipeline.run.swap import SwapOrder
+from tests.toy_graphs import assert_accounts_add_up, ended, go, handled, until, wait_for
+from tests.unruly_graphs import unruly_plan
+
+
+def swap(supervisor: Supervisor, **changes: Any) -> list[dict[str, Any]]:
+    """Begin a swap of the unruly part; its answer comes into the list."""
+    answers: list[dict[str, Any]] = []
+    wait_for(supervisor, lambda: handled(supervisor, "after") > 5)
+    order = SwapOrder(node="unruly", changes=changes, probation=5)
+    supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+    return answers
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("exit_in_open", "SystemExit: 0"),
+        ("exit_0", "the new part ended by exit status 0"),
+        ("long_text", "ValueError: xxxx"),
+        ("fork_and_die", "the new part ended by signal SIGKILL"),
+    ],
+)
+def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str, said: str) -> None:
+    answers: list[dict[str, Any]] = []
+    note = tmp_path / "pids"
+
+    def during(supervisor: Supervisor) -> None:
+        changes = {"kind": kind, "note": str(note), "size": 100_000, "at": 0}
+        found = swap(supervisor, **changes)
+        wait_for(supervisor, lambda: bool(found), 60)
+        answers.extend(found)
+        seen = handled(supervisor, "after")
+        wait_for(supervisor, lambda: handled(supervisor, "after") > seen + 5)
+        supervisor.finish()
+
+    report = go(unruly_plan(tmp_path), 0, during)
+
+    assert said in answers[0]["refused"]
+    assert len(answers[0]["refused"]) < 2000
+    assert report["restarts"] == {}
+    assert_accounts_add_up(report)
+    pids = [int(line) for line in note.read_text().split()] if note.exists() else []
+    until(lambda: all(ended(pid) for pid in pids))
+
+
+def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: Path) -> None:
+    plan = unruly_plan(tmp_path)
+    with Supervisor(plan) as supervisor:
+        run_id = supervisor._run.run_id
+        supervisor.start()
+        answers = swap(supervisor, kind="slow_open")
+        slot = supervisor.slots["unruly"]
+        wait_for(supervisor, lambda: any(c is not slot.child for c in of(supervisor, "unruly")))
+        supervisor.asked_to_end = lambda: 1
+        supervisor.finish()
+
+    assert answers == [{"refused": f"{plan.name}: the run ended before that was done"}]
+    assert list(marked(run_id)) == []
+
+
+def of(supervisor: Supervisor, process: str) -> list[Any]:
+    return [child for child in supervisor.children if child.name == process]
