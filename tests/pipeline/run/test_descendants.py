@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.run.descendants import MARK, end_marked, marked, new_mark
-from pipeline.run.rundir import running, sweep
+from pipeline.run.leftovers import cleanup
+from pipeline.run.rundir import running
 from pipeline.run.supervisor import Supervisor
 from tests.toy_graphs import KILLED, assert_accounts_add_up, ended, go, until, wait_for
 from tests.unruly_graphs import recovers, unruly_plan
@@ -55,7 +56,7 @@ def test_what_a_node_started_ends_with_the_run(tmp_path: Path, kind: str, count:
 
 
 @pytest.mark.parametrize(("kind", "count"), [("fork_many", 2), ("start_session", 1)])
-def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_next_sweep(
+def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_next_cleanup(
     tmp_path: Path, kind: str, count: int
 ) -> None:
     note = tmp_path / "pids"
@@ -70,7 +71,7 @@ def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_ne
         supervisor.kill()
 
     until(lambda: all(ended(pid) for pid in nodes))
-    sweep()
+    cleanup()
     until(lambda: all(ended(pid) for pid in pids))
 
 

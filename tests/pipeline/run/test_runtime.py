@@ -193,6 +193,29 @@ def test_a_run_ends_while_its_source_is_away(tmp_path: Path) -> None:
 
     report = go(plan_of(tmp_path, LOOP), 0, kill)
 
+    assert (report["failure"], report["restarts"].get("ticker", 1)) == ("", 1)
+
+
+@pytest.mark.xfail(
+    strict=True, reason="nobody accounts for what a node that stays away had not read"
+)
+def test_what_was_under_way_to_a_node_that_does_not_come_back_is_lost_in_a_crash(
+    tmp_path: Path,
+) -> None:
+    text = CHAIN.replace("  count:\n", "  count:\n    restart: never\n")
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
+        pid = send_signal(supervisor, "count", signal.SIGSTOP)
+        account = account_of(supervisor, "count.frame")
+        until(lambda: account.in_flight > 2)
+        os.kill(pid, signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.pid("count") == 0)
+        supervisor.finish()
+
+    report = go(plan_of(tmp_path, text), 0, kill)
+
+    assert edge(report, "count.frame")["lost_in_crash"] > 2
     assert_accounts_add_up(report)
 
 
