@@ -41,6 +41,8 @@ class SoccerNetSequence:
     `tracklets` says who each id is. A sequence without gt/gt.txt has no truth.
     """
 
+    shows = "soccer"
+
     def __init__(self, *, path: str) -> None:
         folder = Path(path)
         info = read_info(folder)

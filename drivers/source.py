@@ -30,7 +30,10 @@ class Truth:
 
 
 class FrameSource(Protocol):
-    """A full-resolution video. Construction opens it and raises `DriverError` when it cannot."""
+    """A full-resolution video. Construction opens it and raises `DriverError` when it cannot.
+
+    A class whose pictures are all of one kind says so in a class attribute, `shows = "soccer"`.
+    """
 
     size_px: tuple[int, int]  # width, height
     rate_hz: float  # 0: it has none of its own, as a folder of pictures

@@ -26,6 +26,16 @@ class CaptureSettings:
     def __post_init__(self) -> None:
         self.build()  # everything wrong is said before a process starts
 
+    @property
+    def shows(self) -> str:
+        """The kind of scene before the sensor (soccer), empty where nobody knows."""
+        return str(getattr(self.build(), "shows", ""))
+
+    @property
+    def source(self) -> str:
+        """What the pictures come from, for a sentence about it."""
+        return str(getattr(self.build(), "source", self.sensor))
+
     def build(self) -> DualStreamSensor:
         """The sensor, not yet open; raises `SettingsError`."""
         sensor = _load(self.sensor)

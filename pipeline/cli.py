@@ -52,10 +52,11 @@ def main() -> None:
         logging.basicConfig(level=logging.INFO, format="%(message)s", handlers=[log_handler()])
         try:
             _carry_out()
-        except OSError:
-            if not output.lost():
+        except OSError as error:
+            if not output.is_lost(error):
                 raise
-            sys.exit(1)  # who would have read it has left
+            output.abandon()
+            sys.exit(1)
 
 
 def _carry_out() -> None:
@@ -70,7 +71,7 @@ def _carry_out() -> None:
         click.echo(f"fovea: {error}", err=True)
         sys.exit(2 if isinstance(error, (GraphError, SettingsError, WeightsError)) else 1)
     except (OSError, MemoryError) as error:  # no descriptors left, no memory, a full disk
-        if output.lost():
+        if isinstance(error, OSError) and output.is_lost(error):
             raise
         click.echo(f"fovea: {harmless(error_text(error))}", err=True)
         sys.exit(1)
@@ -123,6 +124,8 @@ def run(
     if save:
         try_recording(save, "--save")
     plan, unwritten = _load(graph, save=save, **laid), ""
+    for line in running.advice(plan):
+        console.print(line, markup=False)
     with signals.Interruption(last=True) as asked:
         if inline:
             result = running.inline(plan, frames or 0, console, asked)

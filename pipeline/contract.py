@@ -17,6 +17,7 @@ from pipeline.messages import Header, Message
 
 S = TypeVar("S")
 Out = TypeVar("Out")
+SOURCE = "@source"  # beside the names of inputs, see `Operator.advise`
 Keep = Literal["latest", "every"]
 INCOMPLETE = "incomplete"  # in a summary: what could not be written, as a sentence
 Loan = Callable[[str, tuple[int, ...], DTypeLike], NDArray[Any]]  # output, shape, dtype -> memory
@@ -108,9 +109,11 @@ class Operator(Generic[S, Out]):
 
     @classmethod
     def advise(cls, settings: S, upstream: Mapping[str, Any]) -> Iterable[str]:
-        """Sentences for `fovea check`: what these settings mean, warnings; nothing is opened.
+        """Sentences for `fovea check` and `fovea run`: what these settings mean, warnings.
 
-        `upstream` holds the settings of the node behind each connected input, by input name.
+        No device is opened. `upstream` holds the settings of the node behind each connected input,
+        by input name, and under `SOURCE` those of the node that makes frames. Raises `FoveaError`
+        for what cannot work, such as weights that are not there.
         """
         return ()
 

@@ -4,6 +4,7 @@ A command whose standard output is its answer ends then, quietly. One that keeps
 loses words and nothing else (`forgive`), also where a reader stops reading.
 """
 
+import errno
 import io
 import os
 import select
@@ -18,11 +19,11 @@ _ATOMIC = 512  # bytes that a pipe which can be written takes without waiting (P
 
 
 class Outlet(io.RawIOBase):
-    """One of the two; what cannot be written any more is forgotten after the first error."""
+    """One of the two, of a command that goes on without it."""
 
     def __init__(self, handle: int) -> None:
         self._handle = handle
-        self.lost = self.forgiving = self._stuck = False
+        self._lost = self._stuck = False
 
     def writable(self) -> bool:
         """Return that it can be written."""
@@ -37,19 +38,16 @@ class Outlet(io.RawIOBase):
         return os.isatty(self._handle)
 
     def write(self, data: "Buffer", /) -> int:
-        """Write; raises `OSError` once, unless it forgives, when the reader has left."""
+        """Write; what the reader does not take is forgotten."""
         view = memoryview(data).cast("B")
+        if self._lost or not self._takes():
+            return view.nbytes
         try:
-            if self.lost or (self.forgiving and not self._takes()):
-                return view.nbytes
-            return os.write(self._handle, view[:_ATOMIC] if self.forgiving else view)
+            return os.write(self._handle, view[:_ATOMIC])
         except BlockingIOError:  # another program has made the terminal so
-            self._takes()
-            return 0 if not self.forgiving else view.nbytes
+            return view.nbytes
         except OSError:
-            self.lost = True
-            if not self.forgiving:
-                raise
+            self._lost = True
             return view.nbytes
 
     def _takes(self) -> bool:
@@ -61,40 +59,45 @@ class Outlet(io.RawIOBase):
 
 
 def guard() -> None:
-    """Have both streams go through outlets; descriptors that are closed lead nowhere."""
+    """Have both streams take any text; descriptors that are closed lead nowhere."""
     for handle in range(3):
         try:
             os.fstat(handle)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest that is free: this one
-    sys.stdout = _guarded(sys.stdout, 1)
-    sys.stderr = _guarded(sys.stderr, 2)
+    sys.stdout, sys.stderr = _tolerant(sys.stdout, 1), _tolerant(sys.stderr, 2)
 
 
 def forgive() -> None:
     """From now on let a stream that cannot be written cost its words alone."""
-    for outlet in _outlets():
-        outlet.forgiving = True
-
-
-def lost() -> bool:
-    """Whether a stream could not be written."""
-    return any(outlet.lost for outlet in _outlets())
-
-
-def _outlets() -> list[Outlet]:
-    found = [getattr(getattr(s, "buffer", None), "raw", None) for s in (sys.stdout, sys.stderr)]
-    return [outlet for outlet in found if isinstance(outlet, Outlet)]
-
-
-def _guarded(stream: TextIO | None, handle: int) -> TextIO:
-    if stream is not None and stream is not (sys.__stdout__ if handle == 1 else sys.__stderr__):
-        return stream  # guarded already, or replaced by the caller
-    if stream is not None:
+    for handle, stream in ((1, sys.stdout), (2, sys.stderr)):
         stream.flush()
-    outlet = Outlet(handle)
-    encoding = stream.encoding if stream is not None else "utf-8"
-    return io.TextIOWrapper(
-        io.BufferedWriter(outlet), encoding, errors="backslashreplace",
-        line_buffering=handle == 2 or outlet.isatty(),
-    )  # fmt: skip
+        through = io.TextIOWrapper(
+            io.BufferedWriter(Outlet(handle)), stream.encoding, errors="backslashreplace",
+            line_buffering=handle == 2 or os.isatty(handle),
+        )  # fmt: skip
+        if handle == 1:
+            sys.stdout = through
+        else:
+            sys.stderr = through
+
+
+def abandon() -> None:
+    """Of a command whose reader has left: what it still says leads nowhere."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    for handle in (1, 2):
+        os.dup2(nothing, handle)
+    os.close(nothing)
+
+
+def is_lost(error: OSError) -> bool:
+    """Whether an error says that the reader of a stream has left, or its terminal."""
+    return error.errno in (errno.EPIPE, errno.EIO) and error.filename is None
+
+
+def _tolerant(stream: TextIO | None, handle: int) -> TextIO:
+    if stream is None:  # it was closed when Python came up
+        return io.TextIOWrapper(os.fdopen(handle, "wb", closefd=False), "utf-8")
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(errors="backslashreplace")
+    return stream

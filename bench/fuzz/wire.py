@@ -16,7 +16,7 @@ from pipeline.bus.pool import SlotRef
 from pipeline.commands import Outcome, read_order, read_outcome, write_order, write_outcome
 from pipeline.fleet import wire
 from pipeline.messages import Detections, Frame, Header, Message, Percept, RoiSchedule
-from pipeline.node.health import Health, read_health
+from pipeline.node.health import Health, read_health, write_health
 from pipeline.node.live import read_answer, read_question, write_question
 
 Reader = Callable[[bytes], Any]
@@ -53,8 +53,12 @@ def known() -> Mapping[str, Case]:
     found["question"] = write_question({"rate_hz": 5.0, "box": [1, 2]}), read_question
     answer = msgspec.msgpack.encode({"settings": {"a": 1}, "live": ["a"], "refused": ""})
     found["answer"] = answer, read_answer
-    health = {f: 1 for f in Health.__struct_fields__}
-    found["health"] = msgspec.msgpack.encode(health), read_health
+    health = Health(
+        node="work", process="work", host="", pid=7, epoch=1, state="idle", complaint="",
+        handled=3, last_seq=2, busy_s=0.0, silent_s=0.1, own_mb=9.5, words="", waiting={"frame": 1},
+        dropped={"frame": {"gap": 2}}, broken=("a -> b.frame",),
+    )  # fmt: skip
+    found["health"] = write_health(health), read_health
     for asked in (
         wire.Named("g"), wire.Lines("g", "n"), wire.Ping(1), wire.ToNode("g", "n", "@health", b"x"),
         wire.Prepare("{}", wire.Versions.ours(), {"a": "b"}), wire.Lacks(("0" * 64,)),

@@ -53,6 +53,11 @@ def load_source(setting: str, path: str) -> Callable[..., FrameSource]:
     return found  # type: ignore[no-any-return]
 
 
+def shown_by(path: str) -> str:
+    """The kind of scene that a source's class says it shows, empty for none."""
+    return str(getattr(load_source("source", path), "shows", ""))
+
+
 def check_arguments(setting: str, path: str, names: Mapping[str, Any]) -> None:
     """Raise `SettingsError` unless the source takes these names and lacks no other."""
     parameters = inspect.signature(load_source(setting, path)).parameters

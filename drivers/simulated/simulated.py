@@ -20,7 +20,7 @@ from drivers.simulated.coverage import Coverage, where
 from drivers.simulated.playback import Playback, Timing
 from drivers.simulated.prefetch import Ready
 from drivers.simulated.readout import Readout
-from drivers.simulated.scenes import open_recording, open_scene
+from drivers.simulated.scenes import open_recording, open_scene, scene_path, shown_by
 from drivers.simulated.settings import RATES_HZ, SimulatedSensorSettings
 from drivers.source import FrameSource, Truth
 from pipeline.boxes import roi_window
@@ -44,6 +44,16 @@ class SimulatedSensor:
         self._coverage = Coverage()
         self._windows: Counter[str] = Counter()
         self._exposed = self._overrun = 0
+
+    @property
+    def shows(self) -> str:
+        """The kind of scene that its source shows, empty where that is not known."""
+        return shown_by(self._settings.source or scene_path(self._settings.scene))
+
+    @property
+    def source(self) -> str:
+        """What the pictures come from, for a sentence about it."""
+        return self._settings.path or self._settings.scene or self._settings.source
 
     def open(self, *, realtime: bool) -> None:
         """Open the source; raises `DriverError` or `SettingsError` when it cannot."""

@@ -32,6 +32,8 @@ class SoccerScene:
     the ball is not there, neither in the picture nor in the truth.
     """
 
+    shows = "soccer"
+
     def __init__(
         self,
         *,

@@ -19,6 +19,16 @@ def class_names(metadata: Mapping[str, str], count: int) -> list[str]:
     return [table.get(index, str(index)) for index in range(count)]
 
 
+def named_classes(metadata: Mapping[str, str]) -> list[str]:
+    """The classes that the metadata names, in the network's own order; none where it names none.
+
+    >>> named_classes({"names": "['person', 'ball']"}), named_classes({})
+    (['person', 'ball'], [])
+    """
+    numbers = [int(str(key)) for key in _table(metadata, "names")]
+    return class_names(metadata, max(numbers) + 1) if numbers else []
+
+
 def report_as(
     own: list[str], wanted: Mapping[str, str]
 ) -> tuple[tuple[str, ...], NDArray[np.intp]]:

@@ -9,6 +9,7 @@ PEOPLE = ("player", "referee")
 BALL = "ball"
 NAMES = (*PEOPLE, BALL)
 CONTEXT_PX = (480, 270)  # width, height of a quarter of full HD
+DOMAIN = "soccer"  # the kind of scene that the classes are of
 INPUT_PX = (480, 288)  # the same with sides that are multiples of 32
 
 

@@ -3,15 +3,22 @@
 Runs the shipped detector, or any YOLO detect, YOLO OBB or YOLOX export in ONNX.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.classes import class_names, own_confidence, report_as, thresholds
+from operators.saliency.advice import advice
+from operators.saliency.classes import (
+    class_names,
+    named_classes,
+    own_confidence,
+    report_as,
+    thresholds,
+)
 from operators.saliency.decode import (
     Candidates,
     Grid,
@@ -26,6 +33,7 @@ from operators.saliency.decode import (
 from operators.saliency.letterbox import Letterbox, Placement
 from operators.saliency.roi_align import roi_align
 from pipeline import Detections, Frame, Input, MessageError, Operator, SettingsError, WeightsError
+from pipeline.contract import SOURCE
 from pipeline.inference import Network
 from pipeline.weights import require
 
@@ -65,6 +73,17 @@ class Saliency(Operator[SaliencySettings, Detections]):
     """One answer per frame, boxes in sensor pixels; nothing found is an empty message."""
 
     frame = Input(Frame, keep="latest")
+
+    @classmethod
+    def advise(cls, settings: SaliencySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """What the detector knows, and a warning where the source shows something else.
+
+        Raises `WeightsError` for weights that are not there.
+        """
+        metadata = Network(weights_file(settings.weights)).metadata
+        own = named_classes(metadata)
+        names = report_as(own, settings.names)[0] if own else tuple(settings.names.values())
+        return advice(names, metadata, upstream.get(SOURCE))
 
     def open(self) -> None:
         self._detector = Detector(self.settings)

@@ -20,7 +20,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from operators.saliency.data import Batch, rendered_in, stream
-from operators.saliency.example import INPUT_PX, NAMES
+from operators.saliency.example import DOMAIN, INPUT_PX, NAMES
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.render import made_with, render
@@ -185,6 +185,8 @@ def export(net: DetectorNet, path: Path) -> None:
         stride="32",
         task="detect",
         format="yolo",
+        domain=DOMAIN,
+        trained_on="pictures of soccer matches",
     )
 
 

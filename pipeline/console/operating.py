@@ -14,6 +14,7 @@ from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet.remote import is_deployed, swap_there
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
+from pipeline.node.operator_state import lost_words
 from pipeline.run.desk import COMMAND, Order
 from pipeline.run.rundir import running
 from pipeline.run.swap import SwapOrder
@@ -130,6 +131,8 @@ def swap_lines(result: Mapping[str, Any]) -> list[str]:
     >>> swap_lines({"node": "a", "hot": True, "seq": 7, "gap_ms": 1.25, "state": "none",
     ...             "proven_frames": 30})
     ['a: swapped after frame 7, stood still for 1.2 ms, state none, 30 frames of probation']
+
+    What the operator kept and did not declare is a line of its own.
     """
     cut = f"after frame {result['seq']}" if "seq" in result else "by stopping and starting"
     left_out: dict[str, int] = result.get("left_out", {})
@@ -140,7 +143,9 @@ def swap_lines(result: Mapping[str, Any]) -> list[str]:
         *([f"state {result['state']}"] if "state" in result else []),
         f"{result['proven_frames']} frames of probation",
     ]
-    return [", ".join(words), *_shadow_lines(result.get("shadow"))]
+    forgotten = result.get("forgotten")
+    warnings = [f"{result['node']}: {lost_words(forgotten)}"] if forgotten else []
+    return [", ".join(words), *warnings, *_shadow_lines(result.get("shadow"))]
 
 
 def _shadow_lines(shadow: Mapping[str, Any] | None) -> list[str]:

@@ -10,8 +10,8 @@ from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColum
 from rich.text import Text
 
 from pipeline.cause import cause_of, is_signal
-from pipeline.contract import settings_of
-from pipeline.errors import FoveaError, GraphError, RunError
+from pipeline.contract import SOURCE, settings_of
+from pipeline.errors import FoveaError, GraphError, RunError, WeightsError
 from pipeline.graph.plan import Node, Plan, load_operator, sources
 from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report, compose
@@ -105,11 +105,16 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
 
 def advice(plan: Plan) -> Iterator[str]:
     """What a graph's operators have to say about it before it runs (`Operator.advise`)."""
+    source = {SOURCE: _settings(next(sources(plan)))} if any(sources(plan)) else {}
     for node in plan.nodes:
         edges = plan.inputs(node.name).values()
-        upstream = {e.input: _settings(plan.node(e.source)) for e in edges}
+        upstream = source | {e.input: _settings(plan.node(e.source)) for e in edges}
         try:
             lines = list(load_operator(node.operator).advise(_settings(node), upstream))
+        except WeightsError as error:
+            if not node.host:  # else they are for another computer to have
+                raise WeightsError(f"{node.name}: {error}") from error
+            lines = [f"on {node.host}: {error}"]
         except FoveaError:
             raise
         except BaseException as error:

@@ -73,11 +73,12 @@ def read_text(text: str, what: str) -> Any:
 def _bytes_of(path: Path) -> bytes:
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # waits for no pipe
+        kind = os.fstat(handle).st_mode
+        if not stat.S_ISREG(kind):
+            os.close(handle)
+            got = "a folder" if stat.S_ISDIR(kind) else "no regular file"
+            raise GraphError(f"{path}: cannot be read: expected a file, got {got}")
         with open(handle, "rb") as file:
-            kind = os.fstat(handle).st_mode
-            if not stat.S_ISREG(kind):
-                got = "a folder" if stat.S_ISDIR(kind) else "no regular file"
-                raise GraphError(f"{path}: cannot be read: expected a file, got {got}")
             return file.read(MOST_BYTES + 1)
     except OSError as error:
         raise GraphError(f"{path}: cannot be read: {error.strerror}") from error

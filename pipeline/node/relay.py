@@ -6,15 +6,13 @@ successor how far it came on every edge; the successor takes what was not finish
 since. The old part keeps receiving until its successor has proven itself, and can go on instead.
 """
 
-import dataclasses
+import logging
 import queue
 import re
 import time
-import types
-import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, Union
+from typing import NamedTuple, Protocol
 
 import msgspec
 
@@ -23,9 +21,9 @@ from pipeline.bus.doors import Doors, connected
 from pipeline.bus.inbox import Marks
 from pipeline.bus.ledger import NodeAccount, private_ledger
 from pipeline.bus.tape import Counted, EdgeCut
-from pipeline.contract import Operator
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.node.host import Host
+from pipeline.node.operator_state import UndeclaredState, class_of, lost_words, restore
 from pipeline.node.shadow import Heard, Shadow
 from pipeline.private_folder import PrivateFolder
 from pipeline.text import error_text
@@ -36,6 +34,7 @@ MOST_STATE_BYTES = 1 << 30
 MARGIN = 64  # descriptors kept beyond what the other instance can have waiting
 Say = Callable[..., None]
 Listen = Callable[[Heard], Callable[[], None]]  # to the working part's outputs; how to stop
+log = logging.getLogger(__name__)
 
 
 class Baton(msgspec.Struct, forbid_unknown_fields=True):
@@ -46,6 +45,8 @@ class Baton(msgspec.Struct, forbid_unknown_fields=True):
     stopped_ns: int  # monotonic
     state: str  # file in the memory folder, "" for none
     shadow: int = 0  # frames to try before; the other works on
+    operator: str = ""  # class of the one that stopped, module:Class
+    forgotten: list[str] = []  # its attributes that changed while it ran, when it tells no state
 
 
 _READ = msgspec.msgpack.Decoder(Baton)
@@ -98,6 +99,7 @@ class Relay:
         self._before: dict[str, Counted] = {}
         self._baton = b""
         self._first: First | None = None  # its first answer is awaited
+        self._undeclared = UndeclaredState(host.operator)
         if standby:
             host.account = _nowhere()
 
@@ -180,21 +182,27 @@ class Relay:
         state = self._write_state()
         link = connected(BATON, Path(cut.door))
         if link is None:
-            raise RunError(f"{host.name}: the successor has closed its door")
+            raise RunError("the successor has closed its door")
         if cut.shadow:
             with link:
                 edges = {name: port.here() for name, port in host.ports.items()}
-                baton = Baton(edges, host.inbox.marks(), 0, state, cut.shadow)
+                baton = Baton(
+                    edges, host.inbox.marks(), 0, state, cut.shadow, class_of(host.operator)
+                )
                 link.send(msgspec.msgpack.encode(baton))
             return
         self._before = {name: Counted(account) for name, account in host.edges.items()}
         marks = host.inbox.marks()
+        forgotten = self._undeclared.names()
         edges = {name: port.cut() for name, port in host.ports.items()}
         self.at_rest, host.account = True, _nowhere()
         with link:
             for out in host.outs.values():
                 out.let_go()
-            link.send(msgspec.msgpack.encode(Baton(edges, marks, time.monotonic_ns(), state)))
+            baton = Baton(
+                edges, marks, time.monotonic_ns(), state, 0, class_of(host.operator), forgotten
+            )
+            link.send(msgspec.msgpack.encode(baton))
         self._say("cut", node=host.name, seq=int(self._account.last_seq))
         self._voice.lower()
 
@@ -204,7 +212,11 @@ class Relay:
         for name, port in host.ports.items():
             if port.tape is None or port.tape.torn:
                 raise RunError(f"{host.name}: the successor fell behind on {name}")
-        state = self._read_state(baton.state)
+        state = self._read_state(baton)
+        same = baton.operator == class_of(host.operator)
+        forgotten = baton.forgotten if same else []
+        if forgotten:
+            log.warning("%s: %s", host.name, lost_words(forgotten))
         host.inbox.go_on_from(baton.marks)
         self._begin(host.epoch)
         dropped = {name: port.dropped for name, port in host.ports.items()}
@@ -213,14 +225,15 @@ class Relay:
             port.take_over(baton.edges[name])
         gap_ms = (time.monotonic_ns() - baton.stopped_ns) / 1e6
         self._say(
-            "taken", node=host.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state
-        )
+            "taken", node=host.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state,
+            forgotten=forgotten,
+        )  # fmt: skip
         self._speak()
 
     def _begin_trial(self, baton: Baton) -> None:
         """Answer the same frames as the working part, and send nothing."""
         heard: Heard = queue.SimpleQueue()
-        self._read_state(baton.state)
+        self._read_state(baton)
         self._unlisten = self._listen(heard)
         self._shadow = Shadow(self._host, baton.marks, baton.edges, heard, baton.shadow)
 
@@ -255,49 +268,32 @@ class Relay:
         if state is None:
             return ""
         name = f"{self._host.name}.{self._host.epoch}.state"
-        self._memory.write(name, codec.dumps(state))
+        try:
+            data = codec.dumps(state)
+        except MessageError as error:
+            raise RunError(f"its state cannot be written: {error}") from error
+        self._memory.write(name, data)
         return name
 
-    def _read_state(self, name: str) -> str:
+    def _read_state(self, baton: Baton) -> str:
         """Give the operator its predecessor's state; what came of it, in words."""
+        name, operator = baton.state, self._host.operator
         if not name:
             return "none"
         if not re.fullmatch(rf"{re.escape(self._host.name)}\.\d+\.state", name):
             raise MessageError(f"{self._host.name}: the state lies in a file that is not its own")
         try:
-            return restore(self._host.operator, self._memory.read(name, MOST_STATE_BYTES))
+            data = self._memory.read(name, MOST_STATE_BYTES)
+            return restore(operator, data, must=baton.operator == class_of(operator))
+        except FoveaError as error:
+            raise RunError(f"{self._host.name}: {error}") from error
         except OSError as error:
             raise RunError(f"{self._host.name}: the state cannot be read: {error}") from error
         finally:
             self._memory.remove(name)
 
 
-def restore(operator: Operator[Any, Any], data: bytes) -> str:
-    """Let an operator take over another's state; `begins anew` when it is not of its kind.
-
-    Raises `FoveaError` when the operator itself refuses it.
-    """
-    kind = state_type(type(operator))
-    if kind is None:
-        return "begins anew: it declares no state"
-    try:
-        state = codec.loads(kind, data)
-    except MessageError as error:
-        return f"begins anew: {error}"
-    operator.restore(state)
-    return "carried over"
-
-
-def state_type(operator: type[Operator[Any, Any]]) -> type[Any] | None:
-    """The dataclass that `state` promises to return; None when it promises none."""
-    hint = typing.get_type_hints(operator.state).get("return")
-    union = typing.get_origin(hint) in (Union, types.UnionType)
-    options = typing.get_args(hint) if union else (hint,)
-    found = [o for o in options if isinstance(o, type) and dataclasses.is_dataclass(o)]
-    return found[0] if len(found) == 1 else None
-
-
-def read_cut(order: Mapping[str, Any]) -> Cut:
+def read_cut(order: Mapping[str, object]) -> Cut:
     """The order as it came; raises `MessageError`."""
     return codec.parse(lambda o: msgspec.convert(o, Cut), order, "not an order to stop")  # type: ignore[arg-type]
 

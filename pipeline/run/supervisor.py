@@ -109,7 +109,8 @@ class Supervisor(Crew):
         began_s = moved_s = now_s = time.monotonic()
         ends = self.ledger.ends()
         while now_s - moved_s < DRAIN_S and now_s - began_s < LONGEST_DRAIN_S:
-            if self.finished and self.ledger.drained():
+            if self.finished and self._drained():
+                self._write_off()
                 return
             if self.asked_to_end() and (self.in_haste or now_s - began_s > DRAIN_S):
                 return
@@ -117,6 +118,24 @@ class Supervisor(Crew):
             now_s = time.monotonic()
             if (ends_now := self.ledger.ends()) != ends:
                 ends, moved_s = ends_now, now_s
+
+    def _drained(self) -> bool:
+        """Whether nothing is under way but to nodes that will not come back for it."""
+        nobody = self._to_nobody()
+        pairs = zip(self.ledger.edges, self.ledger.ends(), strict=True)
+        return all(edge.sent == end or i in nobody for i, (edge, end) in enumerate(pairs))
+
+    def _to_nobody(self) -> set[int]:
+        """Indices of the edges into processes that have ended and do not start again."""
+        gone = [s for s in self.slots.values() if not s.child and (s.sources or not s.next_start_s)]
+        names = {node.name for slot in gone for node in slot.nodes}
+        return {edge.index for edge in self.plan.edges if edge.target in names}
+
+    def _write_off(self) -> None:
+        """Count what was under way to a process that ended as lost: nobody else will."""
+        for index in self._to_nobody():
+            account = self.ledger.edges[index]
+            account.lost_in_crash += account.in_flight
 
     @property
     def in_haste(self) -> bool:

@@ -142,7 +142,7 @@ class Swap(Affair):
                 of=new,
             )
             taken = self.heard(new)["taken"]
-            self.facts |= {k: taken[k] for k in ("seq", "gap_ms", "state")}
+            self.facts |= {k: taken[k] for k in ("seq", "gap_ms", "state", "forgotten")}
             self._switch(new, old, plan, epoch)
             yield from self._probation(new)
             if self.facts["proven_frames"]:
@@ -281,6 +281,7 @@ class Swap(Affair):
         plan = self._changed()  # with all that it was told until its end
         self._live_file().unlink(missing_ok=True)
         try:
+            self.facts["state"] = "begins anew: it was stopped and started"
             yield from self._start(plan)
             yield from self._probation(self._working())
         except RunError as error:

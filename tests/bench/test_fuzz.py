@@ -1,0 +1,54 @@
+"""The fuzzer notices what it looks for."""
+
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from bench.fuzz import tally
+from bench.fuzz.fuzz import fuzz
+from bench.fuzz.tally import Tally, Watch
+from pipeline import GraphError
+
+
+def test_a_traceback_a_hang_and_a_bad_sentence_are_each_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(tally, "LONGEST_S", 0.05)
+    found = Tally()
+
+    def refuse() -> None:
+        raise GraphError("two\nlines")
+
+    found.judge("a", lambda: 1 / 0)
+    found.judge("b", lambda: time.sleep(5))
+    found.judge("c", refuse)
+    found.judge("d", lambda: None)
+
+    assert (found.tracebacks, found.hangs, found.bad_sentences, found.accepted) == (1, 1, 1, 1)
+    assert not found.sound
+    assert len(found.examples) == 3
+
+
+def test_a_file_written_outside_the_folder_is_noticed(tmp_path: Path) -> None:
+    inside, outside = tmp_path / "inside", tmp_path / "outside"
+    inside.mkdir()
+    watch = Watch(inside)
+
+    watch.on = True
+    (inside / "a").write_text("x")
+    outside.mkdir()
+    (tmp_path / "b").write_text("x")
+    (tmp_path / "b").read_text()
+    watch.on = False
+
+    assert watch.touched == {f"os.mkdir {outside}", f"open {tmp_path / 'b'}"}
+
+
+def test_the_command_prints_figures(tmp_path: Path) -> None:
+    done = CliRunner().invoke(fuzz, ["wire", "--count", "50", "--json", str(tmp_path / "f.json")])
+
+    assert done.exit_code == 0, done.output
+    assert '"cases": 50' in done.output
+    assert '"commit"' in (tmp_path / "f.json").read_text()

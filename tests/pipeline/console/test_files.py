@@ -1,0 +1,175 @@
+"""Reports and recordings are tried before a run, and what cannot be written is told."""
+
+import json
+import os
+import re
+import secrets
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+from rerun.chunk import RrdReader
+
+from pipeline import SettingsError
+from pipeline.console.files import try_recording, try_report, write_report
+from tests.pipeline.run.namespaces import with_small_mounts
+from tests.toy_graphs import CHAIN
+
+FOVEA = (sys.executable, "-m", "pipeline.cli")
+VIEWER = """\
+  viewer:
+    operator: operators.visualise:Visualise
+    manual: true
+    inputs: {context: ticker.context}
+"""
+CHECK = """
+import sys, warnings
+from rerun.chunk import RrdReader
+warnings.simplefilter("ignore")
+from pipeline.cli import main
+path = sys.argv.pop(1)
+try:
+    main()
+finally:
+    frames = set()
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        if "frame" in batch.schema.names:
+            frames |= set(batch.column("frame").to_pylist())
+    print("newest", max((f for f in frames if f is not None), default=-1))
+"""
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Path:
+    path = tmp_path / "graph.yaml"
+    path.write_text(f"name: files-{secrets.token_hex(3)}\n{CHAIN}{VIEWER}")
+    return path
+
+
+@pytest.mark.parametrize("option", ["--report", "--save"])
+def test_what_cannot_be_written_is_refused_before_anything_runs(
+    graph: Path, tmp_path: Path, option: str
+) -> None:
+    (tmp_path / "file").write_text("x")
+
+    for path in (tmp_path, tmp_path / "file" / "x.json", Path("/proc/x/y"), Path("/proc/x")):
+        done = subprocess.run(
+            [*FOVEA, "run", str(graph), option, str(path)], capture_output=True, text=True,
+            check=False,
+        )  # fmt: skip
+
+        assert done.returncode == 2
+        assert done.stderr.startswith(f"fovea: {option} {path}: cannot be written: ")
+        assert done.stderr.count("\n") == 1
+        assert done.stdout == ""
+
+
+@pytest.mark.parametrize("attempt", [try_report, try_recording])
+def test_trying_changes_nothing(tmp_path: Path, attempt: object) -> None:
+    old = tmp_path / "old.json"
+    old.write_text("old")
+
+    attempt(old, "--report")  # type: ignore[operator]
+    attempt(tmp_path / "new.json", "--report")  # type: ignore[operator]
+
+    assert [p.name for p in tmp_path.iterdir()] == ["old.json"]
+    assert old.read_text() == "old"
+
+
+def test_an_old_report_stays_when_the_graph_is_wrong(graph: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    report.write_text("old")
+    graph.write_text("nodes: {}")
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--report", str(report)], capture_output=True, check=False
+    )
+
+    assert done.returncode == 2
+    assert report.read_text() == "old"
+
+
+def test_a_report_goes_through_a_link_and_into_a_pipe(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    read, write = os.pipe()
+
+    for path in (tmp_path / "link", Path(f"/dev/fd/{write}")):
+        try_report(path, "--report")
+        assert write_report(path, {"a": 1}, "--report") == ""
+
+    assert (tmp_path / "link").is_symlink()
+    assert json.loads((tmp_path / "target").read_text()) == {"a": 1}
+    assert json.loads(os.read(read, 1000)) == {"a": 1}
+    os.close(read)
+    os.close(write)
+
+
+def test_a_pipe_that_nobody_reads_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+
+    with pytest.raises(SettingsError, match="cannot be written"):
+        try_report(tmp_path / "pipe", "--report")
+
+
+def test_a_report_that_does_not_fit_is_printed_and_the_old_one_stays(
+    graph: Path, tmp_path: Path
+) -> None:
+    small = tmp_path / "small"
+    small.mkdir()
+    script = (
+        "import sys; from pathlib import Path; from pipeline.cli import main\n"
+        "folder = Path(sys.argv.pop(1))\n"
+        "(folder / 'report.json').write_text('old')\n"
+        "try: (folder / 'filler').write_bytes(bytes(1 << 20))\n"
+        "except OSError: pass\n"
+        "try: main()\n"
+        "finally: print('left:', (folder / 'report.json').read_text(), sorted(folder.iterdir()))\n"
+    )
+    words = ("run", str(graph), "--inline", "--frames", "5", "--report", str(small / "report.json"))
+
+    done = with_small_mounts({small: "64k"}, "-c", script, str(small), *words)
+
+    assert done.returncode == 2, done.stderr
+    assert "report.json: cannot be written: No space left on device" in done.stderr
+    assert '"graph": "files-' in done.stdout
+    assert "left: old" in done.stdout
+    assert ".part" not in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("words", [("--inline",), ("--duration-s", "8")])
+def test_a_recording_whose_disk_fills_is_told_and_can_be_read_up_to_there(
+    graph: Path, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    small = tmp_path / "small"
+    small.mkdir()
+    limit = ("--frames", "1500") if "--inline" in words else ()
+    done = with_small_mounts(
+        {small: "100k"}, "-c", CHECK, str(small / "x.rrd"), "run", str(graph), *words, *limit,
+        "--save", str(small / "x.rrd"), "--set", "ticker.side_px=700", "--set",
+        "viewer.jpeg_quality=100", timeout_s=120,
+    )  # fmt: skip
+
+    assert done.returncode == 2, done.stdout + done.stderr
+    found = re.search(r"x\.rrd: the disk is full; (?:it can be read up to frame (\d+)|nothing)",
+                      done.stderr)  # fmt: skip
+    assert found
+    assert f"newest {found[1] or -1}\n" in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+def test_a_path_to_record_to_is_taken_as_it_is(graph: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a #: {b.rrd"
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--inline", "--frames", "3", "--save", str(path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert list(RrdReader(path).stream())

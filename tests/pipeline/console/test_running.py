@@ -1,0 +1,68 @@
+"""What operators advise is shown before anything starts."""
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from pipeline.cli import commands
+from pipeline.console.running import advice
+from pipeline.errors import WeightsError
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+
+ROOT = Path(__file__).resolve().parents[3]
+GRAPHS = ROOT / "graphs"
+
+
+@pytest.fixture(autouse=True)
+def bare_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+
+def with_network(name: str, tmp_path: Path) -> Path:
+    """A shipped graph whose tracker needs weights that are not here."""
+    text = (GRAPHS / name).read_text().replace("CorrelationTracker", "VitTracker")
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("name", ["tracking.yaml", "boxes.yaml"])
+def test_the_shipped_graphs_need_nothing_but_the_repository(name: str) -> None:
+    assert not any("warning" in line for line in advice(load(GRAPHS / name)))
+
+
+def test_a_source_of_another_kind_is_warned_of_through_all_nodes_between(tmp_path: Path) -> None:
+    overlay = Overlay(
+        source=GRAPHS / "sources" / "video.yaml", changes=(f"capture.path={tmp_path / 'walk.mp4'}",)
+    )
+
+    lines = list(advice(load(GRAPHS / "tracking.yaml", overlay)))
+
+    assert any(line.startswith("saliency: warning: the detector is for soccer") for line in lines)
+
+
+def test_missing_weights_refuse_a_graph_before_a_process_starts(tmp_path: Path) -> None:
+    graph = with_network("tracking.yaml", tmp_path)
+
+    for command in ("check", "run"):
+        done = CliRunner().invoke(commands, [command, str(graph)])
+        assert isinstance(done.exception, WeightsError)
+        assert "tracker: vittrack: " in str(done.exception)
+        assert "run `fovea weights pull vittrack`" in str(done.exception)
+
+
+def test_weights_that_another_host_must_have_are_advised_of(tmp_path: Path) -> None:
+    lines = list(advice(load(with_network("boxes.yaml", tmp_path))))
+
+    assert any(line.startswith("tracker: on viewer: vittrack: expected") for line in lines)
+
+
+def test_running_shows_the_advice_first() -> None:
+    words = ["run", str(GRAPHS / "tracking.yaml"), "--inline", "--frames", "1"]
+
+    done = CliRunner().invoke(commands, words)
+
+    assert done.exit_code == 0, done.output
+    assert done.output.index("the detector finds player") < done.output.index("edges: offered")

@@ -1,0 +1,181 @@
+"""A user's module or class that breaks is told in one sentence with the line of the cause."""
+
+import secrets
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from operators.capture import CaptureSettings
+from pipeline import FoveaError, GraphError, SettingsError
+from pipeline.graph.editing import with_nodes
+from pipeline.graph.loader import load
+from pipeline.graph.plan import load_operator
+from pipeline.import_path import imported
+from pipeline.settings import build
+from tests.broken_parts import CLASSES, HEAD, MODULES
+from tests.toy_graphs import CHAIN
+
+FOVEA = (sys.executable, "-m", "pipeline.cli")
+EXTRA = "  extra:\n    operator: {}\n    settings: {{}}\n"
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The file of a module of its own name, which Python finds."""
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / f"mine_{secrets.token_hex(4)}.py"
+    yield path
+    sys.modules.pop(path.stem, None)
+
+
+def graph_of(module: Path) -> Path:
+    path = module.parent / "graph.yaml"
+    path.write_text(f"name: toy\n{CHAIN}" + EXTRA.format(f"{module.stem}:Part"))
+    return path
+
+
+@pytest.mark.parametrize(("text", "line", "said"), MODULES.values(), ids=MODULES)
+def test_a_module_that_breaks_is_told_with_the_line_of_the_cause(
+    module: Path, text: str, line: int, said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    module.write_text(text)
+    path = graph_of(module)
+
+    with pytest.raises(GraphError) as caught:
+        load(path)
+
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{path}:{CHAIN.count(chr(10)) + 3}: extra.operator: ")
+    assert f" cannot be imported: {module}:{line}: {said}" in sentence
+    assert "\n" not in sentence
+    assert len(sentence) < 1000
+    assert capfd.readouterr().out == ""
+
+
+def test_an_addition_whose_module_breaks_is_told_with_its_line(module: Path) -> None:
+    module.write_text("1 / 0\n")
+    graph = graph_of(module)
+    addition = module.parent / "more.yaml"
+    addition.write_text("nodes:\n" + EXTRA.format(f"{module.stem}:Part"))
+    graph.write_text(f"name: toy\n{CHAIN}")
+
+    with pytest.raises(GraphError, match=rf"more\.yaml:3: .*{module}:1: ZeroDivisionError"):
+        with_nodes(load(graph), addition)
+
+
+def test_a_sensor_whose_module_breaks_is_told_with_its_line(module: Path) -> None:
+    module.write_text("\nimport sys; sys.exit('no')\n")
+
+    with pytest.raises(SettingsError, match=rf"capture\.sensor: .*{module}:2: it exits: no"):
+        build(CaptureSettings, {"sensor": f"{module.stem}:Part"}, "capture")
+
+
+@pytest.mark.parametrize("text", CLASSES.values(), ids=CLASSES)
+def test_a_class_with_broken_declarations_is_refused_in_one_sentence(
+    module: Path, text: str
+) -> None:
+    module.write_text(HEAD + text)
+    path = graph_of(module)
+
+    with pytest.raises(FoveaError) as caught:
+        load(path)
+
+    assert str(caught.value).startswith(f"{path}:"), str(caught.value)
+    assert f"{module.stem}:Part" in str(caught.value) or "broke" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_written_like_no_import_path_is_not_imported() -> None:
+    for path in ("", ":", "a:", ":b", "..a:b", "a b:c", "a:b.c", "a/b:c", "a:b:c", "a\0:b"):
+        with pytest.raises(GraphError, match="expected an import path module:Class, got"):
+            imported(path, GraphError)
+
+
+def test_only_operators_are_operators() -> None:
+    with pytest.raises(GraphError, match="json:dumps: expected an Operator, got <function"):
+        load_operator("json:dumps")
+
+
+@pytest.mark.parametrize("name", ["exits", "is no Python", "raises an interrupt"])
+def test_check_and_run_end_with_2_and_the_sentence(module: Path, name: str) -> None:
+    text, line, said = MODULES[name]
+    module.write_text(text)
+    path = graph_of(module)
+
+    for command in ("check", "run"):
+        done = subprocess.run(
+            [*FOVEA, command, path.name], cwd=module.parent, capture_output=True, text=True,
+            check=False, env={"PYTHONPATH": str(Path.cwd()), "TMPDIR": str(module.parent)},
+        )  # fmt: skip
+
+        assert done.returncode == 2, done.stderr
+        assert f"{module.name}:{line}: {said}" in done.stderr
+        assert "Traceback" not in done.stderr
+        assert done.stdout == ""
+
+
+def test_ctrl_c_during_an_import_is_no_fault_of_the_module(module: Path) -> None:
+    module.write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(9)")
+    path = graph_of(module)
+
+    done = subprocess.run(
+        [*FOVEA, "check", path.name], cwd=module.parent, capture_output=True, text=True,
+        check=False, env={"PYTHONPATH": str(Path.cwd())},
+    )  # fmt: skip
+
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
+    assert "cannot be imported" not in done.stderr
+
+
+def test_looking_without_imports_imports_nothing_and_names_all_that_would_be(
+    module: Path,
+) -> None:
+    mark = module.parent / "imported"
+    module.write_text(f"open({str(mark)!r}, 'w')\n")
+    path = graph_of(module)
+    path.write_text(
+        path.read_text().replace("settings: {}", "settings: {sensor: my.own:Sensor, deep: [x.y:Z]}")
+    )
+
+    done = subprocess.run(
+        [*FOVEA, "check", "--no-import", path.name], cwd=module.parent, capture_output=True,
+        text=True, check=False, env={"PYTHONPATH": str(Path.cwd())},
+    )  # fmt: skip
+
+    assert done.returncode == 0, done.stderr
+    named = {f"extra: {p}" for p in (f"{module.stem}:Part", "my.own:Sensor", "x.y:Z")}
+    assert named <= {line.strip() for line in done.stdout.splitlines()}
+    assert "operators were not looked at" in done.stdout
+    assert not mark.exists()
+    assert module.stem not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("frame: ticker.roi", "frame: tiker.roi", "no node tiker, did you mean 'ticker'"),
+        ("  glance:", "  ../glance:", "expected up to 32 letters"),
+        ("depth: 60", "depth: 0", "expected 1 to 64"),
+        ("operator: tests.toys:Count", "operator: 5", "expected an import path"),
+        ("name: toy", "nam: toy", "did you mean 'name'"),
+    ],
+)
+def test_looking_without_imports_checks_names_numbers_and_edges(
+    tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    path = tmp_path / "graph.yaml"
+    text = f"name: toy\n{CHAIN}"
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+    done = subprocess.run(
+        [*FOVEA, "check", "--no-import", str(path)], capture_output=True, text=True, check=False
+    )
+
+    assert done.returncode == 2
+    assert f"fovea: {path}:" in done.stderr
+    assert said in done.stderr

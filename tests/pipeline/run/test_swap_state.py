@@ -1,0 +1,72 @@
+"""What a swap cannot carry over of a state is told, or refused, and the old part goes on."""
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from pipeline.console.operating import swap_lines
+from pipeline.run.swap import SwapOrder
+from tests.pipeline.run.test_swap import Results, swapping
+from tests.toy_graphs import assert_accounts_add_up, go, plan_of
+
+GRAPH = """\
+nodes:
+  ticker:
+    operator: tests.toys:Ticker
+    settings: {{rate_hz: 60, side_px: 40}}
+  work:
+    operator: tests.state_toys:{cls}
+    inputs: {{frame: {{from: ticker.context, depth: 60}}}}
+"""
+
+
+def test_state_that_is_not_declared_is_told_where_it_is_lost(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    plan, results = plan_of(tmp_path, GRAPH.format(cls="Forgetful")), Results()
+    caplog.set_level(logging.INFO)
+
+    go(plan, 0, swapping(results, SwapOrder(node="work", probation=5)))
+
+    assert results[0]["refused"] == ""
+    assert results[0]["forgotten"] == ["recent", "seen"]
+    line = swap_lines(results[0])[1]
+    assert line.startswith("work: begins without what its predecessor kept in recent, seen;")
+    assert "state() and taken over by restore()" in line
+    assert "forgotten ['recent', 'seen']" in caplog.text
+
+
+def test_declared_state_and_another_operator_are_no_reason_to_warn(tmp_path: Path) -> None:
+    plan, results = plan_of(tmp_path, GRAPH.format(cls="Forgetful")), Results()
+    other = SwapOrder(node="work", operator="tests.state_toys:Counter", probation=5)
+
+    go(plan, 0, swapping(results, other, SwapOrder(node="work", probation=5)))
+
+    assert [r["refused"] for r in results] == ["", ""]
+    assert [r["forgotten"] for r in results] == [[], []]
+    assert [len(swap_lines(r)) for r in results] == [1, 1]
+    assert [r["state"] for r in results] == ["none", "carried over"]
+
+
+@pytest.mark.parametrize(
+    ("cls", "said"),
+    [
+        ("Unnamed", "work: the state cannot be carried over: its state() names no dataclass"),
+        ("Refusing", "work: its restore() failed: ValueError:"),
+        ("Mistaken", "work: its state cannot be written: Counted.count: expected int, got a str"),
+        ("Loose", "work: its state cannot be written: dict: expected a dataclass"),
+    ],
+)
+def test_a_state_that_cannot_be_carried_over_leaves_the_old_part_at_work(
+    cls: str, said: str, tmp_path: Path
+) -> None:
+    plan, results = plan_of(tmp_path, GRAPH.format(cls=cls)), Results()
+
+    report = go(plan, 0, swapping(results, SwapOrder(node="work", probation=5)))
+
+    assert results[0]["refused"].startswith(said)
+    assert "\n" not in results[0]["refused"]
+    assert_accounts_add_up(report)
+    assert report["edges"][0]["dropped"] == {}
+    assert report["restarts"].get("work", 0) == 0

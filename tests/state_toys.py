@@ -1,0 +1,85 @@
+"""Operators that declare their state in ways that a swap cannot carry, and one that keeps some."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from pipeline import Frame, Input, Operator
+from tests.toys import WorkSettings
+
+if TYPE_CHECKING:
+    from tests.toys import TallyState as Elsewhere
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counted:
+    """How many."""
+
+    count: int
+
+
+class Forgetful(Operator[WorkSettings, Frame]):
+    """Counts, and tells nobody; its table never changes."""
+
+    frame = Input(Frame, keep="every")
+
+    def open(self) -> None:
+        self.table = {"gain": [1, 2, 3]}
+        self.seen = 0
+        self.recent: list[int] = []
+
+    def on_frame(self, frame: Frame) -> Frame:
+        self.seen += 1
+        self.recent.append(frame.header.seq)
+        return frame
+
+
+class Counter(Forgetful):
+    """Likewise, and says so."""
+
+    def state(self) -> Counted:
+        return Counted(count=self.seen)
+
+    def restore(self, state: Counted) -> None:
+        self.seen = state.count
+
+
+class Unnamed(Counter):
+    """Its state is of no named kind."""
+
+    def state(self):  # type: ignore[no-untyped-def,override]
+        return Counted(count=self.seen)
+
+
+class Unresolved(Counter):
+    """The name of its state is known to type checkers only."""
+
+    def state(self) -> "Elsewhere":  # type: ignore[override]
+        return Counted(count=self.seen)  # type: ignore[return-value]
+
+
+class Unrestored(Forgetful):
+    """Declares a state and does not take it over."""
+
+    def state(self) -> Counted:
+        return Counted(count=self.seen)
+
+
+class Refusing(Counter):
+    """Fails over its own state."""
+
+    def restore(self, state: Counted) -> None:
+        raise ValueError(f"{state.count} is too many" if state.count >= 0 else "")
+
+
+class Mistaken(Counter):
+    """Gives a state that is not of the kind it promises."""
+
+    def state(self) -> Counted:
+        return Counted(count="many")  # type: ignore[arg-type]
+
+
+class Loose(Counter):
+    """Gives what is no dataclass."""
+
+    def state(self) -> Any:
+        return {"count": self.seen}
