@@ -12,7 +12,7 @@ UNRULY = """\
 nodes:
   ticker:
     operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 60}
+    settings: {rate_hz: 20, side_px: 60}
   unruly:
     operator: tests.sick_toys:Unruly
     restart: {backoff_s: 0.01}

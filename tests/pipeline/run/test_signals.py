@@ -21,7 +21,7 @@ from tests.unruly_graphs import UNRULY, name_of, unruly_file
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-LIMIT_S = 20  # drain and stop, on a busy machine
+LIMIT_S = 60  # drain and stop, on a busy machine
 SLOW = LOOP.replace(
     "    operator: tests.toys:Pass\n",
     "    operator: tests.sick_toys:Sick\n    settings: {open_s: 600}\n    start_s: 600\n",
@@ -206,7 +206,7 @@ def test_a_signal_ends_an_agent_as_it_is_meant_to(tmp_path: Path, number: int) -
         assert "listens" in process.stdout.readline()
 
         process.send_signal(number)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=60)
 
     assert (process.returncode, "Traceback" in out + err) == (0, False)
 
@@ -235,7 +235,7 @@ def test_a_reader_that_leaves_ends_a_command_that_only_shows(tmp_path: Path) -> 
             looking.stdout.close()
             looking.stdout = None
 
-            _, err = looking.communicate(timeout=30)
+            _, err = looking.communicate(timeout=60)
 
         assert (looking.returncode, err) == (1, "")
         ends(process, signal.SIGTERM)

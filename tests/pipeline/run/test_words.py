@@ -223,8 +223,8 @@ def test_an_exchange_wakes_for_words_and_for_whoever_wakes_it() -> None:
         for wake in (lambda: node.sendall(b'{"event": "x"}\n'), exchange.wake):
             began_s = time.monotonic()
             wake()
-            exchange.wait(30)
-            assert time.monotonic() - began_s < 20
+            exchange.wait(120)
+            assert time.monotonic() - began_s < 60
             channel.events()
     exchange.remove(channel)
     channel.close()
