@@ -28,6 +28,7 @@ from ruamel.yaml.events import (
     StreamEndEvent,
 )
 from ruamel.yaml.nodes import ScalarNode
+from ruamel.yaml.scanner import Scanner
 
 from pipeline.errors import GraphError
 from pipeline.text import harmless
@@ -36,6 +37,7 @@ from pipeline.wording import shown, shown_key
 MOST_BYTES = 1 << 18
 MOST_VALUES = 20_000  # with aliases written out
 DEEPEST = 32  # levels
+TOO_DEEP = f"expected up to {DEEPEST} levels, got more"
 LONGEST_NUMBER = 400  # characters; what is longer has not even the range of a float
 WHOLE_LOW, WHOLE_HIGH = -(1 << 63), (1 << 64) - 1  # what messages can carry
 _FORBIDDEN = re.compile(
@@ -104,6 +106,8 @@ def _read(text: str, at: Callable[[int], str], word: str, data: bytes | None) ->
         return composer.document()
     except GraphError:
         raise
+    except _TooDeep as error:
+        raise GraphError(f"{at(error.line)}: {TOO_DEEP}") from error
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line if mark else composer.line
@@ -113,11 +117,30 @@ def _read(text: str, at: Callable[[int], str], word: str, data: bytes | None) ->
         raise GraphError(f"{at(composer.line)}: {word}{harmless(str(error), 200)}") from error
 
 
+class _TooDeep(Exception):
+    """Raised by the scanner, which reads ahead of the events."""
+
+    def __init__(self, line: int) -> None:
+        super().__init__()
+        self.line = line
+
+
+class _Scanner(Scanner):
+    """Stops at brackets within brackets: for each it would look at all that are open."""
+
+    def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:  # noqa: N803
+        """A bracket that opens."""
+        if self.flow_level >= DEEPEST:
+            raise _TooDeep(self.reader.line)
+        super().fetch_flow_collection_start(TokenClass, to_push)
+
+
 class _Composer:
     """Builds one value from the events of the parser, none of which it takes unbounded."""
 
     def __init__(self, text: str, at: Callable[[int], str]) -> None:
         yaml = YAML(typ="safe", pure=True)
+        yaml.Scanner = _Scanner
         self._events: Iterator[Event] = iter(yaml.parse(text))
         self._resolve = yaml.resolver.resolve
         self._at = at
@@ -155,7 +178,7 @@ class _Composer:
 
     def _value(self, event: Event, depth: int) -> Any:
         if depth > DEEPEST:
-            self._fail(f"expected up to {DEEPEST} levels, got more")
+            self._fail(TOO_DEEP)
         if isinstance(event, AliasEvent):
             return self._alias(event.anchor, depth)
         assert isinstance(event, (ScalarEvent, SequenceStartEvent, MappingStartEvent))
@@ -192,7 +215,7 @@ class _Composer:
 
     def _copied(self, value: Any, depth: int) -> Any:
         if depth > DEEPEST:
-            self._fail(f"expected up to {DEEPEST} levels, got more")
+            self._fail(TOO_DEEP)
         if isinstance(value, YamlMapping):
             copy = YamlMapping(value.place)
             for key, item in value.items():

@@ -24,6 +24,7 @@ from pipeline.run.child import KILLED_S, Child, ending
 from pipeline.run.crew import Crew
 from pipeline.run.slot import Slot
 from pipeline.settings import suggest
+from pipeline.wording import shown_key
 
 START_S = 60.0
 SPARE_S = 10.0  # for the spare process to be through with its imports
@@ -63,7 +64,9 @@ class Swap(Affair):
     def __init__(self, crew: Crew, order: SwapOrder) -> None:
         names = [n.name for n in filter(crew.plan.is_here, crew.plan.nodes)]
         if order.node not in names:
-            raise RunError(f"{crew.plan.name}: no node {order.node}{suggest(order.node, names)}")
+            raise RunError(
+                f"{crew.plan.name}: no node {shown_key(order.node)}{suggest(order.node, names)}"
+            )
         self._order, self._node = order, crew.plan.node(order.node)
         self._slot = crew.slots[self._node.process]
         if self._slot.child is None or not self._slot.child.going:

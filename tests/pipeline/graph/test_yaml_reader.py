@@ -24,7 +24,7 @@ LAUGHS = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 BAD = {
     "laughs": (LAUGHS, 5, "up to 20000 values"),
     "brackets": ("a:\n  " + "[" * 3000, 2, "up to 32 levels"),
-    "brackets on lines": ("a:\n" + " [\n" * 3000, 33, "up to 32 levels"),
+    "brackets on lines": ("a:\n" + " [\n" * 3000, 34, "up to 32 levels"),
     "dashes": ("- " * 3000, 1, "up to 32 levels"),
     "a long number": ("a: 1\nb: " + "9" * 5000, 2, "a number within 64 bits, got one of 5000"),
     "a number of 400 digits": ("a: " + "9" * 400, 1, "a whole number within 64 bits"),
