@@ -191,7 +191,6 @@ def test_a_run_ends_while_its_source_is_away(tmp_path: Path) -> None:
     assert (report["failure"], report["restarts"].get("ticker", 1)) == ("", 1)
 
 
-@pytest.mark.xfail(strict=True, reason="what a node that stays away had not read is not settled")
 def test_what_was_under_way_to_a_node_that_does_not_come_back_is_lost_in_a_crash(
     tmp_path: Path,
 ) -> None:
