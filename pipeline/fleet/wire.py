@@ -253,7 +253,7 @@ def write_plan(plan: Plan) -> str:
 
 
 def read_plan(text: str) -> Plan:
-    """A plan from untrusted text; raises `MessageError`. What it says is not checked yet."""
+    """A plan from untrusted text; raises `MessageError`, or `GraphError` for names and numbers."""
     try:
         return TypeAdapter(Plan).validate_json(text)
     except ValidationError as error:
