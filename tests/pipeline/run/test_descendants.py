@@ -53,7 +53,7 @@ def test_what_a_node_started_ends_with_the_run(tmp_path: Path, kind: str, count:
     pids: list[int] = []
 
     def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: note.exists() and len(note.read_text().split()) >= count)
+        wait_for(supervisor, lambda: note.exists() and len(note.read_text().split()) >= count, 60)
         pids.extend(noted(note, count))
         assert not any(ended(pid) for pid in pids)
         supervisor.finish()
