@@ -7,7 +7,7 @@ so that every frame is counted where it belongs.
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -68,8 +68,33 @@ class Watcher(Operator[WatcherSettings, None]):
         self._spans = {n: sums if n == s.span else self._spans[n] for n in newest}
 
     def headline(self) -> str:
-        """The last two spans, as JSON."""
-        return json.dumps({span: asdict(sums) for span, sums in self._spans.items()})
+        """The last two spans; a supervisor keeps no more than a line of it."""
+        return written(self._spans)
+
+
+def written(spans: Mapping[int, Sums]) -> str:
+    """Spans on one short line, which `read` understands.
+
+    >>> written({7: Sums(target="ball", frames=30, answered=28, iou=15.25, shown=30.0)})
+    '[[7,"ball",30,28,15.25,30.0]]'
+    """
+    rows = [
+        (n, s.target, s.frames, s.answered, round(s.iou, 2), round(s.shown, 2))
+        for n, s in sorted(spans.items())
+    ]
+    return json.dumps(rows, separators=(",", ":"))
+
+
+def read(line: str) -> dict[int, Sums]:
+    """The spans that `written` wrote.
+
+    >>> read('[[7,"ball",30,28,15.25,30.0]]')[7].answered
+    28
+    """
+    return {
+        span: Sums(target=target, frames=frames, answered=answered, iou=iou_, shown=shown)
+        for span, target, frames, answered, iou_, shown in json.loads(line)
+    }
 
 
 def counted(sums: Sums, percept: Percept, truth: Percept, roi: Frame) -> Sums:
@@ -119,7 +144,7 @@ class Spans:
         words = self._supervisor.headlines.get(NODE, "")
         if words != self._heard:
             self._heard = words
-            self._sums |= {int(n): Sums(**sums) for n, sums in json.loads(words).items()}
+            self._sums |= read(words)
 
     def rows(self) -> list[dict[str, Any]]:
         """Means of every span in which something could be seen."""

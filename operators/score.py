@@ -5,7 +5,8 @@ Which object of the truth counts:
 - with a scanpath connected, the one that the policy shows. It is settled by the overlap of the
   truth with the box that the policy foresees for its choice, and changes when another object is
   under that box in `SETTLED` frames. A choice that lies on nothing, or a place, changes nothing: a
-  policy that loses its target is no excuse for its consumer. The consumer's own box has no say;
+  policy that loses its target is no excuse for its consumer. The consumer's own box has no say.
+  Whether the policy shows what it was asked for is another figure: the ROI's coverage, or a label;
 - else the one that the consumer's box overlapped when it started, or began with another id.
 
 From then on every frame counts in which that object can be seen. A frame without a box (lost)

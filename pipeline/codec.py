@@ -13,7 +13,7 @@ import hashlib
 import types
 import typing
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Generic, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Generic, TypeVar, Union, cast, get_args, get_origin
 
 import msgspec
 import numpy as np
@@ -56,6 +56,8 @@ class Schema(Generic[T]):
         self._quick = None if deep else _twin(cls, self._plain)
         flat = all(isinstance(kind, Array) for _, _, kind, _ in self.converted)
         self._flat = flat and not deep and bool(self.converted)
+        if flat and len(self.converted) == 1:
+            cast(Array, self.converted[0][2]).alone = True
         self._checked = hasattr(cls, "__post_init__") or not hasattr(cls, "__dict__")
 
     @property

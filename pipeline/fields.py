@@ -108,6 +108,8 @@ class Array(Kind):
     def __init__(self, dtypes: frozenset[str], shape: Shape | None) -> None:
         super().__init__(f"array[{'|'.join(sorted(dtypes))}]{shape or ''}", _Spot)
         self.dtypes, self.shape = dtypes, shape
+        self.alone = False  # in its message: its sides agree with no others
+        self._fitting: tuple[int, ...] | None = None  # the last sides, when it is alone
 
     def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
         self._check(value, known, where)
@@ -134,8 +136,8 @@ class Array(Kind):
             raise MessageError(f"{where}: expected an offset of whole items, got {spot}")
         if raw.nbytes != nbytes:
             raise MessageError(f"{where}: expected {nbytes} bytes for {sides}, got {raw.nbytes}")
-        if self.shape:
-            self.shape.check(where, sides, known)
+        if sides != self._fitting:
+            self._check_sides(sides, known, where)
         try:
             array: NDArray[Any] = np.ndarray(sides, dtype, raw)
         except (ValueError, OverflowError) as error:  # nothing, as 0 x 2^63, is too big as well
@@ -146,5 +148,11 @@ class Array(Kind):
         if not isinstance(value, np.ndarray) or value.dtype.str not in self.dtypes:
             got = value.dtype.str if isinstance(value, np.ndarray) else type(value).__name__
             raise MessageError(f"{where}: expected {self.text}, got {got}")
+        if value.shape != self._fitting:
+            self._check_sides(value.shape, known, where)
+
+    def _check_sides(self, sides: tuple[int, ...], known: dict[str, int], where: str) -> None:
         if self.shape:
-            self.shape.check(where, value.shape, known)
+            self.shape.check(where, sides, known)
+        if self.alone:
+            self._fitting = sides

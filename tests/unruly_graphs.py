@@ -12,7 +12,7 @@ UNRULY = """\
 nodes:
   ticker:
     operator: tests.toys:Ticker
-    settings: {rate_hz: 60, side_px: 60}
+    settings: {rate_hz: 20, side_px: 60}
   unruly:
     operator: tests.sick_toys:Unruly
     restart: {backoff_s: 0.01}
@@ -47,7 +47,7 @@ def name_of(graph: Path) -> str:
 
 def recovers(supervisor: Supervisor) -> None:
     """The unruly part comes back once, and frames arrive behind it."""
-    wait_for(supervisor, lambda: supervisor.restarts.get("unruly") == 1)
+    wait_for(supervisor, lambda: supervisor.restarts.get("unruly") == 1, 60)
     seen = handled(supervisor, "after")
-    wait_for(supervisor, lambda: handled(supervisor, "after") > seen + 5)
+    wait_for(supervisor, lambda: handled(supervisor, "after") > seen + 5, 60)
     supervisor.finish()

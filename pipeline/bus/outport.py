@@ -80,7 +80,8 @@ class OutPort:
         self.readers = tuple(readers)
         self._epoch = epoch
         self._ordinal = self._counted()
-        self._mark = codec.fingerprint(message)
+        self._schema = codec.schema(message)
+        self._mark = self._schema.fingerprint
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
         self._doors = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
@@ -164,7 +165,7 @@ class OutPort:
         if message is None:
             self.discard()
             self._count()
-            self._send(self._wrap(NOTHING, None, codec.pack(header)), ())
+            self._send(self._wrap(NOTHING, None, header), ())
             return
         if type(message) is not self._message:
             raise MessageError(
@@ -172,7 +173,7 @@ class OutPort:
             )
         lease = self._room_for(message)
         try:
-            body = codec.pack(message, partial(_place, lease))
+            body = self._schema.write(message, partial(_place, lease))
         except MessageError:
             self.discard()
             raise

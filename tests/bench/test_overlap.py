@@ -9,11 +9,22 @@ import pytest
 from click.testing import CliRunner
 
 from bench import follow
-from bench.overlap import Sums, Watcher, WatcherSettings, counted, ends, mean, watched
+from bench.overlap import (
+    Sums,
+    Watcher,
+    WatcherSettings,
+    counted,
+    ends,
+    mean,
+    read,
+    watched,
+    written,
+)
 from bench.soak import faded
 from pipeline import Frame, Percept
 from pipeline.errors import RunError
 from pipeline.graph.loader import load
+from pipeline.run.supervisor import MOST_HEADLINE
 from pipeline.testing import header
 from tests.toy_graphs import LOOP
 
@@ -69,11 +80,17 @@ def test_the_watcher_tells_the_last_two_spans_each_with_its_own_target() -> None
         subject.on_settings(WatcherSettings(span=span, target=target))
         subject.on_percept_truth_roi(seen(BALL), seen(BALL, texts=("ball",)), roi())
 
-    told = json.loads(subject.headline())
+    told = read(subject.headline())
 
-    assert list(told) == ["1", "2"]
-    assert told["1"] == {"target": "referee", "frames": 0, "answered": 0, "iou": 0.0, "shown": 0.0}
-    assert told["2"]["iou"] == 1.0
+    assert list(told) == [1, 2]
+    assert told[1] == Sums(target="referee")
+    assert told[2].iou == 1.0
+
+
+def test_what_the_watcher_tells_of_long_spans_fits_into_a_headline() -> None:
+    long = Sums(target="x" * 20, frames=10**7, answered=10**7, iou=1e7 / 3, shown=1e7 / 3)
+
+    assert len(written({10**5: long, 10**5 + 1: long})) <= MOST_HEADLINE
 
 
 def row(span: int, iou: float, target: str = "ball") -> dict[str, Any]:

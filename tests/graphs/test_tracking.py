@@ -9,14 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from pipeline.boxes import covered
 from pipeline.console.running import status_line
 from pipeline.graph.loader import load
-from pipeline.graph.overlay import Overlay
-from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from tests.shared_data import Footage
@@ -45,41 +41,6 @@ def test_in_line_and_as_processes_the_sensor_gets_the_same_commands(tmp_path: Pa
     assert inline["roi_coverage"] == processes["roi_coverage"]
     for edge in processes["edges"]:
         assert edge["offered"] == edge["delivered"], edge
-
-
-@pytest.mark.parametrize("strategy", ["learned", "pursue"])
-def test_the_ball_of_the_procedural_scene_is_kept_in_view(strategy: str) -> None:
-    changes = (f"policy.strategy={strategy}",)
-    plan = load(GRAPH, Overlay(changes=changes, clock="lockstep"))
-    with InlineRunner(plan) as runner:
-        frames = list(runner.run(90))
-        report = runner.report()
-
-    assert len(frames) == 90
-    assert report["roi_coverage"]["ball"] > 0.6
-    assert report["iou"]["mean"] > 0.3
-    assert report["pixels"]["used"] == pytest.approx(report["pixels"]["budget"], rel=0.01)
-
-
-def test_another_prompt_moves_the_roi_while_the_graph_runs() -> None:
-    heard: dict[str, Any] = {}
-    inside: dict[str, list[float]] = {"ball": [], "main referee": []}
-    with InlineRunner(
-        load(GRAPH, Overlay(clock="lockstep")),
-        watch=lambda name, message: heard.update({name: message}),
-    ) as runner:
-        for seq in runner.run(60):
-            truth, window = heard["capture.truth"], heard["capture.roi"].window
-            boxes = dict(zip(truth.texts, truth.boxes, strict=True))
-            for label, shares in inside.items():
-                shares.append(float(covered(boxes[label][None], np.array(window, np.float32))[0]))
-            if seq == 30:
-                told = {"prompt_box": boxes["main referee"].tolist(), "target": ""}
-                runner.change("policy", told)
-
-    assert np.mean(inside["ball"][10:30]) > 0.9
-    assert np.mean(inside["main referee"][10:30]) < 0.5
-    assert np.mean(inside["main referee"][34:]) > 0.9
 
 
 def test_a_running_graph_tells_its_overlap_with_the_truth() -> None:

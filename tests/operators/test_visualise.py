@@ -123,6 +123,18 @@ def test_every_message_leaves_its_mark(tmp_path):
     }
 
 
+def test_a_consumer_that_has_lost_its_object_leaves_no_box_standing(tmp_path):
+    path = tmp_path / "seen.rrd"
+    none = np.zeros(0, np.float32)
+    seen = Percept(header=header(0), boxes=BOX, ids=ONE, scores=HALF)
+    lost = Percept(header=header(1), boxes=BOX[:0], ids=ONE[:0], scores=none)
+
+    drive(Visualise, [{"percept": seen}, {"percept": lost}], {"save": str(path)})
+
+    boxes = rows(list(RrdReader(path).stream()), "/sensor/percept", "Boxes2D:half_sizes")
+    assert [len(b) for b in boxes] == [1, 0]
+
+
 def test_times_are_the_frames_own(tmp_path):
     chunks = recorded(tmp_path, range(3))
 

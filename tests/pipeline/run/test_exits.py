@@ -96,7 +96,7 @@ def test_what_a_part_printed_after_it_had_closed_its_streams_went_nowhere_else(
     plan = unruly_plan(tmp_path, kind="close_streams", once=tmp_path / "once")
 
     def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: handled(supervisor, "after") > 20)
+        wait_for(supervisor, lambda: handled(supervisor, "after") > 20, 60)
         recovers(supervisor)
 
     report = go(plan, 0, during)

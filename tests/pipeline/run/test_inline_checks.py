@@ -98,11 +98,11 @@ OF_SOURCES = {
     "a message":
         "wrong.produce: expected a mapping of outputs (left, right) to messages or None, got a "
         "Frame",
-    "no message": "wrong.produce: expected at least one message or None, got no message",
+    "no message": "wrong.produce: expected a message or None, got no message",
     "an unknown output":
         "wrong: expected answers for its outputs (left, right), got one for 'oops'",
     "another message": "wrong.left: expected a Frame or None, got a Percept",
-    "two exposures": "wrong.produce: expected messages of one exposure, got several",
+    "two exposures": "wrong.produce: expected one exposure, got several",
     "no header": "wrong.produce: expected a Header in each message, got None",
     "a header of strings":
         "wrong.produce: Header.stamp_ns: expected int, got a str 'x'",

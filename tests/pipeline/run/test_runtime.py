@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -34,19 +33,15 @@ from tests.toy_graphs import (
 )
 
 
-def until_handled(node: str, frames: int) -> Callable[[Supervisor], None]:
-    """Let the graph run until a node has handled more than so many frames."""
-
-    def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: handled(supervisor, node) > frames)
-        supervisor.finish()
-
-    return during
+def until_steered(supervisor: Supervisor) -> None:
+    """Let the loop run until the source has had more than twenty commands."""
+    wait_for(supervisor, lambda: account_of(supervisor, "ticker.schedule").delivered > 20)
+    supervisor.finish()
 
 
 def test_the_loop_closes_and_every_account_adds_up(tmp_path: Path) -> None:
     began_s = time.monotonic()
-    report = go(plan_of(tmp_path, LOOP), 0, until_handled("steer", 20))
+    report = go(plan_of(tmp_path, LOOP), 0, until_steered)
     took_ms = 1000 * (time.monotonic() - began_s)
 
     assert_accounts_add_up(report)
@@ -193,6 +188,26 @@ def test_a_run_ends_while_its_source_is_away(tmp_path: Path) -> None:
 
     report = go(plan_of(tmp_path, LOOP), 0, kill)
 
+    assert (report["failure"], report["restarts"].get("ticker", 1)) == ("", 1)
+
+
+def test_what_was_under_way_to_a_node_that_does_not_come_back_is_lost_in_a_crash(
+    tmp_path: Path,
+) -> None:
+    text = CHAIN.replace("  count:\n", "  count:\n    restart: never\n")
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
+        pid = send_signal(supervisor, "count", signal.SIGSTOP)
+        account = account_of(supervisor, "count.frame")
+        until(lambda: account.in_flight > 2)
+        os.kill(pid, signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.pid("count") == 0)
+        supervisor.finish()
+
+    report = go(plan_of(tmp_path, text), 0, kill)
+
+    assert edge(report, "count.frame")["lost_in_crash"] > 2
     assert_accounts_add_up(report)
 
 
@@ -343,7 +358,7 @@ def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, text)
     assert set(plan.processes()) == {"ticker", "hand", "steer"}
 
-    report = go(plan, 0, until_handled("steer", 20))
+    report = go(plan, 0, until_steered)
 
     assert report["loop"]["commands"] > 20
     assert_accounts_add_up(report)

@@ -1,6 +1,7 @@
 """A machine that has too little of something is told of in one sentence; nothing is left behind."""
 
 import gc
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -21,7 +22,8 @@ from tests.unruly_graphs import name_of, unruly_file
 @pytest.mark.parametrize("most", [8, 12, 16, 20, 24])
 def test_too_few_descriptors_are_one_sentence(tmp_path: Path, most: int) -> None:
     graph = unruly_file(tmp_path, text=LOOP)
-    words = f"ulimit -n {most}; exec {sys.executable} -m pipeline.entry run {graph} --frames 5"
+    run = shlex.join([sys.executable, "-m", "pipeline.entry", "run", str(graph), "--frames", "5"])
+    words = f"ulimit -n {most}; exec {run}"
 
     done = subprocess.run(
         ["bash", "-c", words], capture_output=True, text=True, timeout=90, check=False

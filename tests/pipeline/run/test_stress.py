@@ -198,5 +198,5 @@ def test_of_two_supervisors_that_start_at_once_one_is_refused(tmp_path: Path) ->
     both[1].send_signal(signal.SIGTERM)  # it would run for ever
     both[1].communicate(timeout=60)
 
-    assert [process.returncode for process in both] == [1, 0]
+    assert [process.returncode for process in both] == [1, 128 + signal.SIGTERM]
     assert refused.strip().endswith("already running, see `fovea ps`")

@@ -16,7 +16,7 @@ from tests.unruly_graphs import unruly_plan
 def swap(supervisor: Supervisor, **changes: Any) -> list[dict[str, Any]]:
     """Begin a swap of the unruly part; its answer comes into the list."""
     answers: list[dict[str, Any]] = []
-    wait_for(supervisor, lambda: handled(supervisor, "after") > 5)
+    wait_for(supervisor, lambda: handled(supervisor, "after") > 5, 60)
     order = SwapOrder(node="unruly", changes=changes, probation=5)
     supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
     return answers
@@ -41,7 +41,7 @@ def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str,
         wait_for(supervisor, lambda: bool(found), 60)
         answers.extend(found)
         seen = handled(supervisor, "after")
-        wait_for(supervisor, lambda: handled(supervisor, "after") > seen + 5)
+        wait_for(supervisor, lambda: handled(supervisor, "after") > seen + 5, 60)
         supervisor.finish()
 
     report = go(unruly_plan(tmp_path), 0, during)
@@ -61,7 +61,7 @@ def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: P
         supervisor.start()
         answers = swap(supervisor, kind="slow_open")
         slot = supervisor.slots["unruly"]
-        wait_for(supervisor, lambda: any(c is not slot.child for c in of(supervisor, "unruly")))
+        wait_for(supervisor, lambda: any(c is not slot.child for c in of(supervisor, "unruly")), 60)
         supervisor.asked_to_end = lambda: 1
         supervisor.finish()
 

@@ -78,7 +78,7 @@ def test_an_exception_text_drives_no_terminal_and_no_log_line(
 @pytest.mark.parametrize("size", [3_000, 3_000_000])
 def test_a_headline_is_cut_to_a_line(tmp_path: Path, size: int) -> None:
     def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: bool(supervisor.headlines))
+        wait_for(supervisor, lambda: bool(supervisor.headlines), 60)
         supervisor.finish()
         shown.append(supervisor.headlines["unruly"])
 
@@ -122,7 +122,7 @@ def test_a_state_that_cannot_be_had_costs_the_swap_alone(tmp_path: Path) -> None
     answers: list[dict[str, Any]] = []
 
     def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: handled(supervisor, "after") > 5)
+        wait_for(supervisor, lambda: handled(supervisor, "after") > 5, 60)
         order = SwapOrder(node="unruly", probation=5)
         supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
         wait_for(supervisor, lambda: bool(answers), 60)
@@ -223,8 +223,8 @@ def test_an_exchange_wakes_for_words_and_for_whoever_wakes_it() -> None:
         for wake in (lambda: node.sendall(b'{"event": "x"}\n'), exchange.wake):
             began_s = time.monotonic()
             wake()
-            exchange.wait(30)
-            assert time.monotonic() - began_s < 20
+            exchange.wait(120)
+            assert time.monotonic() - began_s < 60
             channel.events()
     exchange.remove(channel)
     channel.close()
