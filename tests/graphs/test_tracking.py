@@ -9,14 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pytest
-
-from pipeline.boxes import covered
 from pipeline.console.running import status_line
 from pipeline.graph.loader import load
-from pipeline.graph.overlay import Overlay
-from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from tests.toy_graphs import handled, wait_for
