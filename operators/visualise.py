@@ -4,6 +4,7 @@ The only file that knows Rerun. It answers nothing and is connected by taps: wha
 is missing in the picture, never in the graph. Everything is drawn in sensor pixels under `sensor`.
 """
 
+import ctypes
 import socket
 import sys
 import time
@@ -125,6 +126,8 @@ class Visualise(Operator[VisualiseSettings, None]):
         late = ""  # what went wrong after the summary
         if recording is not None and self._file is not None:
             late = self._file.close(recording.disconnect)
+            if not self._file.ended:
+                never_collect(recording)
         elif recording is not None:
             recording.disconnect()
         if self._server is not None:
@@ -328,6 +331,14 @@ def record(path: str, url: str) -> rr.RecordingStream:
     except RuntimeError as error:
         raise RunError(f"visualise.save: {path} cannot be written: {error}") from error
     return recording
+
+
+def never_collect(recording: rr.RecordingStream) -> None:
+    """Leave a recording to the end of the process.
+
+    Its destructor waits for a writer thread, which a full disk stops for ever.
+    """
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(recording))
 
 
 def flushed(recording: rr.RecordingStream, timeout_s: float) -> bool:

@@ -28,6 +28,7 @@ class GrowingFile:
         self._whole_seq: int | None = None
         self._looked_s = time.monotonic()
         self.failure = ""  # one sentence, once nothing more can be written
+        self.ended = False  # the library has ended the file
 
     def is_written(self, seq: int | None) -> bool:
         """Whether what was handed to the library up to a frame arrives; looked at at times."""
@@ -58,6 +59,7 @@ class GrowingFile:
         ending = threading.Thread(target=disconnect, daemon=True)
         ending.start()
         ending.join(CLOSE_S)
+        self.ended = not ending.is_alive()
         if self._bytes() <= self._whole_bytes and self._is_full():  # its last bytes are missing
             self._give_up()
         return self.failure
