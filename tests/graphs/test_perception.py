@@ -1,7 +1,7 @@
-"""What the shipped networks see and follow: means over several seeds, on any machine.
+"""What the shipped networks keep in view and follow: means over several seeds, on any machine.
 
-A bar is the measured mean less three standard deviations of the mean of as many seeds as the test
-draws. Nothing here needs footage or weights from elsewhere.
+A bar lies at or below the measured mean less three standard deviations of the mean of as many seeds
+as the test draws. Nothing here needs footage or weights from elsewhere.
 """
 
 from collections.abc import Sequence
@@ -12,116 +12,91 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.boxes import covered
+from pipeline.boxes import covered, iou
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.run.inline import InlineRunner
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
 FRAMES = 60
-SEEDS = (401, 402, 404)
-ELSEWHERE = {  # what another machine may change: the order of sums, the last bit of a pixel
+CHANGED = 30  # the frame after which the policy is asked for the referee
+SEEDS = (401, 404, 405)
+MORE_SEEDS = (*SEEDS, 402, 407, 409)
+# Over the 13 of the seeds 401 to 416 that show ball and referee: mean, standard deviation, bar
+BALL = 0.95  # .999, .003: .993 for three seeds
+REFEREE = 0.95  # .998, .005: .989 for three seeds
+FOLLOWED = 0.23  # .605, .213: .236 for three seeds
+# Share of the ball inside the ROI in all 60 frames under pursuit, over 14 of the seeds 401 to 416
+PURSUED = 0.21  # .661, .366: .213 for six seeds
+ELSEWHERE = {  # what another machine may change: the order of sums, a grey level of a pixel
     "two threads": tuple(f"{n}.threads=2" for n in ("saliency", "policy", "roi_features")),
     "noise": ("capture.noise=1.0",),
 }
 
 
 @dataclass(frozen=True)
-class Figures:
-    """Of one run: share of the ball inside the ROI, IoU of the tracker, share of pixels read."""
+class Shares:
+    """Of one run: means over frames; the ball before the change, the referee after it."""
 
-    coverage: float
-    iou: float
-    pixels: tuple[float, float]  # budget, used
-
-
-def figures(seed: int, *changes: str) -> Figures:
-    """The shipped graph, in line, for `FRAMES` frames of the procedural scene."""
-    told = (f"capture.seed={seed}", "score.label=ball", *changes)
-    with InlineRunner(load(GRAPH, Overlay(changes=told, clock="lockstep"))) as runner:
-        for _ in runner.run(FRAMES):
-            pass
-        report = runner.report()
-    pixels = report["pixels"]
-    return Figures(
-        report["roi_coverage"]["ball"], report["iou"]["mean"], (pixels["budget"], pixels["used"])
-    )
+    ball: float  # share of its box inside the ROI
+    referee: float
+    iou: float  # of the consumer's box with the referee's, 0 where it has none
 
 
-def means(seeds: Sequence[int], *changes: str) -> tuple[float, float]:
-    """Coverage and IoU over the seeds; every run keeps its budget."""
-    found = [figures(seed, *changes) for seed in seeds]
-    for each in found:
-        assert each.pixels[1] == pytest.approx(each.pixels[0], rel=0.01)
-    return float(np.mean([f.coverage for f in found])), float(np.mean([f.iou for f in found]))
-
-
-# Over seeds 401 to 412: coverage and IoU, mean and standard deviation
-#   learned: COVER_L, IOU_L
-#   pursue:  COVER_P, IOU_P
-BARS = {"learned": (0.0, 0.0), "pursue": (0.0, 0.0)}
-
-
-@pytest.mark.parametrize("strategy", BARS)
-def test_the_ball_of_the_procedural_scene_is_kept_in_view_and_followed(strategy: str) -> None:
-    coverage, iou = means(SEEDS, f"policy.strategy={strategy}")
-
-    assert coverage > BARS[strategy][0]
-    assert iou > BARS[strategy][1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", ELSEWHERE.values(), ids=ELSEWHERE)
-@pytest.mark.parametrize("strategy", BARS)
-def test_threads_and_a_grey_level_of_noise_change_little(
-    strategy: str, changes: tuple[str, ...]
-) -> None:
-    coverage, iou = means(SEEDS, f"policy.strategy={strategy}", *changes)
-
-    assert coverage > BARS[strategy][0]
-    assert iou > BARS[strategy][1]
-
-
-def prompted(seed: int, *changes: str) -> dict[str, Any]:
-    """Shares of ball and referee inside the ROI, before and after a box around the referee."""
+def run(seed: int, *changes: str) -> Shares:
+    """The shipped graph, in line: the ball is asked for, later the referee by a box."""
     heard: dict[str, Any] = {}
-    inside: dict[str, list[float]] = {"ball": [], "main referee": []}
-    overlay = Overlay(changes=(f"capture.seed={seed}", *changes), clock="lockstep")
-    with InlineRunner(
-        load(GRAPH, overlay), watch=lambda name, message: heard.update({name: message})
-    ) as runner:
+    ball, referee, overlap = [], [], []
+    plan = load(GRAPH, Overlay(changes=(f"capture.seed={seed}", *changes), clock="lockstep"))
+    with InlineRunner(plan, watch=lambda name, message: heard.update({name: message})) as runner:
         for seq in runner.run(FRAMES):
-            truth, window = heard["capture.truth"], heard["capture.roi"].window
-            boxes = dict(zip(truth.texts, truth.boxes, strict=True))
-            for label, shares in inside.items():
-                shares.append(float(covered(boxes[label][None], np.array(window, np.float32))[0]))
-            if seq == 30:
-                told = {"prompt_box": boxes["main referee"].tolist(), "target": ""}
+            truth, window = heard["capture.truth"], np.array(heard["capture.roi"].window)
+            boxes = dict(zip(truth.texts, truth.boxes[:, None], strict=True))
+            if 10 <= seq < CHANGED and "ball" in boxes:
+                ball.append(float(covered(boxes["ball"], window)[0]))
+            if seq == CHANGED:
+                told = {"prompt_box": boxes["main referee"][0].tolist(), "target": ""}
                 runner.change("policy", told)
-    return inside
+            if seq >= CHANGED + 4:
+                referee.append(float(covered(boxes["main referee"], window)[0]))
+            if seq >= CHANGED + 10:
+                seen = heard["tracker.out"].boxes
+                overlap.append(float(iou(boxes["main referee"], seen).max(initial=0)))
+        pixels = runner.report()["pixels"]
+    assert pixels["used"] == pytest.approx(pixels["budget"], rel=0.01)
+    return Shares(float(np.mean(ball)), float(np.mean(referee)), float(np.mean(overlap)))
 
 
-def check_prompted(seeds: Sequence[int], *changes: str) -> None:
-    """The ROI is on the ball before the prompt and on the referee after it."""
-    found = [prompted(seed, *changes) for seed in seeds]
+def check(seeds: Sequence[int], *changes: str) -> None:
+    """The means over the seeds are above the bars."""
+    found = [run(seed, *changes) for seed in seeds]
 
-    assert np.mean([f["ball"][10:30] for f in found]) > BALL_BEFORE
-    assert np.mean([f["main referee"][34:] for f in found]) > REFEREE_AFTER
-
-
-# Over eleven seeds whose referee and ball are in the picture: mean and standard deviation
-BALL_BEFORE = 0.0
-REFEREE_AFTER = 0.0
-PROMPT_SEEDS = (401, 404)
+    assert np.mean([shares.ball for shares in found]) > BALL
+    assert np.mean([shares.referee for shares in found]) > REFEREE
+    assert np.mean([shares.iou for shares in found]) > FOLLOWED
 
 
-def test_another_prompt_moves_the_roi_while_the_graph_runs() -> None:
-    check_prompted(PROMPT_SEEDS)
+def test_the_roi_and_the_consumer_go_with_what_the_policy_is_asked_for() -> None:
+    check(SEEDS)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", ELSEWHERE.values(), ids=ELSEWHERE)
-def test_a_prompt_is_met_with_other_threads_and_a_grey_level_of_noise(
+def test_threads_and_a_grey_level_of_noise_change_little(changes: tuple[str, ...]) -> None:
+    check(SEEDS, *changes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", [(), *ELSEWHERE.values()], ids=["as shipped", *ELSEWHERE])
+def test_pursuit_keeps_the_ball_in_view_without_the_learned_policy(
     changes: tuple[str, ...],
 ) -> None:
-    check_prompted(PROMPT_SEEDS, *changes)
+    found = []
+    for seed in MORE_SEEDS:
+        told = (f"capture.seed={seed}", "policy.strategy=pursue", *changes)
+        with InlineRunner(load(GRAPH, Overlay(changes=told, clock="lockstep"))) as runner:
+            for _ in runner.run(FRAMES):
+                pass
+            found.append(runner.report()["roi_coverage"]["ball"])
+
+    assert np.mean(found) > PURSUED

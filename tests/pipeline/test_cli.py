@@ -114,7 +114,7 @@ def test_a_wrong_graph_exits_with_2_and_one_sentence(graph: Path) -> None:
         (["--set", "work.evry=2"], "did you mean 'every'"),
         (["--source", "nowhere.yaml"], "cannot be read"),
         (["--save", "x.rrd"], "needs a node with a setting `save`"),
-        (["--with", "viewer"], "no node 'viewer'"),
+        (["--with", "viewer"], "no node viewer"),
     ],
 )
 def test_wrong_options_exit_with_2_and_say_why(graph: Path, words: list[str], said: str) -> None:

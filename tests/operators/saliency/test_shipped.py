@@ -1,52 +1,72 @@
-"""The detector that fovea ships, on a procedural scene it never saw."""
+"""The detector that fovea ships, on procedural scenes it never saw."""
+
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from drivers.soccer import SoccerScene
+from drivers.source import Truth
 from operators.saliency import Saliency
 from pipeline import Detections, Frame
 from pipeline.boxes import iou
 from pipeline.testing import drive, header
 
-HELD_OUT_SEED = 70_001  # neither trained on, nor used to choose thresholds or to score
+HELD_OUT = (70_001, 70_003)  # seeds neither trained on, nor used to choose thresholds or to score
+MOMENTS = (0, 120, 240, 360)
+# Recall of players in four pictures of a seed, over seeds 70001 to 70011: mean .955, standard
+# deviation .041; the same with two threads, within .013 with noise of a grey level
+LEAST_RECALL = 0.86  # below .955 - 3 * .041 / sqrt(2)
+Answer = tuple[Detections, Truth]
 
 
-@pytest.fixture(scope="module")
-def answers() -> list[tuple[Detections, np.ndarray, tuple[str, ...]]]:
-    """Detections, true boxes and true labels of a few well-spaced frames."""
-    scene = SoccerScene(size_px=(1920, 1080), seed=HELD_OUT_SEED)
+def looked(seed: int, *, threads: int = 1, noise: int = 0) -> list[Answer]:
+    """Detections and truth of a few well-spaced frames, with up to `noise` grey levels added."""
+    scene, rng = SoccerScene(size_px=(1920, 1080), seed=seed), np.random.default_rng(seed)
     frames, truths = [], []
-    for index in (0, 120, 240, 360):
+    for index in MOMENTS:
         pixels = cv2.resize(scene.picture(index), (480, 270), interpolation=cv2.INTER_AREA)
-        frames.append(
-            Frame(header=header(index), pixels=np.asarray(pixels), window=(0, 0, 1920, 1080))
-        )
+        grain = rng.integers(-noise, noise + 1, pixels.shape)
+        noisy: NDArray[np.uint8] = np.clip(pixels + grain, 0, 255).astype(np.uint8)
+        frames.append(Frame(header=header(index), pixels=noisy, window=(0, 0, 1920, 1080)))
         truths.append(scene.truth(index))
     scene.close()
-    found = drive(Saliency, frames)
-    return [(f, t.boxes, t.labels) for f, t in zip(found, truths, strict=True) if t]
+    return list(zip(drive(Saliency, frames, {"threads": threads}), truths, strict=True))
 
 
-def test_most_players_of_an_unseen_match_are_found(
-    answers: list[tuple[Detections, np.ndarray, tuple[str, ...]]],
-) -> None:
+def recall(answers: Sequence[Answer]) -> float:
+    """Share of the players that are found."""
     found, present = 0, 0
-    for detections, boxes, labels in answers:
-        players = boxes[[label in ("player", "goalkeeper") for label in labels]]
+    for detections, truth in answers:
+        players = truth.boxes[[label in ("player", "goalkeeper") for label in truth.labels]]
         mine = detections.boxes[detections.labels == detections.names.index("player")]
         found += int((iou(mine, players) >= 0.5).any(0).sum())
         present += len(players)
-
     assert present > 20
-    assert found / present > 0.7
+    return found / present
 
 
-def test_features_come_along_for_every_object(
-    answers: list[tuple[Detections, np.ndarray, tuple[str, ...]]],
-) -> None:
-    for detections, _, _ in answers:
+@pytest.fixture(scope="module")
+def answers() -> list[list[Answer]]:
+    return [looked(seed) for seed in HELD_OUT]
+
+
+def test_most_players_of_unseen_matches_are_found(answers: list[list[Answer]]) -> None:
+    assert np.mean([recall(each) for each in answers]) > LEAST_RECALL
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("threads", "noise"), [(2, 0), (1, 1)])
+def test_threads_and_a_grey_level_of_noise_change_little(threads: int, noise: int) -> None:
+    found = [recall(looked(seed, threads=threads, noise=noise)) for seed in HELD_OUT]
+
+    assert np.mean(found) > LEAST_RECALL
+
+
+def test_features_come_along_for_every_object(answers: list[list[Answer]]) -> None:
+    for detections, _ in (answer for each in answers for answer in each):
         assert detections.names == ("player", "referee", "ball")
         assert detections.features.shape == (len(detections.scores), 64)
         assert np.isfinite(detections.features).all()
