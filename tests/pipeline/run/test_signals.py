@@ -38,13 +38,14 @@ def written(tmp_path: Path, text: str) -> Path:
 
 @contextmanager
 def fovea(*words: str) -> Iterator["subprocess.Popen[str]"]:
-    """The command in a session of its own; SIGINT is heard whoever started the tests."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """The command in a session of its own; it hears all signals whoever started the tests."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
     process = subprocess.Popen(
         [*FOVEA, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
     )  # fmt: skip
-    signal.signal(signal.SIGINT, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
     try:
         yield process
     finally:
