@@ -195,7 +195,7 @@ def same(box: Box, other: Box) -> bool:
     Overlap would not do: a ball of 15 pixels is foreseen some pixels beside itself.
 
     >>> ball = np.array([100, 100, 116, 116], np.float32)
-    >>> same(ball, ball + 10), same(ball, ball + 20), same(ball, ball * [1, 1, 2, 2])
+    >>> same(ball, ball + 8), same(ball, ball + 20), same(ball, ball * [1, 1, 2, 2])
     (True, False, False)
     """
     small, large = sorted(float(sizes(b[None])[0]) for b in (box, other))
