@@ -351,10 +351,12 @@ def test_an_order_to_a_supervisor_that_is_killed_is_not_waited_for(tmp_path: Pat
         ThreadPoolExecutor(1) as pool,
     ):
         assert supervisor.stdout is not None
-        supervisor.stdout.readline()
-        asked = pool.submit(tell, plan.name, SwapOrder(node="work", at=1 << 30))
-        until(lambda: any((base() / plan.name).glob("work.2.door")))
-        supervisor.kill()
+        try:
+            supervisor.stdout.readline()
+            asked = pool.submit(tell, plan.name, SwapOrder(node="work", at=10**9))
+            until(lambda: asked.done() or any((base() / plan.name).glob("work.2.door")))
+        finally:
+            supervisor.kill()  # else leaving the context would wait for it for ever
         with pytest.raises(RunError, match="ended before that was done"):
             asked.result(60)
 
