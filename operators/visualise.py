@@ -4,7 +4,6 @@ The only file that knows Rerun. It answers nothing and is connected by taps: wha
 is missing in the picture, never in the graph. Everything is drawn in sensor pixels under `sensor`.
 """
 
-import ctypes
 import socket
 import sys
 import time
@@ -27,7 +26,7 @@ from numpy.typing import NDArray
 from pipeline.boxes import centres
 from pipeline.contract import INCOMPLETE, Input, Operator
 from pipeline.errors import MessageError, RunError, SettingsError
-from pipeline.growing_file import GrowingFile
+from pipeline.growing_file import GrowingFile, never_collect
 from pipeline.messages import (
     Detections,
     Frame,
@@ -331,14 +330,6 @@ def record(path: str, url: str) -> rr.RecordingStream:
     except RuntimeError as error:
         raise RunError(f"visualise.save: {path} cannot be written: {error}") from error
     return recording
-
-
-def never_collect(recording: rr.RecordingStream) -> None:
-    """Leave a recording to the end of the process.
-
-    Its destructor waits for a writer thread, which a full disk stops for ever.
-    """
-    ctypes.pythonapi.Py_IncRef(ctypes.py_object(recording))
 
 
 def flushed(recording: rr.RecordingStream, timeout_s: float) -> bool:

@@ -5,6 +5,7 @@ instead; when it stops growing it is cut where it was whole last, so that it can
 """
 
 import contextlib
+import ctypes
 import os
 import shutil
 import threading
@@ -84,3 +85,11 @@ class GrowingFile:
             return shutil.disk_usage(self._path.parent).free < FULL_BYTES
         except OSError:
             return False
+
+
+def never_collect(writer: object) -> None:
+    """Leave a library's object to the end of the process.
+
+    Its destructor may wait for a writer thread, which a full disk stops for ever.
+    """
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(writer))
