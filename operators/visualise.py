@@ -100,9 +100,8 @@ class Visualise(Operator[VisualiseSettings, None]):
             # not in the settings themselves: a graph may hold a viewer that is not started
             raise SettingsError("visualise.save: expected save, connect or serve, got none")
         self._trails: dict[int, deque[NDArray[np.float32]]] = {}
-        url = s.connect
+        url = f"rerun+http://127.0.0.1:{s.port}/proxy" if s.serve else s.connect
         if s.serve:
-            url = f"rerun+http://127.0.0.1:{s.port}/proxy"
             self._server = serve(s.port, s.web_port)
         if url:
             await_listener(url)
@@ -321,8 +320,7 @@ def record(path: str, url: str) -> rr.RecordingStream:
     recording.set_log_time_enabled(False)  # the frame's own times are told instead
     sinks: list[Any] = [rr.GrpcSink(url)] if url else []
     if path:
-        folder = Path(path).absolute().parent
-        if not folder.is_dir():
+        if not (folder := Path(path).absolute().parent).is_dir():
             raise RunError(f"visualise.save: expected a folder {folder}, got none")
         sinks.append(rr.FileSink(path))
     try:
