@@ -178,7 +178,10 @@ class RoiSchedule(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Percept(Message):
-    """What a consumer made of context and ROI: boxes with ids, texts, or an action."""
+    """What a consumer made of context and ROI: boxes with ids, texts, or an action.
+
+    No box means that there is nothing to follow, or that it is lost.
+    """
 
     boxes: Boxes
     ids: Ids
