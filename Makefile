@@ -36,7 +36,7 @@ test-slow: $(VENV)/.installed-dev
 		--hypothesis-profile search
 
 test-footage: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m "footage and not hardware" -rs --shared "$(SHARED)"
+	$(BIN)/python -m pytest -m "footage and not hardware" -rs --shared="$(SHARED)"
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -86,7 +86,7 @@ def footage(
         pytest.fail(f"{request.node.name}: expected the mark `footage` on it, got none")
     folder: Path = request.config.getoption("--shared")
     if not folder.is_dir():
-        pytest.skip(f"no footage: {folder} is not a folder; --shared PATH says where it is")
+        pytest.skip(f"no footage: {folder} is not a folder; --shared=PATH says where it is")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))  # weights pulled there are for nobody else
     return Footage(folder)
 
