@@ -126,12 +126,12 @@ class Visualise(Operator[VisualiseSettings, None]):
             late = self._file.close(recording.disconnect)
             if not self._file.ended:
                 never_collect(recording)
+                rr.unregister_shutdown()  # it would wait for the same writer
         elif recording is not None:
             recording.disconnect()
         if self._server is not None:
             self._server.terminate()
             self._server.wait()
-            self._server = None
         if late:
             raise RunError(f"visualise.save: {late}")
 

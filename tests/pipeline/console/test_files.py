@@ -140,10 +140,7 @@ def test_a_report_that_does_not_fit_is_printed_and_the_old_one_stays(
     assert "Traceback" not in done.stderr
 
 
-# in line, Rerun's own writer sometimes keeps the process from ending: not solved
-@pytest.mark.parametrize(
-    "words", [pytest.param(("--inline",), marks=pytest.mark.slow), ("--duration-s", "8")]
-)
+@pytest.mark.parametrize("words", [("--inline",), ("--duration-s", "8")])
 def test_a_recording_whose_disk_fills_is_told_and_can_be_read_up_to_there(
     graph: Path, tmp_path: Path, words: tuple[str, ...]
 ) -> None:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -38,19 +38,26 @@ def written(tmp_path: Path, text: str) -> Path:
 
 @contextmanager
 def fovea(*words: str) -> Iterator["subprocess.Popen[str]"]:
-    """The command in a session of its own; it hears all signals whoever started the tests."""
-    before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
-    process = subprocess.Popen(
-        [*FOVEA, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        start_new_session=True,
-    )  # fmt: skip
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    """The command in a session of its own."""
+    with no_signal_ignored():
+        process = subprocess.Popen(
+            [*FOVEA, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            start_new_session=True,
+        )  # fmt: skip
     try:
         yield process
     finally:
         process.kill()
         process.communicate()
+
+
+@contextmanager
+def no_signal_ignored() -> Iterator[None]:
+    """A process inherits what is ignored; these tests may run under nohup or in the background."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def ends(process: "subprocess.Popen[str]", *numbers: int) -> str:
@@ -239,17 +246,24 @@ def test_a_reader_that_leaves_ends_a_command_that_only_shows(tmp_path: Path) -> 
     assert remains(base() / name) == []
 
 
-@pytest.mark.slow  # it has failed on a busy machine for reasons that are not known
 def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path) -> None:
     graph, report = written(tmp_path, LOOP), tmp_path / "report.json"
     name = name_of(graph)
     terminal, other = pty.openpty()
-    process = subprocess.Popen(
-        ["setsid", "--ctty", "--wait", *FOVEA, "run", str(graph), "--report", str(report)],
-        stdin=other, stdout=other, stderr=other,
-    )  # fmt: skip
+    os.set_blocking(terminal, False)
+    with no_signal_ignored():
+        process = subprocess.Popen(
+            ["setsid", "--ctty", "--wait", *FOVEA, "run", str(graph), "--report", str(report)],
+            stdin=other, stdout=other, stderr=other,
+        )  # fmt: skip
     os.close(other)
-    until(lambda: os.read(terminal, 4096) and len(nodes_of(name)) == 4)
+
+    def has_started() -> bool:
+        with suppress(BlockingIOError):  # a terminal that nobody reads fills
+            os.read(terminal, 4096)
+        return len(nodes_of(name)) == 4
+
+    until(has_started)
     pids, run_id = nodes_of(name), running()[name]["run"]
 
     os.close(terminal)
