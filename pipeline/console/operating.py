@@ -6,7 +6,6 @@ from typing import Any
 
 import click
 import msgspec
-from pydantic import TypeAdapter
 
 from pipeline.console.arguments import BUDGET_MS, FRAMES, FRAMES_OR_NONE, named_value
 from pipeline.console.watching import find
@@ -15,6 +14,7 @@ from pipeline.fleet.remote import is_deployed, swap_there
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.node.operator_state import lost_words
+from pipeline.once import adapter
 from pipeline.run.desk import COMMAND, Order
 from pipeline.run.rundir import running
 from pipeline.run.swap import SwapOrder
@@ -77,8 +77,8 @@ def replan(graph: str, edit: Callable[[Plan], Plan]) -> dict[str, Any]:
     if is_deployed(graph) and graph not in running():
         raise RunError(f"{graph}: runs on several boxes; edit its file and `fovea up --replace`")
     _, facts = find(graph)
-    wanted = edit(TypeAdapter(Plan).validate_python(facts["plan"]))
-    plain = TypeAdapter(Plan).dump_python(wanted, mode="json")
+    wanted = edit(adapter(Plan).validate_python(facts["plan"]))
+    plain = adapter(Plan).dump_python(wanted, mode="json")
     return tell(graph, PlanOrder(plan=plain, revision=facts["revision"]))
 
 

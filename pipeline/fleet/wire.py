@@ -9,12 +9,13 @@ from importlib import metadata
 from typing import Any, Literal, TypeVar
 
 import msgspec
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from pipeline import codec
 from pipeline.bus import envelope
 from pipeline.errors import MessageError, RunError
 from pipeline.graph.plan import Plan
+from pipeline.once import adapter
 from pipeline.run.swap import SwapOrder
 
 MOST_BYTES = 1 << 20  # of one question; a graph is a few kilobytes
@@ -249,13 +250,13 @@ def read_reply(cls: type[T], label: str, data: bytes) -> T:
 
 def write_plan(plan: Plan) -> str:
     """A plan as text."""
-    return TypeAdapter(Plan).dump_json(plan).decode()
+    return adapter(Plan).dump_json(plan).decode()
 
 
 def read_plan(text: str) -> Plan:
     """A plan from untrusted text; raises `MessageError`, or `GraphError` for names and numbers."""
     try:
-        return TypeAdapter(Plan).validate_json(text)
+        return adapter(Plan).validate_json(text)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"])

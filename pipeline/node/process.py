@@ -21,8 +21,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pydantic import TypeAdapter
-
 from pipeline import settings as checked
 from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import Session
@@ -36,6 +34,7 @@ from pipeline.node.place import check_fit
 from pipeline.node.relay import read_cut
 from pipeline.node.source import SourceHost
 from pipeline.node.wiring import ASIDE, Assignment, Wiring
+from pipeline.once import adapter
 from pipeline.private_folder import PrivateFolder
 from pipeline.text import error_text, said_by
 
@@ -120,7 +119,7 @@ class Process:
         kind, node = order.get("do"), str(order.get("node"))
         host = next((h for h in self._hosts if h.name == node), None)
         if host is not None and kind == "replan" and self._wiring is not None:
-            plan = TypeAdapter(Plan).validate_python(order["plan"])
+            plan = adapter(Plan).validate_python(order["plan"])
             host.between(partial(self._wiring.replan, node, plan), must=True)
             return
         relay = self._wiring.relays.get(node) if self._wiring else None
@@ -239,7 +238,7 @@ def _work(control: Control) -> bool:
     line = next(lines, "")
     if not line:
         _leave(0, alone=True)  # a spare that was not needed
-    job = TypeAdapter(Assignment).validate_json(line)
+    job = adapter(Assignment).validate_json(line)
     first = max(job.epochs.values()) == 1 and not job.trial
     file = log_to(Path(job.run_folder) / f"{job.process}.log", fresh=first)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")

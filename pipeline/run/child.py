@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from pydantic import TypeAdapter
 
 from pipeline.node.wiring import ASIDE, Assignment
+from pipeline.once import adapter
 from pipeline.run.channel import Channel, Exchange
 from pipeline.run.descendants import MARK, end_group, end_marked, new_mark
 
@@ -147,7 +147,7 @@ class Child:
         # a killed instance cannot remove them, and Zenoh leaves the file of a closed one
         self._sockets = [Path(job.run_folder) / name for name in job.sockets()]
         exchange.add(process.channel)
-        self._write(TypeAdapter(Assignment).dump_json(job).decode())
+        self._write(adapter(Assignment).dump_json(job).decode())
 
     @property
     def pid(self) -> int:

@@ -9,14 +9,13 @@ from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 
-from pydantic import TypeAdapter
-
 from pipeline.bus.ledger import EdgeAccount, Ledger
 from pipeline.bus.network import Network
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan, is_source
 from pipeline.node.place import place_of
 from pipeline.node.wiring import Assignment
+from pipeline.once import adapter
 from pipeline.run.channel import Exchange
 from pipeline.run.child import KILLED_S, Child, NodeProcess, Sample, spawn
 from pipeline.run.judge import Judge
@@ -253,7 +252,7 @@ class Crew:
                     for e in self.plan.edges
                     if self.plan.touches(e)
                 ],
-                "plan": TypeAdapter(Plan).dump_python(self.plan, mode="json"),
+                "plan": adapter(Plan).dump_python(self.plan, mode="json"),
                 "revision": self.revision,
                 "pids": {s.name: s.child.pid for s in self.slots.values() if s.child},
             }

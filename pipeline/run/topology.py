@@ -9,11 +9,12 @@ from dataclasses import replace
 from typing import Any
 
 import msgspec
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
 from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan, sources
 from pipeline.graph.ports import check_ports
+from pipeline.once import adapter
 from pipeline.run.affair import Affair, log
 from pipeline.run.child import Child
 from pipeline.run.crew import Crew
@@ -40,7 +41,7 @@ class Topology(Affair):
         if order.revision != crew.revision:
             raise RunError(f"{crew.plan.name}: it was changed meanwhile, try again")
         try:
-            wanted = TypeAdapter(Plan).validate_python(order.plan)
+            wanted = adapter(Plan).validate_python(order.plan)
         except ValidationError as error:
             raise RunError(f"not a plan: {error.errors()[0]['msg']}") from error
         same = ("name", "clock", "hosts", "here")
@@ -140,9 +141,7 @@ class Topology(Affair):
             return  # it starts with the new plan
         said = self.heard(child)
         said.pop("replanned", None)
-        child.order(
-            "replan", node=name, plan=TypeAdapter(Plan).dump_python(self._plan, mode="json")
-        )
+        child.order("replan", node=name, plan=adapter(Plan).dump_python(self._plan, mode="json"))
         yield from self.until(
             lambda: said.get("replanned", {}).get("node") == name or child.ended() is not None,
             TELL_S, "", must=False,
