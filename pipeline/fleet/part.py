@@ -14,7 +14,7 @@ from pipeline.fleet.neighbour import Neighbour
 from pipeline.fleet.wire import Accounts
 from pipeline.graph.plan import Plan
 from pipeline.node.wiring import CLOCKS
-from pipeline.run.slot import Slot
+from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.supervisor import Supervisor
 
 WAIT_FOR_OTHERS_S = 60.0  # then the source begins without them
@@ -42,12 +42,12 @@ class PartSupervisor(Supervisor):
     @property
     def ready(self) -> bool:
         """Every process here has opened its operators."""
-        return all(slot.child and slot.child.ready for slot in self.slots.values())
+        return all(managed.handle and managed.handle.ready for managed in self.processes.values())
 
-    def _may_go(self, slot: Slot) -> bool:
+    def _may_go(self, managed: ManagedProcess) -> bool:
         waited = time.monotonic() - self._since_s > WAIT_FOR_OTHERS_S
         others = all(n.mirror.other_ready or n.lost for n in self.neighbours)
-        return super()._may_go(slot) and (not slot.sources or waited or others)
+        return super()._may_go(managed) and (not managed.sources or waited or others)
 
 
 @dataclass
@@ -175,7 +175,7 @@ class Part:
                 raise RunError(supervisor.failure or broken[0])
             if self.phase == "starting" and supervisor.all_going:
                 self.phase, self.failure, self._proven = "running", "", True
-                log.info("%s: %d processes run", self.plan.name, len(supervisor.slots))
+                log.info("%s: %d processes run", self.plan.name, len(supervisor.processes))
 
     def _tell(self, supervisor: PartSupervisor, done: threading.Event) -> None:
         anyway_s = 0.0

@@ -31,12 +31,12 @@ def state_of(part: Part) -> State:
 
 def _processes(supervisor: PartSupervisor) -> tuple[Process, ...]:
     found = []
-    for name, slot in supervisor.slots.items():
-        sample = slot.child.sample() if slot.child else None
+    for name, managed in supervisor.processes.items():
+        sample = managed.handle.sample() if managed.handle else None
         found.append(
             Process(
                 name=name,
-                nodes=tuple(n.name for n in slot.nodes),
+                nodes=tuple(n.name for n in managed.nodes),
                 pid=supervisor.pid(name),
                 cpu_s=sample.cpu_s if sample else 0.0,
                 rss_mb=sample.rss_mb if sample else 0.0,

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from pipeline.errors import FoveaError, RunError
-from pipeline.run.child import Child, ending
-from pipeline.run.crew import Crew
-from pipeline.run.slot import Slot
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.process_handle import ProcessHandle, ending
+from pipeline.run.process_manager import ProcessManager
 from pipeline.text import error_text, harmless
 
 log = logging.getLogger(__name__)
@@ -20,8 +20,8 @@ class Affair:
     kind = "order"
     subject = ""  # the node that it is about
 
-    def __init__(self, crew: Crew, steps: Iterator[None]) -> None:
-        self.crew, self._steps = crew, steps
+    def __init__(self, manager: ProcessManager, steps: Iterator[None]) -> None:
+        self.manager, self._steps = manager, steps
         self.result: dict[str, Any] | None = None
         self.facts: dict[str, Any] = {}
         self._said: dict[int, dict[str, dict[str, Any]]] = {}  # pid -> event -> what
@@ -43,21 +43,21 @@ class Affair:
         self._said.setdefault(pid, {})[str(event.get("event"))] = event
         return False
 
-    def owns(self, slot: Slot) -> bool:
-        """Whether deaths in that slot are this affair's."""
+    def owns(self, managed: ManagedProcess) -> bool:
+        """Whether exits of that process are this affair's."""
         return False
 
-    def give_up(self) -> list[Child]:
+    def give_up(self) -> list[ProcessHandle]:
         """The run ends: processes that nobody else knows of."""
         return []
 
-    def heard(self, child: Child) -> dict[str, dict[str, Any]]:
+    def heard(self, handle: ProcessHandle) -> dict[str, dict[str, Any]]:
         """What a process has said, by event."""
-        return self._said.setdefault(child.pid, {})
+        return self._said.setdefault(handle.pid, {})
 
     def until(
-        self, done: Callable[[], bool], limit_s: float, what: str, *, of: Child | None = None,
-        must: bool = True,
+        self, done: Callable[[], bool], limit_s: float, what: str, *,
+        of: ProcessHandle | None = None, must: bool = True,
     ) -> Iterator[None]:  # fmt: skip
         """Wait for something; raises `RunError` when it takes too long or that process ends."""
         late_s = time.monotonic() + limit_s
@@ -74,9 +74,9 @@ class Affair:
                 return
             yield
 
-    def last_words(self, child: Child) -> Iterator[None]:
+    def last_words(self, handle: ProcessHandle) -> Iterator[None]:
         """Hear all that an ended process said: why it failed, or what it did."""
-        child.bury()  # its socket is read to the end; the next tick hears what was in it
+        handle.bury()  # its socket is read to the end; the next tick hears what was in it
         yield
 
     def _finish(self, refused: str) -> None:

@@ -13,9 +13,9 @@ import msgspec
 from pipeline import codec
 from pipeline.errors import FoveaError
 from pipeline.run.affair import Affair
-from pipeline.run.child import Child
-from pipeline.run.crew import Crew
-from pipeline.run.slot import Slot
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.process_handle import ProcessHandle
+from pipeline.run.process_manager import ProcessManager
 from pipeline.run.swap import Swap, SwapOrder
 from pipeline.run.topology import PlanOrder, Topology
 from pipeline.text import error_text, harmless
@@ -30,8 +30,8 @@ log = logging.getLogger(__name__)
 class Desk:
     """The orders of one supervisor."""
 
-    def __init__(self, crew: Crew) -> None:
-        self._crew = crew
+    def __init__(self, manager: ProcessManager) -> None:
+        self._manager = manager
         self._asked: queue.SimpleQueue[tuple[bytes, Reply]] = queue.SimpleQueue()
         self._affair: Affair | None = None
         self._reply: Reply = _nobody
@@ -39,7 +39,7 @@ class Desk:
     def ask(self, order: bytes, reply: Reply) -> None:
         """An order came; called by the transport's thread."""
         self._asked.put((order, reply))
-        self._crew.exchange.wake()
+        self._manager.exchange.wake()
 
     def attend(self) -> None:
         """Take up what was asked, carry on with what is under way."""
@@ -62,25 +62,27 @@ class Desk:
     def take(self, order: Order, reply: Reply) -> None:
         """Begin with an order; raises `RunError` when it cannot be done."""
         if self._affair is not None:
-            reply(answer({"refused": f"{self._crew.plan.name}: another order is under way"}))
+            reply(answer({"refused": f"{self._manager.plan.name}: another order is under way"}))
             return
         if isinstance(order, SwapOrder):
-            self._affair = Swap(self._crew, order)
+            self._affair = Swap(self._manager, order)
         else:
-            self._affair = Topology(self._crew, order)
+            self._affair = Topology(self._manager, order)
         self._reply = reply
 
     def hear(self, pid: int, event: dict[str, Any]) -> bool:
         """Whether an event of a process concerns the order under way alone."""
         return self._affair is not None and self._affair.hear(pid, event)
 
-    def owns(self, slot: Slot) -> bool:
-        """Whether the order under way looks after a slot."""
-        return self._affair is not None and self._affair.owns(slot)
+    def owns(self, managed: ManagedProcess) -> bool:
+        """Whether the order under way looks after a process."""
+        return self._affair is not None and self._affair.owns(managed)
 
-    def give_up(self) -> list[Child]:
+    def give_up(self) -> list[ProcessHandle]:
         """The run ends; the processes that it would not know of."""
-        ended = answer({"refused": f"{self._crew.plan.name}: the run ended before that was done"})
+        ended = answer(
+            {"refused": f"{self._manager.plan.name}: the run ended before that was done"}
+        )
         while not self._asked.empty():
             self._asked.get()[1](ended)
         left = self._affair.give_up() if self._affair is not None else []

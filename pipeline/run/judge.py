@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 from pipeline.bus.ledger import Ledger
 from pipeline.node.health import FROZEN_S, complaint
-from pipeline.run.slot import Slot
+from pipeline.run.managed_process import ManagedProcess
 
 SLEPT_S = 1.0  # a supervisor that did not look for so long was stopped itself
 
@@ -24,48 +24,53 @@ class Judge:
             self._lenient_until_s = now_s + FROZEN_S
         self._looked_s = now_s
 
-    def complaint(self, slot: Slot, ledger: Ledger) -> str:
+    def complaint(self, managed: ManagedProcess, ledger: Ledger) -> str:
         """Why its process must go, or nothing."""
         now_s = time.monotonic()
         asleep = now_s - self._looked_s > SLEPT_S or now_s < self._lenient_until_s
-        if slot.child is None or asleep:
+        if managed.handle is None or asleep:
             return ""
-        if frozen := stopped(slot, now_s):
+        if frozen := stopped(managed, now_s):
             return frozen
-        if slot.child.deaf:
+        if managed.handle.deaf:
             return "does not read what it is told"
-        if not slot.child.ready:  # the first start of all has a limit of its own
-            return late(slot) if slot.epoch > 1 else ""
-        return first(complaint(n, ledger.nodes[n.index], int(now_s * 1e9)) for n in slot.nodes) or (
-            swollen(slot)
-        )
+        if not managed.handle.ready:  # the first start of all has a limit of its own
+            return late(managed) if managed.epoch > 1 else ""
+        return first(
+            complaint(n, ledger.nodes[n.index], int(now_s * 1e9)) for n in managed.nodes
+        ) or (swollen(managed))
 
 
-def stopped(slot: Slot, now_s: float) -> str:
+def stopped(managed: ManagedProcess, now_s: float) -> str:
     """Whether its process has been stopped for so long that nobody means to continue it."""
     since_s = now_s
-    for sample in reversed(slot.samples):
-        if not sample.stopped or slot.child is None or sample.at_s < slot.child.began_s:
+    for sample in reversed(managed.samples):
+        if not sample.stopped or managed.handle is None or sample.at_s < managed.handle.began_s:
             break
         since_s = sample.at_s
     seconds = now_s - since_s
     return f"has been stopped by a signal for {seconds:.1f} s" if seconds > FROZEN_S else ""
 
 
-def late(slot: Slot) -> str:
+def late(managed: ManagedProcess) -> str:
     """Whether opening takes longer than any of its nodes may."""
-    if slot.child is None or slot.child.ready:
+    if managed.handle is None or managed.handle.ready:
         return ""
-    seconds = time.monotonic() - slot.child.began_s
-    allowed_s = max(node.start_s for node in slot.nodes)
+    seconds = time.monotonic() - managed.handle.began_s
+    allowed_s = max(node.start_s for node in managed.nodes)
     return f"not ready after {seconds:.1f} s" if seconds > allowed_s else ""
 
 
-def swollen(slot: Slot) -> str:
+def swollen(managed: ManagedProcess) -> str:
     """Whether it takes more memory than its nodes together may; some limit must be set for all."""
-    limits_mb = [node.memory_mb for node in slot.nodes]
-    sample = slot.samples[-1] if slot.samples else None
-    if not all(limits_mb) or not sample or not slot.child or sample.at_s < slot.child.began_s:
+    limits_mb = [node.memory_mb for node in managed.nodes]
+    sample = managed.samples[-1] if managed.samples else None
+    if (
+        not all(limits_mb)
+        or not sample
+        or not managed.handle
+        or sample.at_s < managed.handle.began_s
+    ):
         return ""
     if sample.own_mb <= sum(limits_mb):
         return ""

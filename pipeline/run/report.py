@@ -10,7 +10,7 @@ from rich.text import Text
 
 from pipeline.bus.ledger import Ledger
 from pipeline.graph.plan import Node, Plan, sources
-from pipeline.run.child import Sample
+from pipeline.run.process_handle import Sample
 from pipeline.terminal import lean_table, losses, pair, rest
 from pipeline.text import harmless
 

@@ -7,17 +7,17 @@ from typing import Any, cast
 import pytest
 
 from pipeline.run.affair import Affair
-from pipeline.run.child import Child
-from pipeline.run.crew import Crew
+from pipeline.run.process_handle import ProcessHandle
+from pipeline.run.process_manager import ProcessManager
 
-ENDED = cast(Child, SimpleNamespace(name="work", pid=7, ended=lambda: 0, bury=bool))
+ENDED = cast(ProcessHandle, SimpleNamespace(name="work", pid=7, ended=lambda: 0, bury=bool))
 
 
 class Checked(Affair):
     """Waits for a trial to say that it fits."""
 
     def __init__(self) -> None:
-        super().__init__(cast(Crew, None), self._steps_of_it())
+        super().__init__(cast(ProcessManager, None), self._steps_of_it())
 
     def _steps_of_it(self) -> Iterator[None]:
         yield from self.until(lambda: "fits" in self.heard(ENDED), 60, "no answer", of=ENDED)

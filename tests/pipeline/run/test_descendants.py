@@ -124,11 +124,11 @@ def test_a_tick_never_waits_for_a_stopped_node_that_is_told_more_than_its_socket
 
     def during(supervisor: Supervisor) -> None:
         send_signal(supervisor, "unruly", signal.SIGSTOP)
-        child = supervisor.slots["unruly"].child
-        assert child is not None
+        handle = supervisor.processes["unruly"].handle
+        assert handle is not None
         for _ in range(20):
             began_s = time.monotonic()
-            child.order("replan", node="nobody", plan="x" * 1_000_000)
+            handle.order("replan", node="nobody", plan="x" * 1_000_000)
             supervisor.tick()
             longest.append(time.monotonic() - began_s)
         recovers(supervisor)

@@ -178,7 +178,7 @@ def test_a_part_that_dies_while_its_successor_gets_ready_is_started_again(
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         supervisor.desk.take(slow, lambda a: results.append(json.loads(a)))
         account = account_of(supervisor, "work.frame")
-        wait_for(supervisor, lambda: supervisor.slots["work"].promised > account.reader_epoch)
+        wait_for(supervisor, lambda: supervisor.processes["work"].promised > account.reader_epoch)
         send_signal(supervisor, "work", signal.SIGKILL)
         wait_for(supervisor, lambda: bool(results))
         wait_for_progress(supervisor, "work")

@@ -60,8 +60,10 @@ def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: P
         run_id = supervisor._run.run_id
         supervisor.start()
         answers = swap(supervisor, kind="slow_open")
-        slot = supervisor.slots["unruly"]
-        wait_for(supervisor, lambda: any(c is not slot.child for c in of(supervisor, "unruly")), 60)
+        managed = supervisor.processes["unruly"]
+        wait_for(
+            supervisor, lambda: any(c is not managed.handle for c in of(supervisor, "unruly")), 60
+        )
         supervisor.asked_to_end = lambda: 1
         supervisor.finish()
 
@@ -70,4 +72,4 @@ def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: P
 
 
 def of(supervisor: Supervisor, process: str) -> list[Any]:
-    return [child for child in supervisor.children if child.name == process]
+    return [handle for handle in supervisor.handles if handle.name == process]

@@ -98,9 +98,9 @@ def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         beside(supervisor, lambda: ask(plan.name, "work", {"every": 2}))
         supervisor.desk.take(order("work"), lambda answer: results.append(json.loads(answer)))
-        wait_for(supervisor, lambda: supervisor.desk.owns(supervisor.slots["hand"]))
+        wait_for(supervisor, lambda: supervisor.desk.owns(supervisor.processes["hand"]))
         with monkeypatch.context() as patch:
-            patch.setattr("pipeline.run.crew.spawn", refuse)
+            patch.setattr("pipeline.run.process_manager.spawn", refuse)
             supervisor.spare.dismiss()
             wait_for(supervisor, lambda: bool(results))
         wait_for(supervisor, lambda: supervisor.pid("hand") != 0)

@@ -1,11 +1,11 @@
-"""A process of a plan as its supervisor keeps it: the nodes, and who works there now."""
+"""A process of a plan as its supervisor keeps it: its nodes and its present handle."""
 
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from pipeline.graph.plan import Node
-from pipeline.run.child import Child, Sample
+from pipeline.run.process_handle import ProcessHandle, Sample
 
 EARLY_SAMPLES, LATE_SAMPLES = 120, 600  # about one a second
 
@@ -44,12 +44,12 @@ class Samples:
 
 
 @dataclass
-class Slot:
+class ManagedProcess:
     """A process of the plan and its present incarnation."""
 
     name: str
     nodes: tuple[Node, ...]
-    child: Child | None = None
+    handle: ProcessHandle | None = None
     epoch: int = 0
     promised: int = 0  # the newest epoch that was given to anybody, who stands by included
     next_start_s: float = 0.0

@@ -132,7 +132,7 @@ def spawn(run_id: str, folder: Path, modules: Collection[str], *, wanted: bool) 
     return NodeProcess(popen, Channel(ours), mark)
 
 
-class Child:
+class ProcessHandle:
     """A process with an assignment. It logs to `<folder>/<process>.log`."""
 
     def __init__(self, process: NodeProcess, job: Assignment, exchange: Exchange) -> None:

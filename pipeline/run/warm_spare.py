@@ -6,13 +6,13 @@ import time
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from pipeline.run.child import KILLED_S, NodeProcess
+from pipeline.run.process_handle import KILLED_S, NodeProcess
 
 AGAIN_S = 5.0  # after one that ended by itself, or could not be had
 log = logging.getLogger(__name__)
 
 
-class Spare:
+class WarmSpare:
     """At most one process without an assignment."""
 
     def __init__(self, spawn: Callable[[Collection[str]], NodeProcess]) -> None:

@@ -1,4 +1,4 @@
-"""The processes of a running graph: slots, their accounts, and how they are started.
+"""The processes of a running graph, their accounts, and how they are started.
 
 What supervises them, and what changes them while they run, stand on this.
 """
@@ -18,18 +18,18 @@ from pipeline.graph.plan import Plan, is_source
 from pipeline.node.place import place_of
 from pipeline.node.wiring import Assignment
 from pipeline.run.channel import Exchange
-from pipeline.run.child import KILLED_S, Child, NodeProcess, Sample, spawn
 from pipeline.run.judge import Judge
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.process_handle import KILLED_S, NodeProcess, ProcessHandle, Sample, spawn
 from pipeline.run.run_folder import RunFolder
 from pipeline.run.rundir import check_addresses, folder_of
-from pipeline.run.slot import Slot
-from pipeline.run.spare import Spare
+from pipeline.run.warm_spare import WarmSpare
 
 log = logging.getLogger(__name__)
 
 
-class Crew:
-    """The slots of one plan, in a run folder of their own."""
+class ProcessManager:
+    """The processes of one plan, in a run folder of their own."""
 
     def __init__(
         self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0
@@ -46,13 +46,15 @@ class Crew:
         except BaseException:
             self._run.release()
             raise
-        self.children: list[Child] = []  # that were started, until all they said was heard
-        self._leaving: dict[Child, float] = {}  # when those are killed that shall end, monotonic
+        self.handles: list[ProcessHandle] = []  # that were started, until all they said was heard
+        self._leaving: dict[
+            ProcessHandle, float
+        ] = {}  # when those are killed that shall end, monotonic
         self.asked_to_end: Callable[[], int] = lambda: 0  # how often: more than once is in haste
-        self.spare = Spare(partial(self._spawn, wanted=False))
+        self.spare = WarmSpare(partial(self._spawn, wanted=False))
         self._judge = Judge()
-        self.slots = {
-            name: Slot(
+        self.processes = {
+            name: ManagedProcess(
                 name,
                 nodes,
                 epoch=first_epoch,
@@ -68,37 +70,39 @@ class Crew:
     @property
     def all_going(self) -> bool:
         """Every process works."""
-        return all(slot.child and slot.child.going for slot in self.slots.values())
+        return all(managed.handle and managed.handle.going for managed in self.processes.values())
 
     @property
     def finished(self) -> bool:
         """Every source has made its last frame, or the run has failed."""
-        wanted = set().union(*(slot.sources for slot in self.slots.values()))
+        wanted = set().union(*(managed.sources for managed in self.processes.values()))
         return bool(self.failure) or (bool(wanted) and wanted <= self._finished)
 
     def begin_all(self) -> None:
         """Start every process; the caller goes on with `tick`."""
-        for slot in reversed(self.slots.values()):
+        for managed in reversed(self.processes.values()):
             if not self.asked_to_end():
-                self.begin(slot)
+                self.begin(managed)
         self.note()
 
-    def begin(self, slot: Slot, *, plan: Plan | None = None, checked: bool = False) -> None:
+    def begin(
+        self, managed: ManagedProcess, *, plan: Plan | None = None, checked: bool = False
+    ) -> None:
         """Start a process as its next incarnation; `checked`: of a plan that is still to prove."""
-        slot.epoch = slot.promise()
-        for node in slot.nodes:
+        managed.epoch = managed.promise()
+        for node in managed.nodes:
             self.ledger.nodes[node.index].enter("starting")
-        for account in self.accounts(slot, outgoing=True):
-            account.writer_epoch = slot.epoch
-        for account in self.accounts(slot):
-            account.reader_epoch = account.door = slot.epoch
+        for account in self.accounts(managed, outgoing=True):
+            account.writer_epoch = managed.epoch
+        for account in self.accounts(managed):
+            account.reader_epoch = account.door = managed.epoch
             account.next_door = 0
-        job = self.job(slot, plan or self.plan, slot.epoch, checked=checked)
-        slot.child = self.launch(job, fresh=checked)
+        job = self.job(managed, plan or self.plan, managed.epoch, checked=checked)
+        managed.handle = self.launch(job, fresh=checked)
 
     def job(
         self,
-        slot: Slot,
+        managed: ManagedProcess,
         plan: Plan,
         epoch: int,
         *,
@@ -106,38 +110,38 @@ class Crew:
         checked: bool = False,
         trial: bool = False,
     ) -> Assignment:
-        """What a process of that slot has to do; `checked`: it must fit the edges that run now."""
-        mine = self.plan.processes()[slot.name]
+        """The assignment of that process; `checked`: it must fit the edges that run now."""
+        mine = self.plan.processes()[managed.name]
         return Assignment(
             plan=plan,
-            process=slot.name,
+            process=managed.name,
             run_folder=str(self._run.folder.path),
             memory_folder=str(self._run.memory.path),
             epochs={node.name: epoch for node in mine},
             frames=self._frames,
-            network=self.networks.get(slot.name),
+            network=self.networks.get(managed.name),
             standby=standby or trial,
             trial=trial,
             places={n.name: place_of(self.plan, n) for n in mine} if checked or trial else {},
         )
 
-    def accounts(self, slot: Slot, *, outgoing: bool = False) -> list[EdgeAccount]:
+    def accounts(self, managed: ManagedProcess, *, outgoing: bool = False) -> list[EdgeAccount]:
         """Of the edges into a process, or out of it."""
-        names = {node.name for node in slot.nodes}
+        names = {node.name for node in managed.nodes}
         return [
             self.ledger.edges[edge.index]
             for edge in self.plan.edges
             if (edge.source if outgoing else edge.target) in names
         ]
 
-    def vacate(self, slot: Slot) -> None:
+    def vacate(self, managed: ManagedProcess) -> None:
         """Nobody works there now: writers do not wait for it."""
-        if slot.child is not None:
-            self.dismiss(slot.child)
-        slot.child = None
-        for account in self.accounts(slot):
+        if managed.handle is not None:
+            self.dismiss(managed.handle)
+        managed.handle = None
+        for account in self.accounts(managed):
             account.reader_epoch = account.door = account.next_door = 0
-        for node in slot.nodes:
+        for node in managed.nodes:
             self.ledger.nodes[node.index].enter("absent")
 
     def live_file(self, node: str) -> Path:
@@ -148,15 +152,15 @@ class Crew:
         """Another plan runs now; a process that left it must have ended."""
         self.plan, self.revision = plan, self.revision + 1
         for name, nodes in plan.processes().items():
-            slot = self.slots.setdefault(name, Slot(name, nodes))
-            slot.nodes = nodes
-            slot.sources = frozenset(n.name for n in nodes if is_source(n))
-        for name in self.slots.keys() - plan.processes().keys():
-            if self.slots[name].child is None:
-                del self.slots[name]
+            managed = self.processes.setdefault(name, ManagedProcess(name, nodes))
+            managed.nodes = nodes
+            managed.sources = frozenset(n.name for n in nodes if is_source(n))
+        for name in self.processes.keys() - plan.processes().keys():
+            if self.processes[name].handle is None:
+                del self.processes[name]
         self.note()
 
-    def launch(self, job: Assignment, *, fresh: bool = False) -> Child:
+    def launch(self, job: Assignment, *, fresh: bool = False) -> ProcessHandle:
         """A process for an assignment; a `fresh` one has imported what is on disk now.
 
         Raises `RunError` when the machine gives none.
@@ -168,71 +172,71 @@ class Crew:
             process = self.spare.take() or self._spawn(mine if fresh else (), wanted=True)
         except OSError as error:
             raise RunError(f"{job.process}: cannot be started: {error}") from error
-        child = Child(process, job, self.exchange)
-        self.children.append(child)
-        return child
+        handle = ProcessHandle(process, job, self.exchange)
+        self.handles.append(handle)
+        return handle
 
-    def dismiss(self, child: Child, within_s: float = 0.0) -> None:
+    def dismiss(self, handle: ProcessHandle, within_s: float = 0.0) -> None:
         """Let a process end by itself in that time, or be killed; nobody waits for it."""
-        self._leaving[child] = time.monotonic() + within_s
+        self._leaving[handle] = time.monotonic() + within_s
         self._see_off()
 
     def _see_off(self) -> None:
         """Kill those that were to end by now, give back what is left of those that have."""
         now_s = time.monotonic()
-        for child, late_s in list(self._leaving.items()):
-            if child.ended() is not None:
-                child.bury()
-                del self._leaving[child]
+        for handle, late_s in list(self._leaving.items()):
+            if handle.ended() is not None:
+                handle.bury()
+                del self._leaving[handle]
             elif now_s >= late_s:
-                child.kill()
+                handle.kill()
                 if now_s > late_s + KILLED_S:
-                    log.error("%s: process %d hangs in the kernel", child.name, child.pid)
-                    self._leaving[child] = float("inf")  # it is buried when it ends after all
+                    log.error("%s: process %d hangs in the kernel", handle.name, handle.pid)
+                    self._leaving[handle] = float("inf")  # it is buried when it ends after all
 
     def _spawn(self, modules: Collection[str], *, wanted: bool) -> NodeProcess:
         return spawn(self._run.run_id, self._run.folder.path, modules, wanted=wanted)
 
-    def let_go(self, slot: Slot) -> None:
+    def let_go(self, managed: ManagedProcess) -> None:
         """Let a process that is ready begin, if it may."""
-        if slot.child is not None and self._may_go(slot):
-            slot.child.going, slot.going_since_s = True, time.monotonic()
-            slot.child.tell("go")
+        if managed.handle is not None and self._may_go(managed):
+            managed.handle.going, managed.going_since_s = True, time.monotonic()
+            managed.handle.tell("go")
             if self.ending:
-                slot.child.tell("finish")
+                managed.handle.tell("finish")
 
-    def _is_first(self, slot: Slot) -> bool:
-        return slot.epoch == self._first_epoch + 1
+    def _is_first(self, managed: ManagedProcess) -> bool:
+        return managed.epoch == self._first_epoch + 1
 
-    def _may_go(self, slot: Slot) -> bool:
+    def _may_go(self, managed: ManagedProcess) -> bool:
         """Sources begin when every reader has heard them; the others at once."""
-        if not slot.sources:
+        if not managed.sources:
             return True
-        all_ready = all(s.child and s.child.ready for s in self.slots.values())
-        if self._is_first(slot) and not all_ready:
+        all_ready = all(s.handle and s.handle.ready for s in self.processes.values())
+        if self._is_first(managed) and not all_ready:
             return False
-        first = self._is_first(slot)
-        mine = [e for e in self.plan.edges if first or e.source in slot.sources]
+        first = self._is_first(managed)
+        mine = [e for e in self.plan.edges if first or e.source in managed.sources]
         accounts = [self.ledger.edges[e.index] for e in mine]
         return all(account.live or not account.reader_epoch for account in accounts)
 
-    def stalled(self, slot: Slot) -> str:
+    def stalled(self, managed: ManagedProcess) -> str:
         """Why its process has to be killed, or nothing."""
-        return self._judge.complaint(slot, self.ledger)
+        return self._judge.complaint(managed, self.ledger)
 
     def samples(self, process: str) -> list[Sample]:
         """What a process used, about once a second: the first minutes and the last."""
-        return list(self.slots[process].samples)
+        return list(self.processes[process].samples)
 
     def load_s(self, process: str) -> float:
         """How long the present process took to open its operators, 0 until it is ready."""
-        child = self.slots[process].child
-        return child.load_s if child else 0.0
+        handle = self.processes[process].handle
+        return handle.load_s if handle else 0.0
 
     def pid(self, process: str) -> int:
         """Its present process id, 0 while there is none."""
-        child = self.slots[process].child
-        return child.pid if child else 0
+        handle = self.processes[process].handle
+        return handle.pid if handle else 0
 
     def note(self) -> None:
         self._run.note(
@@ -255,6 +259,6 @@ class Crew:
                 ],
                 "plan": TypeAdapter(Plan).dump_python(self.plan, mode="json"),
                 "revision": self.revision,
-                "pids": {s.name: s.child.pid for s in self.slots.values() if s.child},
+                "pids": {s.name: s.handle.pid for s in self.processes.values() if s.handle},
             }
         )

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.run.child import NodeProcess
-from pipeline.run.spare import Spare
+from pipeline.run.process_handle import NodeProcess
 from pipeline.run.supervisor import Supervisor
+from pipeline.run.warm_spare import WarmSpare
 from tests.toy_graphs import (
     LOOP,
     assert_accounts_add_up,
@@ -28,7 +28,7 @@ def test_no_process_to_stand_by_is_no_error_and_not_asked_for_again_at_once() ->
         asked.append(modules)
         raise BlockingIOError("Resource temporarily unavailable")
 
-    spare = Spare(refuse)
+    spare = WarmSpare(refuse)
     for _ in range(3):
         spare.keep(["tests.toys"])
 
@@ -49,7 +49,7 @@ def test_a_node_that_cannot_be_started_is_tried_again_and_the_others_go_on(
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 5)
         supervisor.spare.dismiss()
         with monkeypatch.context() as patch:
-            patch.setattr("pipeline.run.crew.spawn", refuse)
+            patch.setattr("pipeline.run.process_manager.spawn", refuse)
             send_signal(supervisor, "steer", signal.SIGKILL)
             wait_for(supervisor, lambda: len(refusals) > 1)
             wait_for_progress(supervisor, "pair")
