@@ -54,7 +54,7 @@ def known() -> Mapping[str, Case]:
     answer = msgspec.msgpack.encode({"settings": {"a": 1}, "live": ["a"], "refused": ""})
     found["answer"] = answer, read_answer
     health = Health(
-        node="work", process="work", host="", pid=7, epoch=1, state="idle", complaint="",
+        node="work", process="work", host="", pid=7, epoch=1, state="idle", problem="",
         handled=3, last_seq=2, busy_s=0.0, silent_s=0.1, own_mb=9.5, words="", waiting={"frame": 1},
         dropped={"frame": {"gap": 2}}, broken=("a -> b.frame",),
     )  # fmt: skip

@@ -113,7 +113,7 @@ def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
                 table.add_row(Text(graph), Text(node), "", silent)
                 continue
             broken = [f"{end} lost messages it was promised" for end in health.broken]
-            wrong = "; ".join(filter(None, [health.complaint, *broken]))
+            wrong = "; ".join(filter(None, [health.problem, *broken]))
             table.add_row(
                 Text(graph), Text(node), Text(health.state), Text(wrong), str(health.pid),
                 str(health.epoch), str(health.last_seq), f"{health.own_mb:.0f}",

@@ -50,7 +50,7 @@ WAITING = 64  # questions; more are refused at once
 MOST_GRAPHS = 8
 MOST_LINES = 1000
 TICK_S = 0.1
-COMPLAIN_S = 1.0
+WARN_S = 1.0
 SLOW = ("prepare", "start", "down", "weights")  # what loads, begins, ends
 LATER = object()  # what is answered by another thread, when it is done
 
@@ -174,7 +174,7 @@ class Agent:
         try:
             part.hear(label, wire.decode(wire.Accounts, data))
         except MessageError as error:
-            self._complain(f"accounts of {label}: {error}")
+            self._warn_once(f"accounts of {label}: {error}")
 
     def _answer(self, question: _Question) -> None:
         verbs: Mapping[str, Callable[[bytes], Any]] = {
@@ -192,7 +192,7 @@ class Agent:
             if answer is not LATER:
                 question.reply(wire.answered(answer))
         except FoveaError as error:
-            self._complain(f"refused {question.verb} to {question.asker}: {error}")
+            self._warn_once(f"refused {question.verb} to {question.asker}: {error}")
             question.reply(wire.refused(str(error)))
         except Exception as error:  # by what code or settings of a graph do: the others go on
             log.exception("%s of %s broke", question.verb, question.asker)
@@ -201,10 +201,10 @@ class Agent:
             if question.sends:
                 self._sending.release()
 
-    def _complain(self, why: str) -> None:
+    def _warn_once(self, why: str) -> None:
         """Into the log, as often as somebody can read it."""
         if time.monotonic() > self._quiet_until_s:
-            self._quiet_until_s = time.monotonic() + COMPLAIN_S
+            self._quiet_until_s = time.monotonic() + WARN_S
             log.warning("%s", why)
 
     def _about(self, data: bytes) -> wire.About:

@@ -18,7 +18,7 @@ from pipeline.graph.plan import Plan, is_source
 from pipeline.node.place import place_of
 from pipeline.node.wiring import Assignment
 from pipeline.run.channel import Exchange
-from pipeline.run.judge import Judge
+from pipeline.run.health import HealthMonitor
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_handle import KILLED_S, NodeProcess, ProcessHandle, Sample, spawn
 from pipeline.run.run_folder import RunFolder
@@ -52,7 +52,7 @@ class ProcessManager:
         ] = {}  # when those are killed that shall end, monotonic
         self.asked_to_end: Callable[[], int] = lambda: 0  # how often: more than once is in haste
         self.spare = WarmSpare(partial(self._spawn, wanted=False))
-        self._judge = Judge()
+        self._health = HealthMonitor()
         self.processes = {
             name: ManagedProcess(
                 name,
@@ -222,7 +222,7 @@ class ProcessManager:
 
     def stalled(self, managed: ManagedProcess) -> str:
         """Why its process has to be killed, or nothing."""
-        return self._judge.complaint(managed, self.ledger)
+        return self._health.problem(managed, self.ledger)
 
     def samples(self, process: str) -> list[Sample]:
         """What a process used, about once a second: the first minutes and the last."""

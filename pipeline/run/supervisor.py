@@ -13,7 +13,7 @@ from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
 from pipeline.run.descendants import end_marked
 from pipeline.run.desk import COMMAND, Desk
-from pipeline.run.judge import late
+from pipeline.run.health import late
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_handle import KILLED_S, ProcessHandle, ending
 from pipeline.run.process_manager import ProcessManager
@@ -84,7 +84,7 @@ class Supervisor(ProcessManager):
 
     def tick(self) -> None:
         """Look after everything once, then wait for a moment or until a node says something."""
-        self._judge.look()
+        self._health.tick()
         self._hear()
         self._see_off()
         self.desk.attend()
@@ -262,7 +262,7 @@ class Supervisor(ProcessManager):
                 self._begin_again(managed, now_s)
         elif (status := managed.handle.ended()) is not None:
             managed.handle.bury()
-            self._hear()  # what it said last is heard before it is judged
+            self._hear()  # what it said last is heard before its exit is handled
             self._bury(managed, status, now_s)
         elif managed.handle.ready and not managed.handle.going:
             self.let_go(managed)

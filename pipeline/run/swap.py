@@ -356,8 +356,8 @@ class Swap(Affair):
                 yield from self.last_words(handle)
                 said = self.heard(handle).get("failed", {}).get("error", "")
                 raise RunError(f"{node}: the new part ended by {ending(status)} {said}".rstrip())
-            if complaint := self.manager.stalled(self._managed):
-                raise RunError(complaint)
+            if problem := self.manager.stalled(self._managed):
+                raise RunError(problem)
             seen_s, before_s = time.monotonic(), seen_s
             still_s += min(seen_s - before_s, LOOK_S)
             if account.handled != handled:

@@ -47,7 +47,7 @@ def verdicts(findings: list[Finding]) -> dict[str, str]:
     return {finding.what: finding.verdict for finding in findings}
 
 
-def test_every_complaint_says_what_to_do(tmp_path: Path) -> None:
+def test_every_finding_says_what_to_do(tmp_path: Path) -> None:
     findings = [*examine_machine(), *examine_machine(memory=tmp_path / "none", system=tmp_path)]
 
     assert verdicts(findings)["shared memory"] == "wrong"

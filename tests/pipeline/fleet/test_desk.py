@@ -95,7 +95,7 @@ def test_the_health_of_a_deployed_graph_is_that_of_its_nodes_on_all_boxes(
 
     look = found["look"]
     assert look is not None
-    assert (look.host, look.complaint) == ("brain", "")
+    assert (look.host, look.problem) == ("brain", "")
     two["brain"].stop()
     found = fleet_health("desk")
     assert found["capture"] is not None

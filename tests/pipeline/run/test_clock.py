@@ -38,7 +38,7 @@ def during(supervisor):
     send_signal(supervisor, "work", signal.SIGKILL)
     wait_for(supervisor, lambda: supervisor.restarts == {"work": 1} and supervisor.pid("work"))
     wait_for_progress(supervisor, "work")
-    print("well:", all(h and not h.complaint for h in fleet_health(plan.name).values()))
+    print("well:", all(h and not h.problem for h in fleet_health(plan.name).values()))
     supervisor.finish()
 
 plan = load(Path(sys.argv[1]))

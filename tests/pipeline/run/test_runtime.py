@@ -93,7 +93,9 @@ def test_a_reader_that_stands_still_on_a_lossless_edge_loses_nothing(tmp_path: P
         wait_for(supervisor, lambda: handled(supervisor, "count") > 0)
         pid = send_signal(supervisor, "count", signal.SIGSTOP)
         ask(plan.name, "ticker", {"rate_hz": 200})
-        until(lambda: account_of(supervisor, "count.frame").sent == frames)  # nobody is judged
+        until(
+            lambda: account_of(supervisor, "count.frame").sent == frames
+        )  # no process is replaced
         os.kill(pid, signal.SIGCONT)
 
     report = go(plan, frames, freeze)

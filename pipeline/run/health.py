@@ -4,27 +4,27 @@ import time
 from collections.abc import Iterable
 
 from pipeline.bus.ledger import Ledger
-from pipeline.node.health import FROZEN_S, complaint
+from pipeline.node.health import FROZEN_S, problem
 from pipeline.run.managed_process import ManagedProcess
 
 SLEPT_S = 1.0  # a supervisor that did not look for so long was stopped itself
 
 
-class Judge:
-    """Judges by the clock that only runs; and nobody while it may have slept like the others."""
+class HealthMonitor:
+    """Finds processes to replace by the monotonic clock; none after this one was stopped itself."""
 
     def __init__(self) -> None:
         self._looked_s = time.monotonic()
         self._lenient_until_s = 0.0
 
-    def look(self) -> None:
-        """To be called again and again, often within `SLEPT_S`."""
+    def tick(self) -> None:
+        """Note that the supervisor runs; called more often than every `SLEPT_S`."""
         now_s = time.monotonic()
         if now_s - self._looked_s > SLEPT_S:
             self._lenient_until_s = now_s + FROZEN_S
         self._looked_s = now_s
 
-    def complaint(self, managed: ManagedProcess, ledger: Ledger) -> str:
+    def problem(self, managed: ManagedProcess, ledger: Ledger) -> str:
         """Why its process must go, or nothing."""
         now_s = time.monotonic()
         asleep = now_s - self._looked_s > SLEPT_S or now_s < self._lenient_until_s
@@ -36,9 +36,9 @@ class Judge:
             return "does not read what it is told"
         if not managed.handle.ready:  # the first start of all has a limit of its own
             return late(managed) if managed.epoch > 1 else ""
-        return first(
-            complaint(n, ledger.nodes[n.index], int(now_s * 1e9)) for n in managed.nodes
-        ) or (swollen(managed))
+        return first_of(
+            problem(n, ledger.nodes[n.index], int(now_s * 1e9)) for n in managed.nodes
+        ) or swollen(managed)
 
 
 def stopped(managed: ManagedProcess, now_s: float) -> str:
@@ -77,6 +77,6 @@ def swollen(managed: ManagedProcess) -> str:
     return f"takes {sample.own_mb:.0f} MB of its own, {sum(limits_mb):g} allowed"
 
 
-def first(complaints: Iterable[str]) -> str:
-    """The first that is one."""
-    return next(filter(None, complaints), "")
+def first_of(problems: Iterable[str]) -> str:
+    """Return the first non-empty one, else nothing."""
+    return next(filter(None, problems), "")
