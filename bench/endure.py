@@ -151,7 +151,7 @@ def _swap(supervisor: Supervisor) -> str:
     """Swap once; why it was refused, or nothing."""
     answers: list[bytes] = []
     order = SwapOrder(node=SWAPPED, probation=PROBATION)
-    supervisor.desk.take(order, answers.append)
+    supervisor.control.take(order, answers.append)
     _until(supervisor, lambda: bool(answers))
     return str(msgspec.json.decode(answers[0])["refused"])
 

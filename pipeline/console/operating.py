@@ -15,7 +15,7 @@ from pipeline.fleet.remote import is_deployed, swap_there
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.node.operator_state import lost_words
-from pipeline.run.desk import COMMAND, Order
+from pipeline.run.control_server import COMMAND, Order
 from pipeline.run.rundir import running
 from pipeline.run.swap import SwapOrder
 from pipeline.run.topology import PlanOrder

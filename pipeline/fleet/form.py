@@ -1,6 +1,6 @@
 """A plan that came over the wire: what holds between hosts, beside what every plan keeps to.
 
-Names, numbers and the ends of edges are the plan's own affair. Nothing of it is loaded for this.
+Names, numbers and the ends of edges are checked with the plan. Nothing of it is loaded for this.
 """
 
 from pipeline.bus.clocks import MOST_HOSTS

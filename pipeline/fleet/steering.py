@@ -60,7 +60,7 @@ class Steering:
         def done(result: bytes) -> None:
             reply(wire.answered(msgspec.Raw(result)))
 
-        supervisor.desk.ask(msgspec.json.encode(order), done)
+        supervisor.control.ask(msgspec.json.encode(order), done)
 
     def _ask(self, part: Part, asked: wire.ToNode, payload: bytes, reply: Reply) -> None:
         try:

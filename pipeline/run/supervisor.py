@@ -11,8 +11,8 @@ from typing import Any
 from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
+from pipeline.run.control_server import COMMAND, ControlServer
 from pipeline.run.descendants import end_marked
-from pipeline.run.desk import COMMAND, Desk
 from pipeline.run.health import late
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_handle import KILLED_S, ProcessHandle, ending
@@ -45,8 +45,8 @@ class Supervisor(ProcessManager):
             self.exchange.close()
             self._run.release()
             raise
-        self.desk = Desk(self)
-        self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.desk.ask)
+        self.control = ControlServer(self)
+        self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.control.ask)
         self.summaries: dict[str, dict[str, Any]] = {}
         self.left_out: dict[str, str] = {}  # by node: what the report lacks of its summary
         self._summed: dict[str, int] = {}  # the process whose summary is kept, by node
@@ -87,7 +87,7 @@ class Supervisor(ProcessManager):
         self._health.tick()
         self._hear()
         self._see_off()
-        self.desk.attend()
+        self.control.tick()
         now_s = time.monotonic()
         for managed in self.processes.values():
             self._look_after(managed, now_s)
@@ -150,7 +150,7 @@ class Supervisor(ProcessManager):
         self._sample()
         self.spare.dismiss()
         handles = {managed.handle for managed in self.processes.values() if managed.handle}
-        handles |= {*self.desk.give_up(), *self._leaving}
+        handles |= {*self.control.abort(), *self._leaving}
         for handle in handles:
             handle.tell("stop")
         self._await_ends(handles, STOP_S)
@@ -217,7 +217,7 @@ class Supervisor(ProcessManager):
             event["event"],
             str(event.get("node")),
         )
-        if self.desk.hear(handle.pid, event):
+        if self.control.on_event(handle.pid, event):
             return
         if kind == "summary" and node in handle.nodes:
             self._keep_summary(handle, node, event)
@@ -253,7 +253,7 @@ class Supervisor(ProcessManager):
             log.error("%s: %s", managed.name, managed.last_words)
 
     def _look_after(self, managed: ManagedProcess, now_s: float) -> None:
-        if self.desk.owns(managed):
+        if self.control.owns(managed):
             return
         if managed.handle is None and managed.sources and self.ending:
             self._finished |= managed.sources  # it need not come back to make no frames

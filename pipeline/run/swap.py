@@ -19,8 +19,8 @@ from pipeline.graph.limits import BudgetMs, FrameCount, SomeFrames, Word
 from pipeline.graph.plan import Plan
 from pipeline.node.live import keep, kept
 from pipeline.node.wiring import swappable
-from pipeline.run.affair import Affair
 from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.operation import Operation
 from pipeline.run.process_handle import KILLED_S, ProcessHandle, ending
 from pipeline.run.process_manager import ProcessManager
 from pipeline.settings import suggest
@@ -56,7 +56,7 @@ class SwapOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="s
     budget_ms: BudgetMs = 0.0  # 0: three times the old part's median
 
 
-class Swap(Affair):
+class SwapOperation(Operation):
     """One swap."""
 
     kind = "swap"
@@ -81,10 +81,10 @@ class Swap(Affair):
         self.facts |= {"node": order.node, "hot": self._hot}
 
     def owns(self, managed: ManagedProcess) -> bool:
-        """Whether exits of that process are this swap's affair."""
+        """Whether exits of that process belong to this swap."""
         return self._owned and managed is self._managed
 
-    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
         """Take note of an event; True when nobody else needs it."""
         kind = str(event.get("event"))
         if pid in self._gone:
@@ -92,12 +92,12 @@ class Swap(Affair):
         mine = [c for c in (self._other, self._managed.handle) if c and c.pid == pid]
         if not mine:
             return False
-        super().hear(pid, event)
+        super().on_event(pid, event)
         if mine[0] is self._other and kind == "ready":
             mine[0].ready, mine[0].load_s = True, float(event.get("load_s", 0))
         return mine[0] is self._other or (self._owned and kind == "failed")
 
-    def give_up(self) -> list[ProcessHandle]:
+    def abort(self) -> list[ProcessHandle]:
         """The run ends: the process that does not work, to be ended with the others."""
         return [self._other] if self._other else []
 

@@ -14,8 +14,8 @@ from pydantic import TypeAdapter, ValidationError
 from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan, sources
 from pipeline.graph.ports import check_ports
-from pipeline.run.affair import Affair, log
 from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.operation import Operation, log
 from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.process_manager import ProcessManager
 
@@ -31,7 +31,7 @@ class PlanOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="p
     revision: int
 
 
-class Topology(Affair):
+class TopologyOperation(Operation):
     """One change of the plan."""
 
     kind = "topology"
@@ -69,9 +69,9 @@ class Topology(Affair):
         """Whoever comes or goes is no crash."""
         return managed in self._mine
 
-    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
         """That one of them fails, or makes no more frames, concerns this change alone."""
-        super().hear(pid, event)
+        super().on_event(pid, event)
         mine = any(managed.handle and managed.handle.pid == pid for managed in self._mine)
         return mine and event.get("event") in ("failed", "finished")
 

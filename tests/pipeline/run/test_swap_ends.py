@@ -18,7 +18,7 @@ def swap(supervisor: Supervisor, **changes: Any) -> list[dict[str, Any]]:
     answers: list[dict[str, Any]] = []
     wait_for(supervisor, lambda: handled(supervisor, "after") > 5, 60)
     order = SwapOrder(node="unruly", changes=changes, probation=5)
-    supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+    supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
     return answers
 
 

@@ -12,12 +12,12 @@ import msgspec
 
 from pipeline import codec
 from pipeline.errors import FoveaError
-from pipeline.run.affair import Affair
 from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.operation import Operation
 from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.process_manager import ProcessManager
-from pipeline.run.swap import Swap, SwapOrder
-from pipeline.run.topology import PlanOrder, Topology
+from pipeline.run.swap import SwapOperation, SwapOrder
+from pipeline.run.topology import PlanOrder, TopologyOperation
 from pipeline.text import error_text, harmless
 
 COMMAND = "@graph"  # the key below a graph's own that takes orders
@@ -27,13 +27,13 @@ _ORDER = msgspec.json.Decoder(Order)
 log = logging.getLogger(__name__)
 
 
-class Desk:
+class ControlServer:
     """The orders of one supervisor."""
 
     def __init__(self, manager: ProcessManager) -> None:
         self._manager = manager
         self._asked: queue.SimpleQueue[tuple[bytes, Reply]] = queue.SimpleQueue()
-        self._affair: Affair | None = None
+        self._operation: Operation | None = None
         self._reply: Reply = _nobody
 
     def ask(self, order: bytes, reply: Reply) -> None:
@@ -41,7 +41,7 @@ class Desk:
         self._asked.put((order, reply))
         self._manager.exchange.wake()
 
-    def attend(self) -> None:
+    def tick(self) -> None:
         """Take up what was asked, carry on with what is under way."""
         while not self._asked.empty():
             order, reply = self._asked.get()
@@ -52,42 +52,42 @@ class Desk:
             except Exception as error:  # an order must not end the graph
                 log.exception("an order broke")
                 reply(answer({"refused": f"it broke: {harmless(error_text(error))}"}))
-        if self._affair is not None:
-            self._affair.tick()
-            if self._affair.result is not None:
-                result, reply = self._affair.result, self._reply
-                self._affair, self._reply = None, _nobody
+        if self._operation is not None:
+            self._operation.tick()
+            if self._operation.result is not None:
+                result, reply = self._operation.result, self._reply
+                self._operation, self._reply = None, _nobody
                 reply(answer(result))
 
     def take(self, order: Order, reply: Reply) -> None:
         """Begin with an order; raises `RunError` when it cannot be done."""
-        if self._affair is not None:
+        if self._operation is not None:
             reply(answer({"refused": f"{self._manager.plan.name}: another order is under way"}))
             return
         if isinstance(order, SwapOrder):
-            self._affair = Swap(self._manager, order)
+            self._operation = SwapOperation(self._manager, order)
         else:
-            self._affair = Topology(self._manager, order)
+            self._operation = TopologyOperation(self._manager, order)
         self._reply = reply
 
-    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
         """Whether an event of a process concerns the order under way alone."""
-        return self._affair is not None and self._affair.hear(pid, event)
+        return self._operation is not None and self._operation.on_event(pid, event)
 
     def owns(self, managed: ManagedProcess) -> bool:
         """Whether the order under way looks after a process."""
-        return self._affair is not None and self._affair.owns(managed)
+        return self._operation is not None and self._operation.owns(managed)
 
-    def give_up(self) -> list[ProcessHandle]:
+    def abort(self) -> list[ProcessHandle]:
         """The run ends; the processes that it would not know of."""
         ended = answer(
             {"refused": f"{self._manager.plan.name}: the run ended before that was done"}
         )
         while not self._asked.empty():
             self._asked.get()[1](ended)
-        left = self._affair.give_up() if self._affair is not None else []
+        left = self._operation.abort() if self._operation is not None else []
         self._reply(ended)
-        self._affair, self._reply = None, _nobody
+        self._operation, self._reply = None, _nobody
         return left
 
 

@@ -14,7 +14,7 @@ from pipeline.text import error_text, harmless
 log = logging.getLogger(__name__)
 
 
-class Affair:
+class Operation:
     """An order under way, driven by the supervisor's ticks; `result` is there when it is over."""
 
     kind = "order"
@@ -38,16 +38,16 @@ class Affair:
             log.exception("%s broke", self.kind)
             self._finish(f"it broke: {harmless(error_text(error))}")
 
-    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
         """Take note of an event; True when nobody else needs it."""
         self._said.setdefault(pid, {})[str(event.get("event"))] = event
         return False
 
     def owns(self, managed: ManagedProcess) -> bool:
-        """Whether exits of that process are this affair's."""
+        """Whether exits of that process belong to this operation."""
         return False
 
-    def give_up(self) -> list[ProcessHandle]:
+    def abort(self) -> list[ProcessHandle]:
         """The run ends: processes that nobody else knows of."""
         return []
 

@@ -6,14 +6,14 @@ from typing import Any, cast
 
 import pytest
 
-from pipeline.run.affair import Affair
+from pipeline.run.operation import Operation
 from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.process_manager import ProcessManager
 
 ENDED = cast(ProcessHandle, SimpleNamespace(name="work", pid=7, ended=lambda: 0, bury=bool))
 
 
-class Checked(Affair):
+class Checked(Operation):
     """Waits for a trial to say that it fits."""
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ def test_its_last_words_count(word: dict[str, Any], refused: str) -> None:
     order.tick()
     assert order.result is None
 
-    order.hear(ENDED.pid, word)
+    order.on_event(ENDED.pid, word)
     order.tick()
 
     assert order.result == {"refused": refused}
