@@ -14,9 +14,9 @@ from pipeline import output, signals
 from pipeline.bus.session import silence
 from pipeline.console import listening, running, watching
 from pipeline.console.arguments import DURATION_S, FRAMES, FRAMES_OR_NONE, INTERVAL_S, LINES
-from pipeline.console.asking import health_command, schema_command, tell_command
 from pipeline.console.changing import set_command
 from pipeline.console.files import try_recording, try_report, write_report
+from pipeline.console.graph_client import health_command, schema_command, tell_command
 from pipeline.console.operating import add, remove, rewire, swap
 from pipeline.console.tasks import task_command
 from pipeline.contract import INCOMPLETE

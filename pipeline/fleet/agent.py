@@ -37,10 +37,10 @@ from pipeline.fleet.names import (
     endpoint,
     host_part,
 )
+from pipeline.fleet.node_gateway import NodeGateway
 from pipeline.fleet.part import Part
 from pipeline.fleet.placement import check_marks, inspect
 from pipeline.fleet.show import state_of
-from pipeline.fleet.steering import Steering
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
@@ -73,7 +73,7 @@ class Agent:
         self.box, self.label = own, own.label
         self._papers = own.papers
         self._allowed = own.allowed
-        self._steering = Steering(self._allowed, own.file.settings)
+        self._gateway = NodeGateway(self._allowed, own.file.settings)
         self._looks: queue.Queue[_Question] = queue.Queue(WAITING)
         self._works: queue.Queue[_Question] = queue.Queue(WAITING)
         self._sending = threading.BoundedSemaphore(1)  # weights are big: one file at a time
@@ -99,7 +99,7 @@ class Agent:
             part.stop()
         for part in self.parts.values():
             self._guarded(part.end)
-        self._steering.close()
+        self._gateway.close()
         self._session.close()
 
     def stop(self) -> None:
@@ -263,12 +263,12 @@ class Agent:
 
     def _node(self, question: _Question, data: bytes) -> object:
         asked = wire.decode(wire.ToNode, data)
-        self._steering.ask(self._part(asked.graph), asked, question.reply)
+        self._gateway.ask(self._part(asked.graph), asked, question.reply)
         return LATER
 
     def _swap(self, question: _Question, data: bytes) -> object:
         asked = wire.decode(wire.Change, data)
-        self._steering.swap(self._part(asked.graph), asked.order, question.reply)
+        self._gateway.swap(self._part(asked.graph), asked.order, question.reply)
         return LATER
 
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:

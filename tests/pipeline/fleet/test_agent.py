@@ -13,9 +13,9 @@ import pytest
 
 from pipeline.bus.network import LOCAL, Network
 from pipeline.bus.session import Session
-from pipeline.console.asking import ask_node, fleet_health
-from pipeline.console.asking import tell as tell_node
 from pipeline.console.changing import ask
+from pipeline.console.graph_client import ask_node, fleet_health
+from pipeline.console.graph_client import tell as tell_node
 from pipeline.console.operating import replan, tell
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire

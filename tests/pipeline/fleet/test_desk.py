@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.console.asking import fleet_health
 from pipeline.console.changing import ask
+from pipeline.console.graph_client import fleet_health
 from pipeline.errors import FoveaError, GraphError, RunError, Silent
 from pipeline.fleet import wire
 from pipeline.fleet.agent_file import AgentFile, Box

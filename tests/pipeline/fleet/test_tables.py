@@ -2,8 +2,8 @@
 
 from rich.console import Console, RenderableType
 
-from pipeline.console.asking import health_table
 from pipeline.console.changing import table as settings_table
+from pipeline.console.graph_client import health_table
 from pipeline.fleet.tables import (
     Said,
     add_rows,

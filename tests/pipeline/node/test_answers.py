@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pipeline import Frame, Operator, RunError, SettingsError
 from pipeline.codec import fingerprint
 from pipeline.commands import carry_out, commands_of, obey, read_outcome, write_order
-from pipeline.console.asking import ask_node, fleet_health, tell
+from pipeline.console.graph_client import ask_node, fleet_health, tell
 from pipeline.node.health import Health
 from pipeline.node.interface import SCHEMA, interface, read_interface
 from pipeline.run.supervisor import Supervisor

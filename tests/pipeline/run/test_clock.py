@@ -19,7 +19,7 @@ ASKED_FOR_FILES = {  # a file's age is by that clock, and so is a certificate's
 UNDER_JUMPS = """
 import signal, sys, time
 from pathlib import Path
-from pipeline.console.asking import fleet_health
+from pipeline.console.graph_client import fleet_health
 from pipeline.graph.loader import load
 from tests.toy_graphs import (
     assert_accounts_add_up, go, handled, send_signal, wait_for, wait_for_progress,

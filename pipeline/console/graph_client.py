@@ -1,4 +1,4 @@
-"""`fovea health | schema | tell`: asks the nodes of running graphs, one or all by a wildcard."""
+"""The client of running graphs, here or on several boxes: `fovea health | schema | tell`."""
 
 import json
 from collections.abc import Collection, Mapping
@@ -20,8 +20,8 @@ from pipeline.fleet.remote import ask_there, health_there, is_deployed
 from pipeline.node.health import HEALTH, Health, read_health
 from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.node.wiring import key_of
+from pipeline.run.bus_client import ask_local, client_session
 from pipeline.run.rundir import running
-from pipeline.run.visiting import ask_on, visit
 from pipeline.settings import suggest
 from pipeline.terminal import lean_table
 
@@ -82,7 +82,7 @@ def fleet_health(graph: str) -> dict[str, Health | None]:
     name, facts = find(graph)
     key = partial(key_of, facts["graph"])
     wanted = {key(node["name"], HEALTH): node["name"] for node in facts["nodes"]}
-    with visit(name, "health") as session:
+    with client_session(name, "health") as session:
         answers = session.ask_all(key("*", HEALTH), QUICK_S, _complete(wanted))
     return {
         node: read_health(answers[key]) if key in answers else None for key, node in wanted.items()
@@ -97,7 +97,7 @@ def ask_node(graph: str, node: str, question: str, payload: bytes) -> bytes:
     nodes = [n["name"] for n in facts["nodes"]]
     if node not in nodes:
         raise RunError(f"{name}: no node {node}{suggest(node, nodes)}")
-    return ask_on(name, facts["graph"], node, question, payload)
+    return ask_local(name, facts["graph"], node, question, payload)
 
 
 def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:

@@ -1,4 +1,4 @@
-"""Questions to the nodes of a graph that runs on this host, over the graph's own bus."""
+"""A client of the nodes of a graph that runs on this host, over the graph's own bus."""
 
 import itertools
 import os
@@ -14,9 +14,9 @@ PATIENCE_S = 5.0  # a node answers between two frames; one that hangs does not
 _COUNT = itertools.count()  # several threads may ask
 
 
-def ask_on(folder: str, graph: str, node: str, question: str, payload: bytes) -> bytes:
+def ask_local(folder: str, graph: str, node: str, question: str, payload: bytes) -> bytes:
     """Likewise, of a graph that runs in a folder of that name; raises `RunError` for silence."""
-    with visit(folder, "ask") as session:
+    with client_session(folder, "ask") as session:
         answer = session.ask(key_of(graph, node, question), payload, PATIENCE_S)
     if answer is None:
         raise RunError(
@@ -26,8 +26,8 @@ def ask_on(folder: str, graph: str, node: str, question: str, payload: bytes) ->
 
 
 @contextmanager
-def visit(graph: str, purpose: str) -> Iterator[Session]:
-    """A session on the bus of a graph that runs here; it leaves nothing, not even when killed."""
+def client_session(graph: str, purpose: str) -> Iterator[Session]:
+    """A session on the bus of a graph that runs here; it leaves no file, not even when killed."""
     own = f"{purpose}-{os.getpid()}-{next(_COUNT)}"
     session = Session(folder_of(graph), own, patience_s=1.0, guest=True)
     try:

@@ -1,4 +1,4 @@
-"""What somebody elsewhere asks of the nodes on this box: settings, commands, swaps.
+"""Requests from elsewhere to the nodes on this box: settings, commands, swaps.
 
 The same rules hold as for a graph that is brought up: code by the allow list, files by checksum.
 """
@@ -16,8 +16,8 @@ from pipeline.fleet import wire
 from pipeline.fleet.allow import Allowed
 from pipeline.fleet.part import Part
 from pipeline.node.live import CONFIG, read_question, write_question
+from pipeline.run.bus_client import ask_local
 from pipeline.run.swap import SwapOrder
-from pipeline.run.visiting import ask_on
 from pipeline.settings import suggest
 
 AT_ONCE = 4  # a node answers between two frames; one that hangs must not hold up the others
@@ -25,13 +25,13 @@ WAITING = 16
 Reply = Callable[[bytes], None]
 
 
-class Steering:
-    """Hands questions on to the nodes of a box."""
+class NodeGateway:
+    """Forwards requests to the nodes of a box."""
 
     def __init__(self, allowed: Allowed, over: Mapping[str, Mapping[str, Any]]) -> None:
         """`over`: what this box sets itself, by node; nobody else may change it."""
         self._allowed, self._over = allowed, over
-        self._pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="steer")
+        self._pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="gateway")
         self._room = BoundedSemaphore(AT_ONCE + WAITING)
 
     def close(self) -> None:
@@ -64,7 +64,7 @@ class Steering:
 
     def _ask(self, part: Part, asked: wire.ToNode, payload: bytes, reply: Reply) -> None:
         try:
-            said = ask_on(part.folder, part.plan.name, asked.node, asked.question, payload)
+            said = ask_local(part.folder, part.plan.name, asked.node, asked.question, payload)
             reply(wire.answered(wire.Said(said)))
         except FoveaError as error:
             reply(wire.refused(str(error)))
