@@ -109,7 +109,7 @@ class InPort:
     def take_over(self, cut: EdgeCut) -> None:
         """Go on where another instance stopped, with what it has not finished and what came since.
 
-        Until `settle_down` the writer is told that a message was seen only when it is finished: its
+        Until `confirm` the writer is told that a message was seen only when it is finished: its
         memory is then still there for the other instance, should this one fail.
         """
         tape, self._tape = self._tape or Tape(), None
@@ -123,7 +123,7 @@ class InPort:
                 self._hand_on(envelope)
         self._tell_seen()
 
-    def settle_down(self) -> None:
+    def confirm(self) -> None:
         """This instance stays."""
         self._careful = False
         self._tell_seen()

@@ -33,17 +33,17 @@ MOST_ASKED = 64  # questions that may wait for a handler to return
 WAIT_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: asking takes time too
 
 
-class Rests(Protocol):
-    """What may let a host rest, because another instance works in its place (`relay`)."""
+class Standby(Protocol):
+    """What may keep a host inactive: another instance works in its place (`handover`)."""
 
-    at_rest: bool
+    inactive: bool
 
-    def rest(self, doors: Doors) -> None:
+    def stand_by(self, doors: Doors) -> None:
         """Wait for a moment."""
         ...
 
-    def look(self) -> None:
-        """See whether the time has come to rest."""
+    def poll(self) -> None:
+        """See whether the time has come to stop."""
         ...
 
 
@@ -62,7 +62,7 @@ class Host:
         self._doors = doors
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self.ports: dict[str, InPort] = {}
-        self.relay: Rests | None = None
+        self.handover: Standby | None = None
         self.clocks = Clocks()
         self.inbox = Inbox(inputs, self.settle, lockstep=lockstep, age_ns=self._age_ns)
         self.executor = Executor(name, operator)
@@ -123,8 +123,8 @@ class Host:
         """Do what was asked for; to be called by the thread that calls the handlers."""
         while not self._asked.empty():
             self._asked.get()()
-        if self.relay is not None:
-            self.relay.look()
+        if self.handover is not None:
+            self.handover.poll()
 
     def stop(self) -> None:
         """Let `run` return after the message in hand."""
@@ -157,8 +157,8 @@ class Host:
 
     def step(self) -> None:
         """One wait and one call, of which nothing is held while the next is waited for."""
-        if self.relay is not None and self.relay.at_rest:
-            self.relay.rest(self._doors)
+        if self.handover is not None and self.handover.inactive:
+            self.handover.stand_by(self._doors)
             self.do_asked()
             return
         work = self._wait()

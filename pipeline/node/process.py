@@ -30,10 +30,10 @@ from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.node.control import Control
+from pipeline.node.handover import read_cut
 from pipeline.node.host import Host
 from pipeline.node.logfile import log_to
 from pipeline.node.place import check_fit
-from pipeline.node.relay import read_cut
 from pipeline.node.source import SourceHost
 from pipeline.node.wiring import ASIDE, Assignment, Wiring
 from pipeline.private_folder import PrivateFolder
@@ -123,17 +123,17 @@ class Process:
             plan = TypeAdapter(Plan).validate_python(order["plan"])
             host.between(partial(self._wiring.replan, node, plan), must=True)
             return
-        relay = self._wiring.relays.get(node) if self._wiring else None
-        if host is None or relay is None:
+        handover = self._wiring.handovers.get(node) if self._wiring else None
+        if host is None or handover is None:
             log.error("%s: cannot %s %s", self._job.process, kind, node)
         elif kind == "cut":
-            host.between(partial(relay.want, read_cut(order["cut"])), must=True)
+            host.between(partial(handover.request, read_cut(order["cut"])), must=True)
         elif kind == "uncut":
-            host.between(partial(relay.want, None), must=True)
+            host.between(partial(handover.request, None), must=True)
         elif kind == "resume":
-            host.between(partial(relay.resume, int(order["epoch"])), must=True)
-        elif kind == "settle":
-            host.between(relay.settle_down, must=True)
+            host.between(partial(handover.resume, int(order["epoch"])), must=True)
+        elif kind == "confirm":
+            host.between(handover.confirm, must=True)
 
     def _make(self, node: Node) -> Operator[Any, Any]:
         cls = load_operator(node.operator)

@@ -18,10 +18,10 @@ from pipeline.bus.session import Sender, Session
 from pipeline.contract import Input, Operator, Source, outputs_of
 from pipeline.graph.plan import Edge, Node, Plan, inputs_for, slots
 from pipeline.node.answers import Answers
+from pipeline.node.handover import HANDOVER_CHANNEL, Handover, Say
 from pipeline.node.host import Host
 from pipeline.node.live import Live, kept
 from pipeline.node.place import Place
-from pipeline.node.relay import BATON, Relay, Say
 from pipeline.node.shadow import MOST_WAITING, Heard
 from pipeline.node.source import SourceHost
 from pipeline.private_folder import PrivateFolder
@@ -95,7 +95,7 @@ class Wiring:
         self._doors: list[Doors] = []
         self._links: list[Links] = []
         self._stops: list[Any] = []
-        self.relays: dict[str, Relay] = {}
+        self.handovers: dict[str, Handover] = {}
         self._running: dict[str, tuple[Host, Doors, Answers]] = {}
 
     def close(self) -> None:
@@ -137,20 +137,21 @@ class Wiring:
         live = Live(node.name, operator, job.settings(node), job.kept_in(node))
         answers = Answers(plan, node, operator, host, live, self._ledger)
         key = partial(key_of, plan.name, node.name)
-        voice = _Voice(lambda: answers.serve(self._session, key))
-        self._stops.append(voice.lower)
+        queryables = _Queryables(lambda: answers.serve(self._session, key))
+        self._stops.append(queryables.undeclare)
         self._running[node.name] = (host, doors, answers)
         for edge in edges.values():
             self._listen(host, edge, common["inputs"][edge.input], doors)
         if swappable(plan, node) and not isinstance(operator, Source):
-            relay = Relay(
+            handover = Handover(
                 host, memory=self._memory, say=self._say,
-                voice=voice, listen=partial(self._tap, node, type(operator)), standby=job.standby,
+                queryables=queryables, listen=partial(self._tap, node, type(operator)),
+                standby=job.standby,
             )  # fmt: skip
-            host.relay = self.relays[node.name] = relay
-            doors.expect(BATON, relay.receive)
+            host.handover = self.handovers[node.name] = handover
+            doors.expect(HANDOVER_CHANNEL, handover.receive)
         if not job.standby:
-            voice.raise_()
+            queryables.declare()
         return host
 
     def replan(self, node: str, plan: Plan) -> None:
@@ -257,18 +258,18 @@ def _hear(heard: Heard, name: str, arrival: Arrival) -> None:
         heard.put((name, arrival))
 
 
-class _Voice:
-    """Answers questions to a node, while it is raised."""
+class _Queryables:
+    """What a node answers, while it is declared."""
 
     def __init__(self, serve: Callable[[], list[Callable[[], None]]]) -> None:
         self._serve = serve
         self._stops: list[Callable[[], None]] = []
 
-    def raise_(self) -> None:
+    def declare(self) -> None:
         """Answer from now on."""
         self._stops = self._serve()
 
-    def lower(self) -> None:
+    def undeclare(self) -> None:
         """Answer no more."""
         while self._stops:
             self._stops.pop()()

@@ -1,6 +1,6 @@
 """Replaces the operator of a running node: stand by, cut, probation, and back when it fails.
 
-The supervisor's side; `pipeline.node.relay` is what the two instances do. A part that shares its
+The supervisor's side; `pipeline.node.handover` is what the two instances do. A part that shares its
 process, or owns a device, cannot stand by: it is stopped, then the other started.
 """
 
@@ -159,7 +159,7 @@ class SwapOperation(Operation):
             raise RunError(f"{error}; the old part goes on") from error
         answered = self.heard(new).get("answered", {})
         self.facts |= {k: answered[k] for k in ("left_out", "answered_ms") if k in answered}
-        new.order("settle", node=self._node.name)
+        new.order("confirm", node=self._node.name)
         yield from self._drained(epoch)
         old.tell("stop")
         yield from self.until(lambda: old.ended() is not None, ANSWER_S, "", must=False)

@@ -28,7 +28,7 @@ from pipeline.node.shadow import Heard, Shadow
 from pipeline.private_folder import PrivateFolder
 from pipeline.text import error_text
 
-BATON = 0xFFFFFFFF  # the "edge" on which a successor is told to go on
+HANDOVER_CHANNEL = 0xFFFFFFFF  # the "edge" on which a successor gets the state
 REST_S = 0.005
 MOST_STATE_BYTES = 1 << 30
 MARGIN = 64  # descriptors kept beyond what the other instance can have waiting
@@ -37,8 +37,8 @@ Listen = Callable[[Heard], Callable[[], None]]  # to the working part's outputs;
 log = logging.getLogger(__name__)
 
 
-class Baton(msgspec.Struct, forbid_unknown_fields=True):
-    """What the successor has to know."""
+class HandoverState(msgspec.Struct, forbid_unknown_fields=True):
+    """What the predecessor hands to its successor."""
 
     edges: dict[str, EdgeCut]  # by input
     marks: Marks
@@ -49,7 +49,7 @@ class Baton(msgspec.Struct, forbid_unknown_fields=True):
     forgotten: list[str] = []  # its attributes that changed while it ran, when it tells no state
 
 
-_READ = msgspec.msgpack.Decoder(Baton)
+_READ = msgspec.msgpack.Decoder(HandoverState)
 
 
 class Cut(msgspec.Struct, forbid_unknown_fields=True):
@@ -61,50 +61,50 @@ class Cut(msgspec.Struct, forbid_unknown_fields=True):
     shadow: int = 0  # frames: do not stop, only say how far it is
 
 
-class First(NamedTuple):
-    """How it stood when an instance took over."""
+class Takeover(NamedTuple):
+    """The counts when an instance took over."""
 
     answered: int  # sets of joined inputs
     dropped: dict[str, int]  # by input
     stopped_ns: int  # when the other one stopped, monotonic
 
 
-class Voice(Protocol):
+class Queryables(Protocol):
     """The node's answers to questions, which only the instance that works may give."""
 
-    def raise_(self) -> None:
+    def declare(self) -> None:
         """Answer from now on."""
         ...
 
-    def lower(self) -> None:
+    def undeclare(self) -> None:
         """Answer no more."""
         ...
 
 
-class Relay:
+class Handover:
     """One instance's side. Everything happens on the thread that calls its handlers."""
 
     def __init__(
-        self, host: Host, *, memory: PrivateFolder, say: Say, voice: Voice, listen: Listen,
-        standby: bool,
+        self, host: Host, *, memory: PrivateFolder, say: Say, queryables: Queryables,
+        listen: Listen, standby: bool,
     ) -> None:  # fmt: skip
         self._host, self._memory = host, memory
-        self._say, self._voice, self._listen = say, voice, listen
+        self._say, self._queryables, self._listen = say, queryables, listen
         self._shadow: Shadow | None = None
         self._unlisten: Callable[[], None] = lambda: None
         self._account = host.account
-        self.at_rest = self._standby = standby
+        self.inactive = self._standby = standby
         self._told = False
-        self._wanted: Cut | None = None
+        self._requested: Cut | None = None
         self._before: dict[str, Counted] = {}
-        self._baton = b""
-        self._first: First | None = None  # its first answer is awaited
+        self._received = b""
+        self._first: Takeover | None = None  # its first answer is awaited
         self._undeclared = UndeclaredState(host.operator)
         if standby:
             host.account = _nowhere()
 
-    def rest(self, doors: Doors) -> None:
-        """Keep what comes, for a moment; take over when told to."""
+    def stand_by(self, doors: Doors) -> None:
+        """Keep what comes, for a moment; take over when the state has come."""
         ports = self._host.ports
         for name, port in ports.items():
             seen = self._host.edges[name].seen
@@ -121,22 +121,22 @@ class Relay:
         doors.wait(REST_S)
         if self._shadow is not None:
             self._try(self._shadow)
-        if self._baton:
-            baton, self._baton = _READ.decode(self._baton), b""
-            if baton.shadow:
-                self._begin_trial(baton)
+        if self._received:
+            handover, self._received = _READ.decode(self._received), b""
+            if handover.shadow:
+                self._begin_trial(handover)
             else:
-                self._take_over(baton)
+                self._take_over(handover)
 
-    def receive(self, baton: bytes) -> None:
-        """Called at the door: it is this instance's turn."""
-        self._baton = baton
+    def receive(self, handover: bytes) -> None:
+        """Note that it is this instance's turn."""
+        self._received = handover
 
-    def want(self, cut: Cut | None) -> None:
+    def request(self, cut: Cut | None) -> None:
         """Stop as soon as may be; with None, go on after all."""
-        self._wanted = cut
+        self._requested = cut
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Between two calls of handlers."""
         ports = self._host.ports
         if self._first is not None and self._host.answered > self._first.answered:
@@ -144,18 +144,18 @@ class Relay:
             left_out = {name: port.dropped - first.dropped[name] for name, port in ports.items()}
             answered_ms = (time.monotonic_ns() - first.stopped_ns) / 1e6
             self._say("answered", node=self._host.name, left_out=left_out, answered_ms=answered_ms)
-        if self._wanted is not None and self._may_stop(self._wanted):
-            cut, self._wanted = self._wanted, None
+        if self._requested is not None and self._may_stop(self._requested):
+            cut, self._requested = self._requested, None
             try:
                 self._stop(cut)
             except (FoveaError, OSError) as error:
-                if self.at_rest:
+                if self.inactive:
                     self.resume(self._host.epoch)
                 self._say("uncut", node=self._host.name, reason=str(error))
 
     def resume(self, epoch: int) -> None:
         """Go on after all, after what the successor has finished."""
-        if not self.at_rest:
+        if not self.inactive:
             return
         host = self._host
         self._begin(epoch)
@@ -163,13 +163,13 @@ class Relay:
         host.inbox.forget(lambda name, ordinal: done[name](ordinal))
         for port in host.ports.values():
             port.play()
-        self._speak()
+        self._activate()
         self._say("resumed", node=host.name)
 
-    def settle_down(self) -> None:
+    def confirm(self) -> None:
         """The other instance is not needed any more."""
         for port in self._host.ports.values():
-            port.settle_down()
+            port.confirm()
 
     def _may_stop(self, cut: Cut) -> bool:
         if self._account.last_seq + 1 < cut.at:
@@ -180,62 +180,62 @@ class Relay:
     def _stop(self, cut: Cut) -> None:
         host = self._host
         state = self._write_state()
-        link = connected(BATON, Path(cut.door))
+        link = connected(HANDOVER_CHANNEL, Path(cut.door))
         if link is None:
             raise RunError("the successor has closed its door")
         if cut.shadow:
             with link:
                 edges = {name: port.here() for name, port in host.ports.items()}
-                baton = Baton(
+                handover = HandoverState(
                     edges, host.inbox.marks(), 0, state, cut.shadow, class_of(host.operator)
                 )
-                link.send(msgspec.msgpack.encode(baton))
+                link.send(msgspec.msgpack.encode(handover))
             return
         self._before = {name: Counted(account) for name, account in host.edges.items()}
         marks = host.inbox.marks()
         forgotten = self._undeclared.names()
         edges = {name: port.cut() for name, port in host.ports.items()}
-        self.at_rest, host.account = True, _nowhere()
+        self.inactive, host.account = True, _nowhere()
         with link:
             for out in host.outs.values():
                 out.let_go()
-            baton = Baton(
+            handover = HandoverState(
                 edges, marks, time.monotonic_ns(), state, 0, class_of(host.operator), forgotten
             )
-            link.send(msgspec.msgpack.encode(baton))
+            link.send(msgspec.msgpack.encode(handover))
         self._say("cut", node=host.name, seq=int(self._account.last_seq))
-        self._voice.lower()
+        self._queryables.undeclare()
 
-    def _take_over(self, baton: Baton) -> None:
+    def _take_over(self, handover: HandoverState) -> None:
         host = self._host
         self._end_trial()
         for name, port in host.ports.items():
             if port.tape is None or port.tape.torn:
                 raise RunError(f"{host.name}: the successor fell behind on {name}")
-        state = self._read_state(baton)
-        same = baton.operator == class_of(host.operator)
-        forgotten = baton.forgotten if same else []
+        state = self._read_state(handover)
+        same = handover.operator == class_of(host.operator)
+        forgotten = handover.forgotten if same else []
         if forgotten:
             log.warning("%s: %s", host.name, lost_words(forgotten))
-        host.inbox.go_on_from(baton.marks)
+        host.inbox.go_on_from(handover.marks)
         self._begin(host.epoch)
         dropped = {name: port.dropped for name, port in host.ports.items()}
-        self._first = First(host.answered, dropped, baton.stopped_ns)
+        self._first = Takeover(host.answered, dropped, handover.stopped_ns)
         for name, port in host.ports.items():
-            port.take_over(baton.edges[name])
-        gap_ms = (time.monotonic_ns() - baton.stopped_ns) / 1e6
+            port.take_over(handover.edges[name])
+        gap_ms = (time.monotonic_ns() - handover.stopped_ns) / 1e6
         self._say(
             "taken", node=host.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state,
             forgotten=forgotten,
         )  # fmt: skip
-        self._speak()
+        self._activate()
 
-    def _begin_trial(self, baton: Baton) -> None:
+    def _begin_trial(self, handover: HandoverState) -> None:
         """Answer the same frames as the working part, and send nothing."""
         heard: Heard = queue.SimpleQueue()
-        self._read_state(baton)
+        self._read_state(handover)
         self._unlisten = self._listen(heard)
-        self._shadow = Shadow(self._host, baton.marks, baton.edges, heard, baton.shadow)
+        self._shadow = Shadow(self._host, handover.marks, handover.edges, heard, handover.shadow)
 
     def _try(self, shadow: Shadow) -> None:
         shadow.step()
@@ -256,9 +256,9 @@ class Relay:
         for out in host.outs.values():
             out.begin(epoch)
 
-    def _speak(self) -> None:
-        self.at_rest = self._standby = False
-        self._voice.raise_()
+    def _activate(self) -> None:
+        self.inactive = self._standby = False
+        self._queryables.declare()
 
     def _write_state(self) -> str:
         try:
@@ -275,16 +275,16 @@ class Relay:
         self._memory.write(name, data)
         return name
 
-    def _read_state(self, baton: Baton) -> str:
+    def _read_state(self, handover: HandoverState) -> str:
         """Give the operator its predecessor's state; what came of it, in words."""
-        name, operator = baton.state, self._host.operator
+        name, operator = handover.state, self._host.operator
         if not name:
             return "none"
         if not re.fullmatch(rf"{re.escape(self._host.name)}\.\d+\.state", name):
             raise MessageError(f"{self._host.name}: the state lies in a file that is not its own")
         try:
             data = self._memory.read(name, MOST_STATE_BYTES)
-            return restore(operator, data, must=baton.operator == class_of(operator))
+            return restore(operator, data, must=handover.operator == class_of(operator))
         except FoveaError as error:
             raise RunError(f"{self._host.name}: {error}") from error
         except OSError as error:
