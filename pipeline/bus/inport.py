@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from pipeline import codec
 from pipeline.bus.envelope import GOES_ON, HELLO, LOST, NOTHING, Envelope
+from pipeline.bus.envelope_buffer import DropCounts, EdgeCut, EnvelopeBuffer
 from pipeline.bus.ledger import DROPS, EdgeAccount, private_ledger
 from pipeline.bus.outport import Arrival
 from pipeline.bus.pool import PoolReader
-from pipeline.bus.tape import Counted, EdgeCut, Tape
 from pipeline.errors import MessageError
 from pipeline.messages import Header, Message
 
@@ -36,18 +36,18 @@ class InPort:
         self._seen = max(account.seen, account.accounted)
         self._open: set[int] = set()  # delivered here and not finished
         self._careful = False
-        self._tape: Tape | None = None
+        self._buffer: EnvelopeBuffer | None = None
         self.also: Callable[[Envelope], None] | None = None  # a shadow's, while holding
         self.on_loss: Callable[[], None] = lambda: None  # frames that were on their way are gone
         if holding:
-            self._tape = Tape()
+            self._buffer = EnvelopeBuffer()
         else:  # what the predecessor had taken and not finished died with it
             account.lost_in_crash += max(0, account.seen - account.accounted)
 
     @property
-    def tape(self) -> Tape | None:
+    def buffer(self) -> EnvelopeBuffer | None:
         """What is held, while it is."""
-        return self._tape
+        return self._buffer
 
     @property
     def dropped(self) -> int:
@@ -59,14 +59,14 @@ class InPort:
         try:
             envelope = Envelope.parse(payload)
         except MessageError:
-            if self._tape is None:
+            if self._buffer is None:
                 self._account.strays += 1  # without a number it is nobody's message
             return
         envelope.ordinal -= self._account.base
-        if self._tape is None:
+        if self._buffer is None:
             self._receive(envelope)
         else:
-            self._tape.add(envelope)
+            self._buffer.add(envelope)
             if self.also is not None:
                 self.also(envelope)
 
@@ -80,9 +80,9 @@ class InPort:
             self._message, private_ledger(1, 0).edges[0], self._pool, self._epoch, deliver,
             tap=True, holding=True,
         )  # fmt: skip
-        assert port._tape is not None
-        assert self._tape is not None
-        port._tape.envelopes.extend(self._tape.envelopes)
+        assert port._buffer is not None
+        assert self._buffer is not None
+        port._buffer.envelopes.extend(self._buffer.envelopes)
         self.also = port._receive
         return port
 
@@ -98,7 +98,7 @@ class InPort:
 
     def cut(self) -> EdgeCut:
         """Hold from now on; where the one that takes over has to begin."""
-        self._tape, self._careful = Tape(self._seen), True
+        self._buffer, self._careful = EnvelopeBuffer(self._seen), True
         self._tell_seen()
         return self.here()
 
@@ -112,11 +112,11 @@ class InPort:
         Until `confirm` the writer is told that a message was seen only when it is finished: its
         memory is then still there for the other instance, should this one fail.
         """
-        tape, self._tape = self._tape or Tape(), None
+        buffer, self._buffer = self._buffer or EnvelopeBuffer(), None
         self._seen, self._sender_epoch, self._careful = cut.seen, cut.sender_epoch, True
         self._account.attached_epoch = self._epoch
         unfinished = set(cut.unfinished)
-        for envelope in tape.envelopes:
+        for envelope in buffer.envelopes:
             if envelope.ordinal >= cut.seen + (envelope.kind != HELLO):
                 self._receive(envelope)
             elif envelope.ordinal in unfinished:
@@ -128,27 +128,27 @@ class InPort:
         self._careful = False
         self._tell_seen()
 
-    def resume(self, epoch: int, before: Counted) -> Callable[[int], bool]:
+    def resume(self, epoch: int, before: DropCounts) -> Callable[[int], bool]:
         """Go on after whoever took over has failed; says which ordinals it had finished.
 
         What it had dropped beyond the last message it finished is judged again, and not counted
-        twice. The caller lets its inbox forget what is done, then has the tape played.
+        twice. The caller lets its inbox forget what is done, then replays the buffer.
         """
         account, done = self._account, self._account.seen
-        tape = self._tape or Tape()
+        buffer = self._buffer or EnvelopeBuffer()
         self._epoch = account.attached_epoch = epoch
         again = {o for o in self._open if o > done}
-        again |= {e.ordinal for e in tape.envelopes if e.ordinal > done and e.kind != HELLO}
+        again |= {e.ordinal for e in buffer.envelopes if e.ordinal > done and e.kind != HELLO}
         newest = max([done, self._seen, *again])
         before.refund(account, account.accounted - (newest - len(again)))
         self._open = {o for o in self._open if o > done}
         self._seen, self._careful = max(self._seen, done), False
         return lambda ordinal: ordinal <= done
 
-    def play(self) -> None:
+    def replay(self) -> None:
         """Receive what was held."""
-        tape, self._tape = self._tape or Tape(), None
-        for envelope in tape.envelopes:
+        buffer, self._buffer = self._buffer or EnvelopeBuffer(), None
+        for envelope in buffer.envelopes:
             if envelope.ordinal >= self._seen + (envelope.kind != HELLO):
                 self._receive(envelope)
         self._tell_seen()

@@ -73,7 +73,7 @@ class Tap:
         self._lock = threading.Lock()
         self._instances: dict[int, _Instance] = {}  # by epoch
         self._slow = self._refused = 0
-        self._torn = False  # something was missed since the last one that was kept
+        self._after_loss = False  # something was missed since the last one that was kept
 
     def receive(self, payload: bytes) -> None:
         """Take one descriptor; never raises, never waits."""
@@ -87,14 +87,14 @@ class Tap:
                 return
             if envelope.mark != self._mark:
                 self._refused += 1
-                self._torn = True
+                self._after_loss = True
                 return
             try:
-                self._waiting.put_nowait((at_ns, envelope, self._torn))
-                self._torn = False
+                self._waiting.put_nowait((at_ns, envelope, self._after_loss))
+                self._after_loss = False
             except queue.Full:
                 self._slow += 1
-                self._torn = True
+                self._after_loss = True
 
     def next(self, timeout_s: float) -> Heard | None:
         """The next exposure; None when nothing came in time."""
@@ -102,11 +102,11 @@ class Tap:
         while True:
             try:
                 left_s = max(0.0, deadline - time.monotonic())
-                at_ns, envelope, torn = self._waiting.get(timeout=left_s)
+                at_ns, envelope, after_loss = self._waiting.get(timeout=left_s)
             except queue.Empty:
                 return None
             try:
-                return Heard(at_ns, *self._read(envelope), torn)
+                return Heard(at_ns, *self._read(envelope), after_loss)
             except MessageError:
                 self._refused += 1
 
@@ -141,7 +141,7 @@ class Tap:
         if later and min(later) <= ordinal:
             return False  # its successor had taken over by then
         if ordinal > known.last + 1:
-            self._torn = True
+            self._after_loss = True
         known.last = max(known.last, ordinal)
         known.heard += not greeting
         return not greeting

@@ -18,9 +18,9 @@ import msgspec
 
 from pipeline import codec
 from pipeline.bus.doors import Doors, connected
+from pipeline.bus.envelope_buffer import DropCounts, EdgeCut
 from pipeline.bus.inbox import Marks
 from pipeline.bus.ledger import NodeAccount, private_ledger
-from pipeline.bus.tape import Counted, EdgeCut
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.node.host import Host
 from pipeline.node.operator_state import UndeclaredState, class_of, lost_words, restore
@@ -96,7 +96,7 @@ class Handover:
         self.inactive = self._standby = standby
         self._told = False
         self._requested: Cut | None = None
-        self._before: dict[str, Counted] = {}
+        self._before: dict[str, DropCounts] = {}
         self._received = b""
         self._first: Takeover | None = None  # its first answer is awaited
         self._undeclared = UndeclaredState(host.operator)
@@ -108,15 +108,19 @@ class Handover:
         ports = self._host.ports
         for name, port in ports.items():
             seen = self._host.edges[name].seen
-            if port.tape is not None:
+            if port.buffer is not None:
                 back = self._host.inbox.capacity + MARGIN if self._standby else 0
-                port.tape.trim(seen - back)
+                port.buffer.trim(seen - back)
         if not self._standby:
             for out in self._host.outs.values():
                 out.let_go()
-        elif not self._told and all(p.tape and p.tape.heard is not None for p in ports.values()):
+        elif not self._told and all(
+            p.buffer and p.buffer.complete_after is not None for p in ports.values()
+        ):
             self._told = True
-            heard = {name: port.tape.heard for name, port in ports.items() if port.tape}
+            heard = {
+                name: port.buffer.complete_after for name, port in ports.items() if port.buffer
+            }
             self._say("standing", node=self._host.name, heard=heard)
         doors.wait(REST_S)
         if self._shadow is not None:
@@ -162,7 +166,7 @@ class Handover:
         done = {name: p.resume(epoch, self._before[name]) for name, p in host.ports.items()}
         host.inbox.forget(lambda name, ordinal: done[name](ordinal))
         for port in host.ports.values():
-            port.play()
+            port.replay()
         self._activate()
         self._say("resumed", node=host.name)
 
@@ -191,7 +195,7 @@ class Handover:
                 )
                 link.send(msgspec.msgpack.encode(handover))
             return
-        self._before = {name: Counted(account) for name, account in host.edges.items()}
+        self._before = {name: DropCounts(account) for name, account in host.edges.items()}
         marks = host.inbox.marks()
         forgotten = self._undeclared.names()
         edges = {name: port.cut() for name, port in host.ports.items()}
@@ -210,7 +214,7 @@ class Handover:
         host = self._host
         self._end_trial()
         for name, port in host.ports.items():
-            if port.tape is None or port.tape.torn:
+            if port.buffer is None or port.buffer.incomplete:
                 raise RunError(f"{host.name}: the successor fell behind on {name}")
         state = self._read_state(handover)
         same = handover.operator == class_of(host.operator)

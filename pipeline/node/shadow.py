@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from pipeline.bus.envelope_buffer import EdgeCut
 from pipeline.bus.inbox import Inbox, Marks, Work
 from pipeline.bus.outport import Arrival
-from pipeline.bus.tape import EdgeCut
 from pipeline.executor import carried
 from pipeline.messages import Message, altered
 from pipeline.node.host import Host

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 
 from pipeline import FoveaError, Frame, MessageError, Operator, RunError, Source
 from pipeline.bus.doors import Doors
+from pipeline.bus.envelope_buffer import EdgeCut
 from pipeline.bus.inbox import Marks
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import private_ledger
 from pipeline.bus.outport import Arrival, OutPort
-from pipeline.bus.tape import EdgeCut
 from pipeline.codec import carried, dumps, loads, to_bytes, unpack
 from pipeline.contract import inputs_of, outputs_of
 from pipeline.graph.plan import load_operator

@@ -1,6 +1,6 @@
-"""What an instance that does not speak for its node keeps: descriptors as they came.
+"""Envelopes kept for a successor, in the order in which they came.
 
-A successor holds them until it takes over, a superseded part until its successor has proven itself.
+A successor keeps them until it takes over, a predecessor until its successor has proven itself.
 """
 
 from collections import deque
@@ -21,24 +21,24 @@ class EdgeCut(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     sender_epoch: int
 
 
-class Tape:
-    """Descriptors of one edge in order; `heard` is the ordinal after which none is missing."""
+class EnvelopeBuffer:
+    """Envelopes of one edge; after the ordinal `complete_after` none is missing."""
 
-    def __init__(self, heard: int | None = None) -> None:
+    def __init__(self, complete_after: int | None = None) -> None:
         self.envelopes: deque[Envelope] = deque(maxlen=MOST)
-        self.heard, self.torn = heard, False
-        self._last, self._epoch = heard or 0, -1
+        self.complete_after, self.incomplete = complete_after, False
+        self._last, self._epoch = complete_after or 0, -1
 
     def add(self, envelope: Envelope) -> None:
         """Keep one more; before the writer's greeting there is no telling what came before it."""
         greeting = envelope.kind == HELLO
-        if self.heard is None:
+        if self.complete_after is None:
             if not greeting:
                 return
-            self.heard = envelope.ordinal
+            self.complete_after = envelope.ordinal
         elif not greeting and envelope.ordinal > self._last + 1 and envelope.epoch == self._epoch:
-            self.torn = True
-        self.torn |= len(self.envelopes) == MOST
+            self.incomplete = True
+        self.incomplete |= len(self.envelopes) == MOST
         self._last = max(self._last, envelope.ordinal)
         self._epoch = envelope.epoch
         self.envelopes.append(envelope)
@@ -49,7 +49,7 @@ class Tape:
             self.envelopes.popleft()
 
 
-class Counted:
+class DropCounts:
     """What an edge's reader had dropped at some moment."""
 
     def __init__(self, account: EdgeAccount) -> None:
