@@ -9,8 +9,8 @@ from pipeline.bus.pool import SlotRef
 
 VERSION = 2  # also below, where a type checker wants the number itself
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
-HELLO, MESSAGE, NOTHING = 0, 1, 2
-# bodies of greetings: by who took over and lost nothing, and by who has lost something just now
+HANDSHAKE, MESSAGE, NOTHING = 0, 1, 2
+# bodies of handshakes: by who took over and lost nothing, and by who has lost something just now
 GOES_ON, LOST = msgspec.msgpack.encode(True), msgspec.msgpack.encode(False)
 
 EPOCH_BITS = 32

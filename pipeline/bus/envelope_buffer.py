@@ -7,7 +7,7 @@ from collections import deque
 
 import msgspec
 
-from pipeline.bus.envelope import HELLO, Envelope
+from pipeline.bus.envelope import HANDSHAKE, Envelope
 from pipeline.bus.ledger import DROPS, EdgeAccount
 
 MOST = 4096  # descriptors
@@ -30,13 +30,13 @@ class EnvelopeBuffer:
         self._last, self._epoch = complete_after or 0, -1
 
     def add(self, envelope: Envelope) -> None:
-        """Keep one more; before the writer's greeting there is no telling what came before it."""
-        greeting = envelope.kind == HELLO
+        """Keep one more; before the writer's handshake there is no telling what came before it."""
+        handshake = envelope.kind == HANDSHAKE
         if self.complete_after is None:
-            if not greeting:
+            if not handshake:
                 return
             self.complete_after = envelope.ordinal
-        elif not greeting and envelope.ordinal > self._last + 1 and envelope.epoch == self._epoch:
+        elif not handshake and envelope.ordinal > self._last + 1 and envelope.epoch == self._epoch:
             self.incomplete = True
         self.incomplete |= len(self.envelopes) == MOST
         self._last = max(self._last, envelope.ordinal)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import codec
-from pipeline.bus.envelope import GOES_ON, HELLO, LOST, NOTHING, Envelope
+from pipeline.bus.envelope import GOES_ON, HANDSHAKE, LOST, NOTHING, Envelope
 from pipeline.bus.envelope_buffer import DropCounts, EdgeCut, EnvelopeBuffer
 from pipeline.bus.ledger import DROPS, EdgeAccount, private_ledger
 from pipeline.bus.outport import Arrival
@@ -60,7 +60,7 @@ class InPort:
             envelope = Envelope.parse(payload)
         except MessageError:
             if self._buffer is None:
-                self._account.strays += 1  # without a number it is nobody's message
+                self._account.unexpected += 1  # without a number it is nobody's message
             return
         envelope.ordinal -= self._account.base
         if self._buffer is None:
@@ -117,7 +117,7 @@ class InPort:
         self._account.attached_epoch = self._epoch
         unfinished = set(cut.unfinished)
         for envelope in buffer.envelopes:
-            if envelope.ordinal >= cut.seen + (envelope.kind != HELLO):
+            if envelope.ordinal >= cut.seen + (envelope.kind != HANDSHAKE):
                 self._receive(envelope)
             elif envelope.ordinal in unfinished:
                 self._hand_on(envelope)
@@ -138,7 +138,7 @@ class InPort:
         buffer = self._buffer or EnvelopeBuffer()
         self._epoch = account.attached_epoch = epoch
         again = {o for o in self._open if o > done}
-        again |= {e.ordinal for e in buffer.envelopes if e.ordinal > done and e.kind != HELLO}
+        again |= {e.ordinal for e in buffer.envelopes if e.ordinal > done and e.kind != HANDSHAKE}
         newest = max([done, self._seen, *again])
         before.refund(account, account.accounted - (newest - len(again)))
         self._open = {o for o in self._open if o > done}
@@ -149,16 +149,16 @@ class InPort:
         """Receive what was held."""
         buffer, self._buffer = self._buffer or EnvelopeBuffer(), None
         for envelope in buffer.envelopes:
-            if envelope.ordinal >= self._seen + (envelope.kind != HELLO):
+            if envelope.ordinal >= self._seen + (envelope.kind != HANDSHAKE):
                 self._receive(envelope)
         self._tell_seen()
 
     def _receive(self, envelope: Envelope) -> None:
         account = self._account
         fresh = account.attached_epoch != self._epoch or envelope.epoch != self._sender_epoch
-        missing = envelope.ordinal - self._seen - (envelope.kind != HELLO)
+        missing = envelope.ordinal - self._seen - (envelope.kind != HANDSHAKE)
         if missing < 0:
-            account.strays += 1
+            account.unexpected += 1
             return
         self._seen = envelope.ordinal
         if missing:
@@ -166,7 +166,7 @@ class InPort:
         if fresh:
             self._sender_epoch = envelope.epoch
             account.attached_epoch = self._epoch
-        if missing or (envelope.kind == HELLO and _tells_loss(envelope, fresh=fresh)):
+        if missing or (envelope.kind == HANDSHAKE and _tells_loss(envelope, fresh=fresh)):
             self.on_loss()
         self._hand_on(envelope)
         self._tell_seen()
@@ -184,8 +184,8 @@ class InPort:
         self._account.seen = min(self._open) - 1 if careful else self._seen
 
     def _read(self, envelope: Envelope) -> tuple[Arrival | None, str]:
-        """The arrival, or None and which drop it counts as (none for a greeting)."""
-        if envelope.kind == HELLO:
+        """The arrival, or None and which drop it counts as (none for a handshake)."""
+        if envelope.kind == HANDSHAKE:
             return None, ""
         if envelope.epoch < self._account.writer_epoch:
             return None, "fenced"
@@ -214,9 +214,9 @@ class InPort:
         return raw
 
 
-def _tells_loss(greeting: Envelope, *, fresh: bool) -> bool:
+def _tells_loss(handshake: Envelope, *, fresh: bool) -> bool:
     """Who died had frames in hand; who took over from a living one says that nothing is lost."""
-    said = bytes(greeting.body)
+    said = bytes(handshake.body)
     return said == LOST or (fresh and said != GOES_ON)
 
 

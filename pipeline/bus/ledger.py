@@ -52,14 +52,14 @@ class EdgeAccount(ctypes.Structure):
     # the reading node; the DROPS between the two below
     seen: int
     delivered: int
-    strays: int
+    unexpected: int
     lost_in_crash: int
     attached_epoch: int
     # the supervisor
     reader_epoch: int
     writer_epoch: int
-    door: int  # which instance of the reader packets go to, 0: none
-    next_door: int  # and which other one listens while the reader is being swapped
+    receiver_epoch: int  # which instance of the reader packets go to, 0: none
+    next_receiver_epoch: int  # and which other one listens while the reader is being swapped
     base: int  # the writer's: how much its output had sent before this edge began
 
     age: Histogram
@@ -69,7 +69,8 @@ class EdgeAccount(ctypes.Structure):
         (name, ctypes.c_uint64)
         for name in (
             "sent", "overrun", "broken", "seen", "delivered", *DROPS, "lost_in_crash",
-            "attached_epoch", "strays", "reader_epoch", "writer_epoch", "door", "next_door", "base",
+            "attached_epoch", "unexpected", "reader_epoch", "writer_epoch", "receiver_epoch",
+            "next_receiver_epoch", "base",
         )
     ]  # fmt: skip
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import codec
-from pipeline.bus.envelope import HELLO, NOTHING, Envelope, first_of
+from pipeline.bus.envelope import HANDSHAKE, NOTHING, Envelope, first_of
 from pipeline.errors import MessageError
 from pipeline.messages import Header, Message
 
@@ -128,12 +128,12 @@ class Tap:
 
     def _count(self, envelope: Envelope) -> bool:
         """Whether it is a message of the instance that spoke for the node when it was sent."""
-        epoch, ordinal, greeting = envelope.epoch, envelope.ordinal, envelope.kind == HELLO
+        epoch, ordinal, handshake = envelope.epoch, envelope.ordinal, envelope.kind == HANDSHAKE
         known = self._instances.get(epoch)
         if known is None:
             if any(other > epoch for other in self._instances):
                 return False  # not heard while it spoke
-            first = ordinal + greeting
+            first = ordinal + handshake
             if self._instances and first > first_of(epoch):
                 first = first_of(epoch)  # it counts anew, and this is not its first
             known = self._instances[epoch] = _Instance(first, first - 1)
@@ -143,8 +143,8 @@ class Tap:
         if ordinal > known.last + 1:
             self._after_loss = True
         known.last = max(known.last, ordinal)
-        known.heard += not greeting
-        return not greeting
+        known.heard += not handshake
+        return not handshake
 
     def _read(self, envelope: Envelope) -> tuple[Header, Message | None]:
         if envelope.kind == NOTHING:

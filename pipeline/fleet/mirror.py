@@ -13,7 +13,9 @@ from pipeline.fleet.wire import Accounts
 from pipeline.graph.plan import Edge, Plan
 
 WRITTEN = ("sent", "overrun", "broken", "writer_epoch")
-READ = ("delivered", *DROPS, "lost_in_crash", "strays", "attached_epoch", "reader_epoch", "seen")
+READ = (
+    "delivered", *DROPS, "lost_in_crash", "unexpected", "attached_epoch", "reader_epoch", "seen",
+)  # fmt: skip
 _MOST = 1 << 63
 
 

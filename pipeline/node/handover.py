@@ -1,9 +1,9 @@
 """Hands a running node from one process to another: one stops, the other goes on from there.
 
-The successor stands by at a door of its own: writers send to both, it keeps what comes. Between two
-calls of handlers the old part stops reading, writes its state to shared memory and tells the
-successor how far it came on every edge; the successor takes what was not finished and what came
-since. The old part keeps receiving until its successor has proven itself, and can go on instead.
+The successor stands by with a receiver of its own: writers send to both, it keeps what comes.
+Between two calls of handlers the old part stops reading, writes its state to shared memory and
+tells the successor how far it came on every edge; the successor takes what was not finished and
+what came since. The old part keeps receiving until its successor has proven itself, and can resume.
 """
 
 import logging
@@ -17,10 +17,10 @@ from typing import NamedTuple, Protocol
 import msgspec
 
 from pipeline import codec
-from pipeline.bus.doors import Doors, connected
 from pipeline.bus.envelope_buffer import DropCounts, EdgeCut
 from pipeline.bus.inbox import Marks
 from pipeline.bus.ledger import NodeAccount, private_ledger
+from pipeline.bus.local_transport import LocalReceiver, connect
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.node.host import Host
 from pipeline.node.operator_state import UndeclaredState, class_of, lost_words, restore
@@ -55,7 +55,7 @@ _READ = msgspec.msgpack.Decoder(HandoverState)
 class Cut(msgspec.Struct, forbid_unknown_fields=True):
     """The order to stop: at frame `at` or later, once everything the successor lacks is done."""
 
-    door: str  # of the successor
+    receiver: str  # of the successor
     heard: dict[str, int]  # by input: it lacks what came up to this ordinal
     at: int = 0
     shadow: int = 0  # frames: do not stop, only say how far it is
@@ -103,7 +103,7 @@ class Handover:
         if standby:
             host.account = _nowhere()
 
-    def stand_by(self, doors: Doors) -> None:
+    def stand_by(self, receiver: LocalReceiver) -> None:
         """Keep what comes, for a moment; take over when the state has come."""
         ports = self._host.ports
         for name, port in ports.items():
@@ -122,7 +122,7 @@ class Handover:
                 name: port.buffer.complete_after for name, port in ports.items() if port.buffer
             }
             self._say("standing", node=self._host.name, heard=heard)
-        doors.wait(REST_S)
+        receiver.wait(REST_S)
         if self._shadow is not None:
             self._try(self._shadow)
         if self._received:
@@ -184,9 +184,9 @@ class Handover:
     def _stop(self, cut: Cut) -> None:
         host = self._host
         state = self._write_state()
-        link = connected(HANDOVER_CHANNEL, Path(cut.door))
+        link = connect(HANDOVER_CHANNEL, Path(cut.receiver))
         if link is None:
-            raise RunError("the successor has closed its door")
+            raise RunError("the successor has closed its receiver")
         if cut.shadow:
             with link:
                 edges = {name: port.here() for name, port in host.ports.items()}

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline.bus.clocks import Clocks
-from pipeline.bus.doors import Doors
 from pipeline.bus.inbox import Inbox, Work
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import EdgeAccount, NodeAccount
+from pipeline.bus.local_transport import LocalReceiver
 from pipeline.bus.outport import Arrival, OutPort
 from pipeline.contract import Input, Operator
 from pipeline.errors import MessageError, PoolExhausted
@@ -27,7 +27,7 @@ from pipeline.messages import Header, Span, altered, stamped
 from pipeline.node.corewait import CoreWait
 
 IDLE_S = 0.2  # the heartbeat of a host that has nothing to do
-GREET_S = 0.02  # while a reader has not heard us yet
+HANDSHAKE_S = 0.02  # while a reader has not heard us yet
 CREDIT_S = 0.0005
 MOST_ASKED = 64  # questions that may wait for a handler to return
 WAIT_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: asking takes time too
@@ -38,7 +38,7 @@ class Standby(Protocol):
 
     inactive: bool
 
-    def stand_by(self, doors: Doors) -> None:
+    def stand_by(self, receiver: LocalReceiver) -> None:
         """Wait for a moment."""
         ...
 
@@ -53,13 +53,13 @@ class Host:
     def __init__(
         self, name: str, operator: Operator[Any, Any], inputs: Mapping[str, Input],
         edges: Mapping[str, EdgeAccount], outs: Mapping[str, OutPort], account: NodeAccount,
-        doors: Doors, *, lockstep: bool, epoch: int,
+        receiver: LocalReceiver, *, lockstep: bool, epoch: int,
     ) -> None:  # fmt: skip
         self.name, self.operator, self.outs = name, operator, dict(outs)
         self.edges, self.account, self.epoch = dict(edges), account, epoch
         self.lockstep = lockstep
         self._lock = threading.Lock()
-        self._doors = doors
+        self._receiver = receiver
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self.ports: dict[str, InPort] = {}
         self.handover: Standby | None = None
@@ -79,7 +79,7 @@ class Host:
             self.ports[name].finished(ordinal)
 
     def deliver(self, name: str, arrival: Arrival) -> None:
-        """Called while this host waits at its doors, or by a transport's thread."""
+        """Called while this host waits at its receiver, or by a transport's thread."""
         phase, waited = arrival.header.seq % WAIT_EVERY, 0
         own = threading.get_ident() == self._waiter
         if own and phase in (0, WAIT_EVERY - 1):  # the one before only sets the mark
@@ -88,7 +88,7 @@ class Host:
             self._arrived_wait_ns += 0 if phase else waited
             self.inbox.offer(name, arrival, time.monotonic_ns())
         if not own:
-            self._doors.wake()
+            self._receiver.wake()
 
     def lost(self, name: str) -> None:
         """Frames that were on their way to an input are gone: those after it have to know."""
@@ -116,7 +116,7 @@ class Host:
         if self._asked.qsize() >= MOST_ASKED and not must:
             return False
         self._asked.put(act)
-        self._doors.wake()
+        self._receiver.wake()
         return True
 
     def do_asked(self) -> None:
@@ -129,17 +129,17 @@ class Host:
     def stop(self) -> None:
         """Let `run` return after the message in hand."""
         self.stopping.set()
-        self._doors.wake()
+        self._receiver.wake()
 
-    def greet(self) -> bool:
-        """Greet readers that have not heard this instance; True when all have."""
-        return all([port.hello() for port in self.outs.values()])
+    def handshake(self) -> bool:
+        """Send a handshake to readers that have not heard this instance; True when all have."""
+        return all([port.handshake() for port in self.outs.values()])
 
     def attend(self) -> None:
-        """Before the first frame: hear greetings and greet, for a moment."""
-        self.greet()
+        """Before the first frame: exchange handshakes, for a moment."""
+        self.handshake()
         self._waiter = threading.get_ident()
-        self._doors.wait(GREET_S)
+        self._receiver.wait(HANDSHAKE_S)
 
     def next_work(self, patience_s: float) -> Work | None:
         """What to do next; None when nothing came within the patience."""
@@ -151,14 +151,14 @@ class Host:
         if due is not None:
             patience_s = min(patience_s, max(0.0, (due - time.monotonic_ns()) / 1e9))
         self._waiter = threading.get_ident()
-        self._doors.wait(patience_s)
+        self._receiver.wait(patience_s)
         with self._lock:
             return self.inbox.take(time.monotonic_ns())
 
     def step(self) -> None:
         """One wait and one call, of which nothing is held while the next is waited for."""
         if self.handover is not None and self.handover.inactive:
-            self.handover.stand_by(self._doors)
+            self.handover.stand_by(self._receiver)
             self.do_asked()
             return
         work = self._wait()
@@ -173,9 +173,9 @@ class Host:
         self.do_asked()
 
     def _wait(self) -> Work | None:
-        greeted = self.greet()
+        complete = self.handshake()
         self.account.heartbeat_ns = time.monotonic_ns()
-        return self.next_work(IDLE_S if greeted else GREET_S)
+        return self.next_work(IDLE_S if complete else HANDSHAKE_S)
 
     def _handle(self, work: Work) -> None:
         begun = time.monotonic_ns()
@@ -262,7 +262,7 @@ class Host:
         while not self.has_credit():
             if self.stopping.wait(CREDIT_S):
                 return
-            self.greet()
+            self.handshake()
             self.account.heartbeat_ns = time.monotonic_ns()
         self.resume()
 

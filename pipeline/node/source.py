@@ -48,7 +48,7 @@ class SourceHost(Host):
         exposures = 0
         try:
             while not self._ending.is_set() and (not self._limit or exposures < self._limit):
-                self.greet()
+                self.handshake()
                 self.do_asked()
                 if self.lockstep and not self._await_answer():
                     break
@@ -59,7 +59,7 @@ class SourceHost(Host):
                 self.account.enter("finished")
                 self.on_finished()
             while not self.stopping.wait(0.2):
-                self.greet()
+                self.handshake()
                 self.account.heartbeat_ns = time.monotonic_ns()
                 self.do_asked()
         finally:
@@ -132,7 +132,7 @@ class SourceHost(Host):
             self.account.heartbeat_ns = time.monotonic_ns()
             if self.stopping.wait(DRAIN_S):
                 return False
-            self.greet()
+            self.handshake()
         return True
 
     def _command_loop(self) -> None:

@@ -1,4 +1,4 @@
-"""Connects the operators of a process: a plan's nodes and edges to hosts, ports, doors and keys."""
+"""Connects the operators of a process: nodes and edges to hosts, ports, sockets and keys."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.bus.clocks import Clocks
-from pipeline.bus.doors import Doors, Links
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import Ledger, private_ledger
+from pipeline.bus.local_transport import LocalReceiver, LocalSender
 from pipeline.bus.network import Network
 from pipeline.bus.outport import BYTES_SUFFIX, Arrival, OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
@@ -64,9 +64,9 @@ class Assignment:
         here = filter(self.plan.is_here, self.plan.nodes)
         return tuple(node for node in here if node.process == self.process)
 
-    def door(self, node: str, instance: int) -> Path:
+    def receiver(self, node: str, instance: int) -> Path:
         """Where an instance of a node receives."""
-        return Path(self.run_folder) / f"{node}.{instance}.door"
+        return Path(self.run_folder) / f"{node}.{instance}.recv"
 
     @property
     def instance(self) -> str:
@@ -77,8 +77,8 @@ class Assignment:
         """The names of what this instance may leave in the run folder when it is killed."""
         if self.trial:
             return []  # it opens none, and bears the epoch of the instance that works
-        doors = [self.door(node, epoch).name for node, epoch in self.epochs.items()]
-        return [*doors, f"{self.instance}.sock", f"{self.instance}.sock.lock"]
+        receivers = [self.receiver(node, epoch).name for node, epoch in self.epochs.items()]
+        return [*receivers, f"{self.instance}.sock", f"{self.instance}.sock.lock"]
 
 
 class Wiring:
@@ -92,27 +92,27 @@ class Wiring:
         self._border = border  # the session with other hosts
         self._clocks = clocks_of(job)
         self._memory = PrivateFolder(Path(job.memory_folder))
-        self._doors: list[Doors] = []
-        self._links: list[Links] = []
+        self._receivers: list[LocalReceiver] = []
+        self._senders: list[LocalSender] = []
         self._stops: list[Any] = []
         self.handovers: dict[str, Handover] = {}
-        self._running: dict[str, tuple[Host, Doors, Answers]] = {}
+        self._running: dict[str, tuple[Host, LocalReceiver, Answers]] = {}
 
     def close(self) -> None:
         """Stop listening and close every socket."""
         for stop in self._stops:
             stop()
-        for links in self._links:
-            links.close()
-        for doors in self._doors:
-            doors.close()
+        for sender in self._senders:
+            sender.close()
+        for receiver in self._receivers:
+            receiver.close()
 
     def host(self, node: Node, operator: Operator[Any, Any]) -> Host:
-        """The host of an operator, its doors open and its ports connected."""
+        """The host of an operator, its receiver open and its ports connected."""
         job, plan = self._job, self._job.plan
         edges = plan.inputs(node.name)
-        doors = Doors(job.door(node.name, job.epochs[node.name]))
-        self._doors.append(doors)
+        receiver = LocalReceiver(job.receiver(node.name, job.epochs[node.name]))
+        self._receivers.append(receiver)
         outs = {
             name: self._out_port(node, name, message)
             for name, message in outputs_of(type(operator)).items()
@@ -121,7 +121,7 @@ class Wiring:
             "inputs": inputs_for(plan, node),
             "edges": {name: self._ledger.edges[e.index] for name, e in edges.items()},
             "outs": outs,
-            "doors": doors,
+            "receiver": receiver,
             "account": self._ledger.nodes[node.index],
             "lockstep": plan.clock == "lockstep",
             "epoch": job.epochs[node.name],
@@ -139,9 +139,9 @@ class Wiring:
         key = partial(key_of, plan.name, node.name)
         queryables = _Queryables(lambda: answers.serve(self._session, key))
         self._stops.append(queryables.undeclare)
-        self._running[node.name] = (host, doors, answers)
+        self._running[node.name] = (host, receiver, answers)
         for edge in edges.values():
-            self._listen(host, edge, common["inputs"][edge.input], doors)
+            self._listen(host, edge, common["inputs"][edge.input], receiver)
         if swappable(plan, node) and not isinstance(operator, Source):
             handover = Handover(
                 host, memory=self._memory, say=self._say,
@@ -149,7 +149,7 @@ class Wiring:
                 standby=job.standby,
             )  # fmt: skip
             host.handover = self.handovers[node.name] = handover
-            doors.expect(HANDOVER_CHANNEL, handover.receive)
+            receiver.expect(HANDOVER_CHANNEL, handover.receive)
         if not job.standby:
             queryables.declare()
         return host
@@ -157,14 +157,14 @@ class Wiring:
     def replan(self, node: str, plan: Plan) -> None:
         """Connect a running node as another plan has it; its operator and settings stay."""
         self._job = replace(self._job, plan=plan)
-        host, doors, answers = self._running[node]
+        host, receiver, answers = self._running[node]
         answers.plan = plan
         declared = inputs_for(plan, plan.node(node))
         for edge in plan.inputs(node).values():
             if host.edges[edge.input] is not self._ledger.edges[edge.index]:
                 port = self._in_port(host, edge, declared[edge.input])
                 host.rewire(edge.input, self._ledger.edges[edge.index], port)
-                doors.expect(edge.index, port.receive)
+                receiver.expect(edge.index, port.receive)
         for output, port_out in host.outs.items():
             edges = plan.readers(node, output)
             port_out.change_readers(self._readers(edges), slots(edges))
@@ -174,7 +174,7 @@ class Wiring:
         return [
             Reader(
                 self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index,
-                partial(self._job.door, e.target) if e.transport == "pool" else None,
+                partial(self._job.receiver, e.target) if e.transport == "pool" else None,
             )
             for e in edges
         ]  # fmt: skip
@@ -187,11 +187,11 @@ class Wiring:
         urgent = any(e.command for e in edges)
         patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
         stem = f"{node.name}.{output}"
-        links = Links()
-        self._links.append(links)
+        sender = LocalSender()
+        self._senders.append(sender)
         return OutPort(
             message,
-            links,
+            sender,
             self._session.sender(key, urgent=urgent),
             self._remote(key + BYTES_SUFFIX, edges, urgent=urgent, patient=patient),
             readers,
@@ -232,12 +232,12 @@ class Wiring:
         port.on_loss = partial(host.lost, edge.input)
         return port
 
-    def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
+    def _listen(self, host: Host, edge: Edge, declared: Input, receiver: LocalReceiver) -> None:
         job = self._job
         port = self._in_port(host, edge, declared, holding=job.standby)
         host.ports[edge.input] = port
         if edge.transport == "pool":
-            doors.expect(edge.index, port.receive)
+            receiver.expect(edge.index, port.receive)
             return
         key = key_of(job.plan.name, edge.source, edge.output) + BYTES_SUFFIX
         session = self._border if self._border and job.plan.crosses(edge) else self._session
@@ -278,7 +278,7 @@ class _Queryables:
 def swappable(plan: Plan, node: Node) -> bool:
     """Whether a successor may stand by: not in a shared process, nor where bytes are sent instead.
 
-    Only the short way between processes keeps the order across a change of the sender.
+    Only the local transport keeps the order across a change of the sender.
     """
     alone = sum(1 for n in plan.nodes if n.process == node.process) == 1
     return alone and not any(

@@ -25,7 +25,7 @@ from pipeline.run.rundir import LOCK, locked, noted, run_folders
 KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
 NODE_MODULE = "pipeline.node.process"  # what every node process runs
 _RUN_FILES = re.compile(
-    rf"run\.json(\.part)?|clocks|{GRAMMAR}(\.\d+)?\.sock(\.lock)?|{GRAMMAR}\.\d+\.door"
+    rf"run\.json(\.part)?|clocks|{GRAMMAR}(\.\d+)?\.sock(\.lock)?|{GRAMMAR}\.\d+\.recv"
     rf"|{GRAMMAR}\.live(\.part)?"
 )
 _LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?")

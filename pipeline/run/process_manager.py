@@ -95,8 +95,8 @@ class ProcessManager:
         for account in self.accounts(managed, outgoing=True):
             account.writer_epoch = managed.epoch
         for account in self.accounts(managed):
-            account.reader_epoch = account.door = managed.epoch
-            account.next_door = 0
+            account.reader_epoch = account.receiver_epoch = managed.epoch
+            account.next_receiver_epoch = 0
         job = self.job(managed, plan or self.plan, managed.epoch, checked=checked)
         managed.handle = self.launch(job, fresh=checked)
 
@@ -140,7 +140,7 @@ class ProcessManager:
             self.dismiss(managed.handle)
         managed.handle = None
         for account in self.accounts(managed):
-            account.reader_epoch = account.door = account.next_door = 0
+            account.reader_epoch = account.receiver_epoch = account.next_receiver_epoch = 0
         for node in managed.nodes:
             self.ledger.nodes[node.index].enter("absent")
 

@@ -28,7 +28,7 @@ from pipeline.wording import shown_key
 
 START_S = 60.0
 SPARE_S = 10.0  # for the spare process to be through with its imports
-HEAR_S = 10.0  # for a node that works, to greet a successor
+HEAR_S = 10.0  # for the handshakes of a successor's inputs
 CUT_S = 30.0
 UNCUT_S = 0.5  # in which a cut may cross the order that takes it back
 SHADOW_S = 1.0  # per frame, at most
@@ -106,7 +106,7 @@ class SwapOperation(Operation):
             self.manager.dismiss(self._other)
             self._other = None
         for account in self.manager.accounts(self._managed):
-            account.next_door = 0
+            account.next_receiver_epoch = 0
         owned, self._owned = self._owned, False
         if owned and self._managed.handle is None and not self._managed.next_start_s:
             self._managed.next_start_s = (
@@ -126,15 +126,15 @@ class SwapOperation(Operation):
         job = manager.job(managed, plan, epoch, standby=True, checked=True)
         new = self._other = manager.launch(job, fresh=True)
         yield from self._beside(old, lambda: new.ready, START_S, "it was not ready")
-        door = job.door(self._node.name, epoch)
+        receiver = job.receiver(self._node.name, epoch)
         for account in manager.accounts(managed):
-            account.next_door = epoch
+            account.next_receiver_epoch = epoch
         yield from self._beside(
-            old, lambda: "standing" in self.heard(new), HEAR_S, "its inputs did not greet it"
+            old, lambda: "standing" in self.heard(new), HEAR_S, "its inputs got no handshake"
         )
         heard = self.heard(new)["standing"]["heard"]
         self.facts["ready_seq"] = int(self._account().last_seq)
-        cut = {"door": str(door), "heard": heard, "at": order.at}
+        cut = {"receiver": str(receiver), "heard": heard, "at": order.at}
         if order.shadow:
             yield from self._try(old, new, {**cut, "at": 0, "shadow": order.shadow})
         old.order("cut", node=self._node.name, cut=cut)
@@ -224,7 +224,7 @@ class SwapOperation(Operation):
             raise RunError(f"{self._node.name}: its settings were changed meanwhile, try again")
         for account in manager.accounts(managed):
             account.reader_epoch = epoch
-            account.next_door, account.door = account.door, epoch
+            account.next_receiver_epoch, account.receiver_epoch = account.receiver_epoch, epoch
         managed.handle, managed.epoch, self._other = new, epoch, old
         new.going, managed.going_since_s = True, time.monotonic()
         new.tell("go")
@@ -242,7 +242,7 @@ class SwapOperation(Operation):
         managed.handle, self._other = old, None
         if switched:
             for account in manager.accounts(managed):
-                account.door, account.next_door = account.next_door, 0
+                account.receiver_epoch, account.next_receiver_epoch = account.next_receiver_epoch, 0
             manager.change_plan(before)
             self._keep_again()
         managed.epoch = epoch

@@ -133,7 +133,10 @@ class TopologyOperation(Operation):
             if edge.target not in fresh:
                 other = next(e for e in self._before.edges if e.target == edge.target)
                 known = manager.ledger.edges[other.index]
-                account.reader_epoch, account.door = known.reader_epoch, known.door
+                account.reader_epoch, account.receiver_epoch = (
+                    known.reader_epoch,
+                    known.receiver_epoch,
+                )
 
     def _tell(self, name: str) -> Iterator[None]:
         """Have a node connect anew; one that does not answer starts again with the new plan."""

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline import Frame, Percept
-from pipeline.bus.envelope import HELLO, Envelope, first_of
+from pipeline.bus.envelope import HANDSHAKE, Envelope, first_of
 from pipeline.bus.ledger import private_ledger
 from pipeline.bus.outport import OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
@@ -148,7 +148,7 @@ def test_a_restart_is_heard_at_once_and_nothing_before_it_counts_as_missed(
         output.send(seq, side_px=2)
     output.out = output.instance(2)  # killed between two messages
     output.out.has_lost()
-    output.out.hello()
+    output.out.handshake()
     for seq in range(5, 8):
         output.send(seq, side_px=2)
 
@@ -216,7 +216,7 @@ def test_a_greeting_tells_a_tap_what_it_missed(output: Output) -> None:
     for seq in range(1, 4):
         output.send(seq)
     output.out.has_lost()
-    output.out.hello()
+    output.out.handshake()
 
     output.carry(tap, lambda index: index not in (1, 2, 3))
 
@@ -243,7 +243,7 @@ def test_no_order_of_messages_makes_a_tap_raise_or_count_below_zero(
 
     for kind, number, epoch in events:
         ordinal = number + (first_of(epoch) - 1 if private else 0)
-        body: Any = None if kind == HELLO else header(number)
+        body: Any = None if kind == HANDSHAKE else header(number)
         tap.receive(Envelope.render(kind, ordinal, epoch, mark, None, body))
 
     heard(tap)

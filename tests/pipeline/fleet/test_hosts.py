@@ -215,7 +215,7 @@ def deploy(world: World, graph: Path) -> str:
 def test_down_stops_the_graph_on_every_box_and_leaves_nothing(world: World) -> None:
     assert "trio: down" in world.fovea("down", "trio")
 
-    left = [p for label in world.plan.hosts for p in world.home(label).rglob("*.door")]
+    left = [p for label in world.plan.hosts for p in world.home(label).rglob("*.recv")]
     assert left == []
     with pytest.raises(RunError, match="no graph trio was brought up from here"):
         world.fovea("down", "trio")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pipeline import Frame, Input, Operator
-from pipeline.bus.doors import Doors, Links
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import Ledger, private_ledger
+from pipeline.bus.local_transport import LocalReceiver, LocalSender
 from pipeline.bus.outport import OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
 from pipeline.messages import Span
@@ -43,24 +43,24 @@ class Scene:
         self.pool = PoolReader(self.memory, STEM)
         self.look = Look(WorkSettings())
         self.look.pool = self.pool
-        self.doors = Doors(folder / "look.door")
-        self.links = Links([(0, folder / "look.door")])
+        self.receiver = LocalReceiver(folder / "look.recv")
+        self.sender = LocalSender([(0, folder / "look.recv")])
         self.host = Host(
             "look", self.look, {"frame": Look.frame}, {"frame": account}, {},
-            self.ledger.nodes[0], self.doors, lockstep=False, epoch=1,
+            self.ledger.nodes[0], self.receiver, lockstep=False, epoch=1,
         )  # fmt: skip
         port = InPort(Frame, account, self.pool, 1, lambda a: self.host.deliver("frame", a))
-        self.doors.expect(0, port.receive)
+        self.receiver.expect(0, port.receive)
         self.out = OutPort(
-            Frame, self.links, Wire(), Wire(), [Reader(account, True, 4)],  # type: ignore[arg-type]
+            Frame, self.sender, Wire(), Wire(), [Reader(account, True, 4)],  # type: ignore[arg-type]
             lambda claim: PoolWriter(self.memory, STEM, 3, claim), 1,
         )  # fmt: skip
-        self.out.hello()
+        self.out.handshake()
         self.host.attend()
 
     def close(self) -> None:
-        self.links.close()
-        self.doors.close()
+        self.sender.close()
+        self.receiver.close()
         self.memory.empty()
 
 
@@ -75,7 +75,7 @@ def test_threads_that_deliver_leave_no_file_open(scene: Scene) -> None:
     def deliver(seq: int) -> None:
         head = header(seq)
         scene.out.send(Frame(header=head, pixels=np.zeros((2, 2, 3), np.uint8)), head)
-        thread = threading.Thread(target=scene.doors.wait, args=(60.0,))
+        thread = threading.Thread(target=scene.receiver.wait, args=(60.0,))
         thread.start()
         thread.join()
         scene.host.step()

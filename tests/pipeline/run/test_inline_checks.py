@@ -16,11 +16,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline import FoveaError, Frame, MessageError, Operator, RunError, Source
-from pipeline.bus.doors import Doors
 from pipeline.bus.envelope_buffer import EdgeCut
 from pipeline.bus.inbox import Marks
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import private_ledger
+from pipeline.bus.local_transport import LocalReceiver
 from pipeline.bus.outport import Arrival, OutPort
 from pipeline.codec import carried, dumps, loads, to_bytes, unpack
 from pipeline.contract import inputs_of, outputs_of
@@ -121,7 +121,7 @@ def host_of(folder: Path, cls: str, answer: str) -> Iterator[Host]:
     operator: type[Operator[Any, Any]] = load_operator(f"tests.wrong_toys:{cls}")
     subject = operator(WrongSettings(answer=answer))
     subject.open()
-    ledger, doors = private_ledger(1, 1), Doors(folder / "wrong.door")
+    ledger, receiver = private_ledger(1, 1), LocalReceiver(folder / "wrong.recv")
     outs = {
         name: OutPort(message, Wire(), Wire(), Wire(), [], lambda _claim: None, 1)  # type: ignore[arg-type,return-value]
         for name, message in outputs_of(operator).items()
@@ -131,12 +131,12 @@ def host_of(folder: Path, cls: str, answer: str) -> Iterator[Host]:
     more = {"drained": lambda: True, "limit": 0} if issubclass(operator, Source) else {}
     host = (SourceHost if more else Host)(
         "wrong", subject, inputs_of(operator), {name: ledger.edges[0]}, outs, ledger.nodes[0],
-        doors, **common, **more,
+        receiver, **common, **more,
     )  # fmt: skip
     try:
         yield host
     finally:
-        doors.close()
+        receiver.close()
 
 
 def arrival() -> Arrival:

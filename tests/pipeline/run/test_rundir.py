@@ -84,7 +84,7 @@ def test_who_looks_or_sweeps_keeps_nobody_from_starting(*, swept: bool) -> None:
 
 def test_what_killed_nodes_leave_in_the_folder_is_removed_and_logs_are_not() -> None:
     owned = RunFolder.claim(f"test-{secrets.token_hex(3)}")
-    for name in ("a.1.sock", "a.1.sock.lock", "a.1.door", "a.live", "clocks", "a.log"):
+    for name in ("a.1.sock", "a.1.sock.lock", "a.1.recv", "a.live", "clocks", "a.log"):
         (owned.folder.path / name).touch()
 
     owned.release()

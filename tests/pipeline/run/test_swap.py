@@ -110,7 +110,7 @@ def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_pat
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 0)
         supervisor.control.take(order("work", at=200), lambda a: results.append(json.loads(a)))
-        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_door != 0)
+        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_receiver_epoch != 0)
         beside(supervisor, lambda: ask(plan.name, "ticker", {"rate_hz": 60}))
         wait_for(supervisor, lambda: bool(results))
         supervisor.finish()
@@ -310,7 +310,7 @@ def test_a_part_that_shall_never_restart_is_not_started_by_a_swap_that_failed(
         never = order("work", at=1 << 30)
         supervisor.control.take(never, lambda answer: results.append(json.loads(answer)))
         account = account_of(supervisor, "work.frame")
-        wait_for(supervisor, lambda: account.next_door != 0)
+        wait_for(supervisor, lambda: account.next_receiver_epoch != 0)
         send_signal(supervisor, "work", signal.SIGKILL)
         wait_for(supervisor, lambda: bool(results) and supervisor.pid("work") == 0)
         made = account_of(supervisor, "work.frame").sent
@@ -354,7 +354,7 @@ def test_an_order_to_a_supervisor_that_is_killed_is_not_waited_for(tmp_path: Pat
         try:
             supervisor.stdout.readline()
             asked = pool.submit(tell, plan.name, SwapOrder(node="work", at=10**9))
-            until(lambda: asked.done() or any((base() / plan.name).glob("work.2.door")))
+            until(lambda: asked.done() or any((base() / plan.name).glob("work.2.recv")))
         finally:
             supervisor.kill()  # else leaving the context would wait for it for ever
         with pytest.raises(RunError, match="ended before that was done"):

@@ -72,7 +72,7 @@ def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         late = order("work", at=handled(supervisor, "work") + 300)
         supervisor.control.take(late, lambda answer: results.append(json.loads(answer)))
-        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_door != 0)
+        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_receiver_epoch != 0)
         beside(supervisor, tell_meanwhile)
         wait_for(supervisor, lambda: bool(results))
         results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)

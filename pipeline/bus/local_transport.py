@@ -1,4 +1,4 @@
-"""The short way between processes of one host: packets from writer to reader, no thread between.
+"""Direct transport between processes of one host: packets from writer to reader, no thread between.
 
 A reader has one unix socket in the graph's private folder and reads it on the thread that runs its
 operator; a writer sends its descriptor straight into it. The kernel keeps packets whole and in
@@ -20,10 +20,10 @@ MOST_ROUNDS = 256
 _AT_ONCE = int(socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
 _EDGE = struct.Struct("<I")  # a link's first packet says which edge it is
 _UNKNOWN = -1
-Target = tuple[int, Path]  # edge and address of a door
+Target = tuple[int, Path]  # edge and address of a receiver
 
 
-class Doors:
+class LocalReceiver:
     """The reading side of one node. One thread waits; any may `wake` it."""
 
     def __init__(self, address: Path) -> None:
@@ -33,10 +33,10 @@ class Doors:
         self._listener.setblocking(False)
         self._listener.bind(str(address))
         self._listener.listen(64)
-        self._bell = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._wakeup = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._poll = select.epoll()
         self._poll.register(self._listener, select.EPOLLIN)
-        self._poll.register(self._bell, select.EPOLLIN)
+        self._poll.register(self._wakeup, select.EPOLLIN)
         self._receivers: dict[int, Callable[[bytes], None]] = {}
         self._links: dict[int, tuple[socket.socket, int]] = {}  # by handle: socket, edge
         self._lines: dict[int, list[int]] = {}  # by edge: handles, the oldest link first
@@ -49,7 +49,7 @@ class Doors:
     def wake(self) -> None:
         """Let `wait` return."""
         with contextlib.suppress(OSError):  # closed meanwhile
-            os.eventfd_write(self._bell, 1)
+            os.eventfd_write(self._wakeup, 1)
 
     def wait(self, timeout_s: float) -> None:
         """Receive what has come; sleeps up to `timeout_s` while there is nothing."""
@@ -60,9 +60,9 @@ class Doors:
             for handle, _event in ready:
                 if handle in self._links:
                     self._read(handle)
-                elif handle == self._bell:
+                elif handle == self._wakeup:
                     with contextlib.suppress(BlockingIOError):
-                        os.eventfd_read(self._bell)
+                        os.eventfd_read(self._wakeup)
                 else:
                     self._accept()
             ready = self._poll.poll(0)
@@ -74,7 +74,7 @@ class Doors:
         self._poll.close()
         self._listener.close()
         self._address.unlink(missing_ok=True)
-        os.close(self._bell)
+        os.close(self._wakeup)
 
     def _accept(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionError):
@@ -109,12 +109,12 @@ class Doors:
             return False
         packet = bytes(self._buffer[:size])
         if edge == _UNKNOWN:
-            self._introduce(handle, link, packet)
+            self._handshake(handle, link, packet)
         else:
             self._receivers[edge](packet)
         return True
 
-    def _introduce(self, handle: int, link: socket.socket, packet: bytes) -> None:
+    def _handshake(self, handle: int, link: socket.socket, packet: bytes) -> None:
         edge = _EDGE.unpack(packet)[0] if len(packet) == _EDGE.size else _UNKNOWN
         if edge in self._receivers:
             self._links[handle] = (link, edge)
@@ -130,26 +130,26 @@ class Doors:
         link.close()
 
 
-class Links:
+class LocalSender:
     """The writing side of one output: a link to every reader on this host."""
 
     def __init__(self, readers: Sequence[Target] = ()) -> None:
         self._links: dict[Target, socket.socket] = {}
-        self.aim(readers)
+        self.set_targets(readers)
 
-    def aim(self, readers: Sequence[Target], beside: Sequence[Target] = ()) -> None:
+    def set_targets(self, readers: Sequence[Target], beside: Sequence[Target] = ()) -> None:
         """From now on packets go to these; `beside` are those that nobody is held up for."""
         self._readers, self._beside = (*readers, *beside), frozenset(beside)
         for target in self._links.keys() - set(self._readers):
             self._links.pop(target).close()
 
     def connect(self) -> bool:
-        """Link up with readers that have opened their door since; True when one had."""
+        """Connect to readers that have opened their receiver since; True when one had."""
         if len(self._links) == len(self._readers):
             return False
         before = len(self._links)
         for target in self._readers:
-            if target not in self._links and (link := connected(*target)):
+            if target not in self._links and (link := connect(*target)):
                 self._links[target] = link
         return len(self._links) > before
 
@@ -174,8 +174,8 @@ class Links:
             self._links.popitem()[1].close()
 
 
-def connected(edge: int, address: Path) -> socket.socket | None:
-    """A link to a door, already introduced; None while nobody opens."""
+def connect(edge: int, address: Path) -> socket.socket | None:
+    """A link to a receiver after the handshake; None while there is none."""
     link = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     link.setblocking(False)
     try:
