@@ -93,7 +93,7 @@ class Chaos:
             restarts=ground.restarts() - before,
         )
 
-    def settle(self) -> None:
+    def pause(self) -> None:
         """Time between two faults: the spare process needs a moment, and luck is irregular."""
         self._ground.rest(self._chance.uniform(*SETTLE_S))
 
@@ -209,7 +209,7 @@ def _strike_for(ground: Ground, seconds: float, seed: int, faults: list[Fault]) 
                 faults.append(chaos.strike())
             except Stuck as stuck:
                 return str(stuck)
-            chaos.settle()
+            chaos.pause()
             words = f"{len(faults)} faults, the last {faults[-1].recovered_s:.1f} s"
             progress.update(task, completed=elapsed_s, description=words)
     return ""

@@ -59,5 +59,5 @@ class DropCounts:
         """Take back so many of the drops that were counted since."""
         for reason, before in self._drops.items():
             back = min(max(0, excess), account.dropped(reason) - before)
-            account.settle(reason, -back)
+            account.acknowledge(reason, -back)
             excess -= back

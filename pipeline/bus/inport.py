@@ -162,7 +162,7 @@ class InPort:
             return
         self._seen = envelope.ordinal
         if missing:
-            account.settle("lost_in_crash" if fresh else "gap", missing)
+            account.acknowledge("lost_in_crash" if fresh else "gap", missing)
         if fresh:
             self._sender_epoch = envelope.epoch
             account.attached_epoch = self._epoch
@@ -172,12 +172,12 @@ class InPort:
         self._tell_seen()
 
     def _hand_on(self, envelope: Envelope) -> None:
-        arrival, fate = self._read(envelope)
+        arrival, outcome = self._read(envelope)
         if arrival is not None:
             self._open.add(envelope.ordinal)
             self._deliver(arrival)
-        elif fate:
-            self._account.settle(fate)
+        elif outcome:
+            self._account.acknowledge(outcome)
 
     def _tell_seen(self) -> None:
         careful = self._careful and self._open

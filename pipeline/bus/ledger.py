@@ -87,9 +87,9 @@ class EdgeAccount(ctypes.Structure):
         """Messages dropped for one of the `DROPS`."""
         return int(getattr(self, reason))
 
-    def settle(self, fate: str, count: int = 1) -> None:
+    def acknowledge(self, outcome: str, count: int = 1) -> None:
         """Count the end of messages: delivered, one of the `DROPS`, lost_in_crash."""
-        setattr(self, fate, getattr(self, fate) + count)
+        setattr(self, outcome, getattr(self, outcome) + count)
 
     @property
     def accounted(self) -> int:

@@ -2,7 +2,7 @@
 
 An account has a writing half and a reading half (`bus.ledger`). The box of the writer counts
 the one, the box of the reader the other; what a box hears of the other half it puts beside its own.
-So credit, slots and books work across hosts as they do on one. A box that begins anew asks for what
+So credit, slots and accounts work across hosts. A box that begins anew asks for what
 it had counted before.
 """
 

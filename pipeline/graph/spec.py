@@ -1,6 +1,6 @@
 """What a graph file says, checked as far as it can be without importing anything that it names.
 
-Keys, names, numbers, choices and places are settled here; operators, settings and the types of
+Keys, names, numbers, choices and places are checked here; operators, settings and the types of
 messages are the loader's.
 """
 

@@ -64,7 +64,7 @@ class Host:
         self.ports: dict[str, InPort] = {}
         self.handover: Standby | None = None
         self.clocks = Clocks()
-        self.inbox = Inbox(inputs, self.settle, lockstep=lockstep, age_ns=self._age_ns)
+        self.inbox = Inbox(inputs, self.acknowledge, lockstep=lockstep, age_ns=self._age_ns)
         self.executor = Executor(name, operator)
         self._arrived_wait_ns = self._waiter = 0
         self.answered = 0  # sets of joined inputs, by this instance
@@ -72,9 +72,9 @@ class Host:
         self.stopping = threading.Event()
         operator._loan = self._loan
 
-    def settle(self, name: str, fate: str, ordinal: int) -> None:
+    def acknowledge(self, name: str, outcome: str, ordinal: int) -> None:
         """Account for the end of a message on one of this node's edges."""
-        self.edges[name].settle(fate)
+        self.edges[name].acknowledge(outcome)
         if name in self.ports:
             self.ports[name].finished(ordinal)
 
@@ -102,7 +102,7 @@ class Host:
         with self._lock:
             self.inbox.abandon(name)
             before = self.edges[name]
-            self.ports[name].divert(lambda _arrival: before.settle("unmatched"))
+            self.ports[name].divert(lambda _arrival: before.acknowledge("unmatched"))
             self.edges[name], self.ports[name] = account, port
 
     def run(self) -> None:
@@ -201,7 +201,7 @@ class Host:
             self.corewait.since_last_ns()  # what was waited until now is not the next message's
         for name, ordinal in work.arrived.items():
             self._count_age(name, work.header, begun)
-            self.settle(name, "delivered", ordinal)
+            self.acknowledge(name, "delivered", ordinal)
         self.account.histograms["handler"].add(ended - begun)
         self._count_hop(work.header, begun)
         self.idle()

@@ -155,7 +155,7 @@ class SourceHost(Host):
             waited = waited_on_the_way(message.header, begun, waited)
             self._count_loop(message.header, accepted, accepted - begun, waited)
         self._count_age(name, work.header, begun)
-        self.settle(name, "delivered", work.arrived[name])
+        self.acknowledge(name, "delivered", work.arrived[name])
 
     def _count_loop(self, header: Header, now_ns: int, handler_ns: int, waited_ns: int) -> None:
         latency = now_ns - header.stamp_ns

@@ -44,7 +44,7 @@ class _Part:
         accounts = {name: ledger.edges[e.index] for name, e in self.edges.items()}
         self.inbox = Inbox(
             inputs_for(plan, node),
-            lambda name, fate, _ordinal: accounts[name].settle(fate),
+            lambda name, outcome, _ordinal: accounts[name].acknowledge(outcome),
             lockstep=True,
         )
 
@@ -101,7 +101,7 @@ class InlineRunner:
                 return
             header = header_of(exposed)
             self._send(self._source, exposed, header, begun_ns=header.stamp_ns)
-            self._settle_frame()
+            self._drain_frame()
             count += 1
             yield header.seq
 
@@ -121,7 +121,7 @@ class InlineRunner:
             )
         return found[0]
 
-    def _settle_frame(self) -> None:
+    def _drain_frame(self) -> None:
         """Let everything that was sent find its end."""
         pending = True
         while pending:

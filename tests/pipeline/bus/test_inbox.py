@@ -1,4 +1,4 @@
-"""Joins: exact on seq, bounded, every arrival settled once."""
+"""Joins: exact on seq, bounded, every arrival acknowledged once."""
 
 from collections import Counter
 
@@ -21,12 +21,14 @@ def arrival(seq: int, stream: str = "s", *, nothing: bool = False) -> Arrival:
 
 
 class Recorder:
-    """An inbox and the fates of what went in."""
+    """An inbox and the outcomes of what went in."""
 
     def __init__(self, *, lockstep: bool = False, **inputs: Input) -> None:
-        self.fates: list[tuple[str, str]] = []
+        self.outcomes: list[tuple[str, str]] = []
         self.inbox = Inbox(
-            inputs, lambda name, fate, _: self.fates.append((name, fate)), lockstep=lockstep
+            inputs,
+            lambda name, outcome, _: self.outcomes.append((name, outcome)),
+            lockstep=lockstep,
         )
 
     def put(self, name: str, seq: int, **kind: object) -> None:
@@ -47,7 +49,7 @@ def test_latest_gives_the_newest_and_counts_the_others() -> None:
 
     assert recorder.take() == 2
     assert recorder.take() is None
-    assert recorder.fates == [("frame", "superseded")] * 2
+    assert recorder.outcomes == [("frame", "superseded")] * 2
 
 
 def test_every_gives_all_in_order() -> None:
@@ -56,7 +58,7 @@ def test_every_gives_all_in_order() -> None:
         recorder.put("frame", seq)
 
     assert [recorder.take() for _ in range(4)] == [0, 1, 2, None]
-    assert recorder.fates == []
+    assert recorder.outcomes == []
 
 
 def test_a_set_waits_for_its_partner_of_the_same_frame() -> None:
@@ -73,7 +75,7 @@ def test_a_partner_that_can_no_longer_come_is_not_waited_for() -> None:
     recorder.put("left", 1)
     recorder.put("right", 2)
 
-    assert recorder.fates == [("left", "unmatched")]
+    assert recorder.outcomes == [("left", "unmatched")]
     recorder.put("left", 2)
     assert recorder.take() == 2
 
@@ -85,7 +87,7 @@ def test_latest_drops_whole_sets() -> None:
         recorder.put("right", seq)
 
     assert recorder.take() == 2
-    assert sorted(recorder.fates) == [("left", "superseded"), ("right", "superseded")]
+    assert sorted(recorder.outcomes) == [("left", "superseded"), ("right", "superseded")]
 
 
 def test_nothing_from_a_required_input_is_answered_by_nothing() -> None:
@@ -109,7 +111,7 @@ def test_an_optional_input_is_waited_for_only_so_long() -> None:
     assert work is not None
     assert work.messages["right"] is None
     recorder.put("right", 1)
-    assert recorder.fates == [("right", "unmatched")]
+    assert recorder.outcomes == [("right", "unmatched")]
 
 
 def test_in_lockstep_an_optional_input_is_waited_for_until_it_answers() -> None:
@@ -146,7 +148,7 @@ def test_a_new_stream_flushes_the_old_and_is_announced() -> None:
     assert work is not None
     assert work.new_stream
     assert work.header.stream == "t"
-    assert recorder.fates == [("left", "unmatched"), ("right", "unmatched")]
+    assert recorder.outcomes == [("left", "unmatched"), ("right", "unmatched")]
 
 
 def test_stale_sets_are_dropped_and_counted() -> None:
@@ -157,7 +159,7 @@ def test_stale_sets_are_dropped_and_counted() -> None:
 
     assert work is not None
     assert not work.answer
-    assert recorder.fates == [("frame", "stale")]
+    assert recorder.outcomes == [("frame", "stale")]
 
 
 @pytest.mark.parametrize("keep", ["latest", "every"])
@@ -172,23 +174,23 @@ def test_every_arrival_is_settled_once_and_memory_is_bounded(
         for name in ("left", "right")
     }
     order = data.draw(st.permutations([n for n, seqs in streams.items() for _ in seqs]))
-    settled: Counter[str] = Counter()
+    acknowledged: Counter[str] = Counter()
     handled = []
     for name in order:
         recorder.put(name, streams[name].pop(0))
         if data.draw(st.booleans()) and (work := recorder.inbox.take(0)):
             handled.append(work.header.seq)
-            settled.update(list(work.arrived))
+            acknowledged.update(list(work.arrived))
         assert len(recorder.inbox) <= bound
 
     while work := recorder.inbox.take(0):
         handled.append(work.header.seq)
-        settled.update(list(work.arrived))
-    settled.update(name for name, _fate in recorder.fates)
+        acknowledged.update(list(work.arrived))
+    acknowledged.update(name for name, _outcome in recorder.outcomes)
 
-    waiting = Counter(order) - settled
+    waiting = Counter(order) - acknowledged
     assert sum(waiting.values()) <= bound
-    assert not settled - Counter(order)
+    assert not acknowledged - Counter(order)
     assert handled == sorted(set(handled))
 
 
@@ -210,7 +212,7 @@ def test_after_a_loss_an_incomplete_set_is_given_up_when_its_member_had_time_to_
 
     assert recorder.take(999) == 0
     assert recorder.take(999) == 2
-    assert recorder.fates == [("right", "unmatched")]  # frame 1: the left one can come no more
+    assert recorder.outcomes == [("right", "unmatched")]  # frame 1: the left one can come no more
     assert recorder.inbox.due_ns() is not None
     assert recorder.take(1001) is None
     assert len(recorder.inbox) == 1  # frame 3 came after the loss
@@ -234,9 +236,9 @@ def test_a_set_whose_member_is_lost_is_given_up_after_a_second() -> None:
     recorder.inbox.lost("left", now_ns=0)
 
     assert recorder.take(999) is None
-    assert recorder.fates == []
+    assert recorder.outcomes == []
     assert recorder.take(1001) is None
-    assert recorder.fates == [("right", "unmatched")]
+    assert recorder.outcomes == [("right", "unmatched")]
 
 
 def test_losses_that_follow_one_another_put_nothing_off() -> None:
@@ -248,7 +250,7 @@ def test_losses_that_follow_one_another_put_nothing_off() -> None:
     given_up = []
     for now_ms in (999, 1001, 1401, 1801):
         recorder.take(now_ms)
-        given_up.append(len(recorder.fates))
+        given_up.append(len(recorder.outcomes))
 
     assert given_up == [0, 1, 2, 3]
 

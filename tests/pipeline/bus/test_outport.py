@@ -82,7 +82,7 @@ class Edge:
 
     def finish(self) -> None:
         """The operator has done with all that arrived."""
-        self.account.settle("delivered", len(self.arrivals))
+        self.account.acknowledge("delivered", len(self.arrivals))
         self.arrivals.clear()
 
 
