@@ -33,7 +33,7 @@ DROPS = (
     "overwritten",  # its slot was reused before this reader came for it
     "gap",  # the transport lost it
 )
-HISTOGRAMS = ("handler", "loop", "overhead", "cpu_wait", "hop")
+HISTOGRAMS = ("handler", "loop", "overhead", "scheduling_delay", "hop")
 
 ROOM_EDGES, ROOM_NODES = 16, 4  # for what is added while a graph runs
 _LAYOUT = struct.Struct("<QQ")  # the file ends with how many edges and nodes it has

@@ -24,13 +24,13 @@ from pipeline.contract import Input, Operator
 from pipeline.errors import MessageError, PoolExhausted
 from pipeline.executor import Answers, Executor
 from pipeline.messages import Header, Span, altered, stamped
-from pipeline.node.corewait import CoreWait
+from pipeline.node.scheduling_delay import SchedulingDelay
 
 IDLE_S = 0.2  # the heartbeat of a host that has nothing to do
 HANDSHAKE_S = 0.02  # while a reader has not heard us yet
 CREDIT_S = 0.0005
 MOST_ASKED = 64  # questions that may wait for a handler to return
-WAIT_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: asking takes time too
+DELAY_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: asking takes time too
 
 
 class Standby(Protocol):
@@ -66,9 +66,9 @@ class Host:
         self.clocks = Clocks()
         self.inbox = Inbox(inputs, self.acknowledge, lockstep=lockstep, age_ns=self._age_ns)
         self.executor = Executor(name, operator)
-        self._arrived_wait_ns = self._waiter = 0
+        self._arrived_delay_ns = self._waiter = 0
         self.answered = 0  # sets of joined inputs, by this instance
-        self.corewait = CoreWait()
+        self.scheduling_delay = SchedulingDelay()
         self.stopping = threading.Event()
         operator._loan = self._loan
 
@@ -80,12 +80,12 @@ class Host:
 
     def deliver(self, name: str, arrival: Arrival) -> None:
         """Called while this host waits at its receiver, or by a transport's thread."""
-        phase, waited = arrival.header.seq % WAIT_EVERY, 0
+        phase, waited = arrival.header.seq % DELAY_EVERY, 0
         own = threading.get_ident() == self._waiter
-        if own and phase in (0, WAIT_EVERY - 1):  # the one before only sets the mark
-            waited = self.corewait.since_last_ns()
+        if own and phase in (0, DELAY_EVERY - 1):  # the one before only sets the mark
+            waited = self.scheduling_delay.since_last_ns()
         with self._lock:
-            self._arrived_wait_ns += 0 if phase else waited
+            self._arrived_delay_ns += 0 if phase else waited
             self.inbox.offer(name, arrival, time.monotonic_ns())
         if not own:
             self._receiver.wake()
@@ -179,8 +179,10 @@ class Host:
 
     def _handle(self, work: Work) -> None:
         begun = time.monotonic_ns()
-        measured = not work.header.seq % WAIT_EVERY
-        waited = self.corewait.since_last_ns() + self._take_arrived_wait() if measured else 0
+        measured = not work.header.seq % DELAY_EVERY
+        waited = (
+            self.scheduling_delay.since_last_ns() + self._take_arrived_delay() if measured else 0
+        )
         self.busy(begun, work.header.seq)
         if work.new_stream:
             self.operator.on_stream(work.header)
@@ -190,15 +192,15 @@ class Host:
         if not side:
             critical = _critical(work)
             ahead = self.clocks.ahead_ns(critical.clock) or 0
-            waited = waited_on_the_way(critical, begun + ahead, waited)
+            waited = delay_on_the_way(critical, begun + ahead, waited)
             span = Span(
                 stage=self.name, received_ns=begun + ahead, done_ns=ended + ahead,
-                handler_ns=ended - begun, wait_ns=waited,
+                handler_ns=ended - begun, scheduling_delay_ns=waited,
             )  # fmt: skip
             self.publish(answers, stamped(critical, epoch=self.epoch, span=span))
             self.answered += 1
-        if not (work.header.seq + 1) % WAIT_EVERY:
-            self.corewait.since_last_ns()  # what was waited until now is not the next message's
+        if not (work.header.seq + 1) % DELAY_EVERY:
+            self.scheduling_delay.since_last_ns()  # that was not the next message's
         for name, ordinal in work.arrived.items():
             self._count_age(name, work.header, begun)
             self.acknowledge(name, "delivered", ordinal)
@@ -305,13 +307,13 @@ class Host:
         if header.trace and ahead is not None:
             self.account.histograms["hop"].add(now_ns + ahead - header.trace[-1].done_ns)
 
-    def _take_arrived_wait(self) -> int:
+    def _take_arrived_delay(self) -> int:
         with self._lock:
-            waited, self._arrived_wait_ns = self._arrived_wait_ns, 0
+            waited, self._arrived_delay_ns = self._arrived_delay_ns, 0
         return waited
 
 
-def waited_on_the_way(header: Header, now_ns: int, waited_ns: int) -> int:
+def delay_on_the_way(header: Header, now_ns: int, waited_ns: int) -> int:
     """What of a wait lies between the stage before and now; the rest held up no message."""
     since_ns = header.trace[-1].done_ns if header.trace else header.stamp_ns
     return max(0, min(waited_ns, now_ns - since_ns))

@@ -20,7 +20,7 @@ from pipeline.contract import Source
 from pipeline.errors import PoolExhausted
 from pipeline.executor import Answers, header_of
 from pipeline.messages import Header, Message, Span, altered, stamped
-from pipeline.node.host import IDLE_S, WAIT_EVERY, Host, waited_on_the_way
+from pipeline.node.host import DELAY_EVERY, IDLE_S, Host, delay_on_the_way
 
 DRAIN_S = 0.0001
 
@@ -104,7 +104,7 @@ class SourceHost(Host):
         ready = max(begun_ns, header.stamp_ns)  # before it, the source waited for the world
         span = Span(
             stage=self.name, received_ns=header.stamp_ns, done_ns=ended, handler_ns=ended - ready,
-            wait_ns=0,
+            scheduling_delay_ns=0,
         )  # fmt: skip
         leaving = stamped(header, epoch=self.epoch, span=span)
         if self.clocks.own != ALONE:  # the other hosts have to know whose time it is
@@ -146,13 +146,13 @@ class SourceHost(Host):
 
     def _accept(self, work: Work) -> None:
         begun = time.monotonic_ns()
-        waited = self._take_arrived_wait()
+        waited = self._take_arrived_delay()
         ((name, message),) = work.messages.items()
         if message is not None:
             self.executor.call(work.messages)
             accepted = time.monotonic_ns()
             fold(self.commands, message)
-            waited = waited_on_the_way(message.header, begun, waited)
+            waited = delay_on_the_way(message.header, begun, waited)
             self._count_loop(message.header, accepted, accepted - begun, waited)
         self._count_age(name, work.header, begun)
         self.acknowledge(name, "delivered", work.arrived[name])
@@ -160,12 +160,12 @@ class SourceHost(Host):
     def _count_loop(self, header: Header, now_ns: int, handler_ns: int, waited_ns: int) -> None:
         latency = now_ns - header.stamp_ns
         self.account.histograms["loop"].add(latency)
-        if header.seq % WAIT_EVERY:
+        if header.seq % DELAY_EVERY:
             return
         handlers = handler_ns + sum(span.handler_ns for span in header.trace)
-        waited = waited_ns + sum(span.wait_ns for span in header.trace)
+        waited = waited_ns + sum(span.scheduling_delay_ns for span in header.trace)
         histograms = self.account.histograms
-        histograms["cpu_wait"].add(waited)
+        histograms["scheduling_delay"].add(waited)
         histograms["overhead"].add(max(0, latency - handlers - waited))
 
 

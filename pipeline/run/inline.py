@@ -158,7 +158,11 @@ class InlineRunner:
     def _send(self, part: _Part, answers: Answers, header: Header, *, begun_ns: int) -> None:
         node, now = part.node.name, time.monotonic_ns()
         span = Span(
-            stage=node, received_ns=begun_ns, done_ns=now, handler_ns=now - begun_ns, wait_ns=0
+            stage=node,
+            received_ns=begun_ns,
+            done_ns=now,
+            handler_ns=now - begun_ns,
+            scheduling_delay_ns=0,
         )
         leaving = stamped(header, epoch=1, span=span)
         for output in part.outputs:

@@ -16,7 +16,7 @@ from pipeline.bus.local_transport import LocalReceiver, LocalSender
 from pipeline.bus.outport import OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
 from pipeline.messages import Span
-from pipeline.node.host import MOST_ASKED, WAIT_EVERY, Host, waited_on_the_way
+from pipeline.node.host import DELAY_EVERY, MOST_ASKED, Host, delay_on_the_way
 from pipeline.run.memory_folder import MemoryFolder
 from pipeline.testing import header
 from tests.pipeline.bus.test_outport import STEM, Wire
@@ -82,7 +82,7 @@ def test_threads_that_deliver_leave_no_file_open(scene: Scene) -> None:
 
     deliver(0)
     before = len(os.listdir("/proc/self/fd"))
-    for seq in range(1, 2 * WAIT_EVERY):
+    for seq in range(1, 2 * DELAY_EVERY):
         deliver(seq)
 
     assert len(os.listdir("/proc/self/fd")) <= before + 1  # the one of the host's own thread
@@ -121,8 +121,10 @@ def test_questions_do_not_pile_up_behind_a_handler_that_hangs(scene: Scene) -> N
 def test_a_wait_for_a_core_counts_only_as_far_as_it_held_up_the_message(
     waited_ns: int, counted_ns: int
 ) -> None:
-    before = Span(stage="before", received_ns=100, done_ns=120, handler_ns=20, wait_ns=0)
+    before = Span(
+        stage="before", received_ns=100, done_ns=120, handler_ns=20, scheduling_delay_ns=0
+    )
 
-    assert waited_on_the_way(replace(header(0), trace=(before,)), 125, waited_ns) == counted_ns
-    assert waited_on_the_way(replace(header(0), stamp_ns=120), 125, waited_ns) == counted_ns
-    assert waited_on_the_way(replace(header(0), stamp_ns=130), 125, waited_ns) == 0
+    assert delay_on_the_way(replace(header(0), trace=(before,)), 125, waited_ns) == counted_ns
+    assert delay_on_the_way(replace(header(0), stamp_ns=120), 125, waited_ns) == counted_ns
+    assert delay_on_the_way(replace(header(0), stamp_ns=130), 125, waited_ns) == 0

@@ -1,10 +1,10 @@
-"""How long this thread stood runnable without a core, from the kernel's own accounts."""
+"""How long this thread was runnable and waited for a processor, as the kernel counts it."""
 
 import os
 import threading
 
 
-class CoreWait:
+class SchedulingDelay:
     """Nanoseconds of waiting since the last question, per thread that asks.
 
     A thread that asked holds a file open; the transport's, new to Python with every message, must
