@@ -95,7 +95,7 @@ class Chaos:
 
     def pause(self) -> None:
         """Time between two faults: the spare process needs a moment, and luck is irregular."""
-        self._ground.rest(self._chance.uniform(*SETTLE_S))
+        self._ground.run_for(self._chance.uniform(*SETTLE_S))
 
 
 class _Watch:
@@ -151,7 +151,7 @@ def main(
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     faults: list[Fault] = []
     with TemporaryDirectory() as folder, _ground(plan, graph, Path(folder)) as ground:
-        ground.rest(WARM_S)
+        ground.run_for(WARM_S)
         stuck = _strike_for(ground, minutes * 60, seed, faults)
         aftermath = ground.end()
     result = {

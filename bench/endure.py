@@ -21,7 +21,7 @@ import psutil
 from rich.console import Console
 from rich.progress import track
 
-from bench.aftermath import Traces, unbalanced
+from bench.leftovers import Traces, unbalanced
 from bench.machine import facts
 from bench.options import JSON, Bench
 from pipeline.graph.loader import load

@@ -12,8 +12,8 @@ from typing import Any
 
 import psutil
 
-from bench.aftermath import Traces, remains, rest, unbalanced
 from bench.hosts import World
+from bench.leftovers import Traces, leftover_files, run_for, unbalanced
 from pipeline.bus.histogram import Histogram
 from pipeline.bus.ledger import Ledger, NodeAccount
 from pipeline.graph.plan import Plan, sources
@@ -63,7 +63,7 @@ class Ground(ABC):
     def look(self) -> None:
         """Let it go on for a moment."""
 
-    def rest(self, seconds: float) -> None:
+    def run_for(self, seconds: float) -> None:
         """Likewise, for longer."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -126,7 +126,7 @@ class OneHost(Ground):
 
     def end(self) -> dict[str, Any]:
         """Drain and stop."""
-        rest(self._supervisor, SETTLE_S)
+        run_for(self._supervisor, SETTLE_S)
         duration_s = time.monotonic() - self._supervisor.started_s
         self._supervisor.finish()
         self._supervisor.stop()
@@ -212,7 +212,7 @@ class ThreeHosts(Ground):
         self._world.fovea("down", self._plan.name)
         left = [name for box in self.boxes for name in self._memory(box)]  # goes with the agent
         self.__exit__()
-        left += [name for box in self.boxes for name in remains(self._world.home(box))]
+        left += [name for box in self.boxes for name in leftover_files(self._world.home(box))]
         listed = [(p.pid, p.info["cmdline"] or []) for p in psutil.process_iter(["cmdline"])]
         runs = set(self._runs.values())
         return {

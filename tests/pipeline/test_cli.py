@@ -214,3 +214,19 @@ def test_the_transport_prints_nothing_between_the_lines_of_an_answer(
     CliRunner().invoke(commands, words)
 
     assert said == levels
+
+
+@pytest.mark.parametrize(
+    ("command", "old", "new"),
+    [
+        (["doctor"], ["--sweep"], "--cleanup"),
+    ],
+)
+def test_an_option_that_was_renamed_names_the_new_one(
+    command: list[str], old: list[str], new: str
+) -> None:
+    done = CliRunner().invoke(commands, [*command, *old])
+
+    assert done.exit_code == 2
+    assert f"{old[0]}: renamed; expected {new}" in done.output
+    assert old[0] not in CliRunner().invoke(commands, [*command, "--help"]).output

@@ -366,7 +366,7 @@ def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
     assert_accounts_add_up(report)
 
 
-def test_a_killed_supervisor_takes_its_children_along_and_the_next_start_sweeps(
+def test_a_killed_supervisor_takes_its_nodes_along_and_the_next_start_cleans_up(
     tmp_path: Path,
 ) -> None:
     plan = plan_of(tmp_path, LOOP)

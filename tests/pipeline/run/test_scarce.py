@@ -9,7 +9,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.aftermath import remains
+from bench.leftovers import leftover_files
 from pipeline import RunError
 from pipeline.run.memory_folder import path_of
 from pipeline.run.process_handle import NodeProcess, spawn
@@ -34,7 +34,7 @@ def test_too_few_descriptors_are_one_sentence(tmp_path: Path, most: int) -> None
     assert "Traceback" not in said
     assert "fovea: " in done.stderr
     folder = base() / name_of(graph)
-    assert not folder.exists() or remains(folder) == []
+    assert not folder.exists() or leftover_files(folder) == []
 
 
 @pytest.mark.parametrize("number", range(4))
@@ -57,7 +57,7 @@ def test_a_start_that_fails_half_way_leaves_nothing(
 
     assert len(started) == number
     assert not any(psutil.pid_exists(process.pid) for process in started)
-    assert remains(base() / plan.name) == []
+    assert leftover_files(base() / plan.name) == []
     assert not path_of(run_id).exists()
 
 

@@ -28,7 +28,7 @@ class Traces:
         """Shared memory and sockets; to be asked for after the end. Logs are meant to stay."""
         memory = path_of(self.run_id)
         return sorted(
-            [*map(str, memory.glob("*") if memory.exists() else ()), *remains(self.folder)]
+            [*map(str, memory.glob("*") if memory.exists() else ()), *leftover_files(self.folder)]
         )
 
     def orphans(self) -> list[int]:
@@ -36,7 +36,7 @@ class Traces:
         return [process.pid for process, run_id in node_processes() if run_id == self.run_id]
 
 
-def remains(folder: Path) -> list[str]:
+def leftover_files(folder: Path) -> list[str]:
     """Files below a folder, whatever they are called, but for what is meant to stay there."""
     return sorted(
         path.name
@@ -62,7 +62,7 @@ def unbalanced(edges: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def rest(supervisor: Supervisor, seconds: float) -> None:
+def run_for(supervisor: Supervisor, seconds: float) -> None:
     """Let the graph run for so long."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
