@@ -22,7 +22,7 @@ from pipeline.bus.inbox import Marks
 from pipeline.bus.ledger import NodeAccount, private_ledger
 from pipeline.bus.local_transport import LocalReceiver, connect
 from pipeline.errors import FoveaError, MessageError, RunError
-from pipeline.node.host import Host
+from pipeline.node.operator_runner import OperatorRunner
 from pipeline.node.operator_state import UndeclaredState, class_of, lost_words, restore
 from pipeline.node.shadow import Heard, Shadow
 from pipeline.private_folder import PrivateFolder
@@ -85,34 +85,34 @@ class Handover:
     """One instance's side. Everything happens on the thread that calls its handlers."""
 
     def __init__(
-        self, host: Host, *, memory: PrivateFolder, say: Say, queryables: Queryables,
+        self, runner: OperatorRunner, *, memory: PrivateFolder, say: Say, queryables: Queryables,
         listen: Listen, standby: bool,
     ) -> None:  # fmt: skip
-        self._host, self._memory = host, memory
+        self._runner, self._memory = runner, memory
         self._say, self._queryables, self._listen = say, queryables, listen
         self._shadow: Shadow | None = None
         self._unlisten: Callable[[], None] = lambda: None
-        self._account = host.account
+        self._account = runner.account
         self.inactive = self._standby = standby
         self._told = False
         self._requested: Cut | None = None
         self._before: dict[str, DropCounts] = {}
         self._received = b""
         self._first: Takeover | None = None  # its first answer is awaited
-        self._undeclared = UndeclaredState(host.operator)
+        self._undeclared = UndeclaredState(runner.operator)
         if standby:
-            host.account = _nowhere()
+            runner.account = _nowhere()
 
     def stand_by(self, receiver: LocalReceiver) -> None:
         """Keep what comes, for a moment; take over when the state has come."""
-        ports = self._host.ports
+        ports = self._runner.ports
         for name, port in ports.items():
-            seen = self._host.edges[name].seen
+            seen = self._runner.edges[name].seen
             if port.buffer is not None:
-                back = self._host.inbox.capacity + MARGIN if self._standby else 0
+                back = self._runner.inbox.capacity + MARGIN if self._standby else 0
                 port.buffer.trim(seen - back)
         if not self._standby:
-            for out in self._host.outs.values():
+            for out in self._runner.outs.values():
                 out.let_go()
         elif not self._told and all(
             p.buffer and p.buffer.complete_after is not None for p in ports.values()
@@ -121,7 +121,7 @@ class Handover:
             heard = {
                 name: port.buffer.complete_after for name, port in ports.items() if port.buffer
             }
-            self._say("standing", node=self._host.name, heard=heard)
+            self._say("standing", node=self._runner.name, heard=heard)
         receiver.wait(REST_S)
         if self._shadow is not None:
             self._try(self._shadow)
@@ -142,94 +142,96 @@ class Handover:
 
     def poll(self) -> None:
         """Between two calls of handlers."""
-        ports = self._host.ports
-        if self._first is not None and self._host.answered > self._first.answered:
+        ports = self._runner.ports
+        if self._first is not None and self._runner.answered > self._first.answered:
             first, self._first = self._first, None
             left_out = {name: port.dropped - first.dropped[name] for name, port in ports.items()}
             answered_ms = (time.monotonic_ns() - first.stopped_ns) / 1e6
-            self._say("answered", node=self._host.name, left_out=left_out, answered_ms=answered_ms)
+            self._say(
+                "answered", node=self._runner.name, left_out=left_out, answered_ms=answered_ms
+            )
         if self._requested is not None and self._may_stop(self._requested):
             cut, self._requested = self._requested, None
             try:
                 self._stop(cut)
             except (FoveaError, OSError) as error:
                 if self.inactive:
-                    self.resume(self._host.epoch)
-                self._say("uncut", node=self._host.name, reason=str(error))
+                    self.resume(self._runner.epoch)
+                self._say("uncut", node=self._runner.name, reason=str(error))
 
     def resume(self, epoch: int) -> None:
         """Go on after all, after what the successor has finished."""
         if not self.inactive:
             return
-        host = self._host
+        runner = self._runner
         self._begin(epoch)
-        done = {name: p.resume(epoch, self._before[name]) for name, p in host.ports.items()}
-        host.inbox.forget(lambda name, ordinal: done[name](ordinal))
-        for port in host.ports.values():
+        done = {name: p.resume(epoch, self._before[name]) for name, p in runner.ports.items()}
+        runner.inbox.forget(lambda name, ordinal: done[name](ordinal))
+        for port in runner.ports.values():
             port.replay()
         self._activate()
-        self._say("resumed", node=host.name)
+        self._say("resumed", node=runner.name)
 
     def confirm(self) -> None:
         """The other instance is not needed any more."""
-        for port in self._host.ports.values():
+        for port in self._runner.ports.values():
             port.confirm()
 
     def _may_stop(self, cut: Cut) -> bool:
         if self._account.last_seq + 1 < cut.at:
             return False
-        ports = self._host.ports
+        ports = self._runner.ports
         return all(ports[name].finished_up_to(heard) for name, heard in cut.heard.items())
 
     def _stop(self, cut: Cut) -> None:
-        host = self._host
+        runner = self._runner
         state = self._write_state()
         link = connect(HANDOVER_CHANNEL, Path(cut.receiver))
         if link is None:
             raise RunError("the successor has closed its receiver")
         if cut.shadow:
             with link:
-                edges = {name: port.here() for name, port in host.ports.items()}
+                edges = {name: port.here() for name, port in runner.ports.items()}
                 handover = HandoverState(
-                    edges, host.inbox.marks(), 0, state, cut.shadow, class_of(host.operator)
+                    edges, runner.inbox.marks(), 0, state, cut.shadow, class_of(runner.operator)
                 )
                 link.send(msgspec.msgpack.encode(handover))
             return
-        self._before = {name: DropCounts(account) for name, account in host.edges.items()}
-        marks = host.inbox.marks()
+        self._before = {name: DropCounts(account) for name, account in runner.edges.items()}
+        marks = runner.inbox.marks()
         forgotten = self._undeclared.names()
-        edges = {name: port.cut() for name, port in host.ports.items()}
-        self.inactive, host.account = True, _nowhere()
+        edges = {name: port.cut() for name, port in runner.ports.items()}
+        self.inactive, runner.account = True, _nowhere()
         with link:
-            for out in host.outs.values():
+            for out in runner.outs.values():
                 out.let_go()
             handover = HandoverState(
-                edges, marks, time.monotonic_ns(), state, 0, class_of(host.operator), forgotten
+                edges, marks, time.monotonic_ns(), state, 0, class_of(runner.operator), forgotten
             )
             link.send(msgspec.msgpack.encode(handover))
-        self._say("cut", node=host.name, seq=int(self._account.last_seq))
+        self._say("cut", node=runner.name, seq=int(self._account.last_seq))
         self._queryables.undeclare()
 
     def _take_over(self, handover: HandoverState) -> None:
-        host = self._host
+        runner = self._runner
         self._end_trial()
-        for name, port in host.ports.items():
+        for name, port in runner.ports.items():
             if port.buffer is None or port.buffer.incomplete:
-                raise RunError(f"{host.name}: the successor fell behind on {name}")
+                raise RunError(f"{runner.name}: the successor fell behind on {name}")
         state = self._read_state(handover)
-        same = handover.operator == class_of(host.operator)
+        same = handover.operator == class_of(runner.operator)
         forgotten = handover.forgotten if same else []
         if forgotten:
-            log.warning("%s: %s", host.name, lost_words(forgotten))
-        host.inbox.go_on_from(handover.marks)
-        self._begin(host.epoch)
-        dropped = {name: port.dropped for name, port in host.ports.items()}
-        self._first = Takeover(host.answered, dropped, handover.stopped_ns)
-        for name, port in host.ports.items():
+            log.warning("%s: %s", runner.name, lost_words(forgotten))
+        runner.inbox.go_on_from(handover.marks)
+        self._begin(runner.epoch)
+        dropped = {name: port.dropped for name, port in runner.ports.items()}
+        self._first = Takeover(runner.answered, dropped, handover.stopped_ns)
+        for name, port in runner.ports.items():
             port.take_over(handover.edges[name])
         gap_ms = (time.monotonic_ns() - handover.stopped_ns) / 1e6
         self._say(
-            "taken", node=host.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state,
+            "taken", node=runner.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state,
             forgotten=forgotten,
         )  # fmt: skip
         self._activate()
@@ -239,7 +241,7 @@ class Handover:
         heard: Heard = queue.SimpleQueue()
         self._read_state(handover)
         self._unlisten = self._listen(heard)
-        self._shadow = Shadow(self._host, handover.marks, handover.edges, heard, handover.shadow)
+        self._shadow = Shadow(self._runner, handover.marks, handover.edges, heard, handover.shadow)
 
     def _try(self, shadow: Shadow) -> None:
         shadow.step()
@@ -248,16 +250,16 @@ class Handover:
 
     def _end_trial(self) -> None:
         if self._shadow is not None:
-            self._say("shadowed", node=self._host.name, **self._shadow.end())
+            self._say("shadowed", node=self._runner.name, **self._shadow.end())
             self._unlisten()
             self._shadow = None
 
     def _begin(self, epoch: int) -> None:
-        host = self._host
-        host.epoch, host.account = epoch, self._account
-        host.account.epoch = epoch
-        host.alive("waiting")
-        for out in host.outs.values():
+        runner = self._runner
+        runner.epoch, runner.account = epoch, self._account
+        runner.account.epoch = epoch
+        runner.alive("waiting")
+        for out in runner.outs.values():
             out.begin(epoch)
 
     def _activate(self) -> None:
@@ -266,12 +268,12 @@ class Handover:
 
     def _write_state(self) -> str:
         try:
-            state = self._host.operator.state()
+            state = self._runner.operator.state()
         except Exception as error:  # the part works on: only the swap comes to nothing
             raise RunError(f"its state cannot be had: {error_text(error)}") from error
         if state is None:
             return ""
-        name = f"{self._host.name}.{self._host.epoch}.state"
+        name = f"{self._runner.name}.{self._runner.epoch}.state"
         try:
             data = codec.dumps(state)
         except MessageError as error:
@@ -281,18 +283,18 @@ class Handover:
 
     def _read_state(self, handover: HandoverState) -> str:
         """Give the operator its predecessor's state; what came of it, in words."""
-        name, operator = handover.state, self._host.operator
+        name, operator = handover.state, self._runner.operator
         if not name:
             return "none"
-        if not re.fullmatch(rf"{re.escape(self._host.name)}\.\d+\.state", name):
-            raise MessageError(f"{self._host.name}: the state lies in a file that is not its own")
+        if not re.fullmatch(rf"{re.escape(self._runner.name)}\.\d+\.state", name):
+            raise MessageError(f"{self._runner.name}: the state lies in a file that is not its own")
         try:
             data = self._memory.read(name, MOST_STATE_BYTES)
             return restore(operator, data, must=handover.operator == class_of(operator))
         except FoveaError as error:
-            raise RunError(f"{self._host.name}: {error}") from error
+            raise RunError(f"{self._runner.name}: {error}") from error
         except OSError as error:
-            raise RunError(f"{self._host.name}: the state cannot be read: {error}") from error
+            raise RunError(f"{self._runner.name}: the state cannot be read: {error}") from error
         finally:
             self._memory.remove(name)
 

@@ -20,13 +20,13 @@ from pipeline.contract import Source
 from pipeline.errors import PoolExhausted
 from pipeline.executor import Answers, header_of
 from pipeline.messages import Header, Message, Span, altered, stamped
-from pipeline.node.host import DELAY_EVERY, IDLE_S, Host, delay_on_the_way
+from pipeline.node.operator_runner import DELAY_EVERY, IDLE_S, OperatorRunner, delay_on_the_way
 
 DRAIN_S = 0.0001
 
 
-class SourceHost(Host):
-    """A host whose operator produces. `limit` exposures at most, 0: until the source ends."""
+class SourceRunner(OperatorRunner):
+    """A runner whose operator produces. `limit` exposures at most, 0: until the source ends."""
 
     def __init__(self, *args: Any, drained: Callable[[], bool], limit: int, **kw: Any) -> None:
         super().__init__(*args, **kw)

@@ -1,4 +1,4 @@
-"""Connects the operators of a process: nodes and edges to hosts, ports, sockets and keys."""
+"""Connects the operators of a process: nodes and edges to runners, ports, sockets and keys."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -19,11 +19,11 @@ from pipeline.contract import Input, Operator, Source, outputs_of
 from pipeline.graph.plan import Edge, Node, Plan, inputs_for, slots
 from pipeline.node.answers import Answers
 from pipeline.node.handover import HANDOVER_CHANNEL, Handover, Say
-from pipeline.node.host import Host
 from pipeline.node.live import Live, kept
+from pipeline.node.operator_runner import OperatorRunner
 from pipeline.node.place import Place
 from pipeline.node.shadow import MOST_WAITING, Heard
-from pipeline.node.source import SourceHost
+from pipeline.node.source import SourceRunner
 from pipeline.private_folder import PrivateFolder
 
 CLOCKS = "clocks"  # the file in the run's folder that tells what other hosts' clocks show
@@ -96,7 +96,7 @@ class Wiring:
         self._senders: list[LocalSender] = []
         self._stops: list[Any] = []
         self.handovers: dict[str, Handover] = {}
-        self._running: dict[str, tuple[Host, LocalReceiver, Answers]] = {}
+        self._running: dict[str, tuple[OperatorRunner, LocalReceiver, Answers]] = {}
 
     def close(self) -> None:
         """Stop listening and close every socket."""
@@ -107,8 +107,8 @@ class Wiring:
         for receiver in self._receivers:
             receiver.close()
 
-    def host(self, node: Node, operator: Operator[Any, Any]) -> Host:
-        """The host of an operator, its receiver open and its ports connected."""
+    def runner(self, node: Node, operator: Operator[Any, Any]) -> OperatorRunner:
+        """The runner of an operator, its receiver open and its ports connected."""
         job, plan = self._job, self._job.plan
         edges = plan.inputs(node.name)
         receiver = LocalReceiver(job.receiver(node.name, job.epochs[node.name]))
@@ -126,46 +126,46 @@ class Wiring:
             "lockstep": plan.clock == "lockstep",
             "epoch": job.epochs[node.name],
         }
-        host = (
-            SourceHost(
+        runner = (
+            SourceRunner(
                 node.name, operator, drained=self._ledger.drained, limit=job.frames, **common
             )
             if isinstance(operator, Source)
-            else Host(node.name, operator, **common)
+            else OperatorRunner(node.name, operator, **common)
         )
-        host.clocks = self._clocks
+        runner.clocks = self._clocks
         live = Live(node.name, operator, job.settings(node), job.kept_in(node))
-        answers = Answers(plan, node, operator, host, live, self._ledger)
+        answers = Answers(plan, node, operator, runner, live, self._ledger)
         key = partial(key_of, plan.name, node.name)
         queryables = _Queryables(lambda: answers.serve(self._session, key))
         self._stops.append(queryables.undeclare)
-        self._running[node.name] = (host, receiver, answers)
+        self._running[node.name] = (runner, receiver, answers)
         for edge in edges.values():
-            self._listen(host, edge, common["inputs"][edge.input], receiver)
+            self._listen(runner, edge, common["inputs"][edge.input], receiver)
         if swappable(plan, node) and not isinstance(operator, Source):
             handover = Handover(
-                host, memory=self._memory, say=self._say,
+                runner, memory=self._memory, say=self._say,
                 queryables=queryables, listen=partial(self._tap, node, type(operator)),
                 standby=job.standby,
             )  # fmt: skip
-            host.handover = self.handovers[node.name] = handover
+            runner.handover = self.handovers[node.name] = handover
             receiver.expect(HANDOVER_CHANNEL, handover.receive)
         if not job.standby:
             queryables.declare()
-        return host
+        return runner
 
     def replan(self, node: str, plan: Plan) -> None:
         """Connect a running node as another plan has it; its operator and settings stay."""
         self._job = replace(self._job, plan=plan)
-        host, receiver, answers = self._running[node]
+        runner, receiver, answers = self._running[node]
         answers.plan = plan
         declared = inputs_for(plan, plan.node(node))
         for edge in plan.inputs(node).values():
-            if host.edges[edge.input] is not self._ledger.edges[edge.index]:
-                port = self._in_port(host, edge, declared[edge.input])
-                host.rewire(edge.input, self._ledger.edges[edge.index], port)
+            if runner.edges[edge.input] is not self._ledger.edges[edge.index]:
+                port = self._in_port(runner, edge, declared[edge.input])
+                runner.rewire(edge.input, self._ledger.edges[edge.index], port)
                 receiver.expect(edge.index, port.receive)
-        for output, port_out in host.outs.items():
+        for output, port_out in runner.outs.items():
             edges = plan.readers(node, output)
             port_out.change_readers(self._readers(edges), slots(edges))
         self._say("replanned", node=node)
@@ -219,23 +219,27 @@ class Wiring:
 
         return stop
 
-    def _in_port(self, host: Host, edge: Edge, declared: Input, *, holding: bool = False) -> InPort:
+    def _in_port(
+        self, runner: OperatorRunner, edge: Edge, declared: Input, *, holding: bool = False
+    ) -> InPort:
         port = InPort(
             declared.message,
             self._ledger.edges[edge.index],
             PoolReader(self._memory, f"{edge.source}.{edge.output}"),
-            host.epoch,
-            partial(host.deliver, edge.input),
+            runner.epoch,
+            partial(runner.deliver, edge.input),
             tap=edge.tap,
             holding=holding,
         )
-        port.on_loss = partial(host.lost, edge.input)
+        port.on_loss = partial(runner.lost, edge.input)
         return port
 
-    def _listen(self, host: Host, edge: Edge, declared: Input, receiver: LocalReceiver) -> None:
+    def _listen(
+        self, runner: OperatorRunner, edge: Edge, declared: Input, receiver: LocalReceiver
+    ) -> None:
         job = self._job
-        port = self._in_port(host, edge, declared, holding=job.standby)
-        host.ports[edge.input] = port
+        port = self._in_port(runner, edge, declared, holding=job.standby)
+        runner.ports[edge.input] = port
         if edge.transport == "pool":
             receiver.expect(edge.index, port.receive)
             return

@@ -1,4 +1,4 @@
-"""A host calls its operator and holds nothing of a message once it is handled."""
+"""A runner calls its operator and holds nothing of a message once it is handled."""
 
 import os
 import threading
@@ -16,7 +16,7 @@ from pipeline.bus.local_transport import LocalReceiver, LocalSender
 from pipeline.bus.outport import OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
 from pipeline.messages import Span
-from pipeline.node.host import DELAY_EVERY, MOST_ASKED, Host, delay_on_the_way
+from pipeline.node.operator_runner import DELAY_EVERY, MOST_ASKED, OperatorRunner, delay_on_the_way
 from pipeline.run.memory_folder import MemoryFolder
 from pipeline.testing import header
 from tests.pipeline.bus.test_outport import STEM, Wire
@@ -33,7 +33,7 @@ class Look(Operator[WorkSettings, None]):
 
 
 class Scene:
-    """A writer, and a reader with its host, in this process."""
+    """A writer, and a reader with its runner, in this process."""
 
     def __init__(self, folder: Path) -> None:
         self.memory = MemoryFolder.claim()
@@ -45,18 +45,18 @@ class Scene:
         self.look.pool = self.pool
         self.receiver = LocalReceiver(folder / "look.recv")
         self.sender = LocalSender([(0, folder / "look.recv")])
-        self.host = Host(
+        self.runner = OperatorRunner(
             "look", self.look, {"frame": Look.frame}, {"frame": account}, {},
             self.ledger.nodes[0], self.receiver, lockstep=False, epoch=1,
         )  # fmt: skip
-        port = InPort(Frame, account, self.pool, 1, lambda a: self.host.deliver("frame", a))
+        port = InPort(Frame, account, self.pool, 1, lambda a: self.runner.deliver("frame", a))
         self.receiver.expect(0, port.receive)
         self.out = OutPort(
             Frame, self.sender, Wire(), Wire(), [Reader(account, True, 4)],  # type: ignore[arg-type]
             lambda claim: PoolWriter(self.memory, STEM, 3, claim), 1,
         )  # fmt: skip
         self.out.handshake()
-        self.host.attend()
+        self.runner.attend()
 
     def close(self) -> None:
         self.sender.close()
@@ -78,14 +78,14 @@ def test_threads_that_deliver_leave_no_file_open(scene: Scene) -> None:
         thread = threading.Thread(target=scene.receiver.wait, args=(60.0,))
         thread.start()
         thread.join()
-        scene.host.step()
+        scene.runner.step()
 
     deliver(0)
     before = len(os.listdir("/proc/self/fd"))
     for seq in range(1, 2 * DELAY_EVERY):
         deliver(seq)
 
-    assert len(os.listdir("/proc/self/fd")) <= before + 1  # the one of the host's own thread
+    assert len(os.listdir("/proc/self/fd")) <= before + 1  # the one of the runner's own thread
 
 
 def test_a_picture_is_given_back_as_soon_as_it_is_handled(scene: Scene) -> None:
@@ -94,7 +94,7 @@ def test_a_picture_is_given_back_as_soon_as_it_is_handled(scene: Scene) -> None:
         head = header(seq)
         scene.out.send(Frame(header=head, pixels=pixels), head)
 
-        scene.host.step()
+        scene.runner.step()
 
         assert scene.look.pinned == 1
         assert scene.pool.pinned == 0
@@ -103,16 +103,16 @@ def test_a_picture_is_given_back_as_soon_as_it_is_handled(scene: Scene) -> None:
 
 def test_a_question_is_answered_between_two_calls(scene: Scene) -> None:
     answers: list[str] = []
-    scene.host.between(lambda: answers.append("so it is"))
+    scene.runner.between(lambda: answers.append("so it is"))
     assert answers == []
 
-    scene.host.step()
+    scene.runner.step()
 
     assert answers == ["so it is"]
 
 
 def test_questions_do_not_pile_up_behind_a_handler_that_hangs(scene: Scene) -> None:
-    taken = [scene.host.between(lambda: None) for _ in range(MOST_ASKED + 2)]
+    taken = [scene.runner.between(lambda: None) for _ in range(MOST_ASKED + 2)]
 
     assert taken == [True] * MOST_ASKED + [False, False]
 

@@ -1,7 +1,7 @@
 """Runs one operator: arrivals to handler calls, answers to output ports, progress to the ledger.
 
-The same for a process of its own and for a group; the transport's threads only deliver, the host's
-own thread calls the operator.
+The same for a process of its own and for a group; the transport's threads only deliver, the
+runner's own thread calls the operator.
 """
 
 import threading
@@ -26,7 +26,7 @@ from pipeline.executor import Answers, Executor
 from pipeline.messages import Header, Span, altered, stamped
 from pipeline.node.scheduling_delay import SchedulingDelay
 
-IDLE_S = 0.2  # the heartbeat of a host that has nothing to do
+IDLE_S = 0.2  # the heartbeat of a runner that has nothing to do
 HANDSHAKE_S = 0.02  # while a reader has not heard us yet
 CREDIT_S = 0.0005
 MOST_ASKED = 64  # questions that may wait for a handler to return
@@ -34,7 +34,7 @@ DELAY_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: as
 
 
 class Standby(Protocol):
-    """What may keep a host inactive: another instance works in its place (`handover`)."""
+    """What may keep a runner inactive: another instance works in its place (`handover`)."""
 
     inactive: bool
 
@@ -47,7 +47,7 @@ class Standby(Protocol):
         ...
 
 
-class Host:
+class OperatorRunner:
     """One operator with its inbox and its outputs."""
 
     def __init__(
@@ -79,7 +79,7 @@ class Host:
             self.ports[name].finished(ordinal)
 
     def deliver(self, name: str, arrival: Arrival) -> None:
-        """Called while this host waits at its receiver, or by a transport's thread."""
+        """Called while this runner waits at its receiver, or by a transport's thread."""
         phase, waited = arrival.header.seq % DELAY_EVERY, 0
         own = threading.get_ident() == self._waiter
         if own and phase in (0, DELAY_EVERY - 1):  # the one before only sets the mark
