@@ -67,7 +67,7 @@ class Chaos:
         """One fault, chosen by the seed; raises `Stuck` when nobody recovers."""
         ground, chance = self._ground, self._chance
         kind = chance.choices([*ground.kinds], [*ground.kinds.values()])[0]
-        whom = ground.boxes if kind == "partition" else ground.names
+        whom = ground.hosts if kind == "partition" else ground.names
         victims = tuple(chance.sample(whom, 2 if kind == "volley" else 1))
         at_s, before = time.monotonic() - self._began_s, ground.restarts()
         watch = _Watch(ground, victims, fresh=kind in ("kill", "volley", "freeze"))

@@ -179,9 +179,9 @@ def draw(graph: Path, **laid: Any) -> None:
 
 
 @commands.command()
-@click.option("--json", "as_json", is_flag=True, help="What the boxes say of deployed graphs.")
+@click.option("--json", "as_json", is_flag=True, help="What the hosts say of deployed graphs.")
 def ps(as_json: bool) -> None:
-    """List the running graphs and their processes, on all boxes."""
+    """List the running graphs and their processes, on all hosts."""
     if as_json:
         click.echo(overview.fleet_json(remembered()))
         return

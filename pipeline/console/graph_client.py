@@ -1,4 +1,4 @@
-"""The client of running graphs, here or on several boxes: `fovea health | schema | tell`."""
+"""The client of running graphs, here or on several hosts: `fovea health | schema | tell`."""
 
 import json
 from collections.abc import Collection, Mapping
@@ -32,7 +32,7 @@ QUICK_S = 3.0  # what transports answer by themselves; a process that is frozen 
 @click.argument("graph", required=False)
 @click.option("--json", "as_json", is_flag=True, help="One object per node.")
 def health_command(graph: str | None, as_json: bool) -> None:
-    """Ask every node of a running graph, or of all of them, how it is; on all boxes."""
+    """Ask every node of a running graph, or of all of them, how it is; on all hosts."""
     names = [graph] if graph else sorted({*running(), *remembered()})
     if not names:
         raise RunError("expected a running graph, got none")
@@ -76,7 +76,7 @@ def tell(graph: str, node: str, command: str, arguments: Mapping[str, Any]) -> O
 
 
 def fleet_health(graph: str) -> dict[str, Health | None]:
-    """What every node of a running graph says, here or on boxes; None for who is silent."""
+    """What every node of a running graph says, here or on hosts; None for who is silent."""
     if is_deployed(graph) and graph not in running():
         return health_there(graph)
     name, facts = find(graph)

@@ -75,7 +75,7 @@ def _replan(graph: str, edit: Callable[[Plan], Plan]) -> None:
 def replan(graph: str, edit: Callable[[Plan], Plan]) -> dict[str, Any]:
     """Have a running graph become what `edit` makes of its plan; raises `FoveaError`."""
     if is_deployed(graph) and graph not in running():
-        raise RunError(f"{graph}: runs on several boxes; edit its file and `fovea up --replace`")
+        raise RunError(f"{graph}: runs on several hosts; edit its file and `fovea up --replace`")
     _, facts = find(graph)
     wanted = edit(TypeAdapter(Plan).validate_python(facts["plan"]))
     plain = TypeAdapter(Plan).dump_python(wanted, mode="json")

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from pipeline.bus.network import Permit
 from pipeline.bus.outport import BYTES_SUFFIX
-from pipeline.fleet.names import agent_key, box, node_holder
+from pipeline.fleet.names import agent_key, host_holder, node_holder
 from pipeline.graph.plan import Edge, Plan
 from pipeline.node.wiring import key_of
 
@@ -50,7 +50,7 @@ def asker_permits(holder: str, labels: Sequence[str]) -> tuple[Permit, ...]:
     """Of somebody who speaks with agents: he asks and tells, and hears only answers."""
     return tuple(
         Permit(
-            holder=box(label),
+            holder=host_holder(label),
             key=agent_key(label, holder, "**"),
             inward=("reply", "declare_queryable", "declare_subscriber"),
             outward=("query", "put"),

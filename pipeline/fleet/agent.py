@@ -1,4 +1,4 @@
-"""`fovea agent`: runs on a box, takes graphs from those it knows, runs its part of each.
+"""`fovea agent`: runs on a host, takes graphs from those it knows, runs its part of each.
 
 What is asked comes by one key per asker, which the access list ties to his certificate. What looks
 is answered by the main thread, what starts and stops by another, each from a bounded queue; clocks
@@ -20,7 +20,7 @@ from pipeline.bus.session import OnBytes, Session
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.access import agent_permits, asker_permits
-from pipeline.fleet.agent_file import Box
+from pipeline.fleet.agent_file import HostConfig
 from pipeline.fleet.allow import MARK
 from pipeline.fleet.kept import Kept
 from pipeline.fleet.links import (
@@ -33,8 +33,8 @@ from pipeline.fleet.links import (
 from pipeline.fleet.names import (
     ANYBODY,
     agent_key,
-    box,
     endpoint,
+    host_holder,
     host_part,
 )
 from pipeline.fleet.node_gateway import NodeGateway
@@ -67,10 +67,10 @@ class _Question:
 
 
 class Agent:
-    """One box. Use it as a context: leaving it stops what runs and keeps it for the next start."""
+    """One host. Use it as a context: leaving it stops what runs and keeps it for the next start."""
 
-    def __init__(self, own: Box) -> None:
-        self.box, self.label = own, own.label
+    def __init__(self, own: HostConfig) -> None:
+        self.host, self.label = own, own.label
         self._papers = own.papers
         self._allowed = own.allowed
         self._gateway = NodeGateway(self._allowed, own.file.settings)
@@ -88,8 +88,8 @@ class Agent:
         for holder in self._holders:
             keys = agent_key(self.label, holder, "**")
             self._session.serve(keys, partial(self._asked, holder))
-            if holder.startswith("box."):
-                self._session.hear(keys, partial(self._told, holder.removeprefix("box.")))
+            if holder.startswith("host."):
+                self._session.hear(keys, partial(self._told, holder.removeprefix("host.")))
 
     def __enter__(self) -> "Agent":
         return self
@@ -113,7 +113,7 @@ class Agent:
         """Take up what ran before, then answer until stopped."""
         worker = threading.Thread(target=self._work, name="works")
         worker.start()
-        log.info("box %s listens at %s", self.label, self.box.endpoint)
+        log.info("host %s listens at %s", self.label, self.host.endpoint)
         self._answer_all(self._looks)
         worker.join()
 
@@ -134,7 +134,7 @@ class Agent:
         try:
             act()
         except Exception as error:
-            log.exception("box %s: %s", self.label, error)
+            log.exception("host %s: %s", self.label, error)
 
     def _network(self, listen: tuple[str, ...], **more: Any) -> Network:
         papers = str(self._papers.folder) if self._papers else ""
@@ -151,7 +151,7 @@ class Agent:
                 return
             reply(wire.encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
             return
-        weights = verb == "weights" and not holder.startswith("box.")
+        weights = verb == "weights" and not holder.startswith("host.")
         if len(data) > wire.MOST_BYTES and not weights:
             reply(wire.refused(f"expected up to {wire.MOST_BYTES} bytes, got {len(data)}"))
             return
@@ -167,7 +167,7 @@ class Agent:
             reply(wire.refused("busy: too many questions wait"))
 
     def _told(self, label: str, key: str, data: bytes) -> None:
-        """Likewise: another box tells of its accounts."""
+        """Likewise: another host tells of its accounts."""
         part = self.parts.get(key.rpartition("/")[2])
         if part is None:
             return
@@ -183,8 +183,8 @@ class Agent:
             "lacks": self._lacks, "node": partial(self._node, question),
             "swap": partial(self._swap, question),
         }  # fmt: skip
-        of_boxes: Mapping[str, Callable[[bytes], Any]] = {"recall": partial(self._recall, question)}
-        known = of_boxes if question.asker.startswith("box.") else verbs
+        of_hosts: Mapping[str, Callable[[bytes], Any]] = {"recall": partial(self._recall, question)}
+        known = of_hosts if question.asker.startswith("host.") else verbs
         try:
             if question.verb not in known:
                 raise RunError(f"{question.asker} may not {question.verb} here")
@@ -273,7 +273,7 @@ class Agent:
 
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
         part = self._part(wire.decode(Named, data).graph)
-        neighbour = part.neighbours.get(question.asker.removeprefix("box."))
+        neighbour = part.neighbours.get(question.asker.removeprefix("host."))
         if neighbour is None or part.supervisor is None:
             raise RunError(f"{part.plan.name}: nothing is shared with {question.asker}")
         return neighbour.mirror.whole()
@@ -292,14 +292,14 @@ class Agent:
         if part is not None and part.alive and not replace:
             raise RunError(f"{plan.name}: runs already; take it down first, or use --replace")
         if part is None and len(self.parts) >= MOST_GRAPHS:
-            raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a box, got more")
+            raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a host, got more")
 
     def _check_versions(self, theirs: wire.Versions) -> None:
         if theirs != (ours := wire.Versions.ours()):
             raise RunError(f"expected {_spelt(theirs)}, got {_spelt(ours)} here")
 
     def _inspected(self, plan: Plan, marks: Mapping[str, str]) -> Plan:
-        part = inspect(plan, self.label, self._allowed, self.box.file.settings)
+        part = inspect(plan, self.label, self._allowed, self.host.file.settings)
         check_marks(part, self.label, marks)
         check_papers(part, self._papers)
         return part
@@ -313,26 +313,26 @@ class Agent:
         part = self._inspected(plan, asked.marks)
         own = own_end_points(part, self._free_end_points(part), asked.endpoints)
         self._check_unused(part, own)
-        holder = box(self.label)
+        holder = host_holder(self.label)
         others = sorted({n.host for n in part.nodes} - {self.label})
         return Part(
             plan=part,
             mark=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
             networks=networks(part, own, asked.endpoints, self._papers),
-            boxes={label: endpoint(asked.boxes[label], "boxes") for label in others},
+            hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
             way=self._network((), permits=asker_permits(holder, others)),
             begins=partial(self._kept.count, part.name),
         )
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:
-        for label, point in asked.boxes.items():
-            check_name(label, "boxes")
-            if self._papers and box(label) not in self._holders:
-                raise RunError(f"{label} is not among the boxes that this one may speak with")
-            endpoint(point, "boxes")
+        for label, point in asked.hosts.items():
+            check_name(label, "hosts")
+            if self._papers and host_holder(label) not in self._holders:
+                raise RunError(f"{label} is not among the hosts that this one may speak with")
+            endpoint(point, "hosts")
         others = {n.host for n in plan.nodes} - {self.label}
-        if others - set(asked.boxes):
-            raise RunError(f"{plan.name}: no address for box {min(others - set(asked.boxes))}")
+        if others - set(asked.hosts):
+            raise RunError(f"{plan.name}: no address for host {min(others - set(asked.hosts))}")
         for point in asked.endpoints.values():
             endpoint(point, "endpoints")
 
@@ -340,9 +340,9 @@ class Agent:
         """Where the processes here with an edge to another host may listen."""
         if self._papers is None:
             return local_end_points(part)
-        first, last = self.box.file.ports
+        first, last = self.host.file.ports
         used = self._used(part.name)
-        return end_points(part, host_part(self.box.endpoint), range(first, last + 1), used)
+        return end_points(part, host_part(self.host.endpoint), range(first, last + 1), used)
 
     def _used(self, but: str) -> set[str]:
         """By the other graphs here."""
@@ -350,17 +350,17 @@ class Agent:
         return {p for o in others for network in o.networks.values() for p in network.listen}
 
     def _check_unused(self, part: Plan, own: Mapping[str, str]) -> None:
-        """Raise `RunError` for an end point that is not this box's to give, or is given."""
+        """Raise `RunError` for an end point that is not this host's to give, or is given."""
         if self._papers is None:
             return
-        first, last = self.box.file.ports
-        host = host_part(self.box.endpoint)
+        first, last = self.host.file.ports
+        host = host_part(self.host.endpoint)
         mine = {f"tls/{host}:{port}" for port in range(first, last + 1)} - self._used(part.name)
         if strange := sorted(set(own.values()) - mine):
             raise RunError(f"{part.name}: {strange[0]} is not free here any more, try again")
 
     def _resume(self, name: str) -> None:
-        """Begin again with what ran when this box ended; where that cannot be, `ps` tells why."""
+        """Begin again with what ran when this host ended; where that cannot be, `ps` tells why."""
         asked = self._kept.asked(name)
         try:
             part = self._part_of(asked)

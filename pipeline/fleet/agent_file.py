@@ -8,23 +8,25 @@ from pipeline import settings as checked
 from pipeline.bus.network import LOCAL, NODE_PORTS
 from pipeline.errors import GraphError, SettingsError
 from pipeline.fleet.allow import ANY, Allowed, is_digest
-from pipeline.fleet.names import box, check_person, endpoint, person
+from pipeline.fleet.names import check_person, endpoint, host_holder, person
 from pipeline.fleet.secure import Papers
 from pipeline.graph.yaml_lines import YamlFile, plain
 from pipeline.naming import check_name
 from pipeline.run.rundir import base
 
+RENAMED = {"boxes": "hosts"}  # keys of earlier versions
+
 
 @dataclass(frozen=True, kw_only=True)
 class AgentFile:
-    """What a box is and allows."""
+    """What a host is and allows."""
 
     label: str
     address: str = ""  # HOST[:PORT] with papers; empty: a unix socket of this user
     papers: str = ""  # folder by `fovea secure`, relative to this file
     ports: tuple[int, int] = NODE_PORTS  # first and last, of nodes with an edge to another host
     people: tuple[str, ...] = ()  # who may deploy, by name
-    boxes: tuple[str, ...] = ()  # labels of the boxes that may share a graph with it
+    hosts: tuple[str, ...] = ()  # labels of the hosts that may share a graph with it
     operators: dict[str, str] = field(default_factory=dict)  # module:Class -> sha256 or `any`
     weights: dict[str, str] = field(default_factory=dict)  # sha256 -> file, or empty: may be sent
     settings: dict[str, dict[str, Any]] = field(default_factory=dict)  # of nodes, laid over
@@ -32,8 +34,8 @@ class AgentFile:
 
     def __post_init__(self) -> None:
         check_name(self.label, "label", SettingsError)
-        for other in self.boxes:
-            check_name(other, "boxes", SettingsError)
+        for other in self.hosts:
+            check_name(other, "hosts", SettingsError)
         for name in self.people:
             check_person(name, "people")
         if self.address and not self.papers and not self.address.startswith(LOCAL):
@@ -54,7 +56,7 @@ class AgentFile:
 
 
 @dataclass(frozen=True)
-class Box:
+class HostConfig:
     """The file together with where it lies: every path resolved."""
 
     file: AgentFile
@@ -71,10 +73,10 @@ class Box:
         if not self.file.papers:
             return None
         papers = Papers.of(self.folder / self.file.papers)
-        if papers.holder != box(self.label):
+        if papers.holder != host_holder(self.label):
             raise SettingsError(
-                f"{papers.certificate}: expected the papers of {box(self.label)}, got those of "
-                f"{papers.holder}"
+                f"{papers.certificate}: expected the papers of {host_holder(self.label)}, got "
+                f"those of {papers.holder}"
             )
         return papers
 
@@ -95,7 +97,7 @@ class Box:
     @property
     def holders(self) -> tuple[str, ...]:
         """Who may speak with it."""
-        return (*map(person, self.file.people), *map(box, self.file.boxes))
+        return (*map(person, self.file.people), *map(host_holder, self.file.hosts))
 
     @property
     def allowed(self) -> Allowed:
@@ -104,15 +106,20 @@ class Box:
         return Allowed(self.file.operators, files, self.state / "weights")
 
 
-def read(path: Path) -> Box:
+def read(path: Path) -> HostConfig:
     """An agent's file; raises `SettingsError` with file and line."""
     try:
         file = YamlFile(path)
     except GraphError as error:
         raise SettingsError(str(error)) from error
     document = plain(file.document)
+    for old, new in RENAMED.items():
+        if isinstance(document, dict) and old in document:
+            raise SettingsError(
+                f"{file.deepest(file.document, [old])}: {old}: renamed; expected {new}"
+            )
     try:
-        return Box(checked.build(AgentFile, document, "agent"), path.resolve().parent)
+        return HostConfig(checked.build(AgentFile, document, "agent"), path.resolve().parent)
     except checked.WrongSetting as error:
         said = str(error).removeprefix("agent.")
         raise SettingsError(f"{file.deepest(file.document, error.path)}: {said}") from error

@@ -1,7 +1,7 @@
-"""What may run on a box, whoever asks: operators by name and checksum, weights by checksum.
+"""What may run on a host, whoever asks: operators by name and checksum, weights by checksum.
 
-Code and paths never come over the wire: a graph names operators that this box lists, and files only
-as `sha256:…` of weights that this box lists too.
+Code and paths never come over the wire: a graph names operators that this host lists, and files
+only as `sha256:…` of weights that this host lists too.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Allowed:
-    """The lists of one box."""
+    """The lists of one host."""
 
     code: Mapping[str, str]  # module:Class -> sha256 of its files, or `any`
     weights: Mapping[str, Path | None]  # sha256 -> file; None: may be sent
@@ -34,7 +34,7 @@ class Allowed:
     def check_code(self, path: str, where: str) -> None:
         """Raise `SettingsError` unless that class may be loaded as it is installed here."""
         if path not in self.code:
-            raise SettingsError(f"{where}: {path} is not on the allow list of this box")
+            raise SettingsError(f"{where}: {path} is not on the allow list of this host")
         wanted = self.code[path]
         if wanted != ANY and (got := code_digest(path)) != wanted:
             raise SettingsError(
@@ -42,7 +42,7 @@ class Allowed:
             )
 
     def localise(self, value: Any, where: str, depth: int = 0) -> Any:
-        """Values of a setting with weights as files of this box; raises for anything forbidden."""
+        """Values of a setting with weights as files of this host; raises for anything forbidden."""
         if depth > DEEPEST:
             raise SettingsError(f"{where[:60]}: expected no more than {DEEPEST} levels")
         if isinstance(value, Mapping):

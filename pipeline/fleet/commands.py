@@ -10,7 +10,7 @@ import click
 from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
-from pipeline.fleet.agent_file import AgentFile, Box, read
+from pipeline.fleet.agent_file import AgentFile, HostConfig, read
 from pipeline.fleet.deploy import (
     Fleet,
     attach,
@@ -29,6 +29,7 @@ from pipeline.fleet.unit import agent_unit
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.naming import check_name
+from pipeline.renamed import renamed_option
 from pipeline.settings import suggest
 from pipeline.signals import Interruption
 
@@ -37,11 +38,11 @@ GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
 
 @click.command("agent")
 @click.option("--config", type=click.Path(path_type=Path, dir_okay=False), help="The agent's file.")
-@click.option("--label", default="", help="Without a file: the label of this box.")
+@click.option("--label", default="", help="Without a file: the label of this host.")
 @click.option("--state", type=click.Path(path_type=Path, file_okay=False), help="Instead of its.")
 @click.option("--unit", is_flag=True, help="Print a systemd unit and leave.")
 def agent_command(config: Path | None, label: str, state: Path | None, unit: bool) -> None:
-    """Run parts of graphs on this box for those who may deploy them."""
+    """Run parts of graphs on this host for those who may deploy them."""
     if unit:
         config = config or Path("agent.yaml")
         known = read(config).state if config.is_file() else config.resolve().parent
@@ -49,7 +50,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
         return
     if config is None and not label:
         raise click.UsageError("give --config FILE or --label LABEL")
-    own = read(config) if config else Box(AgentFile(label=label), Path.cwd())
+    own = read(config) if config else HostConfig(AgentFile(label=label), Path.cwd())
     if state:
         own = replace(own, file=replace(own.file, state=str(state.resolve())))
     with Interruption(last=True) as asked, Agent(own) as agent:
@@ -57,7 +58,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
         if asked.count:  # while it came up
             agent.stop()
         agent.run()
-    logging.getLogger(__name__).info("box %s: stopped", own.label)
+    logging.getLogger(__name__).info("host %s: stopped", own.label)
 
 
 @click.command("up")
@@ -67,7 +68,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
     "words",
     multiple=True,
     metavar="LABEL=ADDRESS,…",
-    help="Where boxes are; else as the papers know, else on this machine.",
+    help="Where hosts are; else as the papers know, else on this machine.",
 )
 @click.option("--papers", type=click.Path(path_type=Path, file_okay=False), help="Who you are.")
 @click.option("--replace", "again", is_flag=True, help="Also where the graph runs already.")
@@ -78,7 +79,7 @@ def up_command(
     graph: Path, words: tuple[str, ...], papers: Path | None, again: bool, source: Path | None,
     changes: tuple[str, ...], wanted: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Start a graph on the boxes that its `host` labels name, through their agents."""
+    """Start a graph on the hosts that its `host` labels name, through their agents."""
     plan = load(graph, Overlay(source, changes, "", wanted))
     with Fleet(read_hosts(words, papers, plan.hosts)) as fleet:
         up(fleet, plan, again=again)
@@ -101,7 +102,7 @@ def attach_command(graph: str, words: tuple[str, ...], papers: Path | None) -> N
 @click.command("down")
 @click.argument("graph")
 def down_command(graph: str) -> None:
-    """Stop a graph on all its boxes."""
+    """Stop a graph on all its hosts."""
     known = remembered()
     if graph not in known:
         raise RunError(
@@ -126,7 +127,7 @@ def down_command(graph: str) -> None:
 )
 @click.option("--person", "name", metavar="NAME", help="Who deploys; without it, you.")
 def export_command(engine: str, graph: Path, papers: Path, name: str | None) -> None:
-    """Print a graph's boxes as units or manifests for an engine of your own."""
+    """Print a graph's hosts as units or manifests for an engine of your own."""
     who = check_person(name or default_person(), "--person")
     desk = Desk(graph.resolve(), papers.resolve(), who)
     click.echo(KINDS[engine](load(graph), desk), nl=False)
@@ -134,22 +135,24 @@ def export_command(engine: str, graph: Path, papers: Path, name: str | None) -> 
 
 @click.group("secure")
 def secure_commands() -> None:
-    """A private certificate authority for your boxes, nodes and people."""
+    """A private certificate authority for your hosts, nodes and people."""
 
 
 @secure_commands.command("init")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--box", "boxes", multiple=True, metavar="LABEL=ADDRESS")
+@click.option("--host", "hosts", multiple=True, metavar="LABEL=ADDRESS")
+@renamed_option("--box", "--host")
 @click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--person", "people", multiple=True, metavar="NAME")
 def init_command(folder: Path, **named: Any) -> None:
-    """Make an authority, and papers for boxes, people and the nodes of graphs."""
+    """Make an authority, and papers for hosts, people and the nodes of graphs."""
     _add(folder, fresh=True, **named)
 
 
 @secure_commands.command("add")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--box", "boxes", multiple=True, metavar="LABEL=ADDRESS")
+@click.option("--host", "hosts", multiple=True, metavar="LABEL=ADDRESS")
+@renamed_option("--box", "--host")
 @click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
 @click.option("--person", "people", multiple=True, metavar="NAME")
 def add_command(folder: Path, **named: Any) -> None:
@@ -158,13 +161,13 @@ def add_command(folder: Path, **named: Any) -> None:
 
 
 def _add(
-    folder: Path, boxes: tuple[str, ...], graphs: tuple[Path, ...], people: tuple[str, ...], *,
+    folder: Path, hosts: tuple[str, ...], graphs: tuple[Path, ...], people: tuple[str, ...], *,
     fresh: bool,
 ) -> None:  # fmt: skip
     addresses = {}
-    for word in boxes:
+    for word in hosts:
         label, _, address = word.partition("=")
-        addresses[check_name(label, "--box", SettingsError)] = address
+        addresses[check_name(label, "--host", SettingsError)] = address
     names = tuple(check_person(name, "--person") for name in people or (default_person(),))
     plans = [load(graph) for graph in graphs]
     check_addressed(folder, addresses, plans)
@@ -175,7 +178,7 @@ def _add(
         secure.create(folder)
     for line in (*issue_for(folder, addresses, plans, names), *secure.renew(folder)):
         click.echo(line)
-    click.echo(f"copy each box's folder to the box, keep {folder / 'ca.key'} away from all of them")
+    click.echo(f"copy each host's folder to it, keep {folder / 'ca.key'} away from all of them")
     click.echo(f"deploy with --papers {folder / person(names[0])}")
 
 

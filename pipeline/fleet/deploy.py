@@ -1,7 +1,7 @@
 """`fovea up` and `fovea down`: a graph to the agents of its hosts, all of it or nothing.
 
 First every agent says whether it may run its part; only then anything starts. What a setting names
-as a file here travels as its checksum; the box has the file, or takes it if it is on its list.
+as a file here travels as its checksum; the host has the file, or takes it if it is on its list.
 """
 
 import fcntl
@@ -53,7 +53,7 @@ class Hosts:
 
 
 def read_hosts(words: Iterable[str], papers: Path | None, labels: Iterable[str] = ()) -> Hosts:
-    """Where boxes are: `LABEL=ADDRESS` as said, else as the papers know, else on this machine.
+    """Where hosts are: `LABEL=ADDRESS` as said, else as the papers know, else on this machine.
 
     `labels` are those that are needed, said or not. Raises `SettingsError`.
     """
@@ -113,7 +113,7 @@ class Fleet:
         return wire.read_reply(cls, label, found)
 
     def states(self, graph: str = "", patience_s: float = 1.5) -> dict[str, list[wire.State] | str]:
-        """What runs on every box, or why it is not known."""
+        """What runs on every host, or why it is not known."""
         found: dict[str, list[wire.State] | str] = {}
         for label in self.hosts.points:
             try:
@@ -171,7 +171,7 @@ def _leave(graph: str, before: Hosts, used: Iterable[str]) -> None:
 
 
 def attach(graph: str, fleet: Fleet) -> list[str]:
-    """Remember a graph that somebody else deployed: its boxes; raises `RunError` for none."""
+    """Remember a graph that somebody else deployed: its hosts; raises `RunError` for none."""
     states = fleet.states(graph)
     found = {label: said[0] for label, said in states.items() if said and isinstance(said, list)}
     if not found:
@@ -224,7 +224,7 @@ def carried(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Path]]
 def send_weights(
     fleet: Fleet, label: str, digests: Iterable[str], files: Mapping[str, Path]
 ) -> None:
-    """Give a box the weights that it allows and has not; raises `GraphError` for what cannot go."""
+    """Give a host weights that it allows and lacks; raises `GraphError` for what cannot go."""
     for digest in digests:
         if digest not in files:
             raise GraphError(f"{label}: weights {digest[:12]}… are neither there nor here")
@@ -270,7 +270,7 @@ def default_person() -> str:
 def _prepare(
     fleet: Fleet, label: str, question: wire.Prepare, files: Mapping[str, Path]
 ) -> dict[str, str]:
-    # a box that has just begun imports every operator first
+    # a host that has just begun imports every operator first
     prepared = fleet.ask(label, "prepare", question, wire.Prepared, READY_S)
     if prepared.weights:
         send_weights(fleet, label, prepared.weights, files)
@@ -303,7 +303,7 @@ def _down(fleet: Fleet, label: str, graph: str) -> str:
 
 
 def _is_on(fleet: Fleet, label: str, graph: str) -> bool:
-    """Whether a box runs a graph, as far as is known."""
+    """Whether a host runs a graph, as far as is known."""
     try:
         return graph in fleet.ask(label, "about", wire.Nothing(), wire.About).graphs
     except FoveaError:
@@ -311,7 +311,7 @@ def _is_on(fleet: Fleet, label: str, graph: str) -> bool:
 
 
 def _memory() -> Path:
-    folder = Path.home() / ".local" / "state" / "fovea"  # as long as the boxes keep what they run
+    folder = Path.home() / ".local" / "state" / "fovea"  # as long as the hosts keep what they run
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return folder / "fleet.json"
 

@@ -1,4 +1,4 @@
-"""Papers and agent's files for the boxes of some graphs, ready to be copied there."""
+"""Papers and agent's files for the hosts of some graphs, ready to be copied there."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,7 +7,7 @@ from pathlib import Path
 from pipeline.errors import RunError
 from pipeline.fleet import secure
 from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
-from pipeline.fleet.names import box, node_holder, person
+from pipeline.fleet.names import host_holder, node_holder, person
 from pipeline.fleet.placement import borders, place
 from pipeline.graph.plan import Plan
 
@@ -25,31 +25,31 @@ def issue_for(
         note.write_text(json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
         yield f"{folder / person(name)}: papers of {name}, who may deploy"
     for label in labels:
-        own = folder / box(label)
-        secure.issue(own, folder, box(label))
+        own = folder / host_holder(label)
+        secure.issue(own, folder, host_holder(label))
         for plan in plans:
             for holder in _holders(plan, label):
                 secure.issue(own / "nodes" / holder, folder, holder)
         path = _agent_file(folder, label)
         if path.exists():
-            yield f"{own}: papers of box {label}; its agent.yaml stays as it was"
+            yield f"{own}: papers of host {label}; its agent.yaml stays as it was"
             continue
         others = [other for other in labels if other != label]
         path.write_text(agent_yaml(label, addresses[label], people, others, plans))
-        yield f"{own}: papers and agent.yaml of box {label}, with what its graphs need allowed"
+        yield f"{own}: papers and agent.yaml of host {label}, with what its graphs need allowed"
 
 
 def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
-    """Raise `RunError` for a box that is new and has no address."""
+    """Raise `RunError` for a host that is new and has no address."""
     for label in _labels(addresses, plans):
         if not addresses.get(label) and not _agent_file(folder, label).exists():
-            raise RunError(f"{label}: expected --box {label}=ADDRESS, got none")
+            raise RunError(f"{label}: expected --host {label}=ADDRESS, got none")
 
 
 def agent_yaml(
     label: str, address: str, people: Sequence[str], others: Sequence[str], plans: Sequence[Plan]
 ) -> str:
-    """An agent's file that allows what the graphs have on that box, as it is installed here."""
+    """An agent's file that allows what the graphs have on that host, as it is installed here."""
     nodes = [node for plan in plans for node in plan.nodes if node.host == label]
     code = {
         path: code_digest(path) for node in nodes for path in code_of(node.operator, node.settings)
@@ -63,10 +63,10 @@ def agent_yaml(
         "papers: ." if address else "",
         "state: state # what runs here and the weights it was sent, kept over a restart",
         f"people: {json.dumps(list(people))}",
-        f"boxes: {json.dumps(list(others))}",
+        f"hosts: {json.dumps(list(others))}",
         "operators: # what may run here, each with the checksum of its files, or: any",
         *(f"  {path}: {digest}" for path, digest in sorted(code.items())),
-        "weights: # checksum: file on this box, or empty where `fovea up` may send it",
+        "weights: # checksum: file on this host, or empty where `fovea up` may send it",
         *(f'  {file_digest(file)}: "" # {file.name}' for file in sorted(files)),
     ]
     text = "\n".join(line for line in lines if line) + "\n"
@@ -80,7 +80,7 @@ def _labels(addresses: Mapping[str, str], plans: Sequence[Plan]) -> list[str]:
 
 
 def _agent_file(folder: Path, label: str) -> Path:
-    return folder / box(label) / "agent.yaml"
+    return folder / host_holder(label) / "agent.yaml"
 
 
 def _holders(plan: Plan, label: str) -> list[str]:

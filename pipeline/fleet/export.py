@@ -1,6 +1,6 @@
-"""`fovea export`: a graph's boxes for those who run their own engine: systemd, compose, Kubernetes.
+"""`fovea export`: a graph's hosts for those who run their own engine: systemd, compose, Kubernetes.
 
-Every box is an agent, whoever keeps it running, and `fovea up` places the graph on them. A graph
+Every host is an agent, whoever keeps it running, and `fovea up` places the graph on them. A graph
 without hosts is one service that runs it. What is printed holds no secret: papers are mounted.
 """
 
@@ -37,13 +37,13 @@ from pipeline.graph.plan import Plan
 
 
 def systemd(plan: Plan, desk: Desk) -> str:
-    """Units: one per box, to be copied to it, and one that deploys from this one."""
+    """Units: one per host, to be copied to it, and one that deploys from this one."""
     if not plan.hosts:
         return _titled(f"fovea-{plan.name}.service", _unit(["run", str(desk.graph)], plan.name))
     units = [
         _titled(
-            f"{label}: fovea-agent.service; {desk.box(label)} is to be {ETC} there, of the user "
-            "fovea",
+            f"{label}: fovea-agent.service; {desk.host_folder(label)} is to be {ETC} there, of the "
+            "user fovea",
             agent_unit(Path(f"{ETC}/agent.yaml"), Path(f"{ETC}/state")),
         )
         for label in plan.hosts
@@ -54,13 +54,15 @@ def systemd(plan: Plan, desk: Desk) -> str:
 
 
 def compose(plan: Plan, desk: Desk) -> str:
-    """A compose file: a service per box with its own shared memory, and one that deploys."""
+    """A compose file: a service per host with its own shared memory, and one that deploys."""
     graph = f"{desk.graph}:{GRAPH}:ro"
     if not plan.hosts:
         return _yaml({"services": {plan.name: _service(plan, "", run_words(), graph)}})
     services = {
         label: {
-            **_service(plan, label, AGENT, f"{desk.box(label)}:{ETC}:ro", f"state-{label}:{STATE}"),
+            **_service(
+                plan, label, AGENT, f"{desk.host_folder(label)}:{ETC}:ro", f"state-{label}:{STATE}"
+            ),
             "hostname": label,
         }
         for label in plan.hosts
@@ -76,7 +78,7 @@ def compose(plan: Plan, desk: Desk) -> str:
 
 
 def k8s(plan: Plan, desk: Desk) -> str:
-    """Manifests: per box a deployment of one pod and a headless service, and a job that deploys."""
+    """Manifests: per host a deployment of one pod and a headless service; a job that deploys."""
     first, documents = manifests(plan, desk)
     return first + "---\n".join(_yaml(document) for document in documents)
 

@@ -1,4 +1,4 @@
-"""What a box keeps of the graphs it runs, so that they go on when it begins again."""
+"""What a host keeps of the graphs it runs, so that they go on when it begins again."""
 
 import json
 import os
@@ -16,7 +16,7 @@ class Kept:
         self._folder = folder
 
     def names(self) -> list[str]:
-        """The graphs that ran when this box ended."""
+        """The graphs that ran when this host ended."""
         return sorted(path.stem for path in self._folder.glob("*.graph"))
 
     def keep(self, graph: str, asked: Start) -> None:
@@ -39,7 +39,9 @@ class Kept:
         except FileNotFoundError:
             before = 0
         except (OSError, ValueError, TypeError) as error:
-            raise RunError(f"{path}: expected a number; remove it on every box: {error}") from error
+            raise RunError(
+                f"{path}: expected a number; remove it on every host: {error}"
+            ) from error
         self._write(path, str(before + 1).encode())
         return before + 1
 

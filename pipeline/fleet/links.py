@@ -14,7 +14,7 @@ from pipeline.fleet.secure import Papers
 from pipeline.graph.plan import Node, Plan
 from pipeline.run.rundir import base
 
-PATIENCE_MS = 1000  # a box that naps for less loses nothing on a lossless edge
+PATIENCE_MS = 1000  # a host that naps for less loses nothing on a lossless edge
 
 
 def local_end_points(part: Plan) -> dict[str, str]:
@@ -26,7 +26,7 @@ def local_end_points(part: Plan) -> dict[str, str]:
 def end_points(
     part: Plan, host: str, ports: Collection[int], used: Collection[str]
 ) -> dict[str, str]:
-    """`label/process` -> a free port of the box; raises `RunError` when there are too few."""
+    """`label/process` -> a free port of the host; raises `RunError` when there are too few."""
     names = [f"{part.here}/{process}" for process in listeners(part, part.here)]
     free = [point for port in ports if (point := f"tls/{host}:{port}") not in used]
     if len(free) < len(names):

@@ -33,7 +33,7 @@ Part = tuple[dict[str, Any], dict[str, Any]]  # a volume, and where a container 
 
 
 def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
-    """What is to be typed before, and the documents; raises `GraphError` for a box's label."""
+    """What is to be typed before, and the documents; raises `GraphError` for a host's label."""
     graph = _config(plan, desk)
     mounted = _volume(
         "graph", {"configMap": {"name": graph["metadata"]["name"]}}, str(Path(GRAPH).parent)
@@ -45,7 +45,7 @@ def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
     for label in plan.hosts:
         parts = [_memory(plan, label), _papers(plan, label), _state()]
         pod = {"hostname": _checked(label), **_pod(AGENT, parts)}
-        pod["nodeSelector"] = {"fovea/box": label}
+        pod["nodeSelector"] = {"fovea/host": label}
         documents += [_deployment(label, pod), _service(label)]
     secret = {"secret": {"secretName": _own_secret(plan), "defaultMode": 0o400}}
     pod = _pod(up_words(plan), [_volume("person", secret, PERSON), mounted])
@@ -63,9 +63,9 @@ def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
 def _secrets(plan: Plan, desk: Desk) -> Iterator[Sequence[str]]:
     folders = [(_own_secret(plan), desk.own)]
     for label in plan.hosts:
-        folders.append((_secret(label), desk.box(label)))
+        folders.append((_secret(label), desk.host_folder(label)))
         folders += [
-            (_secret(label, number), desk.box(label) / "nodes" / holder)
+            (_secret(label, number), desk.host_folder(label) / "nodes" / holder)
             for number, holder in enumerate(holders(plan, label))
         ]
     for name, folder in folders:
@@ -74,7 +74,7 @@ def _secrets(plan: Plan, desk: Desk) -> Iterator[Sequence[str]]:
 
 def _machines(plan: Plan) -> Iterator[Sequence[str]]:
     for label in plan.hosts:
-        yield "kubectl", "label", "node", f"MACHINE-OF-{label}", f"fovea/box={label}"
+        yield "kubectl", "label", "node", f"MACHINE-OF-{label}", f"fovea/host={label}"
 
 
 def _papers(plan: Plan, label: str) -> Part:
@@ -118,7 +118,7 @@ def _pod(command: Sequence[str], parts: Sequence[Part]) -> dict[str, Any]:
 
 
 def _deployment(name: str, pod: dict[str, Any]) -> dict[str, Any]:
-    labels = {"app": "fovea", "box": name}
+    labels = {"app": "fovea", "host": name}
     return {
         "apiVersion": "apps/v1", "kind": "Deployment", "metadata": {"name": f"fovea-{name}"},
         "spec": {
@@ -135,7 +135,7 @@ def _service(label: str) -> dict[str, Any]:
         "apiVersion": "v1", "kind": "Service", "metadata": {"name": label},
         "spec": {
             "clusterIP": "None", "publishNotReadyAddresses": True,
-            "selector": {"app": "fovea", "box": label},
+            "selector": {"app": "fovea", "host": label},
         },
     }  # fmt: skip
 

@@ -1,8 +1,8 @@
-"""Accounts of edges that cross hosts: each box keeps both halves and tells the other its own.
+"""Accounts of edges that cross hosts: each host keeps both halves and tells the other its own.
 
-An account has a writing half and a reading half (`bus.ledger`). The box of the writer counts
-the one, the box of the reader the other; what a box hears of the other half it puts beside its own.
-So credit, slots and accounts work across hosts. A box that begins anew asks for what
+An account has a writing half and a reading half (`bus.ledger`). The host of the writer counts
+the one, the host of the reader the other; what a host hears of the other half it puts beside its
+own. So credit, slots and accounts work across hosts. A host that begins anew asks for what
 it had counted before.
 """
 
@@ -20,12 +20,12 @@ _MOST = 1 << 63
 
 
 class Mirror:
-    """The crossing edges of one box with one other."""
+    """The crossing edges of one host with one other."""
 
     def __init__(
         self, plan: Plan, ledger: Ledger, other: str, starts: int = 1, mark: str = ""
     ) -> None:
-        """`starts`: how often this box has begun; `mark`: of the graph, the same on all boxes."""
+        """`starts`: how often this host has begun; `mark`: of the graph, the same on all hosts."""
         self._ledger, self.other, self._mark = ledger, other, mark
         self.out = [e for e in plan.edges if _between(plan, e) == (plan.here, other)]
         self.into = [e for e in plan.edges if _between(plan, e) == (other, plan.here)]
@@ -35,7 +35,7 @@ class Mirror:
         self._said: tuple[object, ...] = ()
 
     def tell(self, *, ready: bool, anyway: bool) -> Accounts | None:
-        """What the other box is to know; None while nothing has changed."""
+        """What the other host is to know; None while nothing has changed."""
         edges = self._ledger.edges
         written = {e.index: _values(edges[e.index], WRITTEN) for e in self.out}
         read = {e.index: _values(edges[e.index], READ) for e in self.into}
@@ -56,13 +56,13 @@ class Mirror:
         self.other_ready = heard.ready
 
     def lost(self) -> None:
-        """The other box is gone: nobody waits for its readers, and it may begin to count anew."""
+        """The other host is gone: nobody waits for its readers, and it may begin to count anew."""
         self.other_ready, self._heard = False, 0
         for edge in self.out:
             self._ledger.edges[edge.index].reader_epoch = 0
 
     def whole(self) -> Accounts:
-        """Both halves of everything shared, for a box that lost its own."""
+        """Both halves of everything shared, for a host that lost its own."""
         edges = self._ledger.edges
         shared = [*self.out, *self.into]
         return Accounts(
@@ -83,9 +83,9 @@ class Mirror:
 
 
 def adopt(plan: Plan, ledger: Ledger, told: Iterable[Accounts]) -> None:
-    """Before anything starts: go on from what the other boxes know of this one's accounts.
+    """Before anything starts: go on from what the other hosts know of this one's accounts.
 
-    What was on its way inside this box was lost with it.
+    What was on its way inside this host was lost with it.
     """
     for accounts in told:
         for edge in plan.edges:

@@ -13,9 +13,9 @@ _PERSON = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
 _HOST = re.compile(r"(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.-]+?)(?::(\d{1,5}))?")
 
 
-def box(label: str) -> str:
+def host_holder(label: str) -> str:
     """The holder that an agent is."""
-    return f"box.{label}"
+    return f"host.{label}"
 
 
 def person(name: str) -> str:
@@ -43,7 +43,7 @@ def check_holder(holder: str) -> str:
 
 
 def agent_key(label: str, holder: str, verb: str) -> str:
-    """The key at which the agent of a box hears one holder, and nobody else."""
+    """The key at which the agent of a host hears one holder, and nobody else."""
     return f"fovea/@agent/{label}/{holder}/{verb}"
 
 

@@ -1,4 +1,4 @@
-"""Another box of the same graph: is it there, what does its clock show, what has it counted."""
+"""Another host of the same graph: is it there, what does its clock show, what has it counted."""
 
 import logging
 import threading
@@ -11,21 +11,21 @@ from pipeline.errors import FoveaError, MessageError
 from pipeline.fleet import wire
 from pipeline.fleet.clock import Estimate, Offset
 from pipeline.fleet.mirror import Mirror
-from pipeline.fleet.names import agent_key, box
+from pipeline.fleet.names import agent_key, host_holder
 
 PING_S = 0.2
-LOST_S = 1.2  # without an answer for this long a box is lost
+LOST_S = 1.2  # without an answer for this long a host is lost
 RECALL_S = 3.0
 log = logging.getLogger(__name__)
 
 
 class Neighbour:
-    """The link of this box with one other."""
+    """The link of this host with one other."""
 
     def __init__(
         self, graph: str, own: str, mirror: Mirror, reading: Reading, way: Network
     ) -> None:
-        """`own`: the label of this box; `reading`: where its clock is told; `way`: to its agent."""
+        """`own`: the label of this host; `reading`: of the other's clock; `way`: to its agent."""
         self.label, self._graph, self._own = mirror.other, graph, own
         self.mirror, self._reading = mirror, reading
         self._offset = Offset()
@@ -40,7 +40,7 @@ class Neighbour:
         self.estimate: Estimate | None = None
 
     def begin(self) -> None:
-        """Look after the other box from now on."""
+        """Look after the other host from now on."""
         self.answered_s = time.monotonic()
         self._thread.start()
 
@@ -52,18 +52,18 @@ class Neighbour:
         self._session.close()
 
     def tell(self, *, ready: bool, anyway: bool) -> None:
-        """Send the other box what it is to know, if there is anything."""
+        """Send the other host what it is to know, if there is anything."""
         accounts = self.mirror.tell(ready=ready, anyway=anyway)
         if accounts is not None and self._telling.matching():
             self._telling.send(wire.encode(accounts))
 
     def hear(self, accounts: wire.Accounts) -> None:
-        """The other box tells its accounts; while it counts as lost nobody listens."""
+        """The other host tells its accounts; while it counts as lost nobody listens."""
         if not self.lost:
             self.mirror.hear(accounts)
 
     def recall(self) -> wire.Accounts | None:
-        """What the other box knows of the edges between the two; None when it knows nothing."""
+        """What the other host knows of the edges between the two; None when it knows nothing."""
         question = wire.encode(wire.Named(self._graph))
         data = self._session.ask(self._key("recall"), question, RECALL_S)
         try:
@@ -72,7 +72,7 @@ class Neighbour:
             return None  # it does not run there
 
     def _key(self, verb: str) -> str:
-        return agent_key(self.label, box(self._own), verb)
+        return agent_key(self.label, host_holder(self._own), verb)
 
     def _watch(self) -> None:
         try:
@@ -83,17 +83,17 @@ class Neighbour:
                 if self.lost != (silent_s > LOST_S):
                     self._change(silent_s)
         except Exception as error:
-            log.exception("%s: the link with box %s broke", self._graph, self.label)
-            self.broken = f"the link with box {self.label} broke: {type(error).__name__}: {error}"
+            log.exception("%s: the link with host %s broke", self._graph, self.label)
+            self.broken = f"the link with host {self.label} broke: {type(error).__name__}: {error}"
 
     def _change(self, silent_s: float) -> None:
         self.lost = not self.lost
         if self.lost:
             self.losses += 1
             self.mirror.lost()
-            log.error("%s: box %s is lost: silent for %.1f s", self._graph, self.label, silent_s)
+            log.error("%s: host %s is lost: silent for %.1f s", self._graph, self.label, silent_s)
         else:
-            log.warning("%s: box %s is back", self._graph, self.label)
+            log.warning("%s: host %s is back", self._graph, self.label)
 
     def _note_clock(self) -> None:
         """What is known of the other clock, less sure as time goes by."""

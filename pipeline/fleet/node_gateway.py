@@ -1,4 +1,4 @@
-"""Requests from elsewhere to the nodes on this box: settings, commands, swaps.
+"""Requests from elsewhere to the nodes on this host: settings, commands, swaps.
 
 The same rules hold as for a graph that is brought up: code by the allow list, files by checksum.
 """
@@ -26,10 +26,10 @@ Reply = Callable[[bytes], None]
 
 
 class NodeGateway:
-    """Forwards requests to the nodes of a box."""
+    """Forwards requests to the nodes of a host."""
 
     def __init__(self, allowed: Allowed, over: Mapping[str, Mapping[str, Any]]) -> None:
-        """`over`: what this box sets itself, by node; nobody else may change it."""
+        """`over`: what this host sets itself, by node; nobody else may change it."""
         self._allowed, self._over = allowed, over
         self._pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="gateway")
         self._room = BoundedSemaphore(AT_ONCE + WAITING)
@@ -84,7 +84,7 @@ class NodeGateway:
     def _cleared_values(self, node: str, changes: Mapping[str, Any]) -> dict[str, Any]:
         for name in changes:
             if name in self._own(node):
-                raise RunError(f"{node}.{name}: this box sets it itself")
+                raise RunError(f"{node}.{name}: this host sets it itself")
         return {k: self._allowed.localise(v, f"{node}.{k}") for k, v in changes.items()}
 
     def _own(self, node: str) -> Mapping[str, Any]:

@@ -1,4 +1,4 @@
-"""`ps`, `top`, `logs` of graphs on several boxes: questions to agents -> tables and lines."""
+"""`ps`, `top`, `logs` of graphs on several hosts: questions to agents -> tables and lines."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ from pipeline.fleet.tables import (
 
 
 def fleet_table(graphs: Mapping[str, Hosts]) -> Table:
-    """Every process on every box, every box that is silent, every node that is lost with it."""
+    """Every process on every host, every host that is silent, every node that is lost with it."""
     table = process_table()
     for graph, hosts in graphs.items():
         with Fleet(hosts) as fleet:
@@ -31,7 +31,7 @@ def fleet_table(graphs: Mapping[str, Hosts]) -> Table:
 
 
 def fleet_json(graphs: Mapping[str, Hosts]) -> bytes:
-    """The same and more as JSON: graph -> box -> states, or why there are none and what is lost."""
+    """The same and more as JSON: graph -> host -> states, or why there are none."""
     found = {}
     for graph, hosts in graphs.items():
         with Fleet(hosts) as fleet:
@@ -53,7 +53,7 @@ def known_graph(graph: str) -> tuple[str, Hosts] | None:
 
 
 def fleet_top(graph: str, hosts: Hosts, every_s: float, *, once: bool, console: Console) -> None:
-    """Edges, nodes and clocks of all boxes, refreshed until Ctrl-C."""
+    """Edges, nodes and clocks of all hosts, refreshed until Ctrl-C."""
     with Fleet(hosts) as fleet:
         before, at_s = fleet.states(graph), time.monotonic()
         time.sleep(min(every_s, 1.0))

@@ -1,4 +1,4 @@
-"""One box's part of a graph: a supervisor in a thread of its own, and its talk with other boxes."""
+"""One host's part of a graph: a supervisor in a thread of its own, and its talk with others."""
 
 import logging
 import threading
@@ -22,12 +22,12 @@ TELL_S = 0.004  # how often accounts are looked at: the credit of lossless edges
 ANYWAY_S = 0.25
 END_S = 20.0  # stopping takes as long as the slowest operator's close
 AGAIN_S = (1.0, 30.0)  # first and longest pause before a part that worked once begins again
-STARTS_EPOCHS = 1000  # between two starts of a box, so that what an earlier one sent is told apart
+STARTS_EPOCHS = 1000  # between two starts of a host, so that what an earlier one sent is told apart
 log = logging.getLogger(__name__)
 
 
 class PartSupervisor(Supervisor):
-    """Runs the nodes that are here; its sources begin when the other boxes are ready too."""
+    """Runs the nodes that are here; its sources begin when the other hosts are ready too."""
 
     def __init__(self, plan: Plan, folder: str, first_epoch: int) -> None:
         super().__init__(plan, folder=folder, first_epoch=first_epoch)
@@ -55,9 +55,9 @@ class Part:
     """A part from its start to its end. `stop` and `end` may be called by any thread."""
 
     plan: Plan
-    mark: str  # of the graph as it was asked for: boxes that run another have other accounts
+    mark: str  # of the graph as it was asked for: hosts that run another have other accounts
     networks: Mapping[str, Network]
-    boxes: Mapping[str, str]  # label -> end point of the agent
+    hosts: Mapping[str, str]  # label -> end point of the agent
     way: Network  # to those agents, without end points
     begins: Callable[[], int]  # counts one more start, also beyond the end of the agent
     phase: str = "starting"
@@ -102,7 +102,7 @@ class Part:
                 raise RunError(f"{self.plan.name}: did not end within {END_S:.0f} s")
 
     def hear(self, label: str, accounts: Accounts) -> None:
-        """Another box tells of its accounts."""
+        """Another host tells of its accounts."""
         if (neighbour := self.neighbours.get(label)) is not None:
             neighbour.hear(accounts)
 
@@ -144,7 +144,7 @@ class Part:
         self.neighbours = {}
         telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
         try:
-            for label, point in self.boxes.items():
+            for label, point in self.hosts.items():
                 mirror = Mirror(self.plan, supervisor.ledger, label, starts, self.mark)
                 way = replace(self.way, connect=(point,))
                 clock = supervisor.clocks.readings[label]

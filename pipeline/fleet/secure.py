@@ -1,10 +1,10 @@
-"""A private certificate authority and what it signs: one certificate per box, node and person.
+"""A private certificate authority and what it signs: one certificate per host, node and person.
 
     <folder>/ca.pem, ca.key                   the authority; its key stays where it was made
     <folder>/<holder>/ca.pem, own.pem, own.key   what one holder needs, to be copied there
-    <folder>/person.<name>/addresses.json        where the boxes are: label -> address
+    <folder>/person.<name>/addresses.json        where the hosts are: label -> address
 
-The common name of a certificate says who speaks: `box.<label>`, `node.<graph>.<process>` or
+The common name of a certificate says who speaks: `host.<label>`, `node.<graph>.<process>` or
 `person.<name>`, as `pipeline.fleet.names` writes them. The access lists of `pipeline.fleet.access`
 go by these names, never by addresses.
 """
@@ -26,7 +26,7 @@ from pipeline.fleet.names import check_holder
 AUTHORITY_DAYS = 3650
 HOLDER_DAYS = 825
 RENEWAL = datetime.timedelta(days=90)  # before the end
-SKEW = datetime.timedelta(days=1)  # a box whose clock is behind must not refuse its own
+SKEW = datetime.timedelta(days=1)  # a host whose clock is behind must not refuse its own
 COMMON_NAME = "fovea authority"
 ADDRESSES = "addresses.json"
 

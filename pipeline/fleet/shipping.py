@@ -12,7 +12,7 @@ from pipeline.fleet.placement import borders, place
 from pipeline.graph.plan import Plan, slots
 
 IMAGE = "fovea:latest"
-ETC = "/etc/fovea"  # papers and agent.yaml of a box, as they are in its folder
+ETC = "/etc/fovea"  # papers and agent.yaml of a host, as they are in its folder
 GRAPH = f"{ETC}/graph/graph.yaml"
 PERSON = f"{ETC}/person"
 STATE = "/tmp"  # what runs, for the next start of the agent, lies beside the run folders
@@ -29,9 +29,9 @@ class Desk:
     papers: Path  # folder by `fovea secure`
     person: str
 
-    def box(self, label: str) -> Path:
-        """The papers and the agent.yaml of a box."""
-        return self.papers / f"box.{label}"
+    def host_folder(self, label: str) -> Path:
+        """The papers and the agent.yaml of a host."""
+        return self.papers / f"host.{label}"
 
     @property
     def own(self) -> Path:
@@ -40,14 +40,14 @@ class Desk:
 
 
 def memory_mb(plan: Plan, label: str) -> int:
-    """Shared memory that a box's frame pools may take, if every picture is the largest."""
+    """Shared memory that a host's frame pools may take, if every picture is the largest."""
     outputs = {(e.source, e.output) for e in plan.edges if plan.node(e.source).host == label}
     count = sum(slots(plan.readers(*output)) for output in outputs)
     return SPARE_MB + math.ceil(count * LARGEST_FRAME_MB)
 
 
 def holders(plan: Plan, label: str) -> list[str]:
-    """The nodes of a box that have papers: those with an edge to another one."""
+    """The nodes of a host that have papers: those with an edge to another one."""
     crossing = borders(plan)
     here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
     return list(dict.fromkeys(node_holder(plan.name, node) for node in here))
@@ -59,15 +59,15 @@ def run_words() -> list[str]:
 
 
 def up_words(plan: Plan) -> list[str]:
-    """What a container runs to deploy to boxes that their labels resolve to."""
+    """What a container runs to deploy to hosts that their labels resolve to."""
     hosts = ",".join(f"{label}={label}:{AGENT_PORT}" for label in plan.hosts)
     return ["fovea", "up", GRAPH, "--papers", PERSON, "--hosts", hosts, "--replace"]
 
 
 def papers_words(plan: Plan, desk: Desk) -> list[str]:
-    """What makes papers for boxes that are reached by their labels."""
-    boxes = [f"--box={label}={label}" for label in plan.hosts]
-    return ["fovea", "secure", "init", str(desk.papers), f"--graph={desk.graph}", *boxes,
+    """What makes papers for hosts that are reached by their labels."""
+    hosts = [f"--host={label}={label}" for label in plan.hosts]
+    return ["fovea", "secure", "init", str(desk.papers), f"--graph={desk.graph}", *hosts,
             f"--person={desk.person}"]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What runs on a box, in figures: a part of a graph to what `ps` and `top` show of it."""
+"""What runs on a host, in figures: a part of a graph to what `ps` and `top` show of it."""
 
 import time
 
@@ -6,7 +6,7 @@ import psutil
 
 from pipeline.fleet.neighbour import Neighbour
 from pipeline.fleet.part import Part, PartSupervisor
-from pipeline.fleet.wire import BoxState, EdgeState, NodeState, Process, State
+from pipeline.fleet.wire import EdgeState, HostState, NodeState, Process, State
 
 
 def state_of(part: Part) -> State:
@@ -21,7 +21,7 @@ def state_of(part: Part) -> State:
         processes=_processes(supervisor) if supervisor else (),
         nodes=_nodes(supervisor) if supervisor else (),
         edges=_edges(supervisor) if supervisor else (),
-        boxes=tuple(_box(n) for n in part.neighbours.values()) if supervisor else (),
+        hosts=tuple(_host(n) for n in part.neighbours.values()) if supervisor else (),
         network_bytes={
             name: (seen.bytes_recv, seen.bytes_sent)
             for name, seen in psutil.net_io_counters(pernic=True).items()
@@ -88,9 +88,9 @@ def _edges(supervisor: PartSupervisor) -> tuple[EdgeState, ...]:
     return tuple(found)
 
 
-def _box(neighbour: Neighbour) -> BoxState:
+def _host(neighbour: Neighbour) -> HostState:
     seen = neighbour.estimate
-    return BoxState(
+    return HostState(
         label=neighbour.label,
         lost=neighbour.lost,
         lost_for_s=time.monotonic() - neighbour.answered_s if neighbour.lost else 0.0,

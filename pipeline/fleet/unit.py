@@ -22,7 +22,7 @@ User={user}
 NoNewPrivileges=yes
 ProtectSystem=strict
 ProtectHome=read-only
-# run folders lie in /tmp, which has to be the one that `fovea ps` on this box looks into
+# run folders lie in /tmp, which has to be the one that `fovea ps` on this host looks into
 ReadWritePaths=/tmp /dev/shm {state}
 RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
 LimitNOFILE=65536

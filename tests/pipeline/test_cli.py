@@ -220,6 +220,8 @@ def test_the_transport_prints_nothing_between_the_lines_of_an_answer(
     ("command", "old", "new"),
     [
         (["doctor"], ["--sweep"], "--cleanup"),
+        (["secure", "init"], ["--box", "a=10.0.0.1"], "--host"),
+        (["secure", "add"], ["--box", "a=10.0.0.1"], "--host"),
     ],
 )
 def test_an_option_that_was_renamed_names_the_new_one(

@@ -20,7 +20,7 @@ FORGED = ("fovea/trio/steer/out/bytes", "fovea/trio/capture/context/bytes")
 ASKED = [
     f"fovea/@agent/{label}/{who}/{verb}"
     for label in ("sensor", "compute")
-    for who in ("person.tester", "box.compute", "person.intruder", "box.viewer")
+    for who in ("person.tester", "host.compute", "person.intruder", "host.viewer")
     for verb in ("about", "start", "down", "state")
 ]
 

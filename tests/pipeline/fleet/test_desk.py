@@ -1,4 +1,4 @@
-"""From a desk: how nodes on boxes are, files that go along with a setting, what is taken down."""
+"""From a desk: how nodes on hosts are, files that go along with a setting, what is taken down."""
 
 import hashlib
 from collections.abc import Iterator
@@ -11,11 +11,11 @@ from pipeline.console.changing import ask
 from pipeline.console.graph_client import fleet_health
 from pipeline.errors import FoveaError, GraphError, RunError, Silent
 from pipeline.fleet import wire
-from pipeline.fleet.agent_file import AgentFile, Box
+from pipeline.fleet.agent_file import AgentFile, HostConfig
 from pipeline.fleet.allow import ANY, MOST_WEIGHTS_BYTES
 from pipeline.fleet.deploy import Fleet, Hosts, down, forget, remember, remembered, send_weights, up
 from pipeline.fleet.overview import fleet_log
-from tests.pipeline.fleet.boxes import Running, fleet_of, plan_of
+from tests.pipeline.fleet.agents import Running, fleet_of, plan_of
 
 ALLOWED = {"tests.toys:Ticker": ANY, "tests.toys:Model": ANY}
 OLD, NEW = b"an old model", b"a newer model"
@@ -39,8 +39,8 @@ def two(tmp_path: Path) -> Iterator[dict[str, Running]]:
     running = {}
     try:
         for label, other in (("eye", "brain"), ("brain", "eye")):
-            file = AgentFile(label=label, boxes=(other,), operators=ALLOWED, weights=known)
-            running[label] = Running(Box(file, tmp_path))
+            file = AgentFile(label=label, hosts=(other,), operators=ALLOWED, weights=known)
+            running[label] = Running(HostConfig(file, tmp_path))
         yield running
     finally:
         for one in running.values():
@@ -88,7 +88,7 @@ def test_a_file_for_a_live_setting_goes_along_and_any_other_is_refused(
         ask("desk", "look", {"weights": str(foreign)})
 
 
-def test_the_health_of_a_deployed_graph_is_that_of_its_nodes_on_all_boxes(
+def test_the_health_of_a_deployed_graph_is_that_of_its_nodes_on_all_hosts(
     two: dict[str, Running], fleet: Fleet
 ) -> None:
     found = fleet_health("desk")
@@ -102,10 +102,10 @@ def test_the_health_of_a_deployed_graph_is_that_of_its_nodes_on_all_boxes(
     assert found["look"] is None
     with pytest.raises(RunError, match="no log of a node look; brain: no agent answers"):
         list(fleet_log("desk", "look", 9))
-    two["brain"] = Running(two["brain"].agent.box)
+    two["brain"] = Running(two["brain"].agent.host)
 
 
-def test_a_graph_is_down_when_no_box_has_it_any_more(fleet: Fleet) -> None:
+def test_a_graph_is_down_when_no_host_has_it_any_more(fleet: Fleet) -> None:
     fleet.ask("brain", "down", wire.Named("desk"), type(None))
 
     assert down("desk", fleet.hosts) == []

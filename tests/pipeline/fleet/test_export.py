@@ -25,7 +25,7 @@ from pipeline.fleet.secure import Papers
 from pipeline.fleet.shipping import AGENT, Desk, memory_mb
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
-from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
+from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
 
 ALONE = TRIO.replace("hosts: [sensor, compute, viewer]\n", "")
 for _label in ("sensor", "compute", "viewer"):
@@ -44,7 +44,7 @@ def desk(tmp_path: Path) -> Desk:
 
 
 def expect_agent(plan: Plan, label: str, folder: Path) -> None:
-    """Everything that the agent of a box reads is there, and is its own."""
+    """Everything that the agent of a host reads is there, and is its own."""
     own = read(folder / "agent.yaml")
     assert own.endpoint == f"tls/{label}:7447"
     assert own.papers is not None
@@ -152,7 +152,7 @@ def projected(sources: Sequence[Any], made: Mapping[str, Any]) -> dict[str, byte
     return files
 
 
-def test_k8s_has_a_pod_per_box_and_never_two_owners_of_a_sensor(desk: Desk) -> None:
+def test_k8s_has_a_pod_per_host_and_never_two_owners_of_a_sensor(desk: Desk) -> None:
     documents = list(YAML(typ="safe").load_all(k8s(load(desk.graph), desk)))
 
     kinds = [document["kind"] for document in documents]
@@ -162,7 +162,7 @@ def test_k8s_has_a_pod_per_box_and_never_two_owners_of_a_sensor(desk: Desk) -> N
     }
 
 
-def test_a_box_that_kubernetes_cannot_name_is_told(tmp_path: Path) -> None:
+def test_a_host_that_kubernetes_cannot_name_is_told(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, TRIO.replace("viewer", "Viewer_2"))
 
     with pytest.raises(GraphError, match="hosts: Viewer_2: expected small letters"):
@@ -194,8 +194,8 @@ def test_systemd_units_name_files_wherever_they_are_started(desk: Desk) -> None:
     assert all(Path(words[i]).is_absolute() for i in (0, 2, 4))
     assert Path(deploy["Service"]["WorkingDirectory"]) == Path.cwd()
     for label in ("sensor", "compute", "viewer"):
-        assert f"{desk.box(label)} is to be /etc/fovea" in systemd(load(desk.graph), desk)
-        expect_agent(load(desk.graph), label, desk.box(label))
+        assert f"{desk.host_folder(label)} is to be /etc/fovea" in systemd(load(desk.graph), desk)
+        expect_agent(load(desk.graph), label, desk.host_folder(label))
 
 
 def test_who_deploys_is_you_unless_you_say_who(desk: Desk) -> None:
@@ -224,7 +224,7 @@ def test_a_graph_without_hosts_is_one_service(tmp_path: Path) -> None:
     assert load(root / words[2].removeprefix("/")).name == "trio"
 
 
-def test_papers_and_agent_files_allow_what_the_graph_has_on_that_box_and_no_more(
+def test_papers_and_agent_files_allow_what_the_graph_has_on_that_host_and_no_more(
     tmp_path: Path,
 ) -> None:
     folder = tmp_path / "authority"
@@ -234,17 +234,17 @@ def test_papers_and_agent_files_allow_what_the_graph_has_on_that_box_and_no_more
     lines = list(issue_for(folder, addresses, [plan_of(tmp_path)], ["alice"]))
 
     assert len(lines) == 4
-    box = read(folder / "box.compute" / "agent.yaml")
-    assert box.endpoint == "tls/10.0.0.2:7000"
-    assert set(box.file.operators) == {"tests.toys:Pass", "tests.toys:Pair", "tests.toys:Steer"}
-    assert set(box.file.operators) < set(ALLOWED)
-    assert box.holders == ("person.alice", "box.sensor", "box.viewer")
-    assert box.papers is not None
-    assert sorted(p.name for p in (folder / "box.compute" / "nodes").iterdir()) == [
+    host = read(folder / "host.compute" / "agent.yaml")
+    assert host.endpoint == "tls/10.0.0.2:7000"
+    assert set(host.file.operators) == {"tests.toys:Pass", "tests.toys:Pair", "tests.toys:Steer"}
+    assert set(host.file.operators) < set(ALLOWED)
+    assert host.holders == ("person.alice", "host.sensor", "host.viewer")
+    assert host.papers is not None
+    assert sorted(p.name for p in (folder / "host.compute" / "nodes").iterdir()) == [
         "node.trio.pair", "node.trio.steer", "node.trio.work",
     ]  # fmt: skip
     assert (folder / "ca.key").stat().st_mode & 0o077 == 0
-    assert not list((folder / "box.compute").rglob("ca.key"))
+    assert not list((folder / "host.compute").rglob("ca.key"))
 
     hosts = read_hosts((), folder / "person.alice", ["compute", "viewer"])
     assert hosts.points == {"compute": "tls/10.0.0.2:7000", "viewer": "tls/10.0.0.3:7447"}
@@ -252,8 +252,8 @@ def test_papers_and_agent_files_allow_what_the_graph_has_on_that_box_and_no_more
         read_hosts((), folder / "person.alice", ["desk"])
 
 
-def test_a_box_without_an_address_is_told_before_anything_is_made(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="expected --box viewer=ADDRESS, got none"):
+def test_a_host_without_an_address_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="expected --host viewer=ADDRESS, got none"):
         check_addressed(tmp_path, {"sensor": "a", "compute": "b"}, [plan_of(tmp_path)])
 
 
@@ -262,8 +262,8 @@ def test_an_authority_is_made_once_and_papers_are_their_holders(tmp_path: Path) 
     with pytest.raises(RunError, match="without an authority"):
         secure.create(tmp_path / "ca")
 
-    papers = secure.issue(tmp_path / "own", tmp_path / "ca", "box.sensor")
-    assert papers.holder == "box.sensor"
+    papers = secure.issue(tmp_path / "own", tmp_path / "ca", "host.sensor")
+    assert papers.holder == "host.sensor"
     papers.key.chmod(0o644)
     with pytest.raises(SettingsError, match="only its owner can read"):
         secure.Papers.of(papers.folder)
@@ -277,6 +277,7 @@ def test_an_authority_is_made_once_and_papers_are_their_holders(tmp_path: Path) 
             r":2: address: 10\.0\.0\.1: a network address needs",
         ),
         ("label: ../x\n", r":1: label: expected up to 32 letters"),
+        ("label: a\nboxes: [b]\n", r":2: boxes: renamed; expected hosts$"),
         ("label: a\nopertors: {}\n", r"no such setting, did you mean 'operators'"),
         ("label: a\noperators: {a:B: yes}\n", r"operators"),
         ("label: a\npapers: .\naddress: h\nports: [9, 1]\n", r"ports: expected first and last"),

@@ -1,4 +1,4 @@
-"""Nodes are placed by label, and a box runs only what it allows: nothing by the wire's word."""
+"""Nodes are placed by label, and a host runs only what it allows: nothing by the wire's word."""
 
 import hashlib
 import json
@@ -19,7 +19,7 @@ from pipeline.fleet.placement import check_labels, check_marks, inspect, listene
 from pipeline.fleet.wire import Accounts, read_plan, write_plan
 from pipeline.graph.plan import Plan
 from pipeline.node.place import place_of
-from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
+from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
 
 
 def allowed(folder: Path, **weights: Path | None) -> Allowed:
@@ -31,12 +31,12 @@ def allowed(folder: Path, **weights: Path | None) -> Allowed:
     [
         (("host: viewer", "host: veiwer"), r":24: count\.host: no host veiwer, did you mean 'vi"),
         (("    host: viewer\n", ""), r"graph\.yaml:23: count\.host: expected a host, got none"),
-        (("hosts: [sensor, compute, viewer]\n", ""), r"no host sensor; the graph names its boxes"),
+        (("hosts: [sensor, compute, viewer]\n", ""), r"no host sensor; the graph names its hosts"),
         (("[sensor, compute, viewer]", "[sensor, ../viewer]"), r"hosts: expected up to 32 letters"),
         (("[sensor, compute, viewer]", "[sensor, sensor]"), r"different names"),
     ],
 )  # fmt: skip
-def test_a_label_that_no_box_has_is_refused(
+def test_a_label_that_no_host_has_is_refused(
     change: tuple[str, str], said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(GraphError, match=said):
@@ -52,7 +52,7 @@ def test_a_group_stays_on_one_host(tmp_path: Path) -> None:
 
 
 def test_a_label_without_an_agent_is_told(tmp_path: Path) -> None:
-    with pytest.raises(GraphError, match="no box viewer among the agents found"):
+    with pytest.raises(GraphError, match="no host viewer among the agents found"):
         check_labels(plan_of(tmp_path), {"sensor": 0, "compute": 0, "viewr": 0})
 
 
@@ -118,7 +118,7 @@ def evil(plan: Plan, node: str, **changes: Any) -> Plan:
         ({"settings": {"sleep_s": nested(40)}}, "no more than 32 levels"),
     ],
 )
-def test_a_box_refuses_code_paths_and_names_that_it_does_not_know(
+def test_a_host_refuses_code_paths_and_names_that_it_does_not_know(
     changes: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     plan = evil(plan_of(tmp_path), "work", **changes)
@@ -135,7 +135,7 @@ def test_a_process_over_two_hosts_is_refused_by_both(tmp_path: Path) -> None:
             inspect(plan, label, allowed(tmp_path), {})
 
 
-def test_the_code_of_another_box_is_never_loaded_here(tmp_path: Path) -> None:
+def test_the_code_of_another_host_is_never_loaded_here(tmp_path: Path) -> None:
     sys.modules.pop("this", None)
     plan = evil(plan_of(tmp_path), "capture", operator="this:s")
 
@@ -213,7 +213,7 @@ def test_weights_are_taken_by_checksum_only(tmp_path: Path) -> None:
         mine.localise(MARK + digest, "x")
 
 
-def test_what_the_box_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> None:
+def test_what_the_host_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> None:
     plan = evil(plan_of(tmp_path), "work", settings={"hold": 3, "every": 2})
 
     part = inspect(plan, "compute", allowed(tmp_path), {"work": {"hold": 1}})
@@ -249,7 +249,7 @@ def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
     assert later.error_ns > 5_000_000  # nobody has asked for a minute: crystals drift
 
 
-def test_each_box_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
+def test_each_host_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
     sensor, viewer = (part_of(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
     ledgers = [private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2)]
@@ -270,7 +270,7 @@ def test_each_box_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
     assert not ledgers[0].edges[edge].live  # a writer waits for no reader that is gone
 
 
-def test_a_box_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path) -> None:
+def test_a_host_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path) -> None:
     sensor, viewer = (part_of(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
@@ -299,7 +299,7 @@ def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) 
     assert fresh.edges[near].base == 20
 
 
-def test_a_box_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -> None:
+def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -> None:
     plan = part_of(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
     everything = {e.index: (99,) * len(WRITTEN) for e in plan.edges}

@@ -1,4 +1,4 @@
-"""What `ps` and `top` show of boxes: every node that was brought up, and words as they came."""
+"""What `ps` and `top` show of hosts: every node that was brought up, and words as they came."""
 
 from rich.console import Console, RenderableType
 
@@ -28,16 +28,16 @@ def shown(table: RenderableType) -> list[str]:
 
 def state(label: str, *nodes: str, phase: str = "running", failure: str = "") -> State:
     processes = tuple(Process(name, (name,), 7, 1.0, 2.0, 0) for name in nodes)
-    return State("boxes", label, 0, phase, failure, processes, (), (), (), {})
+    return State("hosts", label, 0, phase, failure, processes, (), (), (), {})
 
 
 def ps(label: str, said: Said) -> list[str]:
     table = process_table()
-    add_rows(table, "boxes", process_rows(label, said, nodes_of(NODES, label)))
+    add_rows(table, "hosts", process_rows(label, said, nodes_of(NODES, label)))
     return shown(table)
 
 
-def test_the_nodes_of_a_silent_box_are_each_marked_lost() -> None:
+def test_the_nodes_of_a_silent_host_are_each_marked_lost() -> None:
     lines = ps("compute", "compute: no agent answers")
 
     for node in ("saliency", "policy"):
@@ -45,7 +45,7 @@ def test_the_nodes_of_a_silent_box_are_each_marked_lost() -> None:
     assert not [line for line in lines if "capture" in line]
 
 
-def test_a_node_that_a_box_should_run_and_does_not_is_marked() -> None:
+def test_a_node_that_a_host_should_run_and_does_not_is_marked() -> None:
     failed = ps("compute", [state("compute", "saliency", phase="failed")])
 
     assert [line for line in failed if "policy" in line and "failed" in line]
@@ -53,7 +53,7 @@ def test_a_node_that_a_box_should_run_and_does_not_is_marked() -> None:
     assert [line for line in ps("sensor", []) if "capture" in line and "gone" in line]
 
 
-def test_top_keeps_the_nodes_of_a_lost_box_in_sight() -> None:
+def test_top_keeps_the_nodes_of_a_lost_host_in_sight() -> None:
     now: dict[str, Said] = {"sensor": [state("sensor", "capture")], "compute": "nobody answers"}
 
     lines = shown(top_tables({}, now, 1.0, NODES))
@@ -62,7 +62,7 @@ def test_top_keeps_the_nodes_of_a_lost_box_in_sight() -> None:
         assert [line for line in lines if node in line and "lost" in line], lines
 
 
-def test_a_lost_box_is_told_with_its_nodes() -> None:
+def test_a_lost_host_is_told_with_its_nodes() -> None:
     assert silence("nobody answers", nodes_of(NODES, "compute")) == (
         "nobody answers; lost: saliency, policy"
     )

@@ -1,4 +1,4 @@
-"""Boxes to test with: agents in threads of this process, each with nodes of its own."""
+"""Hosts to test with: agents in threads of this process, each with nodes of its own."""
 
 import threading
 from collections.abc import Iterator, Sequence
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pipeline.fleet import wire
 from pipeline.fleet.agent import Agent
-from pipeline.fleet.agent_file import AgentFile, Box
+from pipeline.fleet.agent_file import AgentFile, HostConfig
 from pipeline.fleet.allow import ANY
 from pipeline.fleet.deploy import Fleet, read_hosts
 from pipeline.graph.loader import load
@@ -49,16 +49,16 @@ def plan_of(folder: Path, text: str = TRIO) -> Plan:
     return load(path)
 
 
-def box_of(label: str, others: Sequence[str], folder: Path, **more: object) -> Box:
+def host_of(label: str, others: Sequence[str], folder: Path, **more: object) -> HostConfig:
     values = {"operators": ALLOWED, "state": str(folder / f"state-{label}"), **more}
-    file = AgentFile(label=label, boxes=tuple(others), **values)  # type: ignore[arg-type]
-    return Box(file, folder)
+    file = AgentFile(label=label, hosts=tuple(others), **values)  # type: ignore[arg-type]
+    return HostConfig(file, folder)
 
 
 class Running:
     """An agent at work."""
 
-    def __init__(self, own: Box) -> None:
+    def __init__(self, own: HostConfig) -> None:
         self.agent = Agent(own)
         self._thread = threading.Thread(target=self.agent.run)
         self._thread.start()
@@ -70,11 +70,11 @@ class Running:
 
 
 @contextmanager
-def boxes(folder: Path, *labels: str) -> Iterator[dict[str, Running]]:
+def agents(folder: Path, *labels: str) -> Iterator[dict[str, Running]]:
     running: dict[str, Running] = {}
     try:
         for label in labels:
-            running[label] = Running(box_of(label, labels, folder))
+            running[label] = Running(host_of(label, labels, folder))
         yield running
     finally:
         for one in running.values():
