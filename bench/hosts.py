@@ -23,7 +23,7 @@ from pipeline import codec
 from pipeline.errors import RunError
 from pipeline.fleet import secure
 from pipeline.fleet.draft import issue_for
-from pipeline.fleet.names import person
+from pipeline.fleet.names import user_identity
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
@@ -31,7 +31,7 @@ from pipeline.messages import Message
 from pipeline.run.inline import InlineRunner
 
 DESK = "desk"  # the host of whoever deploys
-PERSON = "tester"
+USER = "tester"
 SAMPLES = 5  # exposures by which the size of messages is told
 
 
@@ -48,7 +48,7 @@ class World(Hosts):
     def __enter__(self) -> "World":
         secure.create(self.authority)
         addresses = {label: self.addresses[label] for label in self.plan.hosts}
-        for _line in issue_for(self.authority, addresses, [self.plan], [PERSON]):
+        for _line in issue_for(self.authority, addresses, [self.plan], [USER]):
             pass
         super().__enter__()
         try:
@@ -84,8 +84,8 @@ class World(Hosts):
 
     def up(self, *more: str) -> str:
         """Deploy the graph."""
-        papers = str(self.authority / person(PERSON))
-        return self.fovea("up", str(self.graph), "--papers", papers, *more)
+        credentials = str(self.authority / user_identity(USER))
+        return self.fovea("up", str(self.graph), "--credentials", credentials, *more)
 
     def states(self) -> dict[str, Any]:
         """What every host says of the graph, or why it says nothing."""

@@ -24,7 +24,7 @@ from pipeline.fleet.agent_file import HostConfig
 from pipeline.fleet.allow import MARK
 from pipeline.fleet.kept import Kept
 from pipeline.fleet.links import (
-    check_papers,
+    check_credentials,
     end_points,
     local_end_points,
     networks,
@@ -34,7 +34,7 @@ from pipeline.fleet.names import (
     ANYBODY,
     agent_key,
     endpoint,
-    host_holder,
+    host_identity,
     host_part,
 )
 from pipeline.fleet.node_gateway import NodeGateway
@@ -71,7 +71,7 @@ class Agent:
 
     def __init__(self, own: HostConfig) -> None:
         self.host, self.label = own, own.label
-        self._papers = own.papers
+        self._credentials = own.credentials
         self._allowed = own.allowed
         self._gateway = NodeGateway(self._allowed, own.file.settings)
         self._looks: queue.Queue[_Question] = queue.Queue(WAITING)
@@ -82,14 +82,14 @@ class Agent:
         self._quiet_until_s = 0.0
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._kept = Kept(own.state)
-        self._holders = own.holders if self._papers else (ANYBODY, *own.holders)
-        permits = agent_permits(self.label, self._holders)
+        self._identities = own.identities if self._credentials else (ANYBODY, *own.identities)
+        permits = agent_permits(self.label, self._identities)
         self._session = Session.across(self._network((own.endpoint,), permits=permits))
-        for holder in self._holders:
-            keys = agent_key(self.label, holder, "**")
-            self._session.serve(keys, partial(self._asked, holder))
-            if holder.startswith("host."):
-                self._session.hear(keys, partial(self._told, holder.removeprefix("host.")))
+        for identity in self._identities:
+            keys = agent_key(self.label, identity, "**")
+            self._session.serve(keys, partial(self._asked, identity))
+            if identity.startswith("host."):
+                self._session.hear(keys, partial(self._told, identity.removeprefix("host.")))
 
     def __enter__(self) -> "Agent":
         return self
@@ -137,10 +137,10 @@ class Agent:
             log.exception("host %s: %s", self.label, error)
 
     def _network(self, listen: tuple[str, ...], **more: Any) -> Network:
-        papers = str(self._papers.folder) if self._papers else ""
-        return Network(listen=listen, papers=papers, **more)
+        credentials = str(self._credentials.folder) if self._credentials else ""
+        return Network(listen=listen, credentials=credentials, **more)
 
-    def _asked(self, holder: str, key: str, data: bytes, reply: OnBytes) -> None:
+    def _asked(self, identity: str, key: str, data: bytes, reply: OnBytes) -> None:
         """On the transport's thread."""
         verb = key.rpartition("/")[2]
         if verb == "ping" and len(data) < 64:
@@ -151,7 +151,7 @@ class Agent:
                 return
             reply(wire.encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
             return
-        weights = verb == "weights" and not holder.startswith("host.")
+        weights = verb == "weights" and not identity.startswith("host.")
         if len(data) > wire.MOST_BYTES and not weights:
             reply(wire.refused(f"expected up to {wire.MOST_BYTES} bytes, got {len(data)}"))
             return
@@ -160,7 +160,7 @@ class Agent:
             return
         try:
             queue_ = self._works if verb in SLOW else self._looks
-            queue_.put_nowait(_Question(verb, holder, data, reply, sends=weights))
+            queue_.put_nowait(_Question(verb, identity, data, reply, sends=weights))
         except queue.Full:
             if weights:
                 self._sending.release()
@@ -301,7 +301,7 @@ class Agent:
     def _inspected(self, plan: Plan, marks: Mapping[str, str]) -> Plan:
         part = inspect(plan, self.label, self._allowed, self.host.file.settings)
         check_marks(part, self.label, marks)
-        check_papers(part, self._papers)
+        check_credentials(part, self._credentials)
         return part
 
     def _part_of(self, asked: Start) -> Part:
@@ -313,21 +313,21 @@ class Agent:
         part = self._inspected(plan, asked.marks)
         own = own_end_points(part, self._free_end_points(part), asked.endpoints)
         self._check_unused(part, own)
-        holder = host_holder(self.label)
+        identity = host_identity(self.label)
         others = sorted({n.host for n in part.nodes} - {self.label})
         return Part(
             plan=part,
             mark=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
-            networks=networks(part, own, asked.endpoints, self._papers),
+            networks=networks(part, own, asked.endpoints, self._credentials),
             hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
-            way=self._network((), permits=asker_permits(holder, others)),
+            way=self._network((), permits=asker_permits(identity, others)),
             begins=partial(self._kept.count, part.name),
         )
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:
         for label, point in asked.hosts.items():
             check_name(label, "hosts")
-            if self._papers and host_holder(label) not in self._holders:
+            if self._credentials and host_identity(label) not in self._identities:
                 raise RunError(f"{label} is not among the hosts that this one may speak with")
             endpoint(point, "hosts")
         others = {n.host for n in plan.nodes} - {self.label}
@@ -338,7 +338,7 @@ class Agent:
 
     def _free_end_points(self, part: Plan) -> dict[str, str]:
         """Where the processes here with an edge to another host may listen."""
-        if self._papers is None:
+        if self._credentials is None:
             return local_end_points(part)
         first, last = self.host.file.ports
         used = self._used(part.name)
@@ -351,7 +351,7 @@ class Agent:
 
     def _check_unused(self, part: Plan, own: Mapping[str, str]) -> None:
         """Raise `RunError` for an end point that is not this host's to give, or is given."""
-        if self._papers is None:
+        if self._credentials is None:
             return
         first, last = self.host.file.ports
         host = host_part(self.host.endpoint)

@@ -27,7 +27,7 @@ from pipeline.fleet.allow import MARK, MOST_WEIGHTS_BYTES, file_digest, is_path
 from pipeline.fleet.names import ANYBODY, agent_key, endpoint
 from pipeline.fleet.part import END_S
 from pipeline.fleet.placement import check_labels, marks
-from pipeline.fleet.secure import ADDRESSES, Papers
+from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
 
@@ -43,37 +43,37 @@ class Hosts:
     """Where the agents are, and as whom to speak with them."""
 
     points: Mapping[str, str]  # label -> end point
-    papers: str = ""
+    credentials: str = ""
     nodes: Mapping[str, str] = field(default_factory=dict)  # of a deployed graph: node -> label
 
     @property
-    def holder(self) -> str:
+    def identity(self) -> str:
         """Who asks."""
-        return Papers.of(Path(self.papers)).holder if self.papers else ANYBODY
+        return Credentials.of(Path(self.credentials)).identity if self.credentials else ANYBODY
 
 
-def read_hosts(words: Iterable[str], papers: Path | None, labels: Iterable[str] = ()) -> Hosts:
-    """Where hosts are: `LABEL=ADDRESS` as said, else as the papers know, else on this machine.
+def read_hosts(words: Iterable[str], credentials: Path | None, labels: Iterable[str] = ()) -> Hosts:
+    """Where hosts are: `LABEL=ADDRESS` as said, else as the credentials know, else on this machine.
 
     `labels` are those that are needed, said or not. Raises `SettingsError`.
     """
     said = dict(word.partition("=")[::2] for word in ",".join(words).split(",") if word)
-    known = known_addresses(papers) if papers else {}
+    known = known_addresses(credentials) if credentials else {}
     points = {}
     for label in dict.fromkeys([*labels, *said]):
         check_name(label, "--hosts", SettingsError)
         address = said.get(label) or known.get(label, "")
-        if papers and not address:
-            raise SettingsError(f"--hosts: expected {label}=ADDRESS, as {papers} knows none")
+        if credentials and not address:
+            raise SettingsError(f"--hosts: expected {label}=ADDRESS, as {credentials} knows none")
         points[label] = endpoint(address, f"--hosts {label}") if address else local_endpoint(label)
-    if papers is None and any(point.startswith("tls/") for point in points.values()):
-        raise SettingsError("--hosts: a network address needs --papers, see `fovea secure`")
-    return Hosts(points, str(papers.resolve()) if papers else "")
+    if credentials is None and any(point.startswith("tls/") for point in points.values()):
+        raise SettingsError("--hosts: a network address needs --credentials, see `fovea secure`")
+    return Hosts(points, str(credentials.resolve()) if credentials else "")
 
 
-def known_addresses(papers: Path) -> dict[str, str]:
-    """What `fovea secure` noted beside somebody's papers: label -> address."""
-    path = papers / ADDRESSES
+def known_addresses(credentials: Path) -> dict[str, str]:
+    """What `fovea secure` noted beside somebody's credentials: label -> address."""
+    path = credentials / ADDRESSES
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, str])
     except FileNotFoundError:
@@ -87,10 +87,12 @@ class Fleet:
 
     def __init__(self, hosts: Hosts) -> None:
         self.hosts = hosts
-        self._holder = hosts.holder
-        permits = asker_permits(self._holder, tuple(hosts.points))
+        self._identity = hosts.identity
+        permits = asker_permits(self._identity, tuple(hosts.points))
         self._session = Session.across(
-            Network(connect=tuple(hosts.points.values()), papers=hosts.papers, permits=permits)
+            Network(
+                connect=tuple(hosts.points.values()), credentials=hosts.credentials, permits=permits
+            )
         )
 
     def __enter__(self) -> "Fleet":
@@ -104,11 +106,11 @@ class Fleet:
     ) -> T:
         """What an agent answers; raises `RunError` with its reason, `Silent` when there is none."""
         data = question if isinstance(question, bytes) else wire.encode(question)
-        found = self._session.ask(agent_key(label, self._holder, verb), data, patience_s)
+        found = self._session.ask(agent_key(label, self._identity, verb), data, patience_s)
         if found is None:
             raise Silent(
                 f"{label}: no agent answers at {self.hosts.points[label]} within "
-                f"{patience_s:.0f} s; it does not run, or {self._holder} may not ask it"
+                f"{patience_s:.0f} s; it does not run, or {self._identity} may not ask it"
             )
         return wire.read_reply(cls, label, found)
 
@@ -139,7 +141,9 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
         endpoints.update(_prepare(fleet, label, question, files))
     points = {label: fleet.hosts.points[label] for label in used}
     before = remembered().get(plan.name)
-    remember(plan.name, Hosts(points, fleet.hosts.papers, {n.name: n.host for n in plan.nodes}))
+    remember(
+        plan.name, Hosts(points, fleet.hosts.credentials, {n.name: n.host for n in plan.nodes})
+    )
     started: list[str] = []
     try:
         for label in used:
@@ -178,7 +182,7 @@ def attach(graph: str, fleet: Fleet) -> list[str]:
         raise RunError(f"{graph}: does not run on {', '.join(states)}")
     points = {label: fleet.hosts.points[label] for label in found}
     nodes = {node.name: label for label, state in found.items() for node in state.nodes}
-    remember(graph, Hosts(points, fleet.hosts.papers, nodes))
+    remember(graph, Hosts(points, fleet.hosts.credentials, nodes))
     return sorted(found)
 
 
@@ -241,7 +245,7 @@ def remembered() -> dict[str, Hosts]:
     try:
         document = json.loads(_memory().read_text())
         return {
-            g: Hosts(dict(h["points"]), str(h["papers"]), dict(h["nodes"]))
+            g: Hosts(dict(h["points"]), str(h["credentials"]), dict(h["nodes"]))
             for g, h in document.items()
         }
     except FileNotFoundError:
@@ -262,7 +266,7 @@ def forget(graph: str) -> None:
         _write({g: h for g, h in remembered().items() if g != graph})
 
 
-def default_person() -> str:
+def default_user() -> str:
     """The name of whoever sits here."""
     return getpass.getuser()
 
@@ -327,7 +331,7 @@ def _alone() -> Iterator[None]:
 def _write(graphs: Mapping[str, Hosts]) -> None:
     part = _memory().with_suffix(".part")
     document = {
-        g: {"points": dict(h.points), "papers": h.papers, "nodes": dict(h.nodes)}
+        g: {"points": dict(h.points), "credentials": h.credentials, "nodes": dict(h.nodes)}
         for g, h in graphs.items()
     }
     part.write_text(json.dumps(document))

@@ -1,4 +1,4 @@
-"""Papers and agent's files for the hosts of some graphs, ready to be copied there."""
+"""Credentials and agent's files for the hosts of some graphs, ready to be copied there."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,36 +7,36 @@ from pathlib import Path
 from pipeline.errors import RunError
 from pipeline.fleet import secure
 from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
-from pipeline.fleet.names import host_holder, node_holder, person
+from pipeline.fleet.names import host_identity, node_identity, user_identity
 from pipeline.fleet.placement import borders, place
 from pipeline.graph.plan import Plan
 
 
 def issue_for(
-    folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan], people: Sequence[str]
+    folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan], users: Sequence[str]
 ) -> Iterator[str]:
     """Make what is missing, a line for each."""
     labels = _labels(addresses, plans)
-    for name in people:
-        own = folder / person(name)
-        secure.issue(own, folder, person(name))
+    for name in users:
+        own = folder / user_identity(name)
+        secure.issue(own, folder, user_identity(name))
         note = own / secure.ADDRESSES
         before = json.loads(note.read_text()) if note.exists() else {}
         note.write_text(json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
-        yield f"{folder / person(name)}: papers of {name}, who may deploy"
+        yield f"{folder / user_identity(name)}: credentials of {name}, who may deploy"
     for label in labels:
-        own = folder / host_holder(label)
-        secure.issue(own, folder, host_holder(label))
+        own = folder / host_identity(label)
+        secure.issue(own, folder, host_identity(label))
         for plan in plans:
-            for holder in _holders(plan, label):
-                secure.issue(own / "nodes" / holder, folder, holder)
+            for identity in _identities(plan, label):
+                secure.issue(own / "nodes" / identity, folder, identity)
         path = _agent_file(folder, label)
         if path.exists():
-            yield f"{own}: papers of host {label}; its agent.yaml stays as it was"
+            yield f"{own}: credentials of host {label}; its agent.yaml stays as it was"
             continue
         others = [other for other in labels if other != label]
-        path.write_text(agent_yaml(label, addresses[label], people, others, plans))
-        yield f"{own}: papers and agent.yaml of host {label}, with what its graphs need allowed"
+        path.write_text(agent_yaml(label, addresses[label], users, others, plans))
+        yield f"{own}: credentials and agent.yaml of host {label}, which allows what graphs need"
 
 
 def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
@@ -47,7 +47,7 @@ def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[
 
 
 def agent_yaml(
-    label: str, address: str, people: Sequence[str], others: Sequence[str], plans: Sequence[Plan]
+    label: str, address: str, users: Sequence[str], others: Sequence[str], plans: Sequence[Plan]
 ) -> str:
     """An agent's file that allows what the graphs have on that host, as it is installed here."""
     nodes = [node for plan in plans for node in plan.nodes if node.host == label]
@@ -60,9 +60,9 @@ def agent_yaml(
     lines = [
         f"label: {label}",
         f"address: {json.dumps(address)}" if address else "",
-        "papers: ." if address else "",
+        "credentials: ." if address else "",
         "state: state # what runs here and the weights it was sent, kept over a restart",
-        f"people: {json.dumps(list(people))}",
+        f"users: {json.dumps(list(users))}",
         f"hosts: {json.dumps(list(others))}",
         "operators: # what may run here, each with the checksum of its files, or: any",
         *(f"  {path}: {digest}" for path, digest in sorted(code.items())),
@@ -80,10 +80,10 @@ def _labels(addresses: Mapping[str, str], plans: Sequence[Plan]) -> list[str]:
 
 
 def _agent_file(folder: Path, label: str) -> Path:
-    return folder / host_holder(label) / "agent.yaml"
+    return folder / host_identity(label) / "agent.yaml"
 
 
-def _holders(plan: Plan, label: str) -> list[str]:
+def _identities(plan: Plan, label: str) -> list[str]:
     crossing = borders(plan)
     here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
-    return list(dict.fromkeys(node_holder(plan.name, node) for node in here))
+    return list(dict.fromkeys(node_identity(plan.name, node) for node in here))

@@ -1,7 +1,8 @@
 """`fovea export`: a graph's hosts for those who run their own engine: systemd, compose, Kubernetes.
 
 Every host is an agent, whoever keeps it running, and `fovea up` places the graph on them. A graph
-without hosts is one service that runs it. What is printed holds no secret: papers are mounted.
+without hosts is one service that runs it. What is printed holds no secret: credentials are
+mounted.
 """
 
 import getpass
@@ -23,12 +24,12 @@ from pipeline.fleet.shipping import (
     ETC,
     GRAPH,
     IMAGE,
-    PERSON,
     STATE,
+    USER,
     Desk,
     comments,
+    credentials_words,
     memory_mb,
-    papers_words,
     run_words,
     up_words,
 )
@@ -48,7 +49,7 @@ def systemd(plan: Plan, desk: Desk) -> str:
         )
         for label in plan.hosts
     ]
-    deploy = ["up", str(desk.graph), "--papers", str(desk.own), "--replace"]
+    deploy = ["up", str(desk.graph), "--credentials", str(desk.own), "--replace"]
     unit = _unit(deploy, plan.name, once=True)
     return "\n".join([*units, _titled(f"here: fovea-{plan.name}.service (once)", unit)])
 
@@ -70,10 +71,10 @@ def compose(plan: Plan, desk: Desk) -> str:
     services["deploy"] = {
         **_common(),
         "command": up_words(plan), "restart": "on-failure",
-        "volumes": [f"{desk.own}:{PERSON}:ro", graph], "depends_on": list(plan.hosts),
+        "volumes": [f"{desk.own}:{USER}:ro", graph], "depends_on": list(plan.hosts),
     }  # fmt: skip
     states: dict[str, Any] = {f"state-{label}": {} for label in plan.hosts}
-    first = "".join(comments("before:", papers_words(plan, desk)))
+    first = "".join(comments("before:", credentials_words(plan, desk)))
     return first + _yaml({"services": services, "volumes": states})
 
 

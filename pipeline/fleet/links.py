@@ -8,9 +8,9 @@ from collections.abc import Collection, Mapping
 from pipeline.bus.network import LOCAL, Network
 from pipeline.errors import RunError
 from pipeline.fleet.access import node_permits
-from pipeline.fleet.names import node_holder
+from pipeline.fleet.names import node_identity
 from pipeline.fleet.placement import borders, listeners, place
-from pipeline.fleet.secure import Papers
+from pipeline.fleet.secure import Credentials
 from pipeline.graph.plan import Node, Plan
 from pipeline.run.rundir import base
 
@@ -45,15 +45,15 @@ def own_end_points(part: Plan, free: Mapping[str, str], asked: Mapping[str, str]
     return {name: asked[name] for name in free}
 
 
-def check_papers(part: Plan, papers: Papers | None) -> None:
-    """Raise `SettingsError` unless every process that speaks with other hosts has papers."""
+def check_credentials(part: Plan, credentials: Credentials | None) -> None:
+    """Raise `SettingsError` unless every process that speaks with other hosts has credentials."""
     for node in filter(part.is_here, part.nodes):
-        if papers and place(node) in borders(part):
-            Papers.of(papers.folder / "nodes" / node_holder(part.name, node))
+        if credentials and place(node) in borders(part):
+            Credentials.of(credentials.folder / "nodes" / node_identity(part.name, node))
 
 
 def networks(
-    part: Plan, own: Mapping[str, str], theirs: Mapping[str, str], papers: Papers | None
+    part: Plan, own: Mapping[str, str], theirs: Mapping[str, str], credentials: Credentials | None
 ) -> dict[str, Network]:
     """By process, of those that speak with other hosts; raises `RunError` without an address."""
     found = {}
@@ -65,11 +65,13 @@ def networks(
         lacking = [o for o in others if o < name and o not in theirs]
         if lacking:
             raise RunError(f"{part.name}: no address for {lacking[0]}")
-        folder = papers.folder / "nodes" / node_holder(part.name, node) if papers else None
+        folder = (
+            credentials.folder / "nodes" / node_identity(part.name, node) if credentials else None
+        )
         found[node.process] = Network(
             listen=(own[name],) if name in own else (),
             connect=tuple(sorted(theirs[o] for o in others if o < name)),
-            papers=str(Papers.of(folder).folder) if folder else "",
+            credentials=str(Credentials.of(folder).folder) if folder else "",
             permits=node_permits(part, node.process),
             patience_ms=PATIENCE_MS if _promises(part, node) else 0,
         )

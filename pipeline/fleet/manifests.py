@@ -1,7 +1,7 @@
 """A graph for Kubernetes: deployments, services and a job, and how their secrets are made.
 
-A secret holds no folders, so every holder of papers has one of its own, and a projected volume lays
-them out as an agent expects them.
+A secret holds no folders, so every identity has one of its own, and a projected volume lays them
+out as an agent expects them.
 """
 
 import re
@@ -15,20 +15,20 @@ from pipeline.fleet.shipping import (
     ETC,
     GRAPH,
     IMAGE,
-    PERSON,
     STATE,
+    USER,
     Desk,
     comments,
-    holders,
+    credentials_words,
+    identities,
     memory_mb,
-    papers_words,
     run_words,
     up_words,
 )
 from pipeline.graph.plan import Plan
 
 _DNS = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")
-PAPERS = ("ca.pem", "own.pem", "own.key")
+CREDENTIAL_FILES = ("ca.pem", "own.pem", "own.key")
 Part = tuple[dict[str, Any], dict[str, Any]]  # a volume, and where a container mounts it
 
 
@@ -43,12 +43,12 @@ def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
         return "", [graph, _deployment(_slug(plan.name), pod)]
     documents = [graph]
     for label in plan.hosts:
-        parts = [_memory(plan, label), _papers(plan, label), _state()]
+        parts = [_memory(plan, label), _credentials(plan, label), _state()]
         pod = {"hostname": _checked(label), **_pod(AGENT, parts)}
         pod["nodeSelector"] = {"fovea/host": label}
         documents += [_deployment(label, pod), _service(label)]
     secret = {"secret": {"secretName": _own_secret(plan), "defaultMode": 0o400}}
-    pod = _pod(up_words(plan), [_volume("person", secret, PERSON), mounted])
+    pod = _pod(up_words(plan), [_volume("user", secret, USER), mounted])
     documents.append(
         {
             "apiVersion": "batch/v1", "kind": "Job",
@@ -56,7 +56,7 @@ def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
             "spec": {"template": {"spec": {**pod, "restartPolicy": "OnFailure"}}},
         }
     )  # fmt: skip
-    words = [papers_words(plan, desk), *_secrets(plan, desk), *_machines(plan)]
+    words = [credentials_words(plan, desk), *_secrets(plan, desk), *_machines(plan)]
     return "".join(comments("before:", *words)), documents
 
 
@@ -65,8 +65,8 @@ def _secrets(plan: Plan, desk: Desk) -> Iterator[Sequence[str]]:
     for label in plan.hosts:
         folders.append((_secret(label), desk.host_folder(label)))
         folders += [
-            (_secret(label, number), desk.host_folder(label) / "nodes" / holder)
-            for number, holder in enumerate(holders(plan, label))
+            (_secret(label, number), desk.host_folder(label) / "nodes" / identity)
+            for number, identity in enumerate(identities(plan, label))
         ]
     for name, folder in folders:
         yield "kubectl", "create", "secret", "generic", name, f"--from-file={folder}"
@@ -77,13 +77,13 @@ def _machines(plan: Plan) -> Iterator[Sequence[str]]:
         yield "kubectl", "label", "node", f"MACHINE-OF-{label}", f"fovea/host={label}"
 
 
-def _papers(plan: Plan, label: str) -> Part:
+def _credentials(plan: Plan, label: str) -> Part:
     sources: list[dict[str, Any]] = [{"secret": {"name": _secret(label)}}]
-    for number, holder in enumerate(holders(plan, label)):
-        items = [{"key": name, "path": f"nodes/{holder}/{name}"} for name in PAPERS]
+    for number, identity in enumerate(identities(plan, label)):
+        items = [{"key": name, "path": f"nodes/{identity}/{name}"} for name in CREDENTIAL_FILES]
         sources.append({"secret": {"name": _secret(label, number), "items": items}})
     projected = {"projected": {"sources": sources, "defaultMode": 0o400}}
-    return _volume("papers", projected, ETC)
+    return _volume("credentials", projected, ETC)
 
 
 def _memory(plan: Plan, label: str) -> Part:

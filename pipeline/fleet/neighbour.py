@@ -11,7 +11,7 @@ from pipeline.errors import FoveaError, MessageError
 from pipeline.fleet import wire
 from pipeline.fleet.clock import Estimate, Offset
 from pipeline.fleet.mirror import Mirror
-from pipeline.fleet.names import agent_key, host_holder
+from pipeline.fleet.names import agent_key, host_identity
 
 PING_S = 0.2
 LOST_S = 1.2  # without an answer for this long a host is lost
@@ -72,7 +72,7 @@ class Neighbour:
             return None  # it does not run there
 
     def _key(self, verb: str) -> str:
-        return agent_key(self.label, host_holder(self._own), verb)
+        return agent_key(self.label, host_identity(self._own), verb)
 
     def _watch(self) -> None:
         try:

@@ -1,4 +1,4 @@
-"""What a graph needs in somebody else's engine: memory, papers, the command that deploys it."""
+"""What a graph needs in another engine: memory, credentials, the command that deploys it."""
 
 import math
 import shlex
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.bus.network import AGENT_PORT
-from pipeline.fleet.names import node_holder, person
+from pipeline.fleet.names import node_identity, user_identity
 from pipeline.fleet.placement import borders, place
 from pipeline.graph.plan import Plan, slots
 
 IMAGE = "fovea:latest"
-ETC = "/etc/fovea"  # papers and agent.yaml of a host, as they are in its folder
+ETC = "/etc/fovea"  # credentials and agent.yaml of a host, as they are in its folder
 GRAPH = f"{ETC}/graph/graph.yaml"
-PERSON = f"{ETC}/person"
+USER = f"{ETC}/user"
 STATE = "/tmp"  # what runs, for the next start of the agent, lies beside the run folders
 LARGEST_FRAME_MB = 64  # per slot, where nobody knows how big pictures will be
 SPARE_MB = 64
@@ -26,17 +26,17 @@ class Desk:
     """Where the files lie that have to be shipped, and who deploys. Paths are absolute."""
 
     graph: Path
-    papers: Path  # folder by `fovea secure`
-    person: str
+    credentials: Path  # folder by `fovea secure`
+    user: str
 
     def host_folder(self, label: str) -> Path:
-        """The papers and the agent.yaml of a host."""
-        return self.papers / f"host.{label}"
+        """The credentials and the agent.yaml of a host."""
+        return self.credentials / f"host.{label}"
 
     @property
     def own(self) -> Path:
-        """The papers of who deploys."""
-        return self.papers / person(self.person)
+        """The credentials of who deploys."""
+        return self.credentials / user_identity(self.user)
 
 
 def memory_mb(plan: Plan, label: str) -> int:
@@ -46,11 +46,11 @@ def memory_mb(plan: Plan, label: str) -> int:
     return SPARE_MB + math.ceil(count * LARGEST_FRAME_MB)
 
 
-def holders(plan: Plan, label: str) -> list[str]:
-    """The nodes of a host that have papers: those with an edge to another one."""
+def identities(plan: Plan, label: str) -> list[str]:
+    """The nodes of a host that have credentials: those with an edge to another one."""
     crossing = borders(plan)
     here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
-    return list(dict.fromkeys(node_holder(plan.name, node) for node in here))
+    return list(dict.fromkeys(node_identity(plan.name, node) for node in here))
 
 
 def run_words() -> list[str]:
@@ -61,14 +61,14 @@ def run_words() -> list[str]:
 def up_words(plan: Plan) -> list[str]:
     """What a container runs to deploy to hosts that their labels resolve to."""
     hosts = ",".join(f"{label}={label}:{AGENT_PORT}" for label in plan.hosts)
-    return ["fovea", "up", GRAPH, "--papers", PERSON, "--hosts", hosts, "--replace"]
+    return ["fovea", "up", GRAPH, "--credentials", USER, "--hosts", hosts, "--replace"]
 
 
-def papers_words(plan: Plan, desk: Desk) -> list[str]:
-    """What makes papers for hosts that are reached by their labels."""
+def credentials_words(plan: Plan, desk: Desk) -> list[str]:
+    """What makes credentials for hosts that are reached by their labels."""
     hosts = [f"--host={label}={label}" for label in plan.hosts]
-    return ["fovea", "secure", "init", str(desk.papers), f"--graph={desk.graph}", *hosts,
-            f"--person={desk.person}"]  # fmt: skip
+    return ["fovea", "secure", "init", str(desk.credentials), f"--graph={desk.graph}", *hosts,
+            f"--user={desk.user}"]  # fmt: skip
 
 
 def comments(*lines: str | Sequence[str]) -> Iterator[str]:

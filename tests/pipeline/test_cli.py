@@ -222,6 +222,12 @@ def test_the_transport_prints_nothing_between_the_lines_of_an_answer(
         (["doctor"], ["--sweep"], "--cleanup"),
         (["secure", "init"], ["--box", "a=10.0.0.1"], "--host"),
         (["secure", "add"], ["--box", "a=10.0.0.1"], "--host"),
+        (["secure", "init"], ["--person", "alice"], "--user"),
+        (["secure", "add"], ["--person", "alice"], "--user"),
+        (["up"], ["--papers", "x"], "--credentials"),
+        (["attach"], ["--papers", "x"], "--credentials"),
+        (["export"], ["--papers", "x"], "--credentials"),
+        (["export"], ["--person", "alice"], "--user"),
     ],
 )
 def test_an_option_that_was_renamed_names_the_new_one(

@@ -29,7 +29,7 @@ from pipeline.fleet.deploy import (
     send_weights,
     up,
 )
-from pipeline.fleet.names import agent_key, host_holder
+from pipeline.fleet.names import agent_key, host_identity
 from pipeline.fleet.part import PartSupervisor
 from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.run.rundir import base
@@ -126,12 +126,12 @@ def test_noise_is_refused_and_the_agent_lives(fleet: Fleet, data: bytes) -> None
 def test_a_host_that_asks_what_it_may_not_holds_up_nobody(fleet: Fleet, tmp_path: Path) -> None:
     way = Network(
         connect=(fleet.hosts.points["sensor"],),
-        permits=asker_permits(host_holder("viewer"), ["sensor"]),
+        permits=asker_permits(host_identity("viewer"), ["sensor"]),
     )
     session = Session.across(way)
     try:
         for verb in ("weights", "start", "nothing"):
-            said = session.ask(agent_key("sensor", host_holder("viewer"), verb), b"x", 5)
+            said = session.ask(agent_key("sensor", host_identity("viewer"), verb), b"x", 5)
             assert said is not None
             with pytest.raises(RunError, match=f"host.viewer may not {verb} here"):
                 wire.read_reply(wire.Prepared, "sensor", said)

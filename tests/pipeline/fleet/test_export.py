@@ -16,12 +16,12 @@ from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
 from pipeline.fleet.commands import export_command
-from pipeline.fleet.deploy import default_person, read_hosts
+from pipeline.fleet.deploy import default_user, read_hosts
 from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import compose, k8s, systemd
 from pipeline.fleet.links import networks
 from pipeline.fleet.placement import part_of, place
-from pipeline.fleet.secure import Papers
+from pipeline.fleet.secure import Credentials
 from pipeline.fleet.shipping import AGENT, Desk, memory_mb
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
@@ -34,27 +34,27 @@ for _label in ("sensor", "compute", "viewer"):
 
 @pytest.fixture
 def desk(tmp_path: Path) -> Desk:
-    """Papers as `fovea secure init` makes them, and the graph they are for."""
+    """Credentials as `fovea secure init` makes them, and the graph they are for."""
     plan = plan_of(tmp_path)
-    papers = tmp_path / "papers"
-    secure.create(papers)
-    for _line in issue_for(papers, {label: label for label in plan.hosts}, [plan], ["alice"]):
+    credentials = tmp_path / "credentials"
+    secure.create(credentials)
+    for _line in issue_for(credentials, {label: label for label in plan.hosts}, [plan], ["alice"]):
         pass
-    return Desk(tmp_path / "graph.yaml", papers, "alice")
+    return Desk(tmp_path / "graph.yaml", credentials, "alice")
 
 
 def expect_agent(plan: Plan, label: str, folder: Path) -> None:
     """Everything that the agent of a host reads is there, and is its own."""
     own = read(folder / "agent.yaml")
     assert own.endpoint == f"tls/{label}:7447"
-    assert own.papers is not None
+    assert own.credentials is not None
     part = part_of(plan, label)
     points = {place(node): "tls/somewhere:7500" for node in plan.nodes}
-    here = networks(part, points, points, own.papers)
+    here = networks(part, points, points, own.credentials)
     assert set(here) == {n.process for n in plan.nodes if n.host == label}
     for process, network in here.items():
-        holder = Papers.of(Path(network.papers)).holder
-        assert holder == f"node.trio.{process}"
+        identity = Credentials.of(Path(network.credentials)).identity
+        assert identity == f"node.trio.{process}"
 
 
 def expect_deploy(words: Sequence[str], root: Path) -> None:
@@ -62,13 +62,15 @@ def expect_deploy(words: Sequence[str], root: Path) -> None:
     at = [root / word.removeprefix("/") for word in words]
     assert words[:2] == ["fovea", "up"]
     assert load(at[2]).name == "trio"
-    papers = at[words.index("--papers") + 1]
-    assert Papers.of(papers).holder == "person.alice"
-    hosts = read_hosts([words[words.index("--hosts") + 1]], papers, ["sensor"])
+    credentials = at[words.index("--credentials") + 1]
+    assert Credentials.of(credentials).identity == "user.alice"
+    hosts = read_hosts([words[words.index("--hosts") + 1]], credentials, ["sensor"])
     assert hosts.points == {n: f"tls/{n}:7447" for n in ("sensor", "compute", "viewer")}
 
 
-def test_compose_mounts_papers_and_graph_where_they_are_read(desk: Desk, tmp_path: Path) -> None:
+def test_compose_mounts_credentials_and_graph_where_they_are_read(
+    desk: Desk, tmp_path: Path
+) -> None:
     plan = load(desk.graph)
     services: dict[str, Any] = YAML(typ="safe").load(compose(plan, desk))["services"]
 
@@ -90,7 +92,7 @@ def test_compose_mounts_papers_and_graph_where_they_are_read(desk: Desk, tmp_pat
             expect_agent(plan, name, root / "etc/fovea")
 
 
-def test_k8s_mounts_papers_and_graph_where_they_are_read(desk: Desk, tmp_path: Path) -> None:
+def test_k8s_mounts_credentials_and_graph_where_they_are_read(desk: Desk, tmp_path: Path) -> None:
     plan, text = load(desk.graph), k8s(load(desk.graph), desk)
     documents = list(YAML(typ="safe").load_all(text))
     made = secrets_of(text)
@@ -190,7 +192,7 @@ def test_systemd_units_name_files_wherever_they_are_started(desk: Desk) -> None:
         assert unit["Service"]["WorkingDirectory"] == "/etc/fovea"
     words = shlex.split(deploy["Service"]["ExecStart"])
     assert load(Path(words[2])).name == "trio"
-    assert Papers.of(Path(words[words.index("--papers") + 1])).holder == "person.alice"
+    assert Credentials.of(Path(words[words.index("--credentials") + 1])).identity == "user.alice"
     assert all(Path(words[i]).is_absolute() for i in (0, 2, 4))
     assert Path(deploy["Service"]["WorkingDirectory"]) == Path.cwd()
     for label in ("sensor", "compute", "viewer"):
@@ -199,13 +201,13 @@ def test_systemd_units_name_files_wherever_they_are_started(desk: Desk) -> None:
 
 
 def test_who_deploys_is_you_unless_you_say_who(desk: Desk) -> None:
-    words = ["compose", str(desk.graph), f"--papers={desk.papers}"]
+    words = ["compose", str(desk.graph), f"--credentials={desk.credentials}"]
 
     own = CliRunner().invoke(export_command, words, catch_exceptions=False).output
-    other = CliRunner().invoke(export_command, [*words, "--person=bob"], catch_exceptions=False)
+    other = CliRunner().invoke(export_command, [*words, "--user=bob"], catch_exceptions=False)
 
-    assert f"{desk.papers}/person.{default_person()}:" in own
-    assert f"{desk.papers}/person.bob:" in other.output
+    assert f"{desk.credentials}/user.{default_user()}:" in own
+    assert f"{desk.credentials}/user.bob:" in other.output
 
 
 def test_a_graph_without_hosts_is_one_service(tmp_path: Path) -> None:
@@ -224,7 +226,7 @@ def test_a_graph_without_hosts_is_one_service(tmp_path: Path) -> None:
     assert load(root / words[2].removeprefix("/")).name == "trio"
 
 
-def test_papers_and_agent_files_allow_what_the_graph_has_on_that_host_and_no_more(
+def test_credentials_and_agent_files_allow_what_the_graph_has_on_that_host_and_no_more(
     tmp_path: Path,
 ) -> None:
     folder = tmp_path / "authority"
@@ -238,18 +240,18 @@ def test_papers_and_agent_files_allow_what_the_graph_has_on_that_host_and_no_mor
     assert host.endpoint == "tls/10.0.0.2:7000"
     assert set(host.file.operators) == {"tests.toys:Pass", "tests.toys:Pair", "tests.toys:Steer"}
     assert set(host.file.operators) < set(ALLOWED)
-    assert host.holders == ("person.alice", "host.sensor", "host.viewer")
-    assert host.papers is not None
+    assert host.identities == ("user.alice", "host.sensor", "host.viewer")
+    assert host.credentials is not None
     assert sorted(p.name for p in (folder / "host.compute" / "nodes").iterdir()) == [
         "node.trio.pair", "node.trio.steer", "node.trio.work",
     ]  # fmt: skip
     assert (folder / "ca.key").stat().st_mode & 0o077 == 0
     assert not list((folder / "host.compute").rglob("ca.key"))
 
-    hosts = read_hosts((), folder / "person.alice", ["compute", "viewer"])
+    hosts = read_hosts((), folder / "user.alice", ["compute", "viewer"])
     assert hosts.points == {"compute": "tls/10.0.0.2:7000", "viewer": "tls/10.0.0.3:7447"}
     with pytest.raises(SettingsError, match="expected desk=ADDRESS"):
-        read_hosts((), folder / "person.alice", ["desk"])
+        read_hosts((), folder / "user.alice", ["desk"])
 
 
 def test_a_host_without_an_address_is_told_before_anything_is_made(tmp_path: Path) -> None:
@@ -257,16 +259,16 @@ def test_a_host_without_an_address_is_told_before_anything_is_made(tmp_path: Pat
         check_addressed(tmp_path, {"sensor": "a", "compute": "b"}, [plan_of(tmp_path)])
 
 
-def test_an_authority_is_made_once_and_papers_are_their_holders(tmp_path: Path) -> None:
+def test_an_authority_is_made_once_and_credentials_are_their_identity(tmp_path: Path) -> None:
     secure.create(tmp_path / "ca")
     with pytest.raises(RunError, match="without an authority"):
         secure.create(tmp_path / "ca")
 
-    papers = secure.issue(tmp_path / "own", tmp_path / "ca", "host.sensor")
-    assert papers.holder == "host.sensor"
-    papers.key.chmod(0o644)
+    credentials = secure.issue(tmp_path / "own", tmp_path / "ca", "host.sensor")
+    assert credentials.identity == "host.sensor"
+    credentials.key.chmod(0o644)
     with pytest.raises(SettingsError, match="only its owner can read"):
-        secure.Papers.of(papers.folder)
+        secure.Credentials.of(credentials.folder)
 
 
 @pytest.mark.parametrize(
@@ -278,9 +280,14 @@ def test_an_authority_is_made_once_and_papers_are_their_holders(tmp_path: Path) 
         ),
         ("label: ../x\n", r":1: label: expected up to 32 letters"),
         ("label: a\nboxes: [b]\n", r":2: boxes: renamed; expected hosts$"),
+        ("label: a\npapers: .\n", r":2: papers: renamed; expected credentials$"),
+        ("label: a\npeople: [b]\n", r":2: people: renamed; expected users$"),
         ("label: a\nopertors: {}\n", r"no such setting, did you mean 'operators'"),
         ("label: a\noperators: {a:B: yes}\n", r"operators"),
-        ("label: a\npapers: .\naddress: h\nports: [9, 1]\n", r"ports: expected first and last"),
+        (
+            "label: a\ncredentials: .\naddress: h\nports: [9, 1]\n",
+            r"ports: expected first and last",
+        ),
     ],
 )
 def test_a_wrong_agents_file_is_refused_with_its_line(text: str, said: str, tmp_path: Path) -> None:

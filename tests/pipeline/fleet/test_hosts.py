@@ -15,7 +15,7 @@ from bench.netns import permitted
 from pipeline import RunError
 from pipeline.bus.network import LEASE_MS
 from pipeline.fleet import secure
-from pipeline.fleet.names import person
+from pipeline.fleet.names import user_identity
 from tests.pipeline.fleet.agents import TRIO
 from tests.toy_graphs import until
 
@@ -140,7 +140,7 @@ def test_a_host_that_was_switched_off_goes_on_where_the_books_of_the_others_stan
 INTRUDERS = ("nobody", "a foreign authority", "a node of another place", "another host")
 
 
-def papers_of(world: World, who: str, tmp_path: Path) -> str:
+def credentials_of(world: World, who: str, tmp_path: Path) -> str:
     viewer = world.authority / "host.viewer"
     if who == "nobody":
         return f"-{world.authority / 'ca.pem'}"
@@ -159,7 +159,7 @@ def intrude(world: World, tmp_path: Path) -> dict[str, dict[str, Any]]:
     points = [f"{host}:{port}" for host in (sensor, compute) for port in (7447, 7500, 7501, 7502)]
     began = {}
     for who in INTRUDERS:
-        words = ("-m", "tests.pipeline.fleet.intruder", papers_of(world, who, tmp_path))
+        words = ("-m", "tests.pipeline.fleet.intruder", credentials_of(world, who, tmp_path))
         began[who] = world.start(DESK, *words, ",".join(points), "2")
     found = {}
     for who, popen in began.items():
@@ -208,8 +208,8 @@ def test_what_a_host_refuses_starts_nothing_anywhere(world: World, tmp_path: Pat
 
 
 def deploy(world: World, graph: Path) -> str:
-    papers = str(world.authority / person("tester"))
-    return world.fovea("up", str(graph), "--papers", papers)
+    credentials = str(world.authority / user_identity("tester"))
+    return world.fovea("up", str(graph), "--credentials", credentials)
 
 
 def test_down_stops_the_graph_on_every_host_and_leaves_nothing(world: World) -> None:

@@ -77,7 +77,7 @@ def test_a_node_lets_others_do_what_the_graph_says_and_nothing_else(tmp_path: Pa
 
     permits = node_permits(part, "capture")
 
-    said = {(p.holder, p.key, p.inward, p.outward) for p in permits}
+    said = {(p.identity, p.key, p.inward, p.outward) for p in permits}
     context, roi, command = (edge_key(part, part.edges[i]) for i in (1, 3, 0))
     reads = (("declare_subscriber",), ("put",))
     assert said == {
