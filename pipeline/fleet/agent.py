@@ -22,6 +22,7 @@ from pipeline.fleet import wire
 from pipeline.fleet.access import agent_permits, asker_permits
 from pipeline.fleet.agent_file import HostConfig
 from pipeline.fleet.allow import MARK
+from pipeline.fleet.hosted_graph import HostedGraph
 from pipeline.fleet.kept import Kept
 from pipeline.fleet.links import (
     check_credentials,
@@ -34,11 +35,10 @@ from pipeline.fleet.names import (
     ANYBODY,
     agent_key,
     endpoint,
+    endpoint_host,
     host_identity,
-    host_part,
 )
 from pipeline.fleet.node_gateway import NodeGateway
-from pipeline.fleet.part import Part
 from pipeline.fleet.placement import check_marks, inspect
 from pipeline.fleet.show import state_of
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
@@ -77,7 +77,7 @@ class Agent:
         self._looks: queue.Queue[_Question] = queue.Queue(WAITING)
         self._works: queue.Queue[_Question] = queue.Queue(WAITING)
         self._sending = threading.BoundedSemaphore(1)  # weights are big: one file at a time
-        self.parts: dict[str, Part] = {}
+        self.hosted: dict[str, HostedGraph] = {}
         self._stop = threading.Event()
         self._quiet_until_s = 0.0
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -95,18 +95,18 @@ class Agent:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for part in self.parts.values():
-            part.stop()
-        for part in self.parts.values():
-            self._guarded(part.end)
+        for hosted in self.hosted.values():
+            hosted.stop()
+        for hosted in self.hosted.values():
+            self._guarded(hosted.end)
         self._gateway.close()
         self._session.close()
 
     def stop(self) -> None:
         """Let `run` return; asked for again, without waiting for any operator."""
         if self._stop.is_set():
-            for part in list(self.parts.values()):
-                part.hurry()
+            for hosted in list(self.hosted.values()):
+                hosted.hurry()
         self._stop.set()
 
     def run(self) -> None:
@@ -168,11 +168,11 @@ class Agent:
 
     def _told(self, label: str, key: str, data: bytes) -> None:
         """Likewise: another host tells of its accounts."""
-        part = self.parts.get(key.rpartition("/")[2])
-        if part is None:
+        hosted = self.hosted.get(key.rpartition("/")[2])
+        if hosted is None:
             return
         try:
-            part.hear(label, wire.decode(wire.Accounts, data))
+            hosted.hear(label, wire.decode(wire.Accounts, data))
         except MessageError as error:
             self._warn_once(f"accounts of {label}: {error}")
 
@@ -209,7 +209,7 @@ class Agent:
 
     def _about(self, data: bytes) -> wire.About:
         wire.decode(wire.Nothing, data)
-        return wire.About(self.label, wire.Versions.ours(), tuple(self.parts))
+        return wire.About(self.label, wire.Versions.ours(), tuple(self.hosted))
 
     def _prepare(self, data: bytes) -> Prepared:
         asked = wire.decode(Prepare, data)
@@ -219,40 +219,40 @@ class Agent:
         if missing:
             return Prepared({}, missing)
         self._check_free(plan, replace=asked.replace)
-        part = self._inspected(plan, asked.marks)
-        return Prepared(self._free_end_points(part))
+        local = self._inspected(plan, asked.marks)
+        return Prepared(self._free_end_points(local))
 
     def _start(self, data: bytes) -> None:
         asked = wire.decode(Start, data)
-        part = self._part_of(asked)  # before anything that runs is touched
-        if (before := self.parts.get(part.plan.name)) is not None:
+        hosted = self._hosted_of(asked)  # before anything that runs is touched
+        if (before := self.hosted.get(hosted.plan.name)) is not None:
             before.end()
-        self._kept.keep(part.plan.name, asked)
-        self.parts[part.plan.name] = part
-        part.begin()
+        self._kept.keep(hosted.plan.name, asked)
+        self.hosted[hosted.plan.name] = hosted
+        hosted.begin()
 
     def _down(self, data: bytes) -> None:
         graph = check_name(wire.decode(Named, data).graph, "graph")
-        part = self.parts.get(graph)
+        hosted = self.hosted.get(graph)
         self._kept.forget(graph)
-        if part is None:
+        if hosted is None:
             raise RunError(f"no graph {graph} runs here")
-        part.end()
-        del self.parts[graph]
+        hosted.end()
+        del self.hosted[graph]
 
     def _state(self, data: bytes) -> tuple[wire.State, ...]:
         graph = wire.decode(Named, data).graph
         return tuple(
-            state_of(part) for name, part in list(self.parts.items()) if graph in ("", name)
+            state_of(hosted) for name, hosted in list(self.hosted.items()) if graph in ("", name)
         )
 
     def _log(self, data: bytes) -> wire.Log:
         asked = wire.decode(wire.Lines, data)
-        part = self._part(asked.graph)
-        if asked.node not in {n.name for n in part.plan.nodes if part.plan.is_here(n)}:
+        hosted = self._hosted(asked.graph)
+        if asked.node not in {n.name for n in hosted.plan.nodes if hosted.plan.is_here(n)}:
             raise RunError(f"{asked.graph}: no node {asked.node} here")
         count = max(1, min(asked.count, MOST_LINES))
-        return wire.Log(tuple(log_lines(part.folder, asked.node, count, follow=False)))
+        return wire.Log(tuple(log_lines(hosted.folder, asked.node, count, follow=False)))
 
     def _weights(self, data: bytes) -> str:
         return self._allowed.keep(data)
@@ -263,35 +263,35 @@ class Agent:
 
     def _node(self, question: _Question, data: bytes) -> object:
         asked = wire.decode(wire.ToNode, data)
-        self._gateway.ask(self._part(asked.graph), asked, question.reply)
+        self._gateway.ask(self._hosted(asked.graph), asked, question.reply)
         return LATER
 
     def _swap(self, question: _Question, data: bytes) -> object:
         asked = wire.decode(wire.Change, data)
-        self._gateway.swap(self._part(asked.graph), asked.order, question.reply)
+        self._gateway.swap(self._hosted(asked.graph), asked.order, question.reply)
         return LATER
 
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
-        part = self._part(wire.decode(Named, data).graph)
-        neighbour = part.neighbours.get(question.asker.removeprefix("host."))
-        if neighbour is None or part.supervisor is None:
-            raise RunError(f"{part.plan.name}: nothing is shared with {question.asker}")
+        hosted = self._hosted(wire.decode(Named, data).graph)
+        neighbour = hosted.neighbours.get(question.asker.removeprefix("host."))
+        if neighbour is None or hosted.supervisor is None:
+            raise RunError(f"{hosted.plan.name}: nothing is shared with {question.asker}")
         return neighbour.mirror.whole()
 
-    def _part(self, graph: str) -> Part:
-        if graph not in self.parts:
+    def _hosted(self, graph: str) -> HostedGraph:
+        if graph not in self.hosted:
             raise RunError(f"no graph {graph} runs here")
-        return self.parts[graph]
+        return self.hosted[graph]
 
     def _missing(self, plan: Plan) -> tuple[str, ...]:
         here = [n for n in plan.nodes if n.host == self.label]
         return tuple(dict.fromkeys(d for n in here for d in self._allowed.missing(n.settings)))
 
     def _check_free(self, plan: Plan, *, replace: bool) -> None:
-        part = self.parts.get(plan.name)
-        if part is not None and part.alive and not replace:
+        hosted = self.hosted.get(plan.name)
+        if hosted is not None and hosted.alive and not replace:
             raise RunError(f"{plan.name}: runs already; take it down first, or use --replace")
-        if part is None and len(self.parts) >= MOST_GRAPHS:
+        if hosted is None and len(self.hosted) >= MOST_GRAPHS:
             raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a host, got more")
 
     def _check_versions(self, theirs: wire.Versions) -> None:
@@ -299,29 +299,29 @@ class Agent:
             raise RunError(f"expected {_spelt(theirs)}, got {_spelt(ours)} here")
 
     def _inspected(self, plan: Plan, marks: Mapping[str, str]) -> Plan:
-        part = inspect(plan, self.label, self._allowed, self.host.file.settings)
-        check_marks(part, self.label, marks)
-        check_credentials(part, self._credentials)
-        return part
+        local = inspect(plan, self.label, self._allowed, self.host.file.settings)
+        check_marks(local, self.label, marks)
+        check_credentials(local, self._credentials)
+        return local
 
-    def _part_of(self, asked: Start) -> Part:
+    def _hosted_of(self, asked: Start) -> HostedGraph:
         """What is asked for, checked and not begun."""
         self._check_versions(asked.versions)
         plan = wire.read_plan(asked.plan)
         self._check_free(plan, replace=True)
         self._check_partners(plan, asked)
-        part = self._inspected(plan, asked.marks)
-        own = own_end_points(part, self._free_end_points(part), asked.endpoints)
-        self._check_unused(part, own)
+        local = self._inspected(plan, asked.marks)
+        own = own_end_points(local, self._free_end_points(local), asked.endpoints)
+        self._check_unused(local, own)
         identity = host_identity(self.label)
-        others = sorted({n.host for n in part.nodes} - {self.label})
-        return Part(
-            plan=part,
+        others = sorted({n.host for n in local.nodes} - {self.label})
+        return HostedGraph(
+            plan=local,
             mark=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
-            networks=networks(part, own, asked.endpoints, self._credentials),
+            networks=networks(local, own, asked.endpoints, self._credentials),
             hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
             way=self._network((), permits=asker_permits(identity, others)),
-            begins=partial(self._kept.count, part.name),
+            begins=partial(self._kept.count, local.name),
         )
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:
@@ -336,39 +336,39 @@ class Agent:
         for point in asked.endpoints.values():
             endpoint(point, "endpoints")
 
-    def _free_end_points(self, part: Plan) -> dict[str, str]:
+    def _free_end_points(self, local: Plan) -> dict[str, str]:
         """Where the processes here with an edge to another host may listen."""
         if self._credentials is None:
-            return local_end_points(part)
+            return local_end_points(local)
         first, last = self.host.file.ports
-        used = self._used(part.name)
-        return end_points(part, host_part(self.host.endpoint), range(first, last + 1), used)
+        used = self._used(local.name)
+        return end_points(local, endpoint_host(self.host.endpoint), range(first, last + 1), used)
 
     def _used(self, but: str) -> set[str]:
         """By the other graphs here."""
-        others = [other for graph, other in list(self.parts.items()) if graph != but]
+        others = [other for graph, other in list(self.hosted.items()) if graph != but]
         return {p for o in others for network in o.networks.values() for p in network.listen}
 
-    def _check_unused(self, part: Plan, own: Mapping[str, str]) -> None:
+    def _check_unused(self, local: Plan, own: Mapping[str, str]) -> None:
         """Raise `RunError` for an end point that is not this host's to give, or is given."""
         if self._credentials is None:
             return
         first, last = self.host.file.ports
-        host = host_part(self.host.endpoint)
-        mine = {f"tls/{host}:{port}" for port in range(first, last + 1)} - self._used(part.name)
+        host = endpoint_host(self.host.endpoint)
+        mine = {f"tls/{host}:{port}" for port in range(first, last + 1)} - self._used(local.name)
         if strange := sorted(set(own.values()) - mine):
-            raise RunError(f"{part.name}: {strange[0]} is not free here any more, try again")
+            raise RunError(f"{local.name}: {strange[0]} is not free here any more, try again")
 
     def _resume(self, name: str) -> None:
         """Begin again with what ran when this host ended; where that cannot be, `ps` tells why."""
         asked = self._kept.asked(name)
         try:
-            part = self._part_of(asked)
+            hosted = self._hosted_of(asked)
         except FoveaError as error:
             log.error("%s: cannot go on: %s", name, error)
             return
-        self.parts[name] = part
-        part.begin()
+        self.hosted[name] = hosted
+        hosted.begin()
         log.info("%s: goes on", name)
 
 

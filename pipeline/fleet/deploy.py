@@ -24,8 +24,8 @@ from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
 from pipeline.fleet.agent_file import local_endpoint
 from pipeline.fleet.allow import MARK, MOST_WEIGHTS_BYTES, file_digest, is_path
+from pipeline.fleet.hosted_graph import END_S
 from pipeline.fleet.names import ANYBODY, agent_key, endpoint
-from pipeline.fleet.part import END_S
 from pipeline.fleet.placement import check_labels, marks
 from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan

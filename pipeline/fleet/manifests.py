@@ -29,7 +29,7 @@ from pipeline.graph.plan import Plan
 
 _DNS = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")
 CREDENTIAL_FILES = ("ca.pem", "own.pem", "own.key")
-Part = tuple[dict[str, Any], dict[str, Any]]  # a volume, and where a container mounts it
+Mount = tuple[dict[str, Any], dict[str, Any]]  # a volume, and where a container mounts it
 
 
 def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
@@ -43,8 +43,8 @@ def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
         return "", [graph, _deployment(_slug(plan.name), pod)]
     documents = [graph]
     for label in plan.hosts:
-        parts = [_memory(plan, label), _credentials(plan, label), _state()]
-        pod = {"hostname": _checked(label), **_pod(AGENT, parts)}
+        mounts = [_memory(plan, label), _credentials(plan, label), _state()]
+        pod = {"hostname": _checked(label), **_pod(AGENT, mounts)}
         pod["nodeSelector"] = {"fovea/host": label}
         documents += [_deployment(label, pod), _service(label)]
     secret = {"secret": {"secretName": _own_secret(plan), "defaultMode": 0o400}}
@@ -77,7 +77,7 @@ def _machines(plan: Plan) -> Iterator[Sequence[str]]:
         yield "kubectl", "label", "node", f"MACHINE-OF-{label}", f"fovea/host={label}"
 
 
-def _credentials(plan: Plan, label: str) -> Part:
+def _credentials(plan: Plan, label: str) -> Mount:
     sources: list[dict[str, Any]] = [{"secret": {"name": _secret(label)}}]
     for number, identity in enumerate(identities(plan, label)):
         items = [{"key": name, "path": f"nodes/{identity}/{name}"} for name in CREDENTIAL_FILES]
@@ -86,26 +86,26 @@ def _credentials(plan: Plan, label: str) -> Part:
     return _volume("credentials", projected, ETC)
 
 
-def _memory(plan: Plan, label: str) -> Part:
+def _memory(plan: Plan, label: str) -> Mount:
     limit = f"{memory_mb(plan, label)}Mi"
     memory = {"emptyDir": {"medium": "Memory", "sizeLimit": limit}}
     return _volume("shm", memory, "/dev/shm")
 
 
-def _state() -> Part:
+def _state() -> Mount:
     return _volume("state", {"emptyDir": {}}, STATE)
 
 
-def _volume(name: str, kind: dict[str, Any], folder: str) -> Part:
+def _volume(name: str, kind: dict[str, Any], folder: str) -> Mount:
     return {"name": name, **kind}, {"name": name, "mountPath": folder}
 
 
-def _pod(command: Sequence[str], parts: Sequence[Part]) -> dict[str, Any]:
+def _pod(command: Sequence[str], mounts: Sequence[Mount]) -> dict[str, Any]:
     return {
         "containers": [
             {
                 "name": "fovea", "image": IMAGE, "command": list(command),
-                "volumeMounts": [mount for _, mount in parts],
+                "volumeMounts": [mount for _, mount in mounts],
                 "securityContext": {
                     # keys are readable for their owner only, and secrets are root's
                     "runAsUser": 0,
@@ -113,7 +113,7 @@ def _pod(command: Sequence[str], parts: Sequence[Part]) -> dict[str, Any]:
                 },
             }
         ],
-        "volumes": [volume for volume, _ in parts],
+        "volumes": [volume for volume, _ in mounts],
     }  # fmt: skip
 
 

@@ -68,6 +68,6 @@ def endpoint(address: str, where: str) -> str:
     return f"tls/{found[1]}:{found[2] or AGENT_PORT}"
 
 
-def host_part(point: str) -> str:
+def endpoint_host(point: str) -> str:
     """The host of a TLS end point."""
     return point.removeprefix("tls/").rpartition(":")[0]

@@ -14,7 +14,7 @@ from pipeline.commands import COMMAND, read_order, write_order
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.allow import Allowed
-from pipeline.fleet.part import Part
+from pipeline.fleet.hosted_graph import HostedGraph
 from pipeline.node.live import CONFIG, read_question, write_question
 from pipeline.run.bus_client import ask_local
 from pipeline.run.swap import SwapOrder
@@ -38,20 +38,20 @@ class NodeGateway:
         """Answer no more."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def ask(self, part: Part, asked: wire.ToNode, reply: Reply) -> None:
+    def ask(self, hosted: HostedGraph, asked: wire.ToNode, reply: Reply) -> None:
         """Put a question to a node and reply when it answers; raises `FoveaError`."""
-        _here(part, asked.node)
+        _here(hosted, asked.node)
         payload = self._cleared(asked)
         if not self._room.acquire(blocking=False):
             raise RunError("busy: too many questions wait for nodes")
-        self._pool.submit(self._ask, part, asked, payload, reply)
+        self._pool.submit(self._ask, hosted, asked, payload, reply)
 
-    def swap(self, part: Part, order: SwapOrder, reply: Reply) -> None:
+    def swap(self, hosted: HostedGraph, order: SwapOrder, reply: Reply) -> None:
         """Have a node swapped and reply when that is done; raises `FoveaError`."""
-        _here(part, order.node)
-        supervisor = part.supervisor
+        _here(hosted, order.node)
+        supervisor = hosted.supervisor
         if supervisor is None:
-            raise RunError(f"{part.plan.name}: does not run just now, try again")
+            raise RunError(f"{hosted.plan.name}: does not run just now, try again")
         if order.operator:
             self._allowed.check_code(order.operator, f"{order.node}.operator")
         changes = {**self._cleared_values(order.node, order.changes), **self._own(order.node)}
@@ -62,9 +62,9 @@ class NodeGateway:
 
         supervisor.control.ask(msgspec.json.encode(order), done)
 
-    def _ask(self, part: Part, asked: wire.ToNode, payload: bytes, reply: Reply) -> None:
+    def _ask(self, hosted: HostedGraph, asked: wire.ToNode, payload: bytes, reply: Reply) -> None:
         try:
-            said = ask_local(part.folder, part.plan.name, asked.node, asked.question, payload)
+            said = ask_local(hosted.folder, hosted.plan.name, asked.node, asked.question, payload)
             reply(wire.answered(wire.Said(said)))
         except FoveaError as error:
             reply(wire.refused(str(error)))
@@ -91,7 +91,7 @@ class NodeGateway:
         return self._over.get(node, {})
 
 
-def _here(part: Part, node: str) -> None:
-    names = [n.name for n in part.plan.nodes if part.plan.is_here(n)]
+def _here(hosted: HostedGraph, node: str) -> None:
+    names = [n.name for n in hosted.plan.nodes if hosted.plan.is_here(n)]
     if node not in names:
-        raise RunError(f"{part.plan.name}: no node {node} here{suggest(node, names)}")
+        raise RunError(f"{hosted.plan.name}: no node {node} here{suggest(node, names)}")

@@ -18,11 +18,11 @@ from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.graph.ports import check_ports
 
 
-def part_of(plan: Plan, label: str) -> Plan:
+def plan_for(plan: Plan, label: str) -> Plan:
     """The plan as the host of that label runs it: edges to other hosts carry bytes."""
-    part = replace(plan, here=label)
-    edges = tuple(replace(e, transport="bytes") if part.crosses(e) else e for e in plan.edges)
-    return replace(part, edges=edges)
+    local = replace(plan, here=label)
+    edges = tuple(replace(e, transport="bytes") if local.crosses(e) else e for e in plan.edges)
+    return replace(local, edges=edges)
 
 
 def check_labels(plan: Plan, labels: Mapping[str, Any]) -> None:
@@ -84,17 +84,17 @@ def marks(plan: Plan, label: str = "") -> dict[str, str]:
 
 
 def inspect(plan: Plan, label: str, allowed: Allowed, over: Mapping[str, Any]) -> Plan:
-    """The part a host would run, its settings those of this host; raises for what may not run."""
+    """The plan that a host would run, with its own settings; raises for what may not run."""
     check_form(plan, label)
     nodes = []
     for node in plan.nodes:
         if node.host == label:
             node = replace(node, settings=_inspected(node, allowed, over.get(node.name, {})))
         nodes.append(node)
-    part = part_of(replace(plan, nodes=tuple(nodes)), label)
+    local = plan_for(replace(plan, nodes=tuple(nodes)), label)
     check_ports(plan, lambda node: node.host == label)
-    part.order()
-    return part
+    local.order()
+    return local
 
 
 def check_marks(plan: Plan, label: str, theirs: Mapping[str, str]) -> None:

@@ -1,27 +1,27 @@
-"""What runs on a host, in figures: a part of a graph to what `ps` and `top` show of it."""
+"""What runs on a host, in figures: its part of a graph as `ps` and `top` show it."""
 
 import time
 
 import psutil
 
+from pipeline.fleet.hosted_graph import HostedGraph, HostedSupervisor
 from pipeline.fleet.neighbour import Neighbour
-from pipeline.fleet.part import Part, PartSupervisor
 from pipeline.fleet.wire import EdgeState, HostState, NodeState, Process, State
 
 
-def state_of(part: Part) -> State:
-    """The part as it is now."""
-    supervisor = part.supervisor
+def state_of(hosted: HostedGraph) -> State:
+    """The hosted graph as it is now."""
+    supervisor = hosted.supervisor
     return State(
-        graph=part.plan.name,
-        label=part.plan.here,
+        graph=hosted.plan.name,
+        label=hosted.plan.here,
         at_ns=time.monotonic_ns(),
-        phase=part.phase,
-        failure=part.failure,
+        phase=hosted.phase,
+        failure=hosted.failure,
         processes=_processes(supervisor) if supervisor else (),
         nodes=_nodes(supervisor) if supervisor else (),
         edges=_edges(supervisor) if supervisor else (),
-        hosts=tuple(_host(n) for n in part.neighbours.values()) if supervisor else (),
+        hosts=tuple(_host(n) for n in hosted.neighbours.values()) if supervisor else (),
         network_bytes={
             name: (seen.bytes_recv, seen.bytes_sent)
             for name, seen in psutil.net_io_counters(pernic=True).items()
@@ -29,7 +29,7 @@ def state_of(part: Part) -> State:
     )
 
 
-def _processes(supervisor: PartSupervisor) -> tuple[Process, ...]:
+def _processes(supervisor: HostedSupervisor) -> tuple[Process, ...]:
     found = []
     for name, managed in supervisor.processes.items():
         sample = managed.handle.sample() if managed.handle else None
@@ -46,7 +46,7 @@ def _processes(supervisor: PartSupervisor) -> tuple[Process, ...]:
     return tuple(found)
 
 
-def _nodes(supervisor: PartSupervisor) -> tuple[NodeState, ...]:
+def _nodes(supervisor: HostedSupervisor) -> tuple[NodeState, ...]:
     found = []
     for node in filter(supervisor.plan.is_here, supervisor.plan.nodes):
         account = supervisor.ledger.nodes[node.index]
@@ -66,7 +66,7 @@ def _nodes(supervisor: PartSupervisor) -> tuple[NodeState, ...]:
     return tuple(found)
 
 
-def _edges(supervisor: PartSupervisor) -> tuple[EdgeState, ...]:
+def _edges(supervisor: HostedSupervisor) -> tuple[EdgeState, ...]:
     plan, found = supervisor.plan, []
     sources = [n for n in plan.nodes if all(e.command for e in plan.inputs(n.name).values())]
     errors = [supervisor.clocks.error_ns(node.host) for node in sources]

@@ -29,8 +29,8 @@ from pipeline.fleet.deploy import (
     send_weights,
     up,
 )
+from pipeline.fleet.hosted_graph import HostedSupervisor
 from pipeline.fleet.names import agent_key, host_identity
-from pipeline.fleet.part import PartSupervisor
 from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.run.rundir import base
 from pipeline.run.swap import SwapOrder
@@ -262,13 +262,13 @@ def test_a_part_that_worked_once_tries_again_when_it_cannot_begin(
     three["sensor"].stop()
     failures = []
 
-    def begin(*words: Any) -> PartSupervisor:
+    def begin(*words: Any) -> HostedSupervisor:
         if not failures:
             failures.append("the camera is not there yet")
             raise RunError(failures[0])
-        return PartSupervisor(*words)
+        return HostedSupervisor(*words)
 
-    monkeypatch.setattr("pipeline.fleet.part.PartSupervisor", begin)
+    monkeypatch.setattr("pipeline.fleet.hosted_graph.HostedSupervisor", begin)
     three["sensor"] = Running(host_of("sensor", LABELS, tmp_path))
 
     until(lambda: phases(fleet, "sensor") == ["running"])

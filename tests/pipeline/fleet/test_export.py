@@ -20,7 +20,7 @@ from pipeline.fleet.deploy import default_user, read_hosts
 from pipeline.fleet.draft import check_addressed, issue_for
 from pipeline.fleet.export import compose, k8s, systemd
 from pipeline.fleet.links import networks
-from pipeline.fleet.placement import part_of, place
+from pipeline.fleet.placement import place, plan_for
 from pipeline.fleet.secure import Credentials
 from pipeline.fleet.shipping import AGENT, Desk, memory_mb
 from pipeline.graph.loader import load
@@ -48,7 +48,7 @@ def expect_agent(plan: Plan, label: str, folder: Path) -> None:
     own = read(folder / "agent.yaml")
     assert own.endpoint == f"tls/{label}:7447"
     assert own.credentials is not None
-    part = part_of(plan, label)
+    part = plan_for(plan, label)
     points = {place(node): "tls/somewhere:7500" for node in plan.nodes}
     here = networks(part, points, points, own.credentials)
     assert set(here) == {n.process for n in plan.nodes if n.host == label}

@@ -15,7 +15,7 @@ from pipeline.fleet.access import edge_key, node_permits
 from pipeline.fleet.allow import MARK, Allowed, code_digest
 from pipeline.fleet.clock import DRIFT, Offset
 from pipeline.fleet.mirror import READ, WRITTEN, Mirror, adopt
-from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, part_of
+from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, plan_for
 from pipeline.fleet.wire import Accounts, read_plan, write_plan
 from pipeline.graph.plan import Plan
 from pipeline.node.place import place_of
@@ -57,7 +57,7 @@ def test_a_label_without_an_agent_is_told(tmp_path: Path) -> None:
 
 
 def test_only_edges_between_hosts_carry_bytes(tmp_path: Path) -> None:
-    part = part_of(plan_of(tmp_path), "compute")
+    part = plan_for(plan_of(tmp_path), "compute")
 
     assert {e.end for e in part.edges if e.transport == "bytes"} == {
         "work.frame", "pair.right", "count.frame", "capture.schedule",
@@ -73,7 +73,7 @@ def test_a_plan_is_the_same_after_the_wire(tmp_path: Path) -> None:
 
 
 def test_a_node_lets_others_do_what_the_graph_says_and_nothing_else(tmp_path: Path) -> None:
-    part = part_of(plan_of(tmp_path), "sensor")
+    part = plan_for(plan_of(tmp_path), "sensor")
 
     permits = node_permits(part, "capture")
 
@@ -226,8 +226,8 @@ def test_another_schema_is_refused_with_both_sides(tmp_path: Path) -> None:
     theirs = {**marks(plan), "capture.context": "00" * 8}
 
     with pytest.raises(GraphError, match=r"capture\.context: expected messages of schema 0000"):
-        check_marks(part_of(plan, "compute"), "compute", theirs)
-    check_marks(part_of(plan, "compute"), "compute", marks(plan))
+        check_marks(plan_for(plan, "compute"), "compute", theirs)
+    check_marks(plan_for(plan, "compute"), "compute", marks(plan))
 
 
 def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
@@ -250,7 +250,7 @@ def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
 
 
 def test_each_host_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
-    sensor, viewer = (part_of(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
+    sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
     ledgers = [private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2)]
     here, there = Mirror(sensor, ledgers[0], "viewer"), Mirror(viewer, ledgers[1], "sensor")
@@ -271,7 +271,7 @@ def test_each_host_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
 
 
 def test_a_host_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path) -> None:
-    sensor, viewer = (part_of(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
+    sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
     old.edges[edge].sent, old.edges[edge].seen, old.edges[edge].delivered = 20, 19, 18
@@ -286,7 +286,7 @@ def test_a_host_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Pat
 def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) -> None:
     text = TRIO + "  near:\n    operator: tests.toys:Count\n    host: sensor\n"
     text += "    inputs: {frame: capture.context}\n"
-    sensor, viewer = (part_of(plan_of(tmp_path, text), name) for name in ("sensor", "viewer"))
+    sensor, viewer = (plan_for(plan_of(tmp_path, text), name) for name in ("sensor", "viewer"))
     old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
     far, near = (
         next(e.index for e in sensor.edges if e.end == end) for end in ("count.frame", "near.frame")
@@ -300,7 +300,7 @@ def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) 
 
 
 def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -> None:
-    plan = part_of(plan_of(tmp_path), "sensor")
+    plan = plan_for(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
     everything = {e.index: (99,) * len(WRITTEN) for e in plan.edges}
     halves = {e.index: (99,) * len(READ) for e in plan.edges}
@@ -314,9 +314,9 @@ def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -
 
 
 def test_what_another_graph_of_that_name_counts_is_not_heard(tmp_path: Path) -> None:
-    plan = part_of(plan_of(tmp_path), "sensor")
+    plan = plan_for(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
-    theirs = Mirror(part_of(plan_of(tmp_path), "viewer"), ledger, "sensor", mark="old")
+    theirs = Mirror(plan_for(plan_of(tmp_path), "viewer"), ledger, "sensor", mark="old")
     mine = private_ledger(len(plan.edges), len(plan.nodes))
     edge = next(e.index for e in plan.edges if e.end == "count.frame")
     ledger.edges[edge].reader_epoch = 7

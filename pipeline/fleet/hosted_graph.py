@@ -21,12 +21,12 @@ WAIT_FOR_OTHERS_S = 60.0  # then the source begins without them
 TELL_S = 0.004  # how often accounts are looked at: the credit of lossless edges goes with it
 ANYWAY_S = 0.25
 END_S = 20.0  # stopping takes as long as the slowest operator's close
-AGAIN_S = (1.0, 30.0)  # first and longest pause before a part that worked once begins again
+AGAIN_S = (1.0, 30.0)  # first and longest pause before a graph that worked once begins again
 STARTS_EPOCHS = 1000  # between two starts of a host, so that what an earlier one sent is told apart
 log = logging.getLogger(__name__)
 
 
-class PartSupervisor(Supervisor):
+class HostedSupervisor(Supervisor):
     """Runs the nodes that are here; its sources begin when the other hosts are ready too."""
 
     def __init__(self, plan: Plan, folder: str, first_epoch: int) -> None:
@@ -51,8 +51,8 @@ class PartSupervisor(Supervisor):
 
 
 @dataclass
-class Part:
-    """A part from its start to its end. `stop` and `end` may be called by any thread."""
+class HostedGraph:
+    """This host's part of a graph, from start to end. Any thread may call `stop` and `end`."""
 
     plan: Plan
     mark: str  # of the graph as it was asked for: hosts that run another have other accounts
@@ -62,7 +62,7 @@ class Part:
     begins: Callable[[], int]  # counts one more start, also beyond the end of the agent
     phase: str = "starting"
     failure: str = ""
-    supervisor: PartSupervisor | None = None
+    supervisor: HostedSupervisor | None = None
     neighbours: dict[str, Neighbour] = field(default_factory=dict)
     _proven: bool = False  # it has worked once: then it tries again when it fails
     _stop: threading.Event = field(default_factory=threading.Event)
@@ -81,7 +81,7 @@ class Part:
 
     def begin(self) -> None:
         """Run in a thread of its own."""
-        self._thread = threading.Thread(target=self._run, name=f"part-{self.plan.name}")
+        self._thread = threading.Thread(target=self._run, name=f"graph-{self.plan.name}")
         self._thread.start()
 
     def stop(self) -> None:
@@ -125,7 +125,7 @@ class Part:
             starts = self.begins()
             self._proven = self._proven or starts > 1
             epochs = starts * STARTS_EPOCHS
-            supervisor = PartSupervisor(self.plan, self.folder, epochs)
+            supervisor = HostedSupervisor(self.plan, self.folder, epochs)
             with supervisor:
                 self._keep(supervisor, starts)
             self.phase = "stopped"
@@ -137,7 +137,7 @@ class Part:
         finally:
             self.supervisor = None
 
-    def _keep(self, supervisor: PartSupervisor, starts: int) -> None:
+    def _keep(self, supervisor: HostedSupervisor, starts: int) -> None:
         supervisor.networks = dict(self.networks)
         supervisor.asked_to_end = lambda: self._stop.is_set() + self._in_haste
         graph, done = self.plan.name, threading.Event()
@@ -166,7 +166,7 @@ class Part:
             for neighbour in self.neighbours.values():
                 neighbour.close()
 
-    def _supervise(self, supervisor: PartSupervisor) -> None:
+    def _supervise(self, supervisor: HostedSupervisor) -> None:
         supervisor.begin_all()
         while not self._stop.is_set():
             supervisor.tick()
@@ -177,7 +177,7 @@ class Part:
                 self.phase, self.failure, self._proven = "running", "", True
                 log.info("%s: %d processes run", self.plan.name, len(supervisor.processes))
 
-    def _tell(self, supervisor: PartSupervisor, done: threading.Event) -> None:
+    def _tell(self, supervisor: HostedSupervisor, done: threading.Event) -> None:
         anyway_s = 0.0
         try:
             while not done.wait(TELL_S):
