@@ -273,10 +273,10 @@ class Agent:
 
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
         hosted = self._hosted(wire.decode(Named, data).graph)
-        neighbour = hosted.neighbours.get(question.asker.removeprefix("host."))
-        if neighbour is None or hosted.supervisor is None:
+        peer = hosted.peers.get(question.asker.removeprefix("host."))
+        if peer is None or hosted.supervisor is None:
             raise RunError(f"{hosted.plan.name}: nothing is shared with {question.asker}")
-        return neighbour.mirror.whole()
+        return peer.replication.whole()
 
     def _hosted(self, graph: str) -> HostedGraph:
         if graph not in self.hosted:

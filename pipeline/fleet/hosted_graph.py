@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from pipeline.bus.clocks import Clocks
 from pipeline.bus.network import Network
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.mirror import Mirror, adopt
-from pipeline.fleet.neighbour import Neighbour
+from pipeline.fleet.peer import Peer
+from pipeline.fleet.replication import Replication, adopt
 from pipeline.fleet.wire import Accounts
 from pipeline.graph.plan import Plan
 from pipeline.node.wiring import CLOCKS
@@ -31,7 +31,7 @@ class HostedSupervisor(Supervisor):
 
     def __init__(self, plan: Plan, folder: str, first_epoch: int) -> None:
         super().__init__(plan, folder=folder, first_epoch=first_epoch)
-        self.neighbours: tuple[Neighbour, ...] = ()
+        self.peers: tuple[Peer, ...] = ()
         self._since_s = time.monotonic()
         try:
             self.clocks = Clocks.create(self._run.folder.path / CLOCKS, plan.here, plan.hosts)
@@ -46,7 +46,7 @@ class HostedSupervisor(Supervisor):
 
     def _may_go(self, managed: ManagedProcess) -> bool:
         waited = time.monotonic() - self._since_s > WAIT_FOR_OTHERS_S
-        others = all(n.mirror.other_ready or n.lost for n in self.neighbours)
+        others = all(n.replication.other_ready or n.lost for n in self.peers)
         return super()._may_go(managed) and (not managed.sources or waited or others)
 
 
@@ -63,7 +63,7 @@ class HostedGraph:
     phase: str = "starting"
     failure: str = ""
     supervisor: HostedSupervisor | None = None
-    neighbours: dict[str, Neighbour] = field(default_factory=dict)
+    peers: dict[str, Peer] = field(default_factory=dict)
     _proven: bool = False  # it has worked once: then it tries again when it fails
     _stop: threading.Event = field(default_factory=threading.Event)
     _in_haste: bool = False
@@ -103,8 +103,8 @@ class HostedGraph:
 
     def hear(self, label: str, accounts: Accounts) -> None:
         """Another host tells of its accounts."""
-        if (neighbour := self.neighbours.get(label)) is not None:
-            neighbour.hear(accounts)
+        if (peer := self.peers.get(label)) is not None:
+            peer.hear(accounts)
 
     def fail(self, why: str) -> None:
         """It does not run, for that reason."""
@@ -141,36 +141,36 @@ class HostedGraph:
         supervisor.networks = dict(self.networks)
         supervisor.asked_to_end = lambda: self._stop.is_set() + self._in_haste
         graph, done = self.plan.name, threading.Event()
-        self.neighbours = {}
+        self.peers = {}
         telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
         try:
             for label, point in self.hosts.items():
-                mirror = Mirror(self.plan, supervisor.ledger, label, starts, self.mark)
+                replication = Replication(self.plan, supervisor.ledger, label, starts, self.mark)
                 way = replace(self.way, connect=(point,))
                 clock = supervisor.clocks.readings[label]
-                self.neighbours[label] = Neighbour(graph, self.plan.here, mirror, clock, way)
-            supervisor.neighbours = tuple(self.neighbours.values())
+                self.peers[label] = Peer(graph, self.plan.here, replication, clock, way)
+            supervisor.peers = tuple(self.peers.values())
             if starts > 1:
-                told = [n.recall() for n in supervisor.neighbours]
+                told = [n.recall() for n in supervisor.peers]
                 mine = [t for t in told if t is not None and t.mark == self.mark]
                 adopt(self.plan, supervisor.ledger, mine)
             self.supervisor = supervisor
-            for neighbour in supervisor.neighbours:
-                neighbour.begin()
+            for peer in supervisor.peers:
+                peer.begin()
             telling.start()
             self._supervise(supervisor)
         finally:
             done.set()
             if telling.is_alive():
                 telling.join()
-            for neighbour in self.neighbours.values():
-                neighbour.close()
+            for peer in self.peers.values():
+                peer.close()
 
     def _supervise(self, supervisor: HostedSupervisor) -> None:
         supervisor.begin_all()
         while not self._stop.is_set():
             supervisor.tick()
-            broken = [n.broken for n in supervisor.neighbours if n.broken]
+            broken = [n.broken for n in supervisor.peers if n.broken]
             if supervisor.failure or broken:
                 raise RunError(supervisor.failure or broken[0])
             if self.phase == "starting" and supervisor.all_going:
@@ -184,8 +184,8 @@ class HostedGraph:
                 now_s = time.monotonic()
                 anyway = now_s - anyway_s > ANYWAY_S
                 anyway_s = now_s if anyway else anyway_s
-                for neighbour in supervisor.neighbours:
-                    neighbour.tell(ready=supervisor.ready, anyway=anyway)
+                for peer in supervisor.peers:
+                    peer.tell(ready=supervisor.ready, anyway=anyway)
         except Exception as error:
             log.exception("%s: accounts are told no more", self.plan.name)
             supervisor.failure = f"accounts are told no more: {type(error).__name__}: {error}"

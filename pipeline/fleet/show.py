@@ -5,7 +5,7 @@ import time
 import psutil
 
 from pipeline.fleet.hosted_graph import HostedGraph, HostedSupervisor
-from pipeline.fleet.neighbour import Neighbour
+from pipeline.fleet.peer import Peer
 from pipeline.fleet.wire import EdgeState, HostState, NodeState, Process, State
 
 
@@ -21,7 +21,7 @@ def state_of(hosted: HostedGraph) -> State:
         processes=_processes(supervisor) if supervisor else (),
         nodes=_nodes(supervisor) if supervisor else (),
         edges=_edges(supervisor) if supervisor else (),
-        hosts=tuple(_host(n) for n in hosted.neighbours.values()) if supervisor else (),
+        hosts=tuple(_host(n) for n in hosted.peers.values()) if supervisor else (),
         network_bytes={
             name: (seen.bytes_recv, seen.bytes_sent)
             for name, seen in psutil.net_io_counters(pernic=True).items()
@@ -88,13 +88,13 @@ def _edges(supervisor: HostedSupervisor) -> tuple[EdgeState, ...]:
     return tuple(found)
 
 
-def _host(neighbour: Neighbour) -> HostState:
-    seen = neighbour.estimate
+def _host(peer: Peer) -> HostState:
+    seen = peer.estimate
     return HostState(
-        label=neighbour.label,
-        lost=neighbour.lost,
-        lost_for_s=time.monotonic() - neighbour.answered_s if neighbour.lost else 0.0,
-        losses=neighbour.losses,
+        label=peer.label,
+        lost=peer.lost,
+        lost_for_s=time.monotonic() - peer.answered_s if peer.lost else 0.0,
+        losses=peer.losses,
         clock_ahead_ms=seen.offset_ns / 1e6 if seen else 0.0,
         clock_error_ms=seen.error_ns / 1e6 if seen else 0.0,
         round_trip_ms=seen.round_trip_ns / 1e6 if seen else 0.0,

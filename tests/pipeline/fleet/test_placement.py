@@ -14,8 +14,8 @@ from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.fleet.access import edge_key, node_permits
 from pipeline.fleet.allow import MARK, Allowed, code_digest
 from pipeline.fleet.clock import DRIFT, Offset
-from pipeline.fleet.mirror import READ, WRITTEN, Mirror, adopt
 from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, plan_for
+from pipeline.fleet.replication import READ, WRITTEN, Replication, adopt
 from pipeline.fleet.wire import Accounts, read_plan, write_plan
 from pipeline.graph.plan import Plan
 from pipeline.node.place import place_of
@@ -253,7 +253,10 @@ def test_each_host_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
     sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
     ledgers = [private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2)]
-    here, there = Mirror(sensor, ledgers[0], "viewer"), Mirror(viewer, ledgers[1], "sensor")
+    here, there = (
+        Replication(sensor, ledgers[0], "viewer"),
+        Replication(viewer, ledgers[1], "sensor"),
+    )
     ledgers[0].edges[edge].sent = 9
     ledgers[1].edges[edge].delivered, ledgers[1].edges[edge].seen = 7, 8
     ledgers[1].edges[edge].reader_epoch = 1
@@ -276,7 +279,7 @@ def test_a_host_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Pat
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
     old.edges[edge].sent, old.edges[edge].seen, old.edges[edge].delivered = 20, 19, 18
 
-    adopt(sensor, fresh, [Mirror(viewer, old, "sensor").whole()])
+    adopt(sensor, fresh, [Replication(viewer, old, "sensor").whole()])
 
     assert fresh.edges[edge].sent == 20
     siblings = sensor.readers("capture", "context")
@@ -293,7 +296,7 @@ def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) 
     )
     old.edges[far].sent = old.edges[far].seen = old.edges[far].delivered = 20
 
-    adopt(sensor, fresh, [Mirror(viewer, old, "sensor").whole()])
+    adopt(sensor, fresh, [Replication(viewer, old, "sensor").whole()])
 
     assert (fresh.edges[near].sent, fresh.edges[near].lost_in_crash) == (0, 0)
     assert fresh.edges[near].base == 20
@@ -305,7 +308,7 @@ def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -
     everything = {e.index: (99,) * len(WRITTEN) for e in plan.edges}
     halves = {e.index: (99,) * len(READ) for e in plan.edges}
 
-    Mirror(plan, ledger, "viewer").hear(Accounts(1, "", True, everything, halves))
+    Replication(plan, ledger, "viewer").hear(Accounts(1, "", True, everything, halves))
 
     for edge in plan.edges:
         account = ledger.edges[edge.index]
@@ -316,17 +319,17 @@ def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -
 def test_what_another_graph_of_that_name_counts_is_not_heard(tmp_path: Path) -> None:
     plan = plan_for(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
-    theirs = Mirror(plan_for(plan_of(tmp_path), "viewer"), ledger, "sensor", mark="old")
+    theirs = Replication(plan_for(plan_of(tmp_path), "viewer"), ledger, "sensor", mark="old")
     mine = private_ledger(len(plan.edges), len(plan.nodes))
     edge = next(e.index for e in plan.edges if e.end == "count.frame")
     ledger.edges[edge].reader_epoch = 7
 
     told = theirs.tell(ready=True, anyway=True)
     assert told is not None
-    Mirror(plan, mine, "viewer", mark="new").hear(told)
+    Replication(plan, mine, "viewer", mark="new").hear(told)
     assert mine.edges[edge].reader_epoch == 0
 
-    Mirror(plan, mine, "viewer", mark="old").hear(told)
+    Replication(plan, mine, "viewer", mark="old").hear(told)
     assert mine.edges[edge].reader_epoch == 7
 
 

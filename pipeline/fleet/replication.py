@@ -19,7 +19,7 @@ READ = (
 _MOST = 1 << 63
 
 
-class Mirror:
+class Replication:
     """The crossing edges of one host with one other."""
 
     def __init__(

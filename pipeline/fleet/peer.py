@@ -1,4 +1,4 @@
-"""Another host of the same graph: is it there, what does its clock show, what has it counted."""
+"""Another agent of the same graph: whether it answers, its clock, its accounts."""
 
 import logging
 import threading
@@ -10,8 +10,8 @@ from pipeline.bus.session import Sender, Session
 from pipeline.errors import FoveaError, MessageError
 from pipeline.fleet import wire
 from pipeline.fleet.clock import Estimate, Offset
-from pipeline.fleet.mirror import Mirror
 from pipeline.fleet.names import agent_key, host_identity
+from pipeline.fleet.replication import Replication
 
 PING_S = 0.2
 LOST_S = 1.2  # without an answer for this long a host is lost
@@ -19,15 +19,15 @@ RECALL_S = 3.0
 log = logging.getLogger(__name__)
 
 
-class Neighbour:
+class Peer:
     """The link of this host with one other."""
 
     def __init__(
-        self, graph: str, own: str, mirror: Mirror, reading: Reading, way: Network
+        self, graph: str, own: str, replication: Replication, reading: Reading, way: Network
     ) -> None:
         """`own`: the label of this host; `reading`: of the other's clock; `way`: to its agent."""
-        self.label, self._graph, self._own = mirror.other, graph, own
-        self.mirror, self._reading = mirror, reading
+        self.label, self._graph, self._own = replication.other, graph, own
+        self.replication, self._reading = replication, reading
         self._offset = Offset()
         self._session = Session.across(way)
         self._telling: Sender = self._session.sender(self._key(f"accounts/{graph}"), urgent=True)
@@ -53,14 +53,14 @@ class Neighbour:
 
     def tell(self, *, ready: bool, anyway: bool) -> None:
         """Send the other host what it is to know, if there is anything."""
-        accounts = self.mirror.tell(ready=ready, anyway=anyway)
+        accounts = self.replication.tell(ready=ready, anyway=anyway)
         if accounts is not None and self._telling.matching():
             self._telling.send(wire.encode(accounts))
 
     def hear(self, accounts: wire.Accounts) -> None:
         """The other host tells its accounts; while it counts as lost nobody listens."""
         if not self.lost:
-            self.mirror.hear(accounts)
+            self.replication.hear(accounts)
 
     def recall(self) -> wire.Accounts | None:
         """What the other host knows of the edges between the two; None when it knows nothing."""
@@ -90,7 +90,7 @@ class Neighbour:
         self.lost = not self.lost
         if self.lost:
             self.losses += 1
-            self.mirror.lost()
+            self.replication.lost()
             log.error("%s: host %s is lost: silent for %.1f s", self._graph, self.label, silent_s)
         else:
             log.warning("%s: host %s is back", self._graph, self.label)
