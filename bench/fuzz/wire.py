@@ -40,9 +40,9 @@ def known() -> Mapping[str, Case]:
         cls = type(message)
         found[cls.__name__] = codec.dumps(message), _loader(cls)
         body = codec.pack(message)
-        mark = codec.fingerprint(cls)
+        fingerprint = codec.fingerprint(cls)
         found[f"envelope of {cls.__name__}"] = (
-            Envelope.render(MESSAGE, 3, 1, mark, None, body), _opener(cls)
+            Envelope.render(MESSAGE, 3, 1, fingerprint, None, body), _opener(cls)
         )  # fmt: skip
     slot = SlotRef("eye.out", 7, 1, 2, 4096)
     found["nothing"] = (

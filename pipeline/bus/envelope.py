@@ -31,16 +31,16 @@ class Envelope(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     kind: Literal[0, 1, 2]
     ordinal: Count
     epoch: Count
-    mark: bytes
+    fingerprint: bytes
     slot: SlotRef | None
     body: msgspec.Raw
 
     @staticmethod
     def render(
-        kind: int, ordinal: int, epoch: int, mark: bytes, slot: SlotRef | None, body: Any
+        kind: int, ordinal: int, epoch: int, fingerprint: bytes, slot: SlotRef | None, body: Any
     ) -> bytes:
         """The envelope of what `codec.pack` gave; raises `MessageError` for what cannot travel."""
-        return codec.to_bytes((VERSION, kind, ordinal, epoch, mark, slot, body))
+        return codec.to_bytes((VERSION, kind, ordinal, epoch, fingerprint, slot, body))
 
     @staticmethod
     def parse(payload: bytes) -> "Envelope":

@@ -32,7 +32,7 @@ class Work(NamedTuple):
     new_stream: bool = False
 
 
-class Marks(NamedTuple):
+class InboxPosition(NamedTuple):
     """How far an inbox has come."""
 
     stream: str
@@ -157,18 +157,19 @@ class Inbox:
         """How many arrivals of one input may wait here."""
         return self._depth
 
-    def marks(self) -> "Marks":
+    def position(self) -> "InboxPosition":
         """How far it has come, for whoever goes on; what waits here is not part of it."""
         last = dict(self._last)
         for seq, waiting in self._sets.items():
             for name in waiting.arrivals:
                 last[name] = min(last[name], seq - 1)
-        return Marks(self._stream, list(self._retired), self._handled, last)
+        return InboxPosition(self._stream, list(self._retired), self._handled, last)
 
-    def go_on_from(self, marks: "Marks") -> None:
+    def go_on_from(self, position: "InboxPosition") -> None:
         """Go on where another inbox stopped; what waits there has to be offered again."""
-        self._stream, self._handled, self._last = marks.stream, marks.handled, dict(marks.last)
-        self._retired.extend(marks.retired)
+        self._stream, self._handled = position.stream, position.handled
+        self._last = dict(position.last)
+        self._retired.extend(position.retired)
         self._fresh = False
 
     def abandon(self, name: str) -> None:

@@ -32,7 +32,7 @@ class InPort:
         self._message, self._account, self._pool = message, account, pool
         self._schema = codec.schema(message)
         self._epoch, self._deliver, self._tap = epoch, deliver, tap
-        self._sender_epoch, self._mark = -1, self._schema.fingerprint
+        self._sender_epoch, self._fingerprint = -1, self._schema.fingerprint
         self._seen = max(account.seen, account.accounted)
         self._open: set[int] = set()  # delivered here and not finished
         self._careful = False
@@ -189,7 +189,7 @@ class InPort:
             return None, ""
         if envelope.epoch < self._account.writer_epoch:
             return None, "fenced"
-        if envelope.mark != self._mark:
+        if envelope.fingerprint != self._fingerprint:
             return None, "refused"
         try:
             if envelope.kind == NOTHING:

@@ -81,7 +81,7 @@ class OutPort:
         self._epoch = epoch
         self._ordinal = self._counted()
         self._schema = codec.schema(message)
-        self._mark = self._schema.fingerprint
+        self._fingerprint = self._schema.fingerprint
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
         self._receivers = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
@@ -253,7 +253,7 @@ class OutPort:
             full = self._sender.send(payload, full)
 
     def _wrap(self, kind: int, ref: SlotRef | None, body: Any) -> bytes:
-        return Envelope.render(kind, self._ordinal, self._epoch, self._mark, ref, body)
+        return Envelope.render(kind, self._ordinal, self._epoch, self._fingerprint, ref, body)
 
     def _room_for(self, message: Message) -> Lease | None:
         """The slot the message was written into, or one for arrays that are elsewhere."""

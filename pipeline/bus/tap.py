@@ -68,7 +68,7 @@ class Tap:
 
     def __init__(self, message: type[Message], room: int = ROOM) -> None:
         self._schema = codec.schema(message)
-        self._mark = self._schema.fingerprint
+        self._fingerprint = self._schema.fingerprint
         self._waiting: queue.Queue[tuple[int, Envelope, bool]] = queue.Queue(room)
         self._lock = threading.Lock()
         self._instances: dict[int, _Instance] = {}  # by epoch
@@ -85,7 +85,7 @@ class Tap:
         with self._lock:
             if not self._count(envelope):
                 return
-            if envelope.mark != self._mark:
+            if envelope.fingerprint != self._fingerprint:
                 self._refused += 1
                 self._after_loss = True
                 return

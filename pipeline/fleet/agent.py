@@ -21,7 +21,7 @@ from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.access import agent_permits, asker_permits
 from pipeline.fleet.agent_file import HostConfig
-from pipeline.fleet.allow import MARK
+from pipeline.fleet.allow import DIGEST_PREFIX
 from pipeline.fleet.hosted_graph import HostedGraph
 from pipeline.fleet.kept import Kept
 from pipeline.fleet.links import (
@@ -39,7 +39,7 @@ from pipeline.fleet.names import (
     host_identity,
 )
 from pipeline.fleet.node_gateway import NodeGateway
-from pipeline.fleet.placement import check_marks, inspect
+from pipeline.fleet.placement import check_fingerprints, inspect
 from pipeline.fleet.show import state_of
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
 from pipeline.graph.plan import Plan
@@ -219,7 +219,7 @@ class Agent:
         if missing:
             return Prepared({}, missing)
         self._check_free(plan, replace=asked.replace)
-        local = self._inspected(plan, asked.marks)
+        local = self._inspected(plan, asked.fingerprints)
         return Prepared(self._free_end_points(local))
 
     def _start(self, data: bytes) -> None:
@@ -259,7 +259,7 @@ class Agent:
 
     def _lacks(self, data: bytes) -> tuple[str, ...]:
         digests = wire.decode(wire.Lacks, data).digests
-        return self._allowed.missing([MARK + digest for digest in digests])
+        return self._allowed.missing([DIGEST_PREFIX + digest for digest in digests])
 
     def _node(self, question: _Question, data: bytes) -> object:
         asked = wire.decode(wire.ToNode, data)
@@ -298,9 +298,9 @@ class Agent:
         if theirs != (ours := wire.Versions.ours()):
             raise RunError(f"expected {_spelt(theirs)}, got {_spelt(ours)} here")
 
-    def _inspected(self, plan: Plan, marks: Mapping[str, str]) -> Plan:
+    def _inspected(self, plan: Plan, fingerprints: Mapping[str, str]) -> Plan:
         local = inspect(plan, self.label, self._allowed, self.host.file.settings)
-        check_marks(local, self.label, marks)
+        check_fingerprints(local, self.label, fingerprints)
         check_credentials(local, self._credentials)
         return local
 
@@ -310,14 +310,14 @@ class Agent:
         plan = wire.read_plan(asked.plan)
         self._check_free(plan, replace=True)
         self._check_partners(plan, asked)
-        local = self._inspected(plan, asked.marks)
+        local = self._inspected(plan, asked.fingerprints)
         own = own_end_points(local, self._free_end_points(local), asked.endpoints)
         self._check_unused(local, own)
         identity = host_identity(self.label)
         others = sorted({n.host for n in local.nodes} - {self.label})
         return HostedGraph(
             plan=local,
-            mark=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
+            fingerprint=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
             networks=networks(local, own, asked.endpoints, self._credentials),
             hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
             way=self._network((), permits=asker_permits(identity, others)),

@@ -16,7 +16,7 @@ from pipeline.bus.network import LARGEST_BYTES
 from pipeline.errors import SettingsError, WeightsError
 
 ANY = "any"  # instead of a checksum: whatever version is installed
-MARK = "sha256:"
+DIGEST_PREFIX = "sha256:"
 MOST_WEIGHTS_BYTES = LARGEST_BYTES - (1 << 20)  # they travel as one message
 DEEPEST = 32  # of a setting's value
 _NAME_OF_FILE = re.compile(r".*\.[^\W\d]\w{0,9}", re.DOTALL)  # it ends like one
@@ -54,8 +54,8 @@ class Allowed:
             return [self.localise(v, where, depth + 1) for v in value]
         if not isinstance(value, str):
             return value
-        if value.startswith(MARK):
-            return str(self.file(value.removeprefix(MARK), where))
+        if value.startswith(DIGEST_PREFIX):
+            return str(self.file(value.removeprefix(DIGEST_PREFIX), where))
         if is_code(value):
             self.check_code(value, where)
         elif is_path(value):
@@ -77,8 +77,8 @@ class Allowed:
 
     def missing(self, value: Any) -> tuple[str, ...]:
         """The weights in a setting's values that are allowed and not there."""
-        found = strings(value, lambda text: text.startswith(MARK))
-        digests = {text.removeprefix(MARK) for text in found}
+        found = strings(value, lambda text: text.startswith(DIGEST_PREFIX))
+        digests = {text.removeprefix(DIGEST_PREFIX) for text in found}
         known = {d: self.weights[d] or self.store / d for d in digests if d in self.weights}
         return tuple(sorted(d for d, path in known.items() if not path.is_file()))
 
@@ -107,7 +107,7 @@ def is_path(value: str) -> bool:
 
 def is_code(value: str) -> bool:
     """Whether a string could name something that is loaded; times and the like must do without."""
-    return ":" in value and not value.startswith(MARK)
+    return ":" in value and not value.startswith(DIGEST_PREFIX)
 
 
 def strings(value: Any, wanted: Callable[[str], bool]) -> list[str]:

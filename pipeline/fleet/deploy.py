@@ -23,10 +23,10 @@ from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, Sil
 from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
 from pipeline.fleet.agent_file import local_endpoint
-from pipeline.fleet.allow import MARK, MOST_WEIGHTS_BYTES, file_digest, is_path
+from pipeline.fleet.allow import DIGEST_PREFIX, MOST_WEIGHTS_BYTES, file_digest, is_path
 from pipeline.fleet.hosted_graph import END_S
 from pipeline.fleet.names import ANYBODY, agent_key, endpoint
-from pipeline.fleet.placement import check_labels, marks
+from pipeline.fleet.placement import check_labels, fingerprints
 from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
@@ -132,8 +132,8 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
     check_labels(plan, fleet.hosts.points)
     used = sorted({node.host for node in plan.nodes})
     plan, files = portable(plan)
-    text, signs = wire.write_plan(plan), marks(plan)
-    question = wire.Prepare(text, wire.Versions.ours(), signs, again)
+    text, schemas = wire.write_plan(plan), fingerprints(plan)
+    question = wire.Prepare(text, wire.Versions.ours(), schemas, again)
     for label in used:
         fleet.ask(label, "about", wire.Nothing(), wire.About)
     endpoints: dict[str, str] = {}
@@ -149,7 +149,7 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
         for label in used:
             others = {other: point for other, point in points.items() if other != label}
             started.append(label)
-            order = wire.Start(text, wire.Versions.ours(), signs, endpoints, others)
+            order = wire.Start(text, wire.Versions.ours(), schemas, endpoints, others)
             fleet.ask(label, "start", order, type(None), READY_S)
         _await(fleet, plan.name, used)
     except BaseException:  # Ctrl-C too
@@ -219,7 +219,7 @@ def carried(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Path]]
         if isinstance(value, str) and is_path(value) and Path(value).is_file():
             digest = file_digest(Path(value))
             files[digest] = Path(value)
-            return MARK + digest
+            return DIGEST_PREFIX + digest
         return value
 
     return {name: marked(value) for name, value in values.items()}, files

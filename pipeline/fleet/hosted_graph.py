@@ -55,7 +55,7 @@ class HostedGraph:
     """This host's part of a graph, from start to end. Any thread may call `stop` and `end`."""
 
     plan: Plan
-    mark: str  # of the graph as it was asked for: hosts that run another have other accounts
+    fingerprint: str  # of the graph as it was asked for; hosts that run another do not replicate
     networks: Mapping[str, Network]
     hosts: Mapping[str, str]  # label -> end point of the agent
     way: Network  # to those agents, without end points
@@ -145,14 +145,16 @@ class HostedGraph:
         telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
         try:
             for label, point in self.hosts.items():
-                replication = Replication(self.plan, supervisor.ledger, label, starts, self.mark)
+                replication = Replication(
+                    self.plan, supervisor.ledger, label, starts, self.fingerprint
+                )
                 way = replace(self.way, connect=(point,))
                 clock = supervisor.clocks.readings[label]
                 self.peers[label] = Peer(graph, self.plan.here, replication, clock, way)
             supervisor.peers = tuple(self.peers.values())
             if starts > 1:
                 told = [n.recall() for n in supervisor.peers]
-                mine = [t for t in told if t is not None and t.mark == self.mark]
+                mine = [t for t in told if t is not None and t.fingerprint == self.fingerprint]
                 adopt(self.plan, supervisor.ledger, mine)
             self.supervisor = supervisor
             for peer in supervisor.peers:

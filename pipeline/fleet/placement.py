@@ -66,7 +66,7 @@ def listeners(plan: Plan, label: str) -> list[str]:
     ]
 
 
-def marks(plan: Plan, label: str = "") -> dict[str, str]:
+def fingerprints(plan: Plan, label: str = "") -> dict[str, str]:
     """The fingerprints of what every output sends; of one host, what its nodes send and expect."""
     found: dict[str, str] = {}
     for edge in plan.edges:
@@ -97,9 +97,9 @@ def inspect(plan: Plan, label: str, allowed: Allowed, over: Mapping[str, Any]) -
     return local
 
 
-def check_marks(plan: Plan, label: str, theirs: Mapping[str, str]) -> None:
+def check_fingerprints(plan: Plan, label: str, theirs: Mapping[str, str]) -> None:
     """Raise `GraphError` where this host would read or write another message than is meant."""
-    for origin, mine in marks(plan, label).items():
+    for origin, mine in fingerprints(plan, label).items():
         if theirs.get(origin) != mine:
             raise GraphError(
                 f"{origin}: expected messages of schema {theirs.get(origin, 'none')}, got {mine} "

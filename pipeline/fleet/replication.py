@@ -23,10 +23,10 @@ class Replication:
     """The crossing edges of one host with one other."""
 
     def __init__(
-        self, plan: Plan, ledger: Ledger, other: str, starts: int = 1, mark: str = ""
+        self, plan: Plan, ledger: Ledger, other: str, starts: int = 1, fingerprint: str = ""
     ) -> None:
-        """`starts`: how often this host has begun; `mark`: of the graph, the same on all hosts."""
-        self._ledger, self.other, self._mark = ledger, other, mark
+        """`starts`: how often this host has begun; `fingerprint`: of the graph on all hosts."""
+        self._ledger, self.other, self._fingerprint = ledger, other, fingerprint
         self.out = [e for e in plan.edges if _between(plan, e) == (plan.here, other)]
         self.into = [e for e in plan.edges if _between(plan, e) == (other, plan.here)]
         self._number = starts << 32  # what is told after a new start counts as newer
@@ -44,11 +44,11 @@ class Replication:
             return None
         self._said = said
         self._number += 1
-        return Accounts(self._number, self._mark, ready, written, read)
+        return Accounts(self._number, self._fingerprint, ready, written, read)
 
     def hear(self, heard: Accounts) -> None:
         """Put the other's halves beside ours; what is not the other's to tell is left out."""
-        if heard.number <= self._heard or heard.mark != self._mark:
+        if heard.number <= self._heard or heard.fingerprint != self._fingerprint:
             return
         self._heard = heard.number
         self._put(heard.written, self.into, WRITTEN)
@@ -66,7 +66,7 @@ class Replication:
         edges = self._ledger.edges
         shared = [*self.out, *self.into]
         return Accounts(
-            0, self._mark, True,
+            0, self._fingerprint, True,
             {e.index: _values(edges[e.index], WRITTEN) for e in shared},
             {e.index: _values(edges[e.index], READ) for e in shared},
         )  # fmt: skip

@@ -52,7 +52,7 @@ class Prepare(msgspec.Struct, forbid_unknown_fields=True):
 
     plan: str
     versions: Versions
-    marks: dict[str, str]  # node.output -> fingerprint of its message
+    fingerprints: dict[str, str]  # node.output -> fingerprint of its message
     replace: bool = False
 
 
@@ -68,7 +68,7 @@ class Start(msgspec.Struct, forbid_unknown_fields=True):
 
     plan: str
     versions: Versions
-    marks: dict[str, str]  # as it was prepared for
+    fingerprints: dict[str, str]  # as it was prepared for
     endpoints: dict[str, str]  # of all processes that listen
     hosts: dict[str, str]  # label -> end point of its agent
 
@@ -142,7 +142,7 @@ class Accounts(msgspec.Struct, forbid_unknown_fields=True, array_like=True):
     """One host's half of the accounts of the edges that cross: edge -> counters in fixed order."""
 
     number: int  # rises with every message of one start
-    mark: str  # of the graph that runs there: another one has other edges
+    fingerprint: str  # of the graph that runs there: another one has other edges
     ready: bool  # every process there has opened its operators
     written: dict[int, tuple[int, ...]]
     read: dict[int, tuple[int, ...]]

@@ -18,7 +18,7 @@ import msgspec
 
 from pipeline import codec
 from pipeline.bus.envelope_buffer import DropCounts, EdgeCut
-from pipeline.bus.inbox import Marks
+from pipeline.bus.inbox import InboxPosition
 from pipeline.bus.ledger import NodeAccount, private_ledger
 from pipeline.bus.local_transport import LocalReceiver, connect
 from pipeline.errors import FoveaError, MessageError, RunError
@@ -41,7 +41,7 @@ class HandoverState(msgspec.Struct, forbid_unknown_fields=True):
     """What the predecessor hands to its successor."""
 
     edges: dict[str, EdgeCut]  # by input
-    marks: Marks
+    position: InboxPosition
     stopped_ns: int  # monotonic
     state: str  # file in the memory folder, "" for none
     shadow: int = 0  # frames to try before; the other works on
@@ -193,12 +193,12 @@ class Handover:
             with link:
                 edges = {name: port.here() for name, port in runner.ports.items()}
                 handover = HandoverState(
-                    edges, runner.inbox.marks(), 0, state, cut.shadow, class_of(runner.operator)
+                    edges, runner.inbox.position(), 0, state, cut.shadow, class_of(runner.operator)
                 )
                 link.send(msgspec.msgpack.encode(handover))
             return
         self._before = {name: DropCounts(account) for name, account in runner.edges.items()}
-        marks = runner.inbox.marks()
+        position = runner.inbox.position()
         forgotten = self._undeclared.names()
         edges = {name: port.cut() for name, port in runner.ports.items()}
         self.inactive, runner.account = True, _nowhere()
@@ -206,7 +206,7 @@ class Handover:
             for out in runner.outs.values():
                 out.let_go()
             handover = HandoverState(
-                edges, marks, time.monotonic_ns(), state, 0, class_of(runner.operator), forgotten
+                edges, position, time.monotonic_ns(), state, 0, class_of(runner.operator), forgotten
             )
             link.send(msgspec.msgpack.encode(handover))
         self._say("cut", node=runner.name, seq=int(self._account.last_seq))
@@ -223,7 +223,7 @@ class Handover:
         forgotten = handover.forgotten if same else []
         if forgotten:
             log.warning("%s: %s", runner.name, lost_words(forgotten))
-        runner.inbox.go_on_from(handover.marks)
+        runner.inbox.go_on_from(handover.position)
         self._begin(runner.epoch)
         dropped = {name: port.dropped for name, port in runner.ports.items()}
         self._first = Takeover(runner.answered, dropped, handover.stopped_ns)
@@ -241,7 +241,9 @@ class Handover:
         heard: Heard = queue.SimpleQueue()
         self._read_state(handover)
         self._unlisten = self._listen(heard)
-        self._shadow = Shadow(self._runner, handover.marks, handover.edges, heard, handover.shadow)
+        self._shadow = Shadow(
+            self._runner, handover.position, handover.edges, heard, handover.shadow
+        )
 
     def _try(self, shadow: Shadow) -> None:
         shadow.step()

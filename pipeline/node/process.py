@@ -33,7 +33,7 @@ from pipeline.node.control import Control
 from pipeline.node.handover import read_cut
 from pipeline.node.logfile import log_to
 from pipeline.node.operator_runner import OperatorRunner
-from pipeline.node.place import check_fit
+from pipeline.node.port_contract import check_fit
 from pipeline.node.source import SourceRunner
 from pipeline.node.wiring import ASIDE, Assignment, Wiring
 from pipeline.private_folder import PrivateFolder
@@ -99,8 +99,8 @@ class Process:
     def _check(self) -> None:
         """A part that is new in a running graph has to fit before anything is opened."""
         for node in self._nodes:
-            if place := self._job.places.get(node.name):
-                check_fit(self._job.plan, node, place)
+            if contract := self._job.contracts.get(node.name):
+                check_fit(self._job.plan, node, contract)
                 self._make(node)
 
     def stop(self) -> None:

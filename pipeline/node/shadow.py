@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from pipeline.bus.envelope_buffer import EdgeCut
-from pipeline.bus.inbox import Inbox, Marks, Work
+from pipeline.bus.inbox import Inbox, InboxPosition, Work
 from pipeline.bus.outport import Arrival
 from pipeline.executor import carried
 from pipeline.messages import Message, altered
@@ -38,14 +38,14 @@ class Shadow:
     def __init__(
         self,
         runner: OperatorRunner,
-        marks: Marks,
+        position: InboxPosition,
         edges: Mapping[str, EdgeCut],
         heard: Heard,
         frames: int,
     ) -> None:
         self._runner, self._heard, self._wanted = runner, heard, frames
         self._inbox = Inbox(runner.inbox.inputs, lambda *_: None, lockstep=runner.lockstep)
-        self._inbox.go_on_from(marks)
+        self._inbox.go_on_from(position)
         self._mine: dict[tuple[str, int], Message | None] = {}
         self._theirs: dict[tuple[str, int], Message | None] = {}
         self._times_ms: list[float] = []

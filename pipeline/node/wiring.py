@@ -21,7 +21,7 @@ from pipeline.node.answers import Answers
 from pipeline.node.handover import HANDOVER_CHANNEL, Handover, Say
 from pipeline.node.live import Live, kept
 from pipeline.node.operator_runner import OperatorRunner
-from pipeline.node.place import Place
+from pipeline.node.port_contract import PortContract
 from pipeline.node.shadow import MOST_WAITING, Heard
 from pipeline.node.source import SourceRunner
 from pipeline.private_folder import PrivateFolder
@@ -45,7 +45,7 @@ class Assignment:
     network: Network | None = None  # to the nodes on other hosts, where an edge leads there
     standby: bool = False  # another instance works until this one is told to take over
     trial: bool = False  # only say whether operators and settings fit, and leave
-    places: dict[str, Place] = field(default_factory=dict)  # to be checked before it starts
+    contracts: dict[str, PortContract] = field(default_factory=dict)  # checked before the start
 
     def kept_in(self, node: Node) -> Path:
         """The file of settings that were changed while the node ran."""

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 
 from pipeline.node.wiring import ASIDE, Assignment
 from pipeline.run.channel import Channel, Exchange
-from pipeline.run.descendants import MARK, end_group, end_marked, new_mark
+from pipeline.run.descendants import TAG_VARIABLE, end_group, end_tagged, new_tag
 
 # numeric libraries would start a thread per core in every process
 _THREAD_LIMITS = (
@@ -46,8 +46,8 @@ class Sample:
 class NodeProcess:
     """A process and the supervisor's end of its socket; it leads a group, which ends with it."""
 
-    def __init__(self, popen: "subprocess.Popen[bytes]", channel: Channel, mark: str) -> None:
-        self._popen, self.channel, self.mark = popen, channel, mark
+    def __init__(self, popen: "subprocess.Popen[bytes]", channel: Channel, tag: str) -> None:
+        self._popen, self.channel, self.tag = popen, channel, tag
         self._status: int | None = None
         self.reaped = False
 
@@ -103,7 +103,7 @@ class NodeProcess:
             end_group(self._popen.pid)  # before it is reaped: its number is still its own
             self._popen.wait()
             self.reaped = True
-        if descendants and (count := end_marked(self.mark)):
+        if descendants and (count := end_tagged(self.tag)):
             log.warning("process %d left %d processes behind; killed", self._popen.pid, count)
         self.channel.close()
 
@@ -114,7 +114,7 @@ def spawn(run_id: str, folder: Path, modules: Collection[str], *, wanted: bool) 
     Unless it is `wanted` at once, its imports leave the cores to others. Raises `OSError`.
     """
     words = [run_id, *modules, *(() if wanted else (ASIDE,))]
-    mark = new_mark(run_id)
+    tag = new_tag(run_id)
     ours, theirs = socket.socketpair()
     try:
         with theirs, _spare_log(folder).open("ab") as printed:
@@ -123,13 +123,13 @@ def spawn(run_id: str, folder: Path, modules: Collection[str], *, wanted: bool) 
                 stdin=theirs.fileno(),
                 stdout=printed,
                 stderr=printed,
-                env={**os.environ, **dict.fromkeys(_THREAD_LIMITS, "1"), MARK: mark},
+                env={**os.environ, **dict.fromkeys(_THREAD_LIMITS, "1"), TAG_VARIABLE: tag},
                 start_new_session=True,  # Ctrl-C goes to the supervisor alone
             )
     except BaseException:
         ours.close()
         raise
-    return NodeProcess(popen, Channel(ours), mark)
+    return NodeProcess(popen, Channel(ours), tag)
 
 
 class ProcessHandle:

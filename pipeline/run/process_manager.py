@@ -15,7 +15,7 @@ from pipeline.bus.ledger import EdgeAccount, Ledger
 from pipeline.bus.network import Network
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan, is_source
-from pipeline.node.place import place_of
+from pipeline.node.port_contract import contract_of
 from pipeline.node.wiring import Assignment
 from pipeline.run.channel import Exchange
 from pipeline.run.health import HealthMonitor
@@ -122,7 +122,7 @@ class ProcessManager:
             network=self.networks.get(managed.name),
             standby=standby or trial,
             trial=trial,
-            places={n.name: place_of(self.plan, n) for n in mine} if checked or trial else {},
+            contracts={n.name: contract_of(self.plan, n) for n in mine} if checked or trial else {},
         )
 
     def accounts(self, managed: ManagedProcess, *, outgoing: bool = False) -> list[EdgeAccount]:

@@ -12,7 +12,7 @@ from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
 from pipeline.run.control_server import COMMAND, ControlServer
-from pipeline.run.descendants import end_marked
+from pipeline.run.descendants import end_tagged
 from pipeline.run.health import late
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_handle import KILLED_S, ProcessHandle, ending
@@ -162,7 +162,7 @@ class Supervisor(ProcessManager):
         for handle in handles:
             handle.bury(descendants=False)
         if self.handles:
-            end_marked(self._run.run_id)
+            end_tagged(self._run.run_id)
         self._hear()
         for handle in handles:
             status = handle.ended()

@@ -196,10 +196,10 @@ def test_after_a_swap_that_is_rolled_back_the_numbers_still_fit(output: Output) 
 
 
 def test_a_straggler_of_the_old_instance_is_no_loss_and_a_superseded_one_is_not_heard() -> None:
-    tap, mark = Tap(Frame), fingerprint(Frame)
+    tap, schema = Tap(Frame), fingerprint(Frame)
 
     def send(ordinal: int, epoch: int, kind: int = 2) -> None:
-        tap.receive(Envelope.render(kind, ordinal, epoch, mark, None, header(ordinal)))
+        tap.receive(Envelope.render(kind, ordinal, epoch, schema, None, header(ordinal)))
 
     send(5, 1)
     send(7, 2)  # of another link, and so before the last one of the old instance
@@ -239,12 +239,12 @@ EVENTS = st.lists(st.tuples(st.integers(0, 2), st.integers(0, 40), st.integers(1
 def test_no_order_of_messages_makes_a_tap_raise_or_count_below_zero(
     events: list[tuple[int, int, int]], *, private: bool
 ) -> None:
-    tap, mark = Tap(Frame), fingerprint(Frame)
+    tap, schema = Tap(Frame), fingerprint(Frame)
 
     for kind, number, epoch in events:
         ordinal = number + (first_of(epoch) - 1 if private else 0)
         body: Any = None if kind == HANDSHAKE else header(number)
-        tap.receive(Envelope.render(kind, ordinal, epoch, mark, None, body))
+        tap.receive(Envelope.render(kind, ordinal, epoch, schema, None, body))
 
     heard(tap)
     assert min(tap.missed) >= 0

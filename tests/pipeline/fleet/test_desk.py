@@ -14,7 +14,7 @@ from pipeline.fleet import wire
 from pipeline.fleet.agent_file import AgentFile, HostConfig
 from pipeline.fleet.allow import ANY, MOST_WEIGHTS_BYTES
 from pipeline.fleet.deploy import Fleet, Hosts, down, forget, remember, remembered, send_weights, up
-from pipeline.fleet.overview import fleet_log
+from pipeline.fleet.fleet_status import fleet_log
 from tests.pipeline.fleet.agents import Running, fleet_of, plan_of
 
 ALLOWED = {"tests.toys:Ticker": ANY, "tests.toys:Model": ANY}

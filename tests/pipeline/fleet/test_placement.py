@@ -12,13 +12,20 @@ import pytest
 from pipeline.bus.ledger import private_ledger
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.fleet.access import edge_key, node_permits
-from pipeline.fleet.allow import MARK, Allowed, code_digest
+from pipeline.fleet.allow import DIGEST_PREFIX, Allowed, code_digest
 from pipeline.fleet.clock import DRIFT, Offset
-from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, plan_for
+from pipeline.fleet.placement import (
+    check_fingerprints,
+    check_labels,
+    fingerprints,
+    inspect,
+    listeners,
+    plan_for,
+)
 from pipeline.fleet.replication import READ, WRITTEN, Replication, adopt
 from pipeline.fleet.wire import Accounts, read_plan, write_plan
 from pipeline.graph.plan import Plan
-from pipeline.node.place import place_of
+from pipeline.node.port_contract import contract_of
 from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
 
 
@@ -108,7 +115,7 @@ def evil(plan: Plan, node: str, **changes: Any) -> Plan:
         ({"settings": {"sleep_s": "/etc/shadow"}}, "expected no path from outside"),
         ({"settings": {"sleep_s": {"deep": ["../x"]}}}, "expected no path from outside"),
         ({"settings": {"sleep_s": "subprocess:run"}}, "subprocess:run is not on the allow list"),
-        ({"settings": {"sleep_s": MARK + "0" * 64}}, "not on the allow list"),
+        ({"settings": {"sleep_s": DIGEST_PREFIX + "0" * 64}}, "not on the allow list"),
         ({"settings": {"hold": -1.5}}, r"work\.hold"),
         ({"index": 7}, "expected a node with a place of its own"),
         ({"settings": {"sleep_s": "new.rrd"}}, "expected no path from outside"),
@@ -140,7 +147,7 @@ def test_the_code_of_another_host_is_never_loaded_here(tmp_path: Path) -> None:
     plan = evil(plan_of(tmp_path), "capture", operator="this:s")
 
     part = inspect(plan, "compute", allowed(tmp_path), {})
-    place_of(part, part.node("work"))
+    contract_of(part, part.node("work"))
 
     assert "this" not in sys.modules
 
@@ -199,18 +206,18 @@ def test_weights_are_taken_by_checksum_only(tmp_path: Path) -> None:
     data = b"a network"
     digest = hashlib.sha256(data).hexdigest()
     mine = allowed(tmp_path, **{digest: None})
-    assert mine.missing({"weights": MARK + digest}) == (digest,)
+    assert mine.missing({"weights": DIGEST_PREFIX + digest}) == (digest,)
 
     with pytest.raises(WeightsError, match="not on the allow list"):
         mine.keep(b"another")
     assert mine.keep(data) == digest
 
-    assert mine.localise({"weights": MARK + digest}, "x") == {
+    assert mine.localise({"weights": DIGEST_PREFIX + digest}, "x") == {
         "weights": str(tmp_path / "store" / digest)
     }
     (tmp_path / "store" / digest).write_bytes(b"changed")
     with pytest.raises(SettingsError, match="expected sha256"):
-        mine.localise(MARK + digest, "x")
+        mine.localise(DIGEST_PREFIX + digest, "x")
 
 
 def test_what_the_host_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> None:
@@ -223,11 +230,11 @@ def test_what_the_host_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> 
 
 def test_another_schema_is_refused_with_both_sides(tmp_path: Path) -> None:
     plan = plan_of(tmp_path)
-    theirs = {**marks(plan), "capture.context": "00" * 8}
+    theirs = {**fingerprints(plan), "capture.context": "00" * 8}
 
     with pytest.raises(GraphError, match=r"capture\.context: expected messages of schema 0000"):
-        check_marks(plan_for(plan, "compute"), "compute", theirs)
-    check_marks(plan_for(plan, "compute"), "compute", marks(plan))
+        check_fingerprints(plan_for(plan, "compute"), "compute", theirs)
+    check_fingerprints(plan_for(plan, "compute"), "compute", fingerprints(plan))
 
 
 def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
@@ -319,17 +326,17 @@ def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -
 def test_what_another_graph_of_that_name_counts_is_not_heard(tmp_path: Path) -> None:
     plan = plan_for(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
-    theirs = Replication(plan_for(plan_of(tmp_path), "viewer"), ledger, "sensor", mark="old")
+    theirs = Replication(plan_for(plan_of(tmp_path), "viewer"), ledger, "sensor", fingerprint="old")
     mine = private_ledger(len(plan.edges), len(plan.nodes))
     edge = next(e.index for e in plan.edges if e.end == "count.frame")
     ledger.edges[edge].reader_epoch = 7
 
     told = theirs.tell(ready=True, anyway=True)
     assert told is not None
-    Replication(plan, mine, "viewer", mark="new").hear(told)
+    Replication(plan, mine, "viewer", fingerprint="new").hear(told)
     assert mine.edges[edge].reader_epoch == 0
 
-    Replication(plan, mine, "viewer", mark="old").hear(told)
+    Replication(plan, mine, "viewer", fingerprint="old").hear(told)
     assert mine.edges[edge].reader_epoch == 7
 
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from pipeline import FoveaError, Frame, MessageError, Operator, RunError, Source
 from pipeline.bus.envelope_buffer import EdgeCut
-from pipeline.bus.inbox import Marks
+from pipeline.bus.inbox import InboxPosition
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import private_ledger
 from pipeline.bus.local_transport import LocalReceiver
@@ -166,7 +166,7 @@ def by_a_shadow(folder: Path, cls: str, answer: str) -> None:
             Frame, account, None, 1, lambda _: None, holding=True  # type: ignore[arg-type]
         )  # fmt: skip
         edges = {"frame": EdgeCut(0, [], 1)}
-        shadow = Shadow(runner, Marks("", [], -1, {}), edges, queue.SimpleQueue(), 1)
+        shadow = Shadow(runner, InboxPosition("", [], -1, {}), edges, queue.SimpleQueue(), 1)
         shadow._deliver("frame")(arrival())
         shadow.step()
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.run.descendants import marked
+from pipeline.run.descendants import tagged
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from tests.toy_graphs import assert_accounts_add_up, ended, go, handled, until, wait_for
@@ -68,7 +68,7 @@ def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: P
         supervisor.finish()
 
     assert answers == [{"refused": f"{plan.name}: the run ended before that was done"}]
-    assert list(marked(run_id)) == []
+    assert list(tagged(run_id)) == []
 
 
 def of(supervisor: Supervisor, process: str) -> list[Any]:
