@@ -23,7 +23,6 @@ from pipeline.fleet.access import agent_permits, asker_permits
 from pipeline.fleet.agent_file import HostConfig
 from pipeline.fleet.allow import DIGEST_PREFIX
 from pipeline.fleet.hosted_graph import HostedGraph
-from pipeline.fleet.kept import Kept
 from pipeline.fleet.links import (
     check_credentials,
     end_points,
@@ -40,7 +39,8 @@ from pipeline.fleet.names import (
 )
 from pipeline.fleet.node_gateway import NodeGateway
 from pipeline.fleet.placement import check_fingerprints, inspect
-from pipeline.fleet.show import state_of
+from pipeline.fleet.status import state_of
+from pipeline.fleet.store import GraphStore
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
@@ -81,7 +81,7 @@ class Agent:
         self._stop = threading.Event()
         self._quiet_until_s = 0.0
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._kept = Kept(own.state)
+        self._store = GraphStore(own.state)
         self._identities = own.identities if self._credentials else (ANYBODY, *own.identities)
         permits = agent_permits(self.label, self._identities)
         self._session = Session.across(self._network((own.endpoint,), permits=permits))
@@ -118,7 +118,7 @@ class Agent:
         worker.join()
 
     def _work(self) -> None:
-        for name in self._kept.names():
+        for name in self._store.names():
             self._guarded(partial(self._resume, name))
         self._answer_all(self._works)
 
@@ -227,14 +227,14 @@ class Agent:
         hosted = self._hosted_of(asked)  # before anything that runs is touched
         if (before := self.hosted.get(hosted.plan.name)) is not None:
             before.end()
-        self._kept.keep(hosted.plan.name, asked)
+        self._store.keep(hosted.plan.name, asked)
         self.hosted[hosted.plan.name] = hosted
         hosted.begin()
 
     def _down(self, data: bytes) -> None:
         graph = check_name(wire.decode(Named, data).graph, "graph")
         hosted = self.hosted.get(graph)
-        self._kept.forget(graph)
+        self._store.forget(graph)
         if hosted is None:
             raise RunError(f"no graph {graph} runs here")
         hosted.end()
@@ -321,7 +321,7 @@ class Agent:
             networks=networks(local, own, asked.endpoints, self._credentials),
             hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
             way=self._network((), permits=asker_permits(identity, others)),
-            begins=partial(self._kept.count, local.name),
+            begins=partial(self._store.count, local.name),
         )
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:
@@ -361,7 +361,7 @@ class Agent:
 
     def _resume(self, name: str) -> None:
         """Begin again with what ran when this host ended; where that cannot be, `ps` tells why."""
-        asked = self._kept.asked(name)
+        asked = self._store.asked(name)
         try:
             hosted = self._hosted_of(asked)
         except FoveaError as error:

@@ -13,7 +13,7 @@ from pipeline import settings as checked
 from pipeline.contract import inputs_of, outputs_of, settings_of
 from pipeline.errors import GraphError
 from pipeline.fleet.allow import Allowed
-from pipeline.fleet.form import check_form
+from pipeline.fleet.validation import validate_plan
 from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.graph.ports import check_ports
 
@@ -85,7 +85,7 @@ def fingerprints(plan: Plan, label: str = "") -> dict[str, str]:
 
 def inspect(plan: Plan, label: str, allowed: Allowed, over: Mapping[str, Any]) -> Plan:
     """The plan that a host would run, with its own settings; raises for what may not run."""
-    check_form(plan, label)
+    validate_plan(plan, label)
     nodes = []
     for node in plan.nodes:
         if node.host == label:

@@ -1,4 +1,4 @@
-"""What a host keeps of the graphs it runs, so that they go on when it begins again."""
+"""The persisted state of an agent: the graphs it runs, so that they resume after a restart."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from pipeline.fleet import wire
 from pipeline.fleet.wire import Start
 
 
-class Kept:
+class GraphStore:
     """A folder with two files per graph: what was asked, and how often it began."""
 
     def __init__(self, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""A plan that came over the wire: what holds between hosts, beside what every plan keeps to.
+"""Validation of a plan that came over the wire, beyond what holds for every plan.
 
 Names, numbers and the ends of edges are checked with the plan. Nothing of it is loaded for this.
 """
@@ -8,7 +8,7 @@ from pipeline.errors import GraphError
 from pipeline.graph.plan import Plan
 
 
-def check_form(plan: Plan, label: str) -> None:
+def validate_plan(plan: Plan, label: str) -> None:
     """Raise `FoveaError` for a plan that no loader would have made."""
     if plan.clock != "realtime":
         raise GraphError(f"{plan.name}: clock: expected realtime between hosts, got {plan.clock}")

@@ -4,7 +4,7 @@ from rich.console import Console, RenderableType
 
 from pipeline.console.changing import table as settings_table
 from pipeline.console.graph_client import health_table
-from pipeline.fleet.tables import (
+from pipeline.fleet.status_tables import (
     Said,
     add_rows,
     nodes_of,

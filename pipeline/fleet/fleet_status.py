@@ -10,7 +10,7 @@ from rich.table import Table
 from pipeline.errors import FoveaError, RunError, Silent
 from pipeline.fleet import wire
 from pipeline.fleet.deploy import Fleet, Hosts, remembered
-from pipeline.fleet.tables import (
+from pipeline.fleet.status_tables import (
     add_rows,
     nodes_of,
     process_rows,
