@@ -22,8 +22,8 @@ from bench.options import JSON, Bench, on_graph
 from pipeline import codec
 from pipeline.errors import RunError
 from pipeline.fleet import secure
-from pipeline.fleet.draft import issue_for
 from pipeline.fleet.names import user_identity
+from pipeline.fleet.provisioning import issue_for
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan

@@ -21,11 +21,11 @@ from pipeline.fleet.deploy import (
     remembered,
     up,
 )
-from pipeline.fleet.draft import check_addressed, issue_for
-from pipeline.fleet.export import KINDS, engines
+from pipeline.fleet.export.bundle import Bundle, identities
+from pipeline.fleet.export.export import KINDS, engines
+from pipeline.fleet.export.systemd import agent_unit
 from pipeline.fleet.names import check_identity, check_user, user_identity
-from pipeline.fleet.shipping import Desk, identities
-from pipeline.fleet.unit import agent_unit
+from pipeline.fleet.provisioning import check_addressed, issue_for
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.naming import check_name
@@ -136,8 +136,8 @@ def down_command(graph: str) -> None:
 def export_command(engine: str, graph: Path, credentials: Path, name: str | None) -> None:
     """Print a graph's hosts as units or manifests for an engine of your own."""
     who = check_user(name or default_user(), "--user")
-    desk = Desk(graph.resolve(), credentials.resolve(), who)
-    click.echo(KINDS[engine](load(graph), desk), nl=False)
+    bundle = Bundle(graph.resolve(), credentials.resolve(), who)
+    click.echo(KINDS[engine](load(graph), bundle), nl=False)
 
 
 @click.group("secure")

@@ -1,4 +1,4 @@
-"""Questions and orders from a desk to nodes of a graph that runs on several hosts."""
+"""Requests from a command line to the nodes of a graph that runs on several hosts."""
 
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor

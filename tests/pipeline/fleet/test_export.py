@@ -17,12 +17,14 @@ from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
 from pipeline.fleet.commands import export_command
 from pipeline.fleet.deploy import default_user, read_hosts
-from pipeline.fleet.draft import check_addressed, issue_for
-from pipeline.fleet.export import compose, k8s, systemd
+from pipeline.fleet.export.bundle import AGENT, Bundle, memory_mb
+from pipeline.fleet.export.compose import compose
+from pipeline.fleet.export.kubernetes import k8s
+from pipeline.fleet.export.systemd import systemd
 from pipeline.fleet.links import networks
 from pipeline.fleet.placement import place, plan_for
+from pipeline.fleet.provisioning import check_addressed, issue_for
 from pipeline.fleet.secure import Credentials
-from pipeline.fleet.shipping import AGENT, Desk, memory_mb
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
 from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
@@ -33,14 +35,14 @@ for _label in ("sensor", "compute", "viewer"):
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Desk:
+def bundle(tmp_path: Path) -> Bundle:
     """Credentials as `fovea secure init` makes them, and the graph they are for."""
     plan = plan_of(tmp_path)
     credentials = tmp_path / "credentials"
     secure.create(credentials)
     for _line in issue_for(credentials, {label: label for label in plan.hosts}, [plan], ["alice"]):
         pass
-    return Desk(tmp_path / "graph.yaml", credentials, "alice")
+    return Bundle(tmp_path / "graph.yaml", credentials, "alice")
 
 
 def expect_agent(plan: Plan, label: str, folder: Path) -> None:
@@ -69,10 +71,10 @@ def expect_deploy(words: Sequence[str], root: Path) -> None:
 
 
 def test_compose_mounts_credentials_and_graph_where_they_are_read(
-    desk: Desk, tmp_path: Path
+    bundle: Bundle, tmp_path: Path
 ) -> None:
-    plan = load(desk.graph)
-    services: dict[str, Any] = YAML(typ="safe").load(compose(plan, desk))["services"]
+    plan = load(bundle.graph)
+    services: dict[str, Any] = YAML(typ="safe").load(compose(plan, bundle))["services"]
 
     assert set(services) == {"sensor", "compute", "viewer", "deploy"}
     for name, service in services.items():
@@ -92,8 +94,10 @@ def test_compose_mounts_credentials_and_graph_where_they_are_read(
             expect_agent(plan, name, root / "etc/fovea")
 
 
-def test_k8s_mounts_credentials_and_graph_where_they_are_read(desk: Desk, tmp_path: Path) -> None:
-    plan, text = load(desk.graph), k8s(load(desk.graph), desk)
+def test_k8s_mounts_credentials_and_graph_where_they_are_read(
+    bundle: Bundle, tmp_path: Path
+) -> None:
+    plan, text = load(bundle.graph), k8s(load(bundle.graph), bundle)
     documents = list(YAML(typ="safe").load_all(text))
     made = secrets_of(text)
     config = {d["metadata"]["name"]: d["data"] for d in documents if d["kind"] == "ConfigMap"}
@@ -154,8 +158,8 @@ def projected(sources: Sequence[Any], made: Mapping[str, Any]) -> dict[str, byte
     return files
 
 
-def test_k8s_has_a_pod_per_host_and_never_two_owners_of_a_sensor(desk: Desk) -> None:
-    documents = list(YAML(typ="safe").load_all(k8s(load(desk.graph), desk)))
+def test_k8s_has_a_pod_per_host_and_never_two_owners_of_a_sensor(bundle: Bundle) -> None:
+    documents = list(YAML(typ="safe").load_all(k8s(load(bundle.graph), bundle)))
 
     kinds = [document["kind"] for document in documents]
     assert kinds == ["ConfigMap", *["Deployment", "Service"] * 3, "Job"]
@@ -168,7 +172,7 @@ def test_a_host_that_kubernetes_cannot_name_is_told(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, TRIO.replace("viewer", "Viewer_2"))
 
     with pytest.raises(GraphError, match="hosts: Viewer_2: expected small letters"):
-        k8s(plan, Desk(tmp_path / "graph.yaml", tmp_path, "alice"))
+        k8s(plan, Bundle(tmp_path / "graph.yaml", tmp_path, "alice"))
 
 
 def units(text: str) -> list[configparser.ConfigParser]:
@@ -183,8 +187,8 @@ def units(text: str) -> list[configparser.ConfigParser]:
     return found
 
 
-def test_systemd_units_name_files_wherever_they_are_started(desk: Desk) -> None:
-    *agents, deploy = units(systemd(load(desk.graph), desk))
+def test_systemd_units_name_files_wherever_they_are_started(bundle: Bundle) -> None:
+    *agents, deploy = units(systemd(load(bundle.graph), bundle))
 
     assert len(agents) == 3
     for unit in agents:
@@ -196,30 +200,32 @@ def test_systemd_units_name_files_wherever_they_are_started(desk: Desk) -> None:
     assert all(Path(words[i]).is_absolute() for i in (0, 2, 4))
     assert Path(deploy["Service"]["WorkingDirectory"]) == Path.cwd()
     for label in ("sensor", "compute", "viewer"):
-        assert f"{desk.host_folder(label)} is to be /etc/fovea" in systemd(load(desk.graph), desk)
-        expect_agent(load(desk.graph), label, desk.host_folder(label))
+        assert f"{bundle.host_folder(label)} is to be /etc/fovea" in systemd(
+            load(bundle.graph), bundle
+        )
+        expect_agent(load(bundle.graph), label, bundle.host_folder(label))
 
 
-def test_who_deploys_is_you_unless_you_say_who(desk: Desk) -> None:
-    words = ["compose", str(desk.graph), f"--credentials={desk.credentials}"]
+def test_who_deploys_is_you_unless_you_say_who(bundle: Bundle) -> None:
+    words = ["compose", str(bundle.graph), f"--credentials={bundle.credentials}"]
 
     own = CliRunner().invoke(export_command, words, catch_exceptions=False).output
     other = CliRunner().invoke(export_command, [*words, "--user=bob"], catch_exceptions=False)
 
-    assert f"{desk.credentials}/user.{default_user()}:" in own
-    assert f"{desk.credentials}/user.bob:" in other.output
+    assert f"{bundle.credentials}/user.{default_user()}:" in own
+    assert f"{bundle.credentials}/user.bob:" in other.output
 
 
 def test_a_graph_without_hosts_is_one_service(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, ALONE)
-    desk = Desk(tmp_path / "graph.yaml", tmp_path, "alice")
+    bundle = Bundle(tmp_path / "graph.yaml", tmp_path, "alice")
 
-    (service,) = YAML(typ="safe").load(compose(plan, desk))["services"].values()
+    (service,) = YAML(typ="safe").load(compose(plan, bundle))["services"].values()
     assert service["command"] == ["fovea", "run", "/etc/fovea/graph/graph.yaml"]
-    assert service["volumes"] == [f"{desk.graph}:/etc/fovea/graph/graph.yaml:ro"]
-    (unit,) = units(systemd(plan, desk))
-    assert shlex.split(unit["Service"]["ExecStart"])[1:] == ["run", str(desk.graph)]
-    config, deployment = YAML(typ="safe").load_all(k8s(plan, desk))
+    assert service["volumes"] == [f"{bundle.graph}:/etc/fovea/graph/graph.yaml:ro"]
+    (unit,) = units(systemd(plan, bundle))
+    assert shlex.split(unit["Service"]["ExecStart"])[1:] == ["run", str(bundle.graph)]
+    config, deployment = YAML(typ="safe").load_all(k8s(plan, bundle))
     root = tmp_path / "root"
     data = {config["metadata"]["name"]: config["data"]}
     words = mount(deployment["spec"]["template"]["spec"], root, {}, data)

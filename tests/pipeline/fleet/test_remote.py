@@ -1,4 +1,4 @@
-"""From a desk: how nodes on hosts are, files that go along with a setting, what is taken down."""
+"""From a command line: the health of nodes on hosts, files sent with a setting, `down`."""
 
 import hashlib
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from tests.pipeline.fleet.agents import Running, fleet_of, plan_of
 ALLOWED = {"tests.toys:Ticker": ANY, "tests.toys:Model": ANY}
 OLD, NEW = b"an old model", b"a newer model"
 PAIR = """
-name: desk
+name: remote
 hosts: [eye, brain]
 nodes:
   capture:
@@ -52,7 +52,7 @@ def fleet(two: dict[str, Running], tmp_path: Path) -> Iterator[Fleet]:
     with fleet_of("eye", "brain") as fleet:
         up(fleet, plan_of(tmp_path, PAIR))
         yield fleet
-        down("desk", fleet.hosts)
+        down("remote", fleet.hosts)
 
 
 def test_graphs_that_are_brought_up_at_once_are_all_remembered() -> None:
@@ -75,41 +75,41 @@ def test_a_file_for_a_live_setting_goes_along_and_any_other_is_refused(
     new.write_bytes(NEW)
     foreign.write_bytes(b"of somebody")
 
-    there = ask("desk", "look", {"weights": str(new)}).settings["weights"]
+    there = ask("remote", "look", {"weights": str(new)}).settings["weights"]
 
     assert Path(there).read_bytes() == NEW
     assert Path(there) != new
-    with pytest.raises(RunError, match=r"look\.spare: cannot change .* `fovea swap desk look"):
-        ask("desk", "look", {"spare": str(old)})
+    with pytest.raises(RunError, match=r"look\.spare: cannot change .* `fovea swap remote look"):
+        ask("remote", "look", {"spare": str(old)})
     lacking = wire.Lacks((hashlib.sha256(OLD).hexdigest(),))
     assert fleet.ask("brain", "lacks", lacking, tuple[str, ...])  # it was not sent
     refused = r"look\.weights: weights .* are not on the allow list"
     with pytest.raises(FoveaError, match=refused):
-        ask("desk", "look", {"weights": str(foreign)})
+        ask("remote", "look", {"weights": str(foreign)})
 
 
 def test_the_health_of_a_deployed_graph_is_that_of_its_nodes_on_all_hosts(
     two: dict[str, Running], fleet: Fleet
 ) -> None:
-    found = fleet_health("desk")
+    found = fleet_health("remote")
 
     look = found["look"]
     assert look is not None
     assert (look.host, look.problem) == ("brain", "")
     two["brain"].stop()
-    found = fleet_health("desk")
+    found = fleet_health("remote")
     assert found["capture"] is not None
     assert found["look"] is None
     with pytest.raises(RunError, match="no log of a node look; brain: no agent answers"):
-        list(fleet_log("desk", "look", 9))
+        list(fleet_log("remote", "look", 9))
     two["brain"] = Running(two["brain"].agent.host)
 
 
 def test_a_graph_is_down_when_no_host_has_it_any_more(fleet: Fleet) -> None:
-    fleet.ask("brain", "down", wire.Named("desk"), type(None))
+    fleet.ask("brain", "down", wire.Named("remote"), type(None))
 
-    assert down("desk", fleet.hosts) == []
-    assert "desk" not in remembered()
+    assert down("remote", fleet.hosts) == []
+    assert "remote" not in remembered()
 
 
 def test_weights_that_no_message_can_carry_are_not_sent(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Credentials and agent's files for the hosts of some graphs, ready to be copied there."""
+"""Makes the credentials and agent files for the hosts of some graphs, to be copied there."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,10 +1,16 @@
 """What a graph needs in another engine: memory, credentials, the command that deploys it."""
 
+import json
 import math
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.compat import StringIO
+from ruamel.yaml.scalarstring import walk_tree
 
 from pipeline.bus.network import AGENT_PORT
 from pipeline.fleet.names import node_identity, user_identity
@@ -22,8 +28,8 @@ AGENT = ("fovea", "agent", "--config", f"{ETC}/agent.yaml", "--state", f"{STATE}
 
 
 @dataclass(frozen=True)
-class Desk:
-    """Where the files lie that have to be shipped, and who deploys. Paths are absolute."""
+class Bundle:
+    """The files that an engine has to mount, and the user who deploys. Paths are absolute."""
 
     graph: Path
     credentials: Path  # folder by `fovea secure`
@@ -64,14 +70,25 @@ def up_words(plan: Plan) -> list[str]:
     return ["fovea", "up", GRAPH, "--credentials", USER, "--hosts", hosts, "--replace"]
 
 
-def credentials_words(plan: Plan, desk: Desk) -> list[str]:
+def credentials_words(plan: Plan, bundle: Bundle) -> list[str]:
     """What makes credentials for hosts that are reached by their labels."""
     hosts = [f"--host={label}={label}" for label in plan.hosts]
-    return ["fovea", "secure", "init", str(desk.credentials), f"--graph={desk.graph}", *hosts,
-            f"--user={desk.user}"]  # fmt: skip
+    return ["fovea", "secure", "init", str(bundle.credentials), f"--graph={bundle.graph}", *hosts,
+            f"--user={bundle.user}"]  # fmt: skip
 
 
 def comments(*lines: str | Sequence[str]) -> Iterator[str]:
     """Lines to be read first; of words, a command to be typed."""
     for line in lines:
         yield f"# {line if isinstance(line, str) else shlex.join(line)}\n"
+
+
+def to_yaml(document: Mapping[str, Any]) -> str:
+    """A document as a YAML file."""
+    yaml, text = YAML(), StringIO()
+    yaml.default_flow_style = False
+    yaml.width = 1000
+    plain = json.loads(json.dumps(document))
+    walk_tree(plain)  # a graph file reads as it does elsewhere
+    yaml.dump(plain, text)
+    return str(text.getvalue())

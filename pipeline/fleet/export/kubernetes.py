@@ -10,19 +10,20 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import GraphError
-from pipeline.fleet.shipping import (
+from pipeline.fleet.export.bundle import (
     AGENT,
     ETC,
     GRAPH,
     IMAGE,
     STATE,
     USER,
-    Desk,
+    Bundle,
     comments,
     credentials_words,
     identities,
     memory_mb,
     run_words,
+    to_yaml,
     up_words,
 )
 from pipeline.graph.plan import Plan
@@ -32,9 +33,15 @@ CREDENTIAL_FILES = ("ca.pem", "own.pem", "own.key")
 Mount = tuple[dict[str, Any], dict[str, Any]]  # a volume, and where a container mounts it
 
 
-def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
+def k8s(plan: Plan, bundle: Bundle) -> str:
+    """Manifests: per host a deployment of one pod and a headless service; a job that deploys."""
+    first, documents = manifests(plan, bundle)
+    return first + "---\n".join(to_yaml(document) for document in documents)
+
+
+def manifests(plan: Plan, bundle: Bundle) -> tuple[str, list[dict[str, Any]]]:
     """What is to be typed before, and the documents; raises `GraphError` for a host's label."""
-    graph = _config(plan, desk)
+    graph = _config(plan, bundle)
     mounted = _volume(
         "graph", {"configMap": {"name": graph["metadata"]["name"]}}, str(Path(GRAPH).parent)
     )
@@ -56,16 +63,16 @@ def manifests(plan: Plan, desk: Desk) -> tuple[str, list[dict[str, Any]]]:
             "spec": {"template": {"spec": {**pod, "restartPolicy": "OnFailure"}}},
         }
     )  # fmt: skip
-    words = [credentials_words(plan, desk), *_secrets(plan, desk), *_machines(plan)]
+    words = [credentials_words(plan, bundle), *_secrets(plan, bundle), *_machines(plan)]
     return "".join(comments("before:", *words)), documents
 
 
-def _secrets(plan: Plan, desk: Desk) -> Iterator[Sequence[str]]:
-    folders = [(_own_secret(plan), desk.own)]
+def _secrets(plan: Plan, bundle: Bundle) -> Iterator[Sequence[str]]:
+    folders = [(_own_secret(plan), bundle.own)]
     for label in plan.hosts:
-        folders.append((_secret(label), desk.host_folder(label)))
+        folders.append((_secret(label), bundle.host_folder(label)))
         folders += [
-            (_secret(label, number), desk.host_folder(label) / "nodes" / identity)
+            (_secret(label, number), bundle.host_folder(label) / "nodes" / identity)
             for number, identity in enumerate(identities(plan, label))
         ]
     for name, folder in folders:
@@ -140,11 +147,11 @@ def _service(label: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _config(plan: Plan, desk: Desk) -> dict[str, Any]:
+def _config(plan: Plan, bundle: Bundle) -> dict[str, Any]:
     return {
         "apiVersion": "v1", "kind": "ConfigMap",
         "metadata": {"name": f"fovea-{_slug(plan.name)}"},
-        "data": {Path(GRAPH).name: desk.graph.read_text()},
+        "data": {Path(GRAPH).name: bundle.graph.read_text()},
     }  # fmt: skip
 
 
