@@ -67,7 +67,7 @@ class Chaos:
         """One fault, chosen by the seed; raises `Stuck` when nobody recovers."""
         ground, chance = self._ground, self._chance
         kind = chance.choices([*ground.kinds], [*ground.kinds.values()])[0]
-        whom = ground.boxes if kind == "partition" else ground.names
+        whom = ground.hosts if kind == "partition" else ground.names
         victims = tuple(chance.sample(whom, 2 if kind == "volley" else 1))
         at_s, before = time.monotonic() - self._began_s, ground.restarts()
         watch = _Watch(ground, victims, fresh=kind in ("kill", "volley", "freeze"))
@@ -93,9 +93,9 @@ class Chaos:
             restarts=ground.restarts() - before,
         )
 
-    def settle(self) -> None:
+    def pause(self) -> None:
         """Time between two faults: the spare process needs a moment, and luck is irregular."""
-        self._ground.rest(self._chance.uniform(*SETTLE_S))
+        self._ground.run_for(self._chance.uniform(*SETTLE_S))
 
 
 class _Watch:
@@ -151,7 +151,7 @@ def main(
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     faults: list[Fault] = []
     with TemporaryDirectory() as folder, _ground(plan, graph, Path(folder)) as ground:
-        ground.rest(WARM_S)
+        ground.run_for(WARM_S)
         stuck = _strike_for(ground, minutes * 60, seed, faults)
         aftermath = ground.end()
     result = {
@@ -209,7 +209,7 @@ def _strike_for(ground: Ground, seconds: float, seed: int, faults: list[Fault]) 
                 faults.append(chaos.strike())
             except Stuck as stuck:
                 return str(stuck)
-            chaos.settle()
+            chaos.pause()
             words = f"{len(faults)} faults, the last {faults[-1].recovered_s:.1f} s"
             progress.update(task, completed=elapsed_s, description=words)
     return ""

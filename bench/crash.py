@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from bench.aftermath import Traces, rest, unbalanced
+from bench.leftovers import Traces, run_for, unbalanced
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
 from pipeline.graph.loader import load
@@ -48,13 +48,13 @@ def main(
         supervisor.patience = count * len(plan.nodes) + 10
         supervisor.start()
         traces = Traces.of(plan.name)
-        rest(supervisor, 2.0)
+        run_for(supervisor, 2.0)
         grown: dict[str, float] = {}
         for node in plan.nodes:
             memory = _memory(supervisor)
             for _ in track(range(count), f"killing {node.name}"):
                 kills.append({"node": node.name, **_kill(supervisor, node)})
-                rest(supervisor, SETTLE_S)
+                run_for(supervisor, SETTLE_S)
             after = _memory(supervisor)
             grown[node.name] = max(after[p] - memory[p] for p in memory if p != node.process)
         supervisor.finish()

@@ -22,7 +22,7 @@ import psutil
 from rich.console import Console
 from rich.progress import track
 
-from bench.aftermath import Traces, unbalanced
+from bench.leftovers import Traces, unbalanced
 from bench.machine import facts
 from bench.options import JSON, Bench
 from pipeline.graph.loader import load
@@ -154,7 +154,7 @@ def _swap(supervisor: Supervisor) -> str:
     """Swap once; why it was refused, or nothing."""
     answers: list[bytes] = []
     order = SwapOrder(node=SWAPPED, probation=PROBATION)
-    supervisor.desk.take(order, answers.append)
+    supervisor.control.take(order, answers.append)
     _until(supervisor, lambda: bool(answers))
     return str(msgspec.json.decode(answers[0])["refused"])
 

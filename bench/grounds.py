@@ -12,8 +12,8 @@ from typing import Any
 
 import psutil
 
-from bench.aftermath import Traces, remains, rest, unbalanced
 from bench.hosts import World
+from bench.leftovers import Traces, leftover_files, run_for, unbalanced
 from pipeline.bus.histogram import Histogram
 from pipeline.bus.ledger import Ledger, NodeAccount
 from pipeline.graph.plan import Plan, sources
@@ -31,7 +31,7 @@ class Ground(ABC):
 
     kinds: Mapping[str, float]  # of faults -> their shares
     names: tuple[str, ...]  # of its processes
-    boxes: tuple[str, ...] = ()  # whose cables can be pulled
+    hosts: tuple[str, ...] = ()  # whose cables can be pulled
     failure = ""
 
     @property
@@ -41,7 +41,7 @@ class Ground(ABC):
 
     @abstractmethod
     def accounts(self, victim: str) -> list[NodeAccount]:
-        """Of the nodes of a process, or of all on a box."""
+        """Of the nodes of a process, or of all on a host."""
 
     @abstractmethod
     def pid(self, name: str) -> int:
@@ -55,15 +55,15 @@ class Ground(ABC):
         """How long a process took to open models and devices; 0 where nobody tells."""
         return 0.0
 
-    def link(self, box: str, *, up: bool) -> None:
-        """Pull a box's cable, or put it back."""
+    def link(self, host: str, *, up: bool) -> None:
+        """Pull a host's cable, or put it back."""
         raise NotImplementedError
 
     @abstractmethod
     def look(self) -> None:
         """Let it go on for a moment."""
 
-    def rest(self, seconds: float) -> None:
+    def run_for(self, seconds: float) -> None:
         """Likewise, for longer."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -126,7 +126,7 @@ class OneHost(Ground):
 
     def end(self) -> dict[str, Any]:
         """Drain and stop."""
-        rest(self._supervisor, SETTLE_S)
+        run_for(self._supervisor, SETTLE_S)
         duration_s = time.monotonic() - self._supervisor.started_s
         self._supervisor.finish()
         self._supervisor.stop()
@@ -146,7 +146,7 @@ class ThreeHosts(Ground):
     def __init__(self, folder: Path, graph: Path) -> None:
         self._world = World(folder, graph)
         self._plan = self._world.plan
-        self.boxes = self._plan.hosts
+        self.hosts = self._plan.hosts
         self.names = tuple(dict.fromkeys(f"{n.host}/{n.process}" for n in self._plan.nodes))
         self._ended = False
         self._ledgers: dict[str, Ledger] = {}
@@ -163,10 +163,10 @@ class ThreeHosts(Ground):
         return self
 
     def _open(self) -> None:
-        for box in self.boxes:
-            self._runs[box] = str(self._noted(box)["run"])
-            folder = path_of(self._runs[box], self._memory_folder(box))
-            self._ledgers[box] = Ledger.open(PrivateFolder(folder))
+        for host in self.hosts:
+            self._runs[host] = str(self._noted(host)["run"])
+            folder = path_of(self._runs[host], self._memory_folder(host))
+            self._ledgers[host] = Ledger.open(PrivateFolder(folder))
 
     def __exit__(self, *caught: Any) -> None:
         if not self._ended:
@@ -175,33 +175,33 @@ class ThreeHosts(Ground):
 
     @property
     def commands(self) -> Histogram:
-        """Of the source, as its box counts."""
+        """Of the source, as its host counts."""
         source = next(sources(self._plan))
         return self._ledgers[source.host].nodes[source.index].histograms["loop"]
 
     def accounts(self, victim: str) -> list[NodeAccount]:
-        """Of the nodes of `box/process`, or of a box."""
-        box, _, process = victim.partition("/")
-        nodes = [n for n in self._plan.nodes if n.host == box and process in ("", n.process)]
-        return [self._ledgers[box].nodes[n.index] for n in nodes]
+        """Of the nodes of `host/process`, or of a host."""
+        host, _, process = victim.partition("/")
+        nodes = [n for n in self._plan.nodes if n.host == host and process in ("", n.process)]
+        return [self._ledgers[host].nodes[n.index] for n in nodes]
 
     def pid(self, name: str) -> int:
-        """As its box notes it."""
-        box, _, process = name.partition("/")
-        return int(self._noted(box)["pids"].get(process, 0))
+        """As its host notes it."""
+        host, _, process = name.partition("/")
+        return int(self._noted(host)["pids"].get(process, 0))
 
     def restarts(self) -> int:
         """Every instance has an epoch of its own."""
         return sum(self._ledgers[n.host].nodes[n.index].epoch for n in self._plan.nodes)
 
-    def link(self, box: str, *, up: bool) -> None:
+    def link(self, host: str, *, up: bool) -> None:
         """Of the namespace."""
-        self._world.link(box, up=up)
+        self._world.link(host, up=up)
 
     def look(self) -> None:
         """The agents look after it."""
         time.sleep(LOOK_S)
-        ended = [box for box, agent in self._world.agents.items() if agent.poll() is not None]
+        ended = [host for host, agent in self._world.agents.items() if agent.poll() is not None]
         self.failure = f"the agent of {ended[0]} ended" if ended else ""
 
     def end(self) -> dict[str, Any]:
@@ -210,9 +210,9 @@ class ThreeHosts(Ground):
         edges = [self._report(edge.index) for edge in self._plan.edges]
         loop = {"latency_ms": self.commands.summary()}
         self._world.fovea("down", self._plan.name)
-        left = [name for box in self.boxes for name in self._memory(box)]  # goes with the agent
+        left = [name for host in self.hosts for name in self._memory(host)]  # goes with the agent
         self.__exit__()
-        left += [name for box in self.boxes for name in remains(self._world.home(box))]
+        left += [name for host in self.hosts for name in leftover_files(self._world.home(host))]
         listed = [(p.pid, p.info["cmdline"] or []) for p in psutil.process_iter(["cmdline"])]
         runs = set(self._runs.values())
         return {
@@ -236,15 +236,15 @@ class ThreeHosts(Ground):
             ]
         )
 
-    def _memory_folder(self, box: str) -> Path:
-        """Every box has one of its own, which is seen through its agent."""
-        root = Path(f"/proc/{self._world.agents[box].pid}/root")
+    def _memory_folder(self, host: str) -> Path:
+        """Every host has one of its own, which is seen through its agent."""
+        root = Path(f"/proc/{self._world.agents[host].pid}/root")
         return root / MEMORY.relative_to("/")
 
-    def _memory(self, box: str) -> list[str]:
-        return [f"{box}: {path.name}" for path in self._memory_folder(box).iterdir()]
+    def _memory(self, host: str) -> list[str]:
+        return [f"{host}: {path.name}" for path in self._memory_folder(host).iterdir()]
 
-    def _noted(self, box: str) -> dict[str, Any]:
-        (path,) = self._world.home(box).glob(f"fovea-*/{self._plan.name}@{box}/run.json")
+    def _noted(self, host: str) -> dict[str, Any]:
+        (path,) = self._world.home(host).glob(f"fovea-*/{self._plan.name}@{host}/run.json")
         found: dict[str, Any] = json.loads(path.read_text())
         return found

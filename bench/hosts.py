@@ -2,7 +2,7 @@
 
 Hosts are network namespaces of this machine with shared memory of their own, an agent on each, TLS
 between them. Told are the latency of every hop and the error of the clocks, what a cable carries
-against the bytes that the graph needs there, and how soon a box whose cable is pulled is missed.
+against the bytes that the graph needs there, and how soon a host whose cable is pulled is missed.
 """
 
 import json
@@ -22,8 +22,8 @@ from bench.options import JSON, Bench, on_graph
 from pipeline import codec
 from pipeline.errors import RunError
 from pipeline.fleet import secure
-from pipeline.fleet.draft import issue_for
-from pipeline.fleet.names import person
+from pipeline.fleet.names import user_identity
+from pipeline.fleet.provisioning import issue_for
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
@@ -31,7 +31,7 @@ from pipeline.messages import Message
 from pipeline.run.inline import InlineRunner
 
 DESK = "desk"  # the host of whoever deploys
-PERSON = "tester"
+USER = "tester"
 SAMPLES = 5  # exposures by which the size of messages is told
 
 
@@ -48,7 +48,7 @@ class World(Hosts):
     def __enter__(self) -> "World":
         secure.create(self.authority)
         addresses = {label: self.addresses[label] for label in self.plan.hosts}
-        for _line in issue_for(self.authority, addresses, [self.plan], [PERSON]):
+        for _line in issue_for(self.authority, addresses, [self.plan], [USER]):
             pass
         super().__enter__()
         try:
@@ -67,7 +67,7 @@ class World(Hosts):
     def begin(self, label: str) -> None:
         """Start a host's agent, as its boot would."""
         self._logs.append(self.log(label).open("a"))
-        config = str(self.authority / f"box.{label}" / "agent.yaml")
+        config = str(self.authority / f"host.{label}" / "agent.yaml")
         words = ("-m", "pipeline.cli", "agent", "--config", config)
         self.agents[label] = self.start(label, *words, log=self._logs[-1])
 
@@ -84,11 +84,11 @@ class World(Hosts):
 
     def up(self, *more: str) -> str:
         """Deploy the graph."""
-        papers = str(self.authority / person(PERSON))
-        return self.fovea("up", str(self.graph), "--papers", papers, *more)
+        credentials = str(self.authority / user_identity(USER))
+        return self.fovea("up", str(self.graph), "--credentials", credentials, *more)
 
     def states(self) -> dict[str, Any]:
-        """What every box says of the graph, or why it says nothing."""
+        """What every host says of the graph, or why it says nothing."""
         found: dict[str, Any] = json.loads(self.fovea("ps", "--json"))[self.plan.name]
         return found
 
@@ -113,7 +113,7 @@ def main(
     if not permitted():
         raise click.ClickException("network namespaces are not permitted here: run as root")
     if graph == Path("graphs/tracking.yaml"):
-        graph = Path("graphs/boxes.yaml")
+        graph = Path("graphs/multi_host.yaml")
     more = [*(("--source", str(source)) if source else ()), *(f"--set={c}" for c in changes)]
     sizes = message_bytes(load(graph, Overlay(source, changes, "lockstep")))
     with tempfile.TemporaryDirectory() as folder, World(Path(folder), graph.resolve()) as world:
@@ -128,11 +128,11 @@ def main(
         used = {h: (spent[h][1] - traffic[h][1]) / lasted_s for h in spent}
         figures = {
             "hops": hops(after),
-            "boxes": {label: said[0]["boxes"] for label, said in after.items()},
+            "hosts": {label: said[0]["hosts"] for label, said in after.items()},
             "sent_bytes_per_s": {h: round(b) for h, b in used.items()},
             "needed_bytes_per_s": needed(world.plan, sizes, before, after),
             "message_bytes": sizes,
-            "lost_box": _pull(world),
+            "lost_host": _pull(world),
         }
         world.fovea("down", world.plan.name)
     _show(figures)
@@ -156,7 +156,7 @@ def message_bytes(plan: Plan) -> dict[str, int]:
 
 
 def hops(states: dict[str, Any]) -> list[dict[str, Any]]:
-    """Per edge: from which box to which, and how old a message's exposure and last stage are."""
+    """Per edge: from which host to which, and how old a message's exposure and last stage are."""
     found = []
     for label, (state,) in states.items():
         nodes = {node["name"]: node for node in state["nodes"]}
@@ -164,7 +164,7 @@ def hops(states: dict[str, Any]) -> list[dict[str, Any]]:
             node = nodes[edge["end"].partition(".")[0]]
             found.append(
                 {
-                    "edge": f"{edge['origin']} -> {edge['end']}", "box": label,
+                    "edge": f"{edge['origin']} -> {edge['end']}", "host": label,
                     "hop_ms": node["hop_ms"], "age_ms": edge["age_ms"],
                     "clock_error_ms": edge["age_error_ms"], **edge["account"],
                 }
@@ -175,7 +175,7 @@ def hops(states: dict[str, Any]) -> list[dict[str, Any]]:
 def needed(
     plan: Plan, sizes: dict[str, int], before: dict[str, Any], after: dict[str, Any]
 ) -> dict[str, int]:
-    """What every box has to send: each output once to every other box that reads it, as it came."""
+    """What every host has to send: each output once to every other that reads it, as it came."""
     found: Counter[str] = Counter()
     rates: dict[tuple[str, str], float] = {}
     for label, (state,) in after.items():
@@ -196,9 +196,9 @@ def _pull(world: World) -> dict[str, float]:
     label, seer = world.plan.hosts[-1], world.plan.hosts[0]
     since = len(world.log(seer).read_text())
     world.link(label, up=False)
-    missed_s = world.heard(seer, f"box {label} is lost", since)
+    missed_s = world.heard(seer, f"host {label} is lost", since)
     world.link(label, up=True)
-    back_s = world.heard(seer, f"box {label} is back", since)
+    back_s = world.heard(seer, f"host {label} is back", since)
     return {"reported_after_s": round(missed_s, 2), "back_after_s": round(back_s, 2)}
 
 
@@ -209,7 +209,7 @@ def _show(figures: dict[str, Any]) -> None:
         table.add_column(column)
     for hop in figures["hops"]:
         table.add_row(
-            hop["edge"], hop["box"], f"{hop['hop_ms']['p50']:.2f} / {hop['hop_ms']['p99']:.2f}",
+            hop["edge"], hop["host"], f"{hop['hop_ms']['p50']:.2f} / {hop['hop_ms']['p99']:.2f}",
             f"{hop['age_ms']['p50']:.2f} / {hop['age_ms']['p99']:.2f}",
             f"{hop['clock_error_ms']:.2f}", str(hop["dropped"]),
         )  # fmt: skip
@@ -217,7 +217,7 @@ def _show(figures: dict[str, Any]) -> None:
     for label, sent in figures["sent_bytes_per_s"].items():
         wanted = figures["needed_bytes_per_s"].get(label, 0)
         console.print(f"{label}: sends {sent / 1e6:.2f} MB/s, needed {wanted / 1e6:.2f} MB/s")
-    console.print(figures["lost_box"])
+    console.print(figures["lost_host"])
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ def summarise(reports: list[Report], path: Collection[str]) -> dict[str, Any]:
     """Median over the rounds, with the least and the most beside it."""
     loop = {
         f"{name}_{share}": spread([r["loop"][name][share] for r in reports])
-        for name in ("latency_ms", "overhead_ms", "cpu_wait_ms")
+        for name in ("latency_ms", "overhead_ms", "scheduling_delay_ms")
         for share in ("p50", "p99")
     }
     stages = {

@@ -23,7 +23,7 @@ from bench.options import JSON, Bench, on_graph
 from bench.overlap import NEEDED, Spans, ends, watched
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
-from pipeline.run.child import Sample
+from pipeline.run.process_handle import Sample
 from pipeline.run.report import compose, tables
 from pipeline.run.supervisor import Supervisor
 

@@ -21,7 +21,7 @@ import click
 from rich.console import Console
 from rich.progress import Progress
 
-from bench.aftermath import Traces, unbalanced
+from bench.leftovers import Traces, unbalanced
 from bench.machine import facts
 from bench.options import JSON, Bench
 from bench.stranger_acts import DECOY

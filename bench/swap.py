@@ -146,7 +146,7 @@ def main(
 
 def _swap(supervisor: Supervisor, order: SwapOrder) -> dict[str, Any]:
     answers: list[dict[str, Any]] = []
-    supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+    supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
     began_s = time.monotonic()
     while not answers:
         if time.monotonic() - began_s > PATIENCE_S or supervisor.failure:

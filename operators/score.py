@@ -2,7 +2,7 @@
 
 Which object of the truth counts:
 - with a `label`, one of that class, whatever is looked at: of several, the one overlapped most;
-- with a scanpath connected, the one that the policy shows. It is settled by the overlap of the
+- with a scanpath connected, the one that the policy shows. It is decided by the overlap of the
   truth with the box that the policy foresees for its choice, and changes when another object is
   under that box in `SETTLED` frames. A choice that lies on nothing, or a place, changes nothing: a
   policy that loses its target is no excuse for its consumer. The consumer's own box has no say.
@@ -102,13 +102,13 @@ class Score(Operator[ScoreSettings, None]):
             rows = np.flatnonzero(np.array(truth.texts) == self.settings.label)
             return int(rows[overlap[rows].argmax()]) if len(rows) else -1
         if self._scanpath is not None:
-            self._settle_shown(foreseen(self._scanpath, percept.header.seq), truth)
+            self._score_shown(foreseen(self._scanpath, percept.header.seq), truth)
         elif len(percept.boxes):
-            self._settle_followed(int(percept.ids[0]), truth, overlap)
+            self._score_followed(int(percept.ids[0]), truth, overlap)
         rows = np.flatnonzero(truth.ids == self._object)
         return int(rows[0]) if len(rows) else -1
 
-    def _settle_shown(self, box: NDArray[np.float32], truth: Percept) -> None:
+    def _score_shown(self, box: NDArray[np.float32], truth: Percept) -> None:
         """Change to another object once the policy has shown it often enough."""
         found = on_object(iou(truth.boxes, box)[:, 0], truth) if len(box) else NOBODY
         if found == NOBODY:
@@ -119,7 +119,7 @@ class Score(Operator[ScoreSettings, None]):
         if self._object == NOBODY or self._rival_frames >= SETTLED:
             self._object = found
 
-    def _settle_followed(self, own_id: int, truth: Percept, overlap: NDArray[np.float32]) -> None:
+    def _score_followed(self, own_id: int, truth: Percept, overlap: NDArray[np.float32]) -> None:
         """Change to another object where the consumer says that it follows another."""
         if self._object != NOBODY and own_id == self._followed_id:
             return

@@ -271,17 +271,17 @@ class Visualise(Operator[VisualiseSettings, None]):
 def latencies(header: Header) -> dict[str, float]:
     """What the last stage did with this exposure, in ms: name -> value; empty without a trace.
 
-    `age` is the time since the picture was ready, told only where both are one clock.
+    `age` is the time since the picture was ready, given only where both are one clock.
     """
     if not header.trace:
         return {}
     span = header.trace[-1]
-    told = {"handler_ms": span.handler_ns / 1e6, "wait_ms": span.wait_ns / 1e6}
+    shown = {"handler_ms": span.handler_ns / 1e6, "sched_delay_ms": span.scheduling_delay_ns / 1e6}
     if header.clock == "monotonic":
-        told["age_ms"] = (span.done_ns - header.stamp_ns) / 1e6
+        shown["age_ms"] = (span.done_ns - header.stamp_ns) / 1e6
     if len(header.trace) > 1:
-        told["hop_ms"] = (span.received_ns - header.trace[-2].done_ns) / 1e6
-    return {f"{span.stage}/{name}": value for name, value in told.items()}
+        shown["hop_ms"] = (span.received_ns - header.trace[-2].done_ns) / 1e6
+    return {f"{span.stage}/{name}": value for name, value in shown.items()}
 
 
 def named(

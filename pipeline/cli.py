@@ -14,15 +14,15 @@ from pipeline import output, signals
 from pipeline.bus.session import silence
 from pipeline.console import listening, running, watching
 from pipeline.console.arguments import DURATION_S, FRAMES, FRAMES_OR_NONE, INTERVAL_S, LINES
-from pipeline.console.asking import health_command, schema_command, tell_command
 from pipeline.console.changing import set_command
 from pipeline.console.files import try_recording, try_report, write_report
+from pipeline.console.graph_client import health_command, schema_command, tell_command
 from pipeline.console.operating import add, remove, rewire, swap
 from pipeline.console.tasks import task_command
 from pipeline.contract import INCOMPLETE
 from pipeline.doctor import doctor_command
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, WeightsError
-from pipeline.fleet import overview
+from pipeline.fleet import fleet_status
 from pipeline.fleet.commands import fleet_commands
 from pipeline.fleet.deploy import remembered
 from pipeline.graph.drawing import mermaid
@@ -179,15 +179,15 @@ def draw(graph: Path, **laid: Any) -> None:
 
 
 @commands.command()
-@click.option("--json", "as_json", is_flag=True, help="What the boxes say of deployed graphs.")
+@click.option("--json", "as_json", is_flag=True, help="What the hosts say of deployed graphs.")
 def ps(as_json: bool) -> None:
-    """List the running graphs and their processes, on all boxes."""
+    """List the running graphs and their processes, on all hosts."""
     if as_json:
-        click.echo(overview.fleet_json(remembered()))
+        click.echo(fleet_status.fleet_json(remembered()))
         return
     console.print(watching.process_table())
     if known := remembered():
-        console.print(overview.fleet_table(known))
+        console.print(fleet_status.fleet_table(known))
 
 
 @commands.command()
@@ -196,9 +196,9 @@ def ps(as_json: bool) -> None:
 @click.option("--every-s", default=1.0, type=INTERVAL_S, show_default=True)
 def top(graph: str | None, once: bool, every_s: float) -> None:
     """Watch rates, latencies, drops and back-pressure of a running graph."""
-    deployed = None if _runs_here(graph or "") else overview.known_graph(graph or "")
+    deployed = None if _runs_here(graph or "") else fleet_status.known_graph(graph or "")
     if deployed:
-        overview.fleet_top(*deployed, every_s, once=once, console=console)
+        fleet_status.fleet_top(*deployed, every_s, once=once, console=console)
     else:
         watching.top(graph or "", every_s, once=once, console=console)
 
@@ -217,7 +217,7 @@ def logs(node: str, graph: str, follow: bool, lines: int) -> None:
     except RunError:
         if follow or not remembered():
             raise
-        for line in overview.fleet_log(graph, node, lines):
+        for line in fleet_status.fleet_log(graph, node, lines):
             click.echo(line)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MessageError
-from pipeline.fields import DTYPES, Array, Fetch, Kind, Nested, Place, Plain, Tuples
+from pipeline.fields import DTYPES, Array, Fetch, Kind, Nested, PlaceArray, Plain, Tuples
 from pipeline.messages import Message, Shape
 from pipeline.once import once
 from pipeline.text import harmless
@@ -65,7 +65,7 @@ class Schema(Generic[T]):
         """Eight bytes that change whenever a name, a type or a shape changes."""
         return hashlib.sha256(self.text.encode()).digest()[:8]
 
-    def write(self, value: T, place: Place) -> Any:
+    def write(self, value: T, place: PlaceArray) -> Any:
         """What msgspec is to encode in the place of a value.
 
         Raises `MessageError` for a field that is not of its type, as the reader would; only the
@@ -168,7 +168,7 @@ def fingerprint(cls: type[Any]) -> bytes:
     return schema(cls).fingerprint
 
 
-def pack(value: Any, place: Place | None = None) -> Any:
+def pack(value: Any, place: PlaceArray | None = None) -> Any:
     """What `to_bytes` takes for a dataclass; `place` decides where each array goes."""
     return schema(type(value)).write(value, place or _inline)
 

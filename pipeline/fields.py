@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import MessageError
 from pipeline.messages import Shape
 
-Place = Callable[[NDArray[Any]], bytes | int]  # puts an array somewhere: the bytes, or an offset
+PlaceArray = Callable[[NDArray[Any]], bytes | int]  # puts an array somewhere: bytes or an offset
 Fetch = Callable[[int, int], NDArray[np.uint8]]  # offset, nbytes -> (nbytes,) uint8
 Side = Annotated[int, msgspec.Meta(ge=0)]
 
@@ -25,7 +25,7 @@ class Whole(Protocol):
     text: str
     wire: type[Any]
 
-    def write(self, value: Any, place: Place) -> Any:
+    def write(self, value: Any, place: PlaceArray) -> Any:
         """What msgspec is to encode in the place of a value."""
         ...
 
@@ -43,7 +43,7 @@ class Kind(ABC):
         self.text, self.wire = text, wire
 
     @abstractmethod
-    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any: ...
+    def pack(self, value: Any, place: PlaceArray, known: dict[str, int], where: str) -> Any: ...
 
     @abstractmethod
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any: ...
@@ -54,7 +54,7 @@ class Plain(Kind):
 
     plain = True
 
-    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
+    def pack(self, value: Any, place: PlaceArray, known: dict[str, int], where: str) -> Any:
         return value
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
@@ -68,7 +68,7 @@ class Tuples(Kind):
         super().__init__(text, wire)
         self.items, self.endless = items, endless
 
-    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
+    def pack(self, value: Any, place: PlaceArray, known: dict[str, int], where: str) -> Any:
         pairs = zip(self._kinds(value), value, strict=True)
         return tuple(kind.pack(item, place, known, where) for kind, item in pairs)
 
@@ -87,7 +87,7 @@ class Nested(Kind):
         super().__init__(schema.text, schema.wire)
         self.schema = schema
 
-    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
+    def pack(self, value: Any, place: PlaceArray, known: dict[str, int], where: str) -> Any:
         return self.schema.write(value, place)
 
     def unpack(self, item: Any, fetch: Fetch, known: dict[str, int], where: str) -> Any:
@@ -111,7 +111,7 @@ class Array(Kind):
         self.alone = False  # in its message: its sides agree with no others
         self._fitting: tuple[int, ...] | None = None  # the last sides, when it is alone
 
-    def pack(self, value: Any, place: Place, known: dict[str, int], where: str) -> Any:
+    def pack(self, value: Any, place: PlaceArray, known: dict[str, int], where: str) -> Any:
         self._check(value, known, where)
         return (value.dtype.str, value.shape, place(value))
 

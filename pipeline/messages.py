@@ -60,7 +60,7 @@ class Span:
     received_ns: int
     done_ns: int
     handler_ns: int  # inside the operator's own code
-    wait_ns: int  # runnable but without a core, between the stage before and this one
+    scheduling_delay_ns: int  # runnable but without a core, between the stage before and this one
 
 
 @dataclass(frozen=True, kw_only=True)

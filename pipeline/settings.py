@@ -1,7 +1,7 @@
 """Plain values from outside into settings dataclasses, strictly: mapping -> frozen dataclass.
 
 Types are checked by pydantic (a list may stand for a tuple and an int for a float, nothing else is
-converted); unknown names get a suggestion; ranges are the dataclass's own affair. Whatever a
+converted); unknown names get a suggestion; ranges are checked by the dataclass. Whatever a
 dataclass raises over its values becomes one sentence.
 """
 

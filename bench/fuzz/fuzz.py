@@ -21,7 +21,7 @@ from bench.fuzz.tally import Tally
 from bench.fuzz.wire import fuzz_wire
 from bench.options import JSON, Bench
 
-SHIPPED = (Path("graphs/tracking.yaml"), Path("graphs/boxes.yaml"))
+SHIPPED = (Path("graphs/tracking.yaml"), Path("graphs/multi_host.yaml"))
 
 
 @click.group()

@@ -1,6 +1,6 @@
 """Spoilt orders to a running graph: each is answered once, in one sentence, and the graph goes on.
 
-Orders to the supervisor go to the desk of a small graph that runs; those to a node go to an
+Orders to the supervisor go to the control server of a small running graph; those to a node go to an
 operator in this process, as its host would pass them on.
 """
 
@@ -139,9 +139,9 @@ def _order(supervisor: Supervisor, plan: Plan, rng: random.Random) -> bytes:
 
 def _asked(supervisor: Supervisor, order: bytes) -> None:
     replies: list[bytes] = []
-    supervisor.desk.ask(order, replies.append)
+    supervisor.control.ask(order, replies.append)
     late_s = time.monotonic() + ANSWER_S
-    supervisor.desk.attend()
+    supervisor.control.tick()
     while not replies:
         supervisor.tick()
         if time.monotonic() > late_s:

@@ -40,9 +40,9 @@ def known() -> Mapping[str, Case]:
         cls = type(message)
         found[cls.__name__] = codec.dumps(message), _loader(cls)
         body = codec.pack(message)
-        mark = codec.fingerprint(cls)
+        fingerprint = codec.fingerprint(cls)
         found[f"envelope of {cls.__name__}"] = (
-            Envelope.render(MESSAGE, 3, 1, mark, None, body), _opener(cls)
+            Envelope.render(MESSAGE, 3, 1, fingerprint, None, body), _opener(cls)
         )  # fmt: skip
     slot = SlotRef("eye.out", 7, 1, 2, 4096)
     found["nothing"] = (
@@ -54,7 +54,7 @@ def known() -> Mapping[str, Case]:
     answer = msgspec.msgpack.encode({"settings": {"a": 1}, "live": ["a"], "refused": ""})
     found["answer"] = answer, read_answer
     health = Health(
-        node="work", process="work", host="", pid=7, epoch=1, state="idle", complaint="",
+        node="work", process="work", host="", pid=7, epoch=1, state="idle", problem="",
         handled=3, last_seq=2, busy_s=0.0, silent_s=0.1, own_mb=9.5, words="", waiting={"frame": 1},
         dropped={"frame": {"gap": 2}}, broken=("a -> b.frame",),
     )  # fmt: skip

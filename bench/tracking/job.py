@@ -27,7 +27,7 @@ Gazes = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure
 Seen = dict[tuple[str, tuple[int, int], Geometry, bool], list[Tracks]]
 
 
-def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, complaints: Path) -> None:
+def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, warnings_file: Path) -> None:
     """All these cases of a clip, each written when it is done."""
     cv2.setNumThreads(1)
     clip = read(name, protocol.frames)
@@ -35,7 +35,7 @@ def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, complaints:
     subjects = targets(clip.truths, protocol.kinds, players=protocol.players, seed=seed)
     seen: Seen = {}
     looked: dict[Case, Gazes] = {}
-    with _complaints_into(complaints, str(name)):
+    with _warnings_into(warnings_file, str(name)):
         for changes, tracker in sorted({(case.changes, case.tracker) for case, _ in work}):
             with Stages(Path(protocol.graph), changes, tracker) as stages:
                 for case, path in (w for w in work if w[0].changes == changes):
@@ -93,7 +93,7 @@ def _followed(loop: Loop, target: Target, every: int, gaze: Gazes, draft: Draft)
 
 
 @contextmanager
-def _complaints_into(path: Path, name: str) -> Iterator[None]:
+def _warnings_into(path: Path, name: str) -> Iterator[None]:
     """Warnings of the parts go into a file: on the terminal they would break the bar."""
     handler = logging.FileHandler(path, delay=True)
     handler.setFormatter(logging.Formatter(f"{name}: %(message)s"))

@@ -17,7 +17,7 @@ from bench.tracking.key import clip_key, key
 from operators.training.workers import pool_of
 
 LOOK_S = 1.0  # between looks at what is done
-COMPLAINTS = "warnings.log"  # what the parts had to say, beside the units
+WARNINGS = "warnings.log"  # what the parts had to say, beside the units
 # measured, in rows whose windows are known or need no network
 COST = {"temporal": 0.2, "exposure": 2.0, **dict.fromkeys(PLANNED, 2.0)}
 
@@ -40,15 +40,16 @@ def measured(
         clip: [work for work in zip(cases, found, strict=True) if not work[1].exists()]
         for clip, found in places.items()
     }
-    complaints = folder / COMPLAINTS
-    before = _lines(complaints)
+    warnings_file = folder / WARNINGS
+    before = _lines(warnings_file)
     finished = sum(path.exists() for path in paths)
     with (
         pool_of(jobs) as pool,
         tqdm(total=len(paths), initial=finished, desc="units", unit="unit", smoothing=0) as bar,
     ):
         waiting = {
-            pool.submit(follow, clip, work, protocol, complaints) for clip, work in cut(left, jobs)
+            pool.submit(follow, clip, work, protocol, warnings_file)
+            for clip, work in cut(left, jobs)
         }
         while waiting:
             done, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
@@ -56,8 +57,8 @@ def measured(
                 job.result()
             bar.n = sum(path.exists() for path in paths)
             bar.refresh()
-    if more := _lines(complaints) - before:
-        click.echo(f"{more} warnings: {complaints}", err=True)
+    if more := _lines(warnings_file) - before:
+        click.echo(f"{more} warnings: {warnings_file}", err=True)
     return [unit for path in paths for unit in units(path)]
 
 

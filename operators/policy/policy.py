@@ -148,7 +148,7 @@ class Policy(Operator[PolicySettings, Scanpath]):
     def on_features(self, features: RoiFeatures) -> None:
         """Keep the looks of the last frames."""
         wrong = fault_of_looks(features)
-        self._complain("looks", wrong)
+        self._warn_once("looks", wrong)
         if wrong:
             return
         memory = remember(self._state.memory, features, self.settings.observed)
@@ -187,7 +187,7 @@ class Policy(Operator[PolicySettings, Scanpath]):
         s, state = self.settings, self._state
         chooser.check(tracks)
         wrong = fault(tracks)
-        self._complain("tracks", wrong)
+        self._warn_once("tracks", wrong)
         if wrong:
             return no_proposal()
         rules = Rules(
@@ -197,7 +197,7 @@ class Policy(Operator[PolicySettings, Scanpath]):
             loyalty=s.loyalty,
         )
         gaze, candidates, told = observe(state.gaze, self._wish, tracks, state.memory, rules)
-        self._complain("prompt", unmet(gaze.prompt, self._wish, tracks))
+        self._warn_once("prompt", unmet(gaze.prompt, self._wish, tracks))
         if len(candidates.ids):
             believed = chooser(candidates, told)
             probability = loyal(believed, candidates, gaze.prompt, rules.loyalty)
@@ -209,8 +209,8 @@ class Policy(Operator[PolicySettings, Scanpath]):
         self._state = replace(state, gaze=gaze)
         return plan
 
-    def _complain(self, about: str, sentence: str) -> None:
-        """Log a sentence once, until there is nothing to complain of any more."""
+    def _warn_once(self, about: str, sentence: str) -> None:
+        """Log a sentence once, until there is none any more."""
         if sentence and about not in self._ailing:
             log.warning(sentence)
         (self._ailing.add if sentence else self._ailing.discard)(about)

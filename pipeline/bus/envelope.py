@@ -9,8 +9,8 @@ from pipeline.bus.pool import SlotRef
 
 VERSION = 2  # also below, where a type checker wants the number itself
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
-HELLO, MESSAGE, NOTHING = 0, 1, 2
-# bodies of greetings: by who took over and lost nothing, and by who has lost something just now
+HANDSHAKE, MESSAGE, NOTHING = 0, 1, 2
+# bodies of handshakes: by who took over and lost nothing, and by who has lost something just now
 GOES_ON, LOST = msgspec.msgpack.encode(True), msgspec.msgpack.encode(False)
 
 EPOCH_BITS = 32
@@ -31,16 +31,16 @@ class Envelope(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     kind: Literal[0, 1, 2]
     ordinal: Count
     epoch: Count
-    mark: bytes
+    fingerprint: bytes
     slot: SlotRef | None
     body: msgspec.Raw
 
     @staticmethod
     def render(
-        kind: int, ordinal: int, epoch: int, mark: bytes, slot: SlotRef | None, body: Any
+        kind: int, ordinal: int, epoch: int, fingerprint: bytes, slot: SlotRef | None, body: Any
     ) -> bytes:
         """The envelope of what `codec.pack` gave; raises `MessageError` for what cannot travel."""
-        return codec.to_bytes((VERSION, kind, ordinal, epoch, mark, slot, body))
+        return codec.to_bytes((VERSION, kind, ordinal, epoch, fingerprint, slot, body))
 
     @staticmethod
     def parse(payload: bytes) -> "Envelope":

@@ -16,8 +16,8 @@ from pipeline.contract import Input
 from pipeline.messages import Header, Message
 
 GRACE_NS = 1_000_000_000  # after a loss: what is not lost of the frames before comes by then
-Settle = Callable[[str, str, int], None]  # input, fate ("delivered" or a drop's name), ordinal
-
+# input, outcome ("delivered" or a drop's name), ordinal
+Acknowledge = Callable[[str, str, int], None]
 
 AgeNs = Callable[[Header, int], int | None]  # of an exposure now; None where nobody knows
 
@@ -27,12 +27,12 @@ class Work(NamedTuple):
 
     header: Header
     messages: Mapping[str, Message | None]  # by input name, in the handler's order
-    arrived: Mapping[str, int]  # whose arrivals are to be settled: input -> ordinal
+    arrived: Mapping[str, int]  # whose arrivals are to be acknowledged: input -> ordinal
     answer: bool
     new_stream: bool = False
 
 
-class Marks(NamedTuple):
+class InboxPosition(NamedTuple):
     """How far an inbox has come."""
 
     stream: str
@@ -55,10 +55,10 @@ class Inbox:
     """The joins and queues of one operator; not thread-safe."""
 
     def __init__(
-        self, inputs: Mapping[str, Input], settle: Settle, *, lockstep: bool,
+        self, inputs: Mapping[str, Input], acknowledge: Acknowledge, *, lockstep: bool,
         age_ns: AgeNs | None = None,
     ) -> None:  # fmt: skip
-        self.inputs, self._settle, self._lockstep = dict(inputs), settle, lockstep
+        self.inputs, self._acknowledge, self._lockstep = dict(inputs), acknowledge, lockstep
         self._age_ns = age_ns or Clocks().age_ns
         self._joined = tuple(n for n, i in inputs.items() if i.join and not i.command)
         self._required = tuple(n for n in self._joined if not inputs[n].optional)
@@ -90,14 +90,14 @@ class Inbox:
         seq = header.seq
         self._last[name] = seq
         if seq <= self._handled:
-            self._settle(name, "unmatched", arrival.ordinal)
+            self._acknowledge(name, "unmatched", arrival.ordinal)
         else:
             waiting = self._sets.get(seq)
             if waiting is None:
                 waiting = self._sets[seq] = _Set()
             arrivals = waiting.arrivals
             if name in arrivals:  # its writer died before it knew that it had sent this
-                self._settle(name, "unmatched", arrivals[name].ordinal)
+                self._acknowledge(name, "unmatched", arrivals[name].ordinal)
             arrivals[name] = arrival
             if waiting.complete_ns is None and arrivals.keys() >= self._needed:
                 waiting.complete_ns = now_ns
@@ -139,7 +139,7 @@ class Inbox:
         header = next(iter(waiting.arrivals.values())).header
         if self._stale_ns and (self._age_ns(header, now_ns) or 0) > self._stale_ns:
             for name, arrival in waiting.arrivals.items():
-                self._settle(name, "stale", arrival.ordinal)
+                self._acknowledge(name, "stale", arrival.ordinal)
             return Work(header, {}, {}, answer=False, new_stream=self._once_fresh())
         return self._work(header, waiting.arrivals)
 
@@ -157,18 +157,19 @@ class Inbox:
         """How many arrivals of one input may wait here."""
         return self._depth
 
-    def marks(self) -> "Marks":
+    def position(self) -> "InboxPosition":
         """How far it has come, for whoever goes on; what waits here is not part of it."""
         last = dict(self._last)
         for seq, waiting in self._sets.items():
             for name in waiting.arrivals:
                 last[name] = min(last[name], seq - 1)
-        return Marks(self._stream, list(self._retired), self._handled, last)
+        return InboxPosition(self._stream, list(self._retired), self._handled, last)
 
-    def go_on_from(self, marks: "Marks") -> None:
+    def go_on_from(self, position: "InboxPosition") -> None:
         """Go on where another inbox stopped; what waits there has to be offered again."""
-        self._stream, self._handled, self._last = marks.stream, marks.handled, dict(marks.last)
-        self._retired.extend(marks.retired)
+        self._stream, self._handled = position.stream, position.handled
+        self._last = dict(position.last)
+        self._retired.extend(position.retired)
         self._fresh = False
 
     def abandon(self, name: str) -> None:
@@ -176,16 +177,16 @@ class Inbox:
         for waiting in self._sets.values():
             arrival = waiting.arrivals.pop(name, None)
             if arrival is not None:
-                self._settle(name, "unmatched", arrival.ordinal)
+                self._acknowledge(name, "unmatched", arrival.ordinal)
                 waiting.complete_ns = None
         self._sets = {seq: waiting for seq, waiting in self._sets.items() if waiting.arrivals}
         for entry in [entry for entry in self._side if entry[0] == name]:
             self._side.remove(entry)
-            self._settle(name, "unmatched", entry[1].ordinal)
+            self._acknowledge(name, "unmatched", entry[1].ordinal)
         self._last.pop(name, None)
 
     def forget(self, done: Callable[[str, int], bool]) -> None:
-        """Drop the arrivals (input, ordinal) that somebody else has settled meanwhile."""
+        """Drop the arrivals (input, ordinal) that somebody else has acknowledged meanwhile."""
         for seq, waiting in list(self._sets.items()):
             for name in [n for n, a in waiting.arrivals.items() if done(n, a.ordinal)]:
                 del waiting.arrivals[name]
@@ -213,7 +214,7 @@ class Inbox:
     def _change_stream(self, name: str, stream: str, ordinal: int) -> bool:
         """Forget the old stream; False when the new one was retired before."""
         if stream in self._retired:
-            self._settle(name, "unmatched", ordinal)
+            self._acknowledge(name, "unmatched", ordinal)
             return False
         if self._stream:
             self._retired.append(self._stream)
@@ -223,14 +224,14 @@ class Inbox:
         self._give_up(lambda _seq: True)
         while self._side:
             name, arrival = self._side.popleft()
-            self._settle(name, "unmatched", arrival.ordinal)
+            self._acknowledge(name, "unmatched", arrival.ordinal)
         return True
 
     def _offer_side(self, name: str, arrival: Arrival) -> None:
         if self.inputs[name].keep == "latest" and not self._lockstep:
             for older in [entry for entry in self._side if entry[0] == name]:
                 self._side.remove(older)
-                self._settle(name, "superseded", older[1].ordinal)
+                self._acknowledge(name, "superseded", older[1].ordinal)
         self._side.append((name, arrival))
 
     def _side_may_go(self) -> bool:
@@ -260,7 +261,7 @@ class Inbox:
 
     def _drop(self, seq: int, reason: str) -> None:
         for name, arrival in self._sets.pop(seq).arrivals.items():
-            self._settle(name, reason, arrival.ordinal)
+            self._acknowledge(name, reason, arrival.ordinal)
 
 
 def _limit_ns(inputs: Iterable[Input]) -> int:

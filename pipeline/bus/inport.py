@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import codec
-from pipeline.bus.envelope import GOES_ON, HELLO, LOST, NOTHING, Envelope
+from pipeline.bus.envelope import GOES_ON, HANDSHAKE, LOST, NOTHING, Envelope
+from pipeline.bus.envelope_buffer import DropCounts, EdgeCut, EnvelopeBuffer
 from pipeline.bus.ledger import DROPS, EdgeAccount, private_ledger
 from pipeline.bus.outport import Arrival
 from pipeline.bus.pool import PoolReader
-from pipeline.bus.tape import Counted, EdgeCut, Tape
 from pipeline.errors import MessageError
 from pipeline.messages import Header, Message
 
@@ -32,22 +32,22 @@ class InPort:
         self._message, self._account, self._pool = message, account, pool
         self._schema = codec.schema(message)
         self._epoch, self._deliver, self._tap = epoch, deliver, tap
-        self._sender_epoch, self._mark = -1, self._schema.fingerprint
+        self._sender_epoch, self._fingerprint = -1, self._schema.fingerprint
         self._seen = max(account.seen, account.accounted)
         self._open: set[int] = set()  # delivered here and not finished
         self._careful = False
-        self._tape: Tape | None = None
+        self._buffer: EnvelopeBuffer | None = None
         self.also: Callable[[Envelope], None] | None = None  # a shadow's, while holding
         self.on_loss: Callable[[], None] = lambda: None  # frames that were on their way are gone
         if holding:
-            self._tape = Tape()
+            self._buffer = EnvelopeBuffer()
         else:  # what the predecessor had taken and not finished died with it
             account.lost_in_crash += max(0, account.seen - account.accounted)
 
     @property
-    def tape(self) -> Tape | None:
+    def buffer(self) -> EnvelopeBuffer | None:
         """What is held, while it is."""
-        return self._tape
+        return self._buffer
 
     @property
     def dropped(self) -> int:
@@ -59,14 +59,14 @@ class InPort:
         try:
             envelope = Envelope.parse(payload)
         except MessageError:
-            if self._tape is None:
-                self._account.strays += 1  # without a number it is nobody's message
+            if self._buffer is None:
+                self._account.unexpected += 1  # without a number it is nobody's message
             return
         envelope.ordinal -= self._account.base
-        if self._tape is None:
+        if self._buffer is None:
             self._receive(envelope)
         else:
-            self._tape.add(envelope)
+            self._buffer.add(envelope)
             if self.also is not None:
                 self.also(envelope)
 
@@ -80,9 +80,9 @@ class InPort:
             self._message, private_ledger(1, 0).edges[0], self._pool, self._epoch, deliver,
             tap=True, holding=True,
         )  # fmt: skip
-        assert port._tape is not None
-        assert self._tape is not None
-        port._tape.envelopes.extend(self._tape.envelopes)
+        assert port._buffer is not None
+        assert self._buffer is not None
+        port._buffer.envelopes.extend(self._buffer.envelopes)
         self.also = port._receive
         return port
 
@@ -98,7 +98,7 @@ class InPort:
 
     def cut(self) -> EdgeCut:
         """Hold from now on; where the one that takes over has to begin."""
-        self._tape, self._careful = Tape(self._seen), True
+        self._buffer, self._careful = EnvelopeBuffer(self._seen), True
         self._tell_seen()
         return self.here()
 
@@ -109,87 +109,87 @@ class InPort:
     def take_over(self, cut: EdgeCut) -> None:
         """Go on where another instance stopped, with what it has not finished and what came since.
 
-        Until `settle_down` the writer is told that a message was seen only when it is finished: its
+        Until `confirm` the writer is told that a message was seen only when it is finished: its
         memory is then still there for the other instance, should this one fail.
         """
-        tape, self._tape = self._tape or Tape(), None
+        buffer, self._buffer = self._buffer or EnvelopeBuffer(), None
         self._seen, self._sender_epoch, self._careful = cut.seen, cut.sender_epoch, True
         self._account.attached_epoch = self._epoch
         unfinished = set(cut.unfinished)
-        for envelope in tape.envelopes:
-            if envelope.ordinal >= cut.seen + (envelope.kind != HELLO):
+        for envelope in buffer.envelopes:
+            if envelope.ordinal >= cut.seen + (envelope.kind != HANDSHAKE):
                 self._receive(envelope)
             elif envelope.ordinal in unfinished:
                 self._hand_on(envelope)
         self._tell_seen()
 
-    def settle_down(self) -> None:
+    def confirm(self) -> None:
         """This instance stays."""
         self._careful = False
         self._tell_seen()
 
-    def resume(self, epoch: int, before: Counted) -> Callable[[int], bool]:
+    def resume(self, epoch: int, before: DropCounts) -> Callable[[int], bool]:
         """Go on after whoever took over has failed; says which ordinals it had finished.
 
         What it had dropped beyond the last message it finished is judged again, and not counted
-        twice. The caller lets its inbox forget what is done, then has the tape played.
+        twice. The caller lets its inbox forget what is done, then replays the buffer.
         """
         account, done = self._account, self._account.seen
-        tape = self._tape or Tape()
+        buffer = self._buffer or EnvelopeBuffer()
         self._epoch = account.attached_epoch = epoch
         again = {o for o in self._open if o > done}
-        again |= {e.ordinal for e in tape.envelopes if e.ordinal > done and e.kind != HELLO}
+        again |= {e.ordinal for e in buffer.envelopes if e.ordinal > done and e.kind != HANDSHAKE}
         newest = max([done, self._seen, *again])
         before.refund(account, account.accounted - (newest - len(again)))
         self._open = {o for o in self._open if o > done}
         self._seen, self._careful = max(self._seen, done), False
         return lambda ordinal: ordinal <= done
 
-    def play(self) -> None:
+    def replay(self) -> None:
         """Receive what was held."""
-        tape, self._tape = self._tape or Tape(), None
-        for envelope in tape.envelopes:
-            if envelope.ordinal >= self._seen + (envelope.kind != HELLO):
+        buffer, self._buffer = self._buffer or EnvelopeBuffer(), None
+        for envelope in buffer.envelopes:
+            if envelope.ordinal >= self._seen + (envelope.kind != HANDSHAKE):
                 self._receive(envelope)
         self._tell_seen()
 
     def _receive(self, envelope: Envelope) -> None:
         account = self._account
         fresh = account.attached_epoch != self._epoch or envelope.epoch != self._sender_epoch
-        missing = envelope.ordinal - self._seen - (envelope.kind != HELLO)
+        missing = envelope.ordinal - self._seen - (envelope.kind != HANDSHAKE)
         if missing < 0:
-            account.strays += 1
+            account.unexpected += 1
             return
         self._seen = envelope.ordinal
         if missing:
-            account.settle("lost_in_crash" if fresh else "gap", missing)
+            account.acknowledge("lost_in_crash" if fresh else "gap", missing)
         if fresh:
             self._sender_epoch = envelope.epoch
             account.attached_epoch = self._epoch
-        if missing or (envelope.kind == HELLO and _tells_loss(envelope, fresh=fresh)):
+        if missing or (envelope.kind == HANDSHAKE and _tells_loss(envelope, fresh=fresh)):
             self.on_loss()
         self._hand_on(envelope)
         self._tell_seen()
 
     def _hand_on(self, envelope: Envelope) -> None:
-        arrival, fate = self._read(envelope)
+        arrival, outcome = self._read(envelope)
         if arrival is not None:
             self._open.add(envelope.ordinal)
             self._deliver(arrival)
-        elif fate:
-            self._account.settle(fate)
+        elif outcome:
+            self._account.acknowledge(outcome)
 
     def _tell_seen(self) -> None:
         careful = self._careful and self._open
         self._account.seen = min(self._open) - 1 if careful else self._seen
 
     def _read(self, envelope: Envelope) -> tuple[Arrival | None, str]:
-        """The arrival, or None and which drop it counts as (none for a greeting)."""
-        if envelope.kind == HELLO:
+        """The arrival, or None and which drop it counts as (none for a handshake)."""
+        if envelope.kind == HANDSHAKE:
             return None, ""
         if envelope.epoch < self._account.writer_epoch:
             return None, "fenced"
-        if envelope.mark != self._mark:
+        if envelope.fingerprint != self._fingerprint:
             return None, "refused"
         try:
             if envelope.kind == NOTHING:
@@ -214,9 +214,9 @@ class InPort:
         return raw
 
 
-def _tells_loss(greeting: Envelope, *, fresh: bool) -> bool:
+def _tells_loss(handshake: Envelope, *, fresh: bool) -> bool:
     """Who died had frames in hand; who took over from a living one says that nothing is lost."""
-    said = bytes(greeting.body)
+    said = bytes(handshake.body)
     return said == LOST or (fresh and said != GOES_ON)
 
 

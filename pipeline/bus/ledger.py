@@ -33,7 +33,7 @@ DROPS = (
     "overwritten",  # its slot was reused before this reader came for it
     "gap",  # the transport lost it
 )
-HISTOGRAMS = ("handler", "loop", "overhead", "cpu_wait", "hop")
+HISTOGRAMS = ("handler", "loop", "overhead", "scheduling_delay", "hop")
 
 ROOM_EDGES, ROOM_NODES = 16, 4  # for what is added while a graph runs
 _LAYOUT = struct.Struct("<QQ")  # the file ends with how many edges and nodes it has
@@ -52,14 +52,14 @@ class EdgeAccount(ctypes.Structure):
     # the reading node; the DROPS between the two below
     seen: int
     delivered: int
-    strays: int
+    unexpected: int
     lost_in_crash: int
     attached_epoch: int
     # the supervisor
     reader_epoch: int
     writer_epoch: int
-    door: int  # which instance of the reader packets go to, 0: none
-    next_door: int  # and which other one listens while the reader is being swapped
+    receiver_epoch: int  # which instance of the reader packets go to, 0: none
+    next_receiver_epoch: int  # and which other one listens while the reader is being swapped
     base: int  # the writer's: how much its output had sent before this edge began
 
     age: Histogram
@@ -69,7 +69,8 @@ class EdgeAccount(ctypes.Structure):
         (name, ctypes.c_uint64)
         for name in (
             "sent", "overrun", "broken", "seen", "delivered", *DROPS, "lost_in_crash",
-            "attached_epoch", "strays", "reader_epoch", "writer_epoch", "door", "next_door", "base",
+            "attached_epoch", "unexpected", "reader_epoch", "writer_epoch", "receiver_epoch",
+            "next_receiver_epoch", "base",
         )
     ]  # fmt: skip
 
@@ -86,9 +87,9 @@ class EdgeAccount(ctypes.Structure):
         """Messages dropped for one of the `DROPS`."""
         return int(getattr(self, reason))
 
-    def settle(self, fate: str, count: int = 1) -> None:
+    def acknowledge(self, outcome: str, count: int = 1) -> None:
         """Count the end of messages: delivered, one of the `DROPS`, lost_in_crash."""
-        setattr(self, fate, getattr(self, fate) + count)
+        setattr(self, outcome, getattr(self, outcome) + count)
 
     @property
     def accounted(self) -> int:

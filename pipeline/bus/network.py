@@ -1,6 +1,6 @@
 """How a session reaches other hosts: end points, who it is, and what each other may do with it.
 
-Without papers only unix sockets are allowed; an address of a network needs TLS in both directions.
+Without credentials only unix sockets are allowed; a network address needs TLS in both directions.
 What no permit names is denied, whoever asks.
 """
 
@@ -25,29 +25,29 @@ LEASE_MS = 2000
 
 @dataclass(frozen=True, kw_only=True)
 class Permit:
-    """One thing that a holder of a certificate may do with this session."""
+    """One thing that the bearer of an identity may do with this session."""
 
-    holder: str  # common name
-    inward: tuple[Deed, ...] = ()  # what may come from the holder
-    outward: tuple[Deed, ...] = ()  # what may go to the holder
+    identity: str  # common name
+    inward: tuple[Deed, ...] = ()  # what may come from it
+    outward: tuple[Deed, ...] = ()  # what may go to it
     key: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """The end points of a session, its papers and its permits."""
+    """The end points of a session, its credentials and its permits."""
 
     listen: tuple[str, ...] = ()
     connect: tuple[str, ...] = ()
-    papers: str = ""  # folder with ca.pem, own.pem, own.key; empty: unix sockets only
+    credentials: str = ""  # folder with ca.pem, own.pem, own.key; empty: unix sockets only
     permits: tuple[Permit, ...] = ()
     # for so long a message waits for a link that takes nothing; then it is lost, and counted
     patience_ms: int = 0
 
     def config(self) -> dict[str, Any]:
-        """What Zenoh is to be told; raises `SettingsError` for a network address without papers."""
+        """Zenoh's configuration; raises `SettingsError` for a network without credentials."""
         for point in (*self.listen, *self.connect):
-            wanted = "tls/" if self.papers else LOCAL
+            wanted = "tls/" if self.credentials else LOCAL
             if not point.startswith(wanted):
                 raise SettingsError(f"{point}: expected {wanted}… here")
         first, last = RETRY_MS
@@ -77,11 +77,11 @@ class Network:
                 "link": {
                     "tx": {"lease": LEASE_MS, "keep_alive": 4, "queue": queue},
                     "rx": {"max_message_size": LARGEST_BYTES},
-                    **({"tls": _tls(Path(self.papers))} if self.papers else {}),
+                    **({"tls": _tls(Path(self.credentials))} if self.credentials else {}),
                 },
             },
         }  # fmt: skip
-        if self.papers:
+        if self.credentials:
             config["access_control"] = access_control(self.permits)
         return config
 
@@ -90,7 +90,7 @@ def access_control(permits: tuple[Permit, ...]) -> dict[str, Any]:
     """Zenoh's access list: nothing but the permits."""
     rules, subjects, policies = [], [], []
     for number, permit in enumerate(permits):
-        subjects.append({"id": f"s{number}", "cert_common_names": [permit.holder]})
+        subjects.append({"id": f"s{number}", "cert_common_names": [permit.identity]})
         named = []
         for flow, deeds in (("ingress", permit.inward), ("egress", permit.outward)):
             if deeds:
@@ -108,10 +108,10 @@ def access_control(permits: tuple[Permit, ...]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _tls(papers: Path) -> dict[str, Any]:
-    own, key = str(papers / "own.pem"), str(papers / "own.key")
+def _tls(credentials: Path) -> dict[str, Any]:
+    own, key = str(credentials / "own.pem"), str(credentials / "own.key")
     return {
-        "root_ca_certificate": str(papers / "ca.pem"),
+        "root_ca_certificate": str(credentials / "ca.pem"),
         "enable_mtls": True,
         "listen_certificate": own, "listen_private_key": key,
         "connect_certificate": own, "connect_private_key": key,

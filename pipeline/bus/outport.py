@@ -1,7 +1,7 @@
 """The writing end of an edge: messages to descriptors.
 
 Big arrays go through the frame pool, small ones inside the descriptor. Readers of the graph on this
-host get it by the short way (`doors`), taps on the output's Zenoh key; subscribers that do
+host get it by `local_transport`, taps on the output's Zenoh key; subscribers that do
 not share this host's memory get everything on a second key; both only while somebody listens.
 """
 
@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline import codec
-from pipeline.bus.doors import Links, Target
-from pipeline.bus.envelope import HELLO, MESSAGE, NOTHING, Envelope, first_of
+from pipeline.bus.envelope import HANDSHAKE, MESSAGE, NOTHING, Envelope, first_of
 from pipeline.bus.ledger import EdgeAccount
+from pipeline.bus.local_transport import LocalSender, Target
 from pipeline.bus.pool import DONE, KEPT, SPARE, Lease, PoolWriter, SlotRef
 from pipeline.bus.session import Sender
 from pipeline.errors import MessageError, PoolExhausted
@@ -27,7 +27,7 @@ from pipeline.messages import Header, Message
 
 INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
 INSIST_S = 5.0  # longer than a frozen reader lives
-KNOCK_S = 0.5  # a reader that gives no credit for so long may wait for what was lost on its way
+PROBE_S = 0.5  # a reader that gives no credit for so long may wait for what was lost on its way
 BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
 
 
@@ -47,9 +47,9 @@ class Reader:
     lossless: bool
     depth: int
     edge: int = 0
-    address: Callable[[int], Path] | None = None  # of its door by instance; None: goes by bytes
+    address: Callable[[int], Path] | None = None  # of its receiver; None: goes by bytes
 
-    def door(self, instance: int) -> list[Target]:
+    def targets(self, instance: int) -> list[Target]:
         """Where an instance of it listens, if it does."""
         return [(self.edge, self.address(instance))] if self.address and instance else []
 
@@ -72,31 +72,31 @@ class OutPort:
     """One output of a node."""
 
     def __init__(
-        self, message: type[Message], links: Links, taps: Sender, remote: Sender,
+        self, message: type[Message], sender: LocalSender, taps: Sender, remote: Sender,
         readers: Sequence[Reader], pool: Callable[[Callable[[int], int]], PoolWriter], epoch: int,
     ) -> None:  # fmt: skip
-        self._message, self._links = message, links
+        self._message, self._sender = message, sender
         self._taps, self._remote = taps, remote
         self.readers = tuple(readers)
         self._epoch = epoch
         self._ordinal = self._counted()
         self._schema = codec.schema(message)
-        self._mark = self._schema.fingerprint
+        self._fingerprint = self._schema.fingerprint
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
-        self._doors = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
+        self._receivers = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
         self._goes_on: bool | None = None  # True: from another instance, with what it had in hand
         self._lost = False
-        self._stuck_s = 0.0  # since when there is no credit, or the last knock
+        self._no_credit_since_s = 0.0  # since when there is no credit, or the last probe
 
     def begin(self, epoch: int) -> None:
         """Speak for the node from now on, where whoever spoke before stopped."""
         self._epoch, self._goes_on = epoch, True
         self._ordinal = self._counted()
-        self._doors = [(0, 0)] * len(self.readers)
-        self._links.aim(())  # a reader takes what comes on its newest link last
+        self._receivers = [(0, 0)] * len(self.readers)
+        self._sender.set_targets(())  # a reader takes what comes on its newest link last
         self._pool.refresh()
-        self.hello()
+        self.handshake()
 
     def change_readers(self, readers: Sequence[Reader], slots: int) -> None:
         """Other edges begin here from the next message on; who stays notices nothing."""
@@ -105,9 +105,11 @@ class OutPort:
             if id(reader.account) not in known:
                 reader.account.base = self._ordinal
         self.readers = tuple(readers)
-        self._aim([(r.account.door, r.account.next_door) for r in self.readers])
+        self._set_targets(
+            [(r.account.receiver_epoch, r.account.next_receiver_epoch) for r in self.readers]
+        )
         self._pool.resize(slots)
-        self.hello()
+        self.handshake()
 
     def let_go(self) -> None:
         """While somebody else speaks: give back the slots that no reader wants any more."""
@@ -136,22 +138,24 @@ class OutPort:
                 return False
         return True
 
-    def hello(self) -> bool:
-        """Greet readers that have not heard this instance; True when all that live have.
+    def handshake(self) -> bool:
+        """Send a handshake to readers without one; True when all that live have had it.
 
-        One without credit is greeted too, now and then: a greeting tells how much was sent.
+        One without credit gets one too, now and then: a handshake tells how much was sent.
         """
         waiting = [r for r in self.readers if r.account.reader_epoch and not r.account.live]
-        doors = [(r.account.door, r.account.next_door) for r in self.readers]
-        if doors != self._doors:
-            self._aim(doors)
+        receivers = [
+            (r.account.receiver_epoch, r.account.next_receiver_epoch) for r in self.readers
+        ]
+        if receivers != self._receivers:
+            self._set_targets(receivers)
         lost, self._lost = self._lost, False
-        if self._links.connect() or waiting or self._stuck() or lost:
-            self._send(self._wrap(HELLO, None, False if lost else self._goes_on), ())
+        if self._sender.connect() or waiting or self._probe_due() or lost:
+            self._send(self._wrap(HANDSHAKE, None, False if lost else self._goes_on), ())
         return not waiting
 
     def has_lost(self) -> None:
-        """With the next greeting readers hear that some frames will not come; any thread."""
+        """With the next handshake readers hear that some frames will not come; any thread."""
         self._lost = True
 
     def send(self, message: Message | None, header: Header) -> None:
@@ -204,25 +208,25 @@ class OutPort:
         sent = (r.account.base + r.account.sent for r in self.readers)
         return max(sent, default=first_of(self._epoch) - 1)
 
-    def _stuck(self) -> bool:
-        """Whether it is time to knock."""
+    def _probe_due(self) -> bool:
+        """Whether it is time to probe a reader without credit."""
         if self.has_credit():
-            self._stuck_s = 0.0
+            self._no_credit_since_s = 0.0
             return False
         now_s = time.monotonic()
-        knock = now_s - (self._stuck_s or now_s) > KNOCK_S
-        if knock or not self._stuck_s:
-            self._stuck_s = now_s
-        return knock
+        probe = now_s - (self._no_credit_since_s or now_s) > PROBE_S
+        if probe or not self._no_credit_since_s:
+            self._no_credit_since_s = now_s
+        return probe
 
-    def _aim(self, doors: list[tuple[int, int]]) -> None:
+    def _set_targets(self, receivers: list[tuple[int, int]]) -> None:
         first: list[Target] = []
         beside: list[Target] = []
-        for reader, (door, next_door) in zip(self.readers, doors, strict=True):
-            first += reader.door(door)
-            beside += reader.door(next_door)
-        self._links.aim(first, beside)
-        self._doors = doors
+        for reader, (receiver, next_receiver) in zip(self.readers, receivers, strict=True):
+            first += reader.targets(receiver)
+            beside += reader.targets(next_receiver)
+        self._sender.set_targets(first, beside)
+        self._receivers = receivers
 
     def _count(self) -> None:
         """Before it is sent: killed in between, the message counts as lost, never as sent twice."""
@@ -232,7 +236,7 @@ class OutPort:
 
     def _send(self, payload: bytes, inline: tuple[Message, ...]) -> None:
         """To the readers; to whoever taps the key; and whole, to whoever shares no memory."""
-        if full := self._links.send(payload):
+        if full := self._sender.send(payload):
             self._insist(payload, full)
         if self._taps.matching():
             self._taps.send(payload)
@@ -246,10 +250,10 @@ class OutPort:
         lossless = {r.edge for r in self.readers if r.lossless}
         while (full := [t for t in full if t[0] in lossless]) and time.monotonic() < deadline:
             time.sleep(0.0005)
-            full = self._links.send(payload, full)
+            full = self._sender.send(payload, full)
 
     def _wrap(self, kind: int, ref: SlotRef | None, body: Any) -> bytes:
-        return Envelope.render(kind, self._ordinal, self._epoch, self._mark, ref, body)
+        return Envelope.render(kind, self._ordinal, self._epoch, self._fingerprint, ref, body)
 
     def _room_for(self, message: Message) -> Lease | None:
         """The slot the message was written into, or one for arrays that are elsewhere."""

@@ -2,7 +2,7 @@
 
 Zenoh offers no setting for either: what it sends waits for a dead connection for as long as the
 kernel tries (minutes), and closing one waits until everything was acknowledged (SO_LINGER, ten
-seconds), on a thread that serves its other links too. So a pulled cable silenced boxes whose cables
+seconds), on a thread that serves its other links too. So a pulled cable silenced hosts whose cables
 were in; and a link that was closed late, when the cable was in again, was taken for its successor,
 which was then closed in its place on one side and never opened again.
 """

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import codec
-from pipeline.bus.envelope import HELLO, NOTHING, Envelope, first_of
+from pipeline.bus.envelope import HANDSHAKE, NOTHING, Envelope, first_of
 from pipeline.errors import MessageError
 from pipeline.messages import Header, Message
 
@@ -68,12 +68,12 @@ class Tap:
 
     def __init__(self, message: type[Message], room: int = ROOM) -> None:
         self._schema = codec.schema(message)
-        self._mark = self._schema.fingerprint
+        self._fingerprint = self._schema.fingerprint
         self._waiting: queue.Queue[tuple[int, Envelope, bool]] = queue.Queue(room)
         self._lock = threading.Lock()
         self._instances: dict[int, _Instance] = {}  # by epoch
         self._slow = self._refused = 0
-        self._torn = False  # something was missed since the last one that was kept
+        self._after_loss = False  # something was missed since the last one that was kept
 
     def receive(self, payload: bytes) -> None:
         """Take one descriptor; never raises, never waits."""
@@ -85,16 +85,16 @@ class Tap:
         with self._lock:
             if not self._count(envelope):
                 return
-            if envelope.mark != self._mark:
+            if envelope.fingerprint != self._fingerprint:
                 self._refused += 1
-                self._torn = True
+                self._after_loss = True
                 return
             try:
-                self._waiting.put_nowait((at_ns, envelope, self._torn))
-                self._torn = False
+                self._waiting.put_nowait((at_ns, envelope, self._after_loss))
+                self._after_loss = False
             except queue.Full:
                 self._slow += 1
-                self._torn = True
+                self._after_loss = True
 
     def next(self, timeout_s: float) -> Heard | None:
         """The next exposure; None when nothing came in time."""
@@ -102,11 +102,11 @@ class Tap:
         while True:
             try:
                 left_s = max(0.0, deadline - time.monotonic())
-                at_ns, envelope, torn = self._waiting.get(timeout=left_s)
+                at_ns, envelope, after_loss = self._waiting.get(timeout=left_s)
             except queue.Empty:
                 return None
             try:
-                return Heard(at_ns, *self._read(envelope), torn)
+                return Heard(at_ns, *self._read(envelope), after_loss)
             except MessageError:
                 self._refused += 1
 
@@ -128,12 +128,12 @@ class Tap:
 
     def _count(self, envelope: Envelope) -> bool:
         """Whether it is a message of the instance that spoke for the node when it was sent."""
-        epoch, ordinal, greeting = envelope.epoch, envelope.ordinal, envelope.kind == HELLO
+        epoch, ordinal, handshake = envelope.epoch, envelope.ordinal, envelope.kind == HANDSHAKE
         known = self._instances.get(epoch)
         if known is None:
             if any(other > epoch for other in self._instances):
                 return False  # not heard while it spoke
-            first = ordinal + greeting
+            first = ordinal + handshake
             if self._instances and first > first_of(epoch):
                 first = first_of(epoch)  # it counts anew, and this is not its first
             known = self._instances[epoch] = _Instance(first, first - 1)
@@ -141,10 +141,10 @@ class Tap:
         if later and min(later) <= ordinal:
             return False  # its successor had taken over by then
         if ordinal > known.last + 1:
-            self._torn = True
+            self._after_loss = True
         known.last = max(known.last, ordinal)
-        known.heard += not greeting
-        return not greeting
+        known.heard += not handshake
+        return not handshake
 
     def _read(self, envelope: Envelope) -> tuple[Header, Message | None]:
         if envelope.kind == NOTHING:

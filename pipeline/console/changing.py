@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.console.asking import ask_node
+from pipeline.console.graph_client import ask_node
 from pipeline.errors import RunError
 from pipeline.fleet.remote import is_deployed, set_there
 from pipeline.graph.overlay import read_change

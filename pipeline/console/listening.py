@@ -19,8 +19,8 @@ from pipeline.errors import RunError
 from pipeline.graph.plan import load_operator
 from pipeline.messages import Message
 from pipeline.node.wiring import key_of
+from pipeline.run.bus_client import client_session
 from pipeline.run.rundir import running
-from pipeline.run.visiting import visit
 from pipeline.settings import suggest
 
 QUIET_S = 10.0  # without a message for this long, echo says so and leaves
@@ -51,7 +51,7 @@ class Listener:
     @contextmanager
     def attached(self) -> Iterator[Tap]:
         """Hear the output meanwhile."""
-        with visit(self.graph, "tap") as session:
+        with client_session(self.graph, "tap") as session:
             key = key_of(self.facts["graph"], self.node, self.port)
             stop = session.listen(key, self.tap.receive)
             try:

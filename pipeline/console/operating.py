@@ -15,11 +15,11 @@ from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.node.operator_state import lost_words
 from pipeline.once import adapter
-from pipeline.run.desk import COMMAND, Order
+from pipeline.run.bus_client import client_session
+from pipeline.run.control_server import COMMAND, Order
 from pipeline.run.rundir import running
 from pipeline.run.swap import SwapOrder
 from pipeline.run.topology import PlanOrder
-from pipeline.run.visiting import visit
 from pipeline.text import error_text, harmless
 
 PATIENCE_S = 300.0  # loading a model, a shadow run and probation take their time
@@ -75,7 +75,7 @@ def _replan(graph: str, edit: Callable[[Plan], Plan]) -> None:
 def replan(graph: str, edit: Callable[[Plan], Plan]) -> dict[str, Any]:
     """Have a running graph become what `edit` makes of its plan; raises `FoveaError`."""
     if is_deployed(graph) and graph not in running():
-        raise RunError(f"{graph}: runs on several boxes; edit its file and `fovea up --replace`")
+        raise RunError(f"{graph}: runs on several hosts; edit its file and `fovea up --replace`")
     _, facts = find(graph)
     wanted = edit(adapter(Plan).validate_python(facts["plan"]))
     plain = adapter(Plan).dump_python(wanted, mode="json")
@@ -97,7 +97,7 @@ def tell(graph: str, order: Order) -> dict[str, Any]:
     if isinstance(order, SwapOrder) and is_deployed(graph) and graph not in running():
         return _judged(swap_there(graph, order, PATIENCE_S))
     name, facts = find(graph)
-    with visit(name, "order") as session:
+    with client_session(name, "order") as session:
         key = f"fovea/{facts['graph']}/{COMMAND}"
         answer = session.ask(key, _written(order), PATIENCE_S, lambda: same_run(name, facts))
     if answer is None and not same_run(name, facts):

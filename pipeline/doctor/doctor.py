@@ -15,6 +15,7 @@ from pipeline.doctor.installation import examine_installation
 from pipeline.doctor.machine import examine_machine
 from pipeline.doctor.needs import examine_graph
 from pipeline.graph.overlay import Overlay
+from pipeline.renamed import renamed_option
 from pipeline.run.leftovers import cleanup
 
 STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
@@ -25,7 +26,8 @@ STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
 @click.option("--source", type=click.Path(path_type=Path), help="Where frames come from.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--no-trial", is_flag=True, help="Send no frame through the graph.")
-@click.option("--sweep", "clean", is_flag=True, help="First remove what killed runs left.")
+@click.option("--cleanup", "clean", is_flag=True, help="First remove what killed runs left.")
+@renamed_option("--sweep", "--cleanup", flag=True)
 @click.option("--json", "as_json", is_flag=True, help="One object per finding.")
 def doctor_command(
     graph: Path | None, source: Path | None, changes: tuple[str, ...], no_trial: bool,

@@ -34,7 +34,7 @@ def examine_installation(project: Path = PROJECT) -> Iterator[Finding]:
     yield pulled_weights()
     yield from folders()
     yield bus()
-    yield from remains()
+    yield from left_over()
 
 
 def python(version: tuple[int, ...]) -> Finding:
@@ -129,11 +129,11 @@ def bus() -> Finding:
     return ok("bus", "a question over a unix socket is answered; nothing listens on a network")
 
 
-def remains() -> Iterator[Finding]:
+def left_over() -> Iterator[Finding]:
     """What supervisors that were killed have left: the next start of any graph removes it."""
     dead = leftovers()
     if dead:
-        todo = "start any graph: it removes them; or `fovea doctor --sweep`"
+        todo = "start any graph: it removes them; or `fovea doctor --cleanup`"
         yield warning("left over", f"runs that were killed: {', '.join(dead)}", todo)
     orphans = [process.pid for process in orphaned()]
     if orphans:

@@ -53,7 +53,7 @@ def ports(agent: int, nodes: tuple[int, int]) -> Finding:
     )
     if strangers:
         taken = ", ".join(map(str, strangers))
-        todo = "for a graph over several boxes: other `address` and `ports` in agent.yaml"
+        todo = "for a graph over several hosts: other `address` and `ports` in agent.yaml"
         return warning(what, f"something that is not this user's fovea listens on {taken}", todo)
     return ok(what, f"{agent} and {nodes[0]}-{nodes[1]} are to be had; one host needs none")
 

@@ -112,7 +112,7 @@ def crowd(processes: int, cores: float) -> Finding:
 
 
 def busiest_files(plan: Plan) -> int:
-    """About the open files of the busiest process: a link to every other, doors and pools."""
+    """About the open files of the busiest process: a link to every other, receivers and pools."""
     ports = max(sum(e.source == n.name or e.target == n.name for e in plan.edges)
                 for n in plan.nodes)  # fmt: skip
     return BASE_FILES + 4 * len(plan.processes()) + 6 * ports

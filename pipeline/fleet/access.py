@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from pipeline.bus.network import Permit
 from pipeline.bus.outport import BYTES_SUFFIX
-from pipeline.fleet.names import agent_key, box, node_holder
+from pipeline.fleet.names import agent_key, host_identity, node_identity
 from pipeline.graph.plan import Edge, Plan
 from pipeline.node.wiring import key_of
 
@@ -21,37 +21,37 @@ def node_permits(plan: Plan, process: str) -> tuple[Permit, ...]:
         source, target = plan.node(edge.source), plan.node(edge.target)
         key = edge_key(plan, edge)
         if source.process == process:
-            reader = node_holder(plan.name, target)
+            reader = node_identity(plan.name, target)
             permits.append(
-                Permit(holder=reader, key=key, inward=("declare_subscriber",), outward=("put",))
+                Permit(identity=reader, key=key, inward=("declare_subscriber",), outward=("put",))
             )
         if target.process == process:
-            writer = node_holder(plan.name, source)
+            writer = node_identity(plan.name, source)
             permits.append(
-                Permit(holder=writer, key=key, inward=("put",), outward=("declare_subscriber",))
+                Permit(identity=writer, key=key, inward=("put",), outward=("declare_subscriber",))
             )
     return tuple(dict.fromkeys(permits))
 
 
-def agent_permits(label: str, holders: Iterable[str]) -> tuple[Permit, ...]:
-    """Of an agent: each of the holders may ask it and tell it under a key of its own."""
+def agent_permits(label: str, identities: Iterable[str]) -> tuple[Permit, ...]:
+    """Of an agent: each of the identities may ask it and tell it under a key of its own."""
     return tuple(
         Permit(
-            holder=holder,
-            key=agent_key(label, holder, "**"),
+            identity=identity,
+            key=agent_key(label, identity, "**"),
             inward=("query", "put"),
             outward=("reply", "declare_queryable", "declare_subscriber"),
         )
-        for holder in holders
+        for identity in identities
     )
 
 
-def asker_permits(holder: str, labels: Sequence[str]) -> tuple[Permit, ...]:
+def asker_permits(identity: str, labels: Sequence[str]) -> tuple[Permit, ...]:
     """Of somebody who speaks with agents: he asks and tells, and hears only answers."""
     return tuple(
         Permit(
-            holder=box(label),
-            key=agent_key(label, holder, "**"),
+            identity=host_identity(label),
+            key=agent_key(label, identity, "**"),
             inward=("reply", "declare_queryable", "declare_subscriber"),
             outward=("query", "put"),
         )

@@ -1,4 +1,4 @@
-"""`fovea agent`: runs on a box, takes graphs from those it knows, runs its part of each.
+"""`fovea agent`: runs on a host, takes graphs from those it knows, runs its part of each.
 
 What is asked comes by one key per asker, which the access list ties to his certificate. What looks
 is answered by the main thread, what starts and stops by another, each from a bounded queue; clocks
@@ -20,11 +20,11 @@ from pipeline.bus.session import OnBytes, Session
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.access import agent_permits, asker_permits
-from pipeline.fleet.agent_file import Box
-from pipeline.fleet.allow import MARK
-from pipeline.fleet.kept import Kept
+from pipeline.fleet.agent_file import HostConfig
+from pipeline.fleet.allow import DIGEST_PREFIX
+from pipeline.fleet.hosted_graph import HostedGraph
 from pipeline.fleet.links import (
-    check_papers,
+    check_credentials,
     end_points,
     local_end_points,
     networks,
@@ -33,14 +33,14 @@ from pipeline.fleet.links import (
 from pipeline.fleet.names import (
     ANYBODY,
     agent_key,
-    box,
     endpoint,
-    host_part,
+    endpoint_host,
+    host_identity,
 )
-from pipeline.fleet.part import Part
-from pipeline.fleet.placement import check_marks, inspect
-from pipeline.fleet.show import state_of
-from pipeline.fleet.steering import Steering
+from pipeline.fleet.node_gateway import NodeGateway
+from pipeline.fleet.placement import check_fingerprints, inspect
+from pipeline.fleet.status import state_of
+from pipeline.fleet.store import GraphStore
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
@@ -50,7 +50,7 @@ WAITING = 64  # questions; more are refused at once
 MOST_GRAPHS = 8
 MOST_LINES = 1000
 TICK_S = 0.1
-COMPLAIN_S = 1.0
+WARN_S = 1.0
 SLOW = ("prepare", "start", "down", "weights")  # what loads, begins, ends
 LATER = object()  # what is answered by another thread, when it is done
 
@@ -67,58 +67,58 @@ class _Question:
 
 
 class Agent:
-    """One box. Use it as a context: leaving it stops what runs and keeps it for the next start."""
+    """One host. Use it as a context: leaving it stops what runs and keeps it for the next start."""
 
-    def __init__(self, own: Box) -> None:
-        self.box, self.label = own, own.label
-        self._papers = own.papers
+    def __init__(self, own: HostConfig) -> None:
+        self.host, self.label = own, own.label
+        self._credentials = own.credentials
         self._allowed = own.allowed
-        self._steering = Steering(self._allowed, own.file.settings)
+        self._gateway = NodeGateway(self._allowed, own.file.settings)
         self._looks: queue.Queue[_Question] = queue.Queue(WAITING)
         self._works: queue.Queue[_Question] = queue.Queue(WAITING)
         self._sending = threading.BoundedSemaphore(1)  # weights are big: one file at a time
-        self.parts: dict[str, Part] = {}
+        self.hosted: dict[str, HostedGraph] = {}
         self._stop = threading.Event()
         self._quiet_until_s = 0.0
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self._kept = Kept(own.state)
-        self._holders = own.holders if self._papers else (ANYBODY, *own.holders)
-        permits = agent_permits(self.label, self._holders)
+        self._store = GraphStore(own.state)
+        self._identities = own.identities if self._credentials else (ANYBODY, *own.identities)
+        permits = agent_permits(self.label, self._identities)
         self._session = Session.across(self._network((own.endpoint,), permits=permits))
-        for holder in self._holders:
-            keys = agent_key(self.label, holder, "**")
-            self._session.serve(keys, partial(self._asked, holder))
-            if holder.startswith("box."):
-                self._session.hear(keys, partial(self._told, holder.removeprefix("box.")))
+        for identity in self._identities:
+            keys = agent_key(self.label, identity, "**")
+            self._session.serve(keys, partial(self._asked, identity))
+            if identity.startswith("host."):
+                self._session.hear(keys, partial(self._told, identity.removeprefix("host.")))
 
     def __enter__(self) -> "Agent":
         return self
 
     def __exit__(self, *_: object) -> None:
-        for part in self.parts.values():
-            part.stop()
-        for part in self.parts.values():
-            self._guarded(part.end)
-        self._steering.close()
+        for hosted in self.hosted.values():
+            hosted.stop()
+        for hosted in self.hosted.values():
+            self._guarded(hosted.end)
+        self._gateway.close()
         self._session.close()
 
     def stop(self) -> None:
         """Let `run` return; asked for again, without waiting for any operator."""
         if self._stop.is_set():
-            for part in list(self.parts.values()):
-                part.hurry()
+            for hosted in list(self.hosted.values()):
+                hosted.hurry()
         self._stop.set()
 
     def run(self) -> None:
         """Take up what ran before, then answer until stopped."""
         worker = threading.Thread(target=self._work, name="works")
         worker.start()
-        log.info("box %s listens at %s", self.label, self.box.endpoint)
+        log.info("host %s listens at %s", self.label, self.host.endpoint)
         self._answer_all(self._looks)
         worker.join()
 
     def _work(self) -> None:
-        for name in self._kept.names():
+        for name in self._store.names():
             self._guarded(partial(self._resume, name))
         self._answer_all(self._works)
 
@@ -134,13 +134,13 @@ class Agent:
         try:
             act()
         except Exception as error:
-            log.exception("box %s: %s", self.label, error)
+            log.exception("host %s: %s", self.label, error)
 
     def _network(self, listen: tuple[str, ...], **more: Any) -> Network:
-        papers = str(self._papers.folder) if self._papers else ""
-        return Network(listen=listen, papers=papers, **more)
+        credentials = str(self._credentials.folder) if self._credentials else ""
+        return Network(listen=listen, credentials=credentials, **more)
 
-    def _asked(self, holder: str, key: str, data: bytes, reply: OnBytes) -> None:
+    def _asked(self, identity: str, key: str, data: bytes, reply: OnBytes) -> None:
         """On the transport's thread."""
         verb = key.rpartition("/")[2]
         if verb == "ping" and len(data) < 64:
@@ -151,7 +151,7 @@ class Agent:
                 return
             reply(wire.encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
             return
-        weights = verb == "weights" and not holder.startswith("box.")
+        weights = verb == "weights" and not identity.startswith("host.")
         if len(data) > wire.MOST_BYTES and not weights:
             reply(wire.refused(f"expected up to {wire.MOST_BYTES} bytes, got {len(data)}"))
             return
@@ -160,21 +160,21 @@ class Agent:
             return
         try:
             queue_ = self._works if verb in SLOW else self._looks
-            queue_.put_nowait(_Question(verb, holder, data, reply, sends=weights))
+            queue_.put_nowait(_Question(verb, identity, data, reply, sends=weights))
         except queue.Full:
             if weights:
                 self._sending.release()
             reply(wire.refused("busy: too many questions wait"))
 
     def _told(self, label: str, key: str, data: bytes) -> None:
-        """Likewise: another box tells of its accounts."""
-        part = self.parts.get(key.rpartition("/")[2])
-        if part is None:
+        """Likewise: another host tells of its accounts."""
+        hosted = self.hosted.get(key.rpartition("/")[2])
+        if hosted is None:
             return
         try:
-            part.hear(label, wire.decode(wire.Accounts, data))
+            hosted.hear(label, wire.decode(wire.Accounts, data))
         except MessageError as error:
-            self._complain(f"accounts of {label}: {error}")
+            self._warn_once(f"accounts of {label}: {error}")
 
     def _answer(self, question: _Question) -> None:
         verbs: Mapping[str, Callable[[bytes], Any]] = {
@@ -183,8 +183,8 @@ class Agent:
             "lacks": self._lacks, "node": partial(self._node, question),
             "swap": partial(self._swap, question),
         }  # fmt: skip
-        of_boxes: Mapping[str, Callable[[bytes], Any]] = {"recall": partial(self._recall, question)}
-        known = of_boxes if question.asker.startswith("box.") else verbs
+        of_hosts: Mapping[str, Callable[[bytes], Any]] = {"recall": partial(self._recall, question)}
+        known = of_hosts if question.asker.startswith("host.") else verbs
         try:
             if question.verb not in known:
                 raise RunError(f"{question.asker} may not {question.verb} here")
@@ -192,7 +192,7 @@ class Agent:
             if answer is not LATER:
                 question.reply(wire.answered(answer))
         except FoveaError as error:
-            self._complain(f"refused {question.verb} to {question.asker}: {error}")
+            self._warn_once(f"refused {question.verb} to {question.asker}: {error}")
             question.reply(wire.refused(str(error)))
         except Exception as error:  # by what code or settings of a graph do: the others go on
             log.exception("%s of %s broke", question.verb, question.asker)
@@ -201,15 +201,15 @@ class Agent:
             if question.sends:
                 self._sending.release()
 
-    def _complain(self, why: str) -> None:
+    def _warn_once(self, why: str) -> None:
         """Into the log, as often as somebody can read it."""
         if time.monotonic() > self._quiet_until_s:
-            self._quiet_until_s = time.monotonic() + COMPLAIN_S
+            self._quiet_until_s = time.monotonic() + WARN_S
             log.warning("%s", why)
 
     def _about(self, data: bytes) -> wire.About:
         wire.decode(wire.Nothing, data)
-        return wire.About(self.label, wire.Versions.ours(), tuple(self.parts))
+        return wire.About(self.label, wire.Versions.ours(), tuple(self.hosted))
 
     def _prepare(self, data: bytes) -> Prepared:
         asked = wire.decode(Prepare, data)
@@ -219,156 +219,156 @@ class Agent:
         if missing:
             return Prepared({}, missing)
         self._check_free(plan, replace=asked.replace)
-        part = self._inspected(plan, asked.marks)
-        return Prepared(self._free_end_points(part))
+        local = self._inspected(plan, asked.fingerprints)
+        return Prepared(self._free_end_points(local))
 
     def _start(self, data: bytes) -> None:
         asked = wire.decode(Start, data)
-        part = self._part_of(asked)  # before anything that runs is touched
-        if (before := self.parts.get(part.plan.name)) is not None:
+        hosted = self._hosted_of(asked)  # before anything that runs is touched
+        if (before := self.hosted.get(hosted.plan.name)) is not None:
             before.end()
-        self._kept.keep(part.plan.name, asked)
-        self.parts[part.plan.name] = part
-        part.begin()
+        self._store.keep(hosted.plan.name, asked)
+        self.hosted[hosted.plan.name] = hosted
+        hosted.begin()
 
     def _down(self, data: bytes) -> None:
         graph = check_name(wire.decode(Named, data).graph, "graph")
-        part = self.parts.get(graph)
-        self._kept.forget(graph)
-        if part is None:
+        hosted = self.hosted.get(graph)
+        self._store.forget(graph)
+        if hosted is None:
             raise RunError(f"no graph {graph} runs here")
-        part.end()
-        del self.parts[graph]
+        hosted.end()
+        del self.hosted[graph]
 
     def _state(self, data: bytes) -> tuple[wire.State, ...]:
         graph = wire.decode(Named, data).graph
         return tuple(
-            state_of(part) for name, part in list(self.parts.items()) if graph in ("", name)
+            state_of(hosted) for name, hosted in list(self.hosted.items()) if graph in ("", name)
         )
 
     def _log(self, data: bytes) -> wire.Log:
         asked = wire.decode(wire.Lines, data)
-        part = self._part(asked.graph)
-        if asked.node not in {n.name for n in part.plan.nodes if part.plan.is_here(n)}:
+        hosted = self._hosted(asked.graph)
+        if asked.node not in {n.name for n in hosted.plan.nodes if hosted.plan.is_here(n)}:
             raise RunError(f"{asked.graph}: no node {asked.node} here")
         count = max(1, min(asked.count, MOST_LINES))
-        return wire.Log(tuple(log_lines(part.folder, asked.node, count, follow=False)))
+        return wire.Log(tuple(log_lines(hosted.folder, asked.node, count, follow=False)))
 
     def _weights(self, data: bytes) -> str:
         return self._allowed.keep(data)
 
     def _lacks(self, data: bytes) -> tuple[str, ...]:
         digests = wire.decode(wire.Lacks, data).digests
-        return self._allowed.missing([MARK + digest for digest in digests])
+        return self._allowed.missing([DIGEST_PREFIX + digest for digest in digests])
 
     def _node(self, question: _Question, data: bytes) -> object:
         asked = wire.decode(wire.ToNode, data)
-        self._steering.ask(self._part(asked.graph), asked, question.reply)
+        self._gateway.ask(self._hosted(asked.graph), asked, question.reply)
         return LATER
 
     def _swap(self, question: _Question, data: bytes) -> object:
         asked = wire.decode(wire.Change, data)
-        self._steering.swap(self._part(asked.graph), asked.order, question.reply)
+        self._gateway.swap(self._hosted(asked.graph), asked.order, question.reply)
         return LATER
 
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
-        part = self._part(wire.decode(Named, data).graph)
-        neighbour = part.neighbours.get(question.asker.removeprefix("box."))
-        if neighbour is None or part.supervisor is None:
-            raise RunError(f"{part.plan.name}: nothing is shared with {question.asker}")
-        return neighbour.mirror.whole()
+        hosted = self._hosted(wire.decode(Named, data).graph)
+        peer = hosted.peers.get(question.asker.removeprefix("host."))
+        if peer is None or hosted.supervisor is None:
+            raise RunError(f"{hosted.plan.name}: nothing is shared with {question.asker}")
+        return peer.replication.whole()
 
-    def _part(self, graph: str) -> Part:
-        if graph not in self.parts:
+    def _hosted(self, graph: str) -> HostedGraph:
+        if graph not in self.hosted:
             raise RunError(f"no graph {graph} runs here")
-        return self.parts[graph]
+        return self.hosted[graph]
 
     def _missing(self, plan: Plan) -> tuple[str, ...]:
         here = [n for n in plan.nodes if n.host == self.label]
         return tuple(dict.fromkeys(d for n in here for d in self._allowed.missing(n.settings)))
 
     def _check_free(self, plan: Plan, *, replace: bool) -> None:
-        part = self.parts.get(plan.name)
-        if part is not None and part.alive and not replace:
+        hosted = self.hosted.get(plan.name)
+        if hosted is not None and hosted.alive and not replace:
             raise RunError(f"{plan.name}: runs already; take it down first, or use --replace")
-        if part is None and len(self.parts) >= MOST_GRAPHS:
-            raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a box, got more")
+        if hosted is None and len(self.hosted) >= MOST_GRAPHS:
+            raise RunError(f"{plan.name}: expected up to {MOST_GRAPHS} graphs on a host, got more")
 
     def _check_versions(self, theirs: wire.Versions) -> None:
         if theirs != (ours := wire.Versions.ours()):
             raise RunError(f"expected {_spelt(theirs)}, got {_spelt(ours)} here")
 
-    def _inspected(self, plan: Plan, marks: Mapping[str, str]) -> Plan:
-        part = inspect(plan, self.label, self._allowed, self.box.file.settings)
-        check_marks(part, self.label, marks)
-        check_papers(part, self._papers)
-        return part
+    def _inspected(self, plan: Plan, fingerprints: Mapping[str, str]) -> Plan:
+        local = inspect(plan, self.label, self._allowed, self.host.file.settings)
+        check_fingerprints(local, self.label, fingerprints)
+        check_credentials(local, self._credentials)
+        return local
 
-    def _part_of(self, asked: Start) -> Part:
+    def _hosted_of(self, asked: Start) -> HostedGraph:
         """What is asked for, checked and not begun."""
         self._check_versions(asked.versions)
         plan = wire.read_plan(asked.plan)
         self._check_free(plan, replace=True)
         self._check_partners(plan, asked)
-        part = self._inspected(plan, asked.marks)
-        own = own_end_points(part, self._free_end_points(part), asked.endpoints)
-        self._check_unused(part, own)
-        holder = box(self.label)
-        others = sorted({n.host for n in part.nodes} - {self.label})
-        return Part(
-            plan=part,
-            mark=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
-            networks=networks(part, own, asked.endpoints, self._papers),
-            boxes={label: endpoint(asked.boxes[label], "boxes") for label in others},
-            way=self._network((), permits=asker_permits(holder, others)),
-            begins=partial(self._kept.count, part.name),
+        local = self._inspected(plan, asked.fingerprints)
+        own = own_end_points(local, self._free_end_points(local), asked.endpoints)
+        self._check_unused(local, own)
+        identity = host_identity(self.label)
+        others = sorted({n.host for n in local.nodes} - {self.label})
+        return HostedGraph(
+            plan=local,
+            fingerprint=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
+            networks=networks(local, own, asked.endpoints, self._credentials),
+            hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
+            way=self._network((), permits=asker_permits(identity, others)),
+            begins=partial(self._store.count, local.name),
         )
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:
-        for label, point in asked.boxes.items():
-            check_name(label, "boxes")
-            if self._papers and box(label) not in self._holders:
-                raise RunError(f"{label} is not among the boxes that this one may speak with")
-            endpoint(point, "boxes")
+        for label, point in asked.hosts.items():
+            check_name(label, "hosts")
+            if self._credentials and host_identity(label) not in self._identities:
+                raise RunError(f"{label} is not among the hosts that this one may speak with")
+            endpoint(point, "hosts")
         others = {n.host for n in plan.nodes} - {self.label}
-        if others - set(asked.boxes):
-            raise RunError(f"{plan.name}: no address for box {min(others - set(asked.boxes))}")
+        if others - set(asked.hosts):
+            raise RunError(f"{plan.name}: no address for host {min(others - set(asked.hosts))}")
         for point in asked.endpoints.values():
             endpoint(point, "endpoints")
 
-    def _free_end_points(self, part: Plan) -> dict[str, str]:
+    def _free_end_points(self, local: Plan) -> dict[str, str]:
         """Where the processes here with an edge to another host may listen."""
-        if self._papers is None:
-            return local_end_points(part)
-        first, last = self.box.file.ports
-        used = self._used(part.name)
-        return end_points(part, host_part(self.box.endpoint), range(first, last + 1), used)
+        if self._credentials is None:
+            return local_end_points(local)
+        first, last = self.host.file.ports
+        used = self._used(local.name)
+        return end_points(local, endpoint_host(self.host.endpoint), range(first, last + 1), used)
 
     def _used(self, but: str) -> set[str]:
         """By the other graphs here."""
-        others = [other for graph, other in list(self.parts.items()) if graph != but]
+        others = [other for graph, other in list(self.hosted.items()) if graph != but]
         return {p for o in others for network in o.networks.values() for p in network.listen}
 
-    def _check_unused(self, part: Plan, own: Mapping[str, str]) -> None:
-        """Raise `RunError` for an end point that is not this box's to give, or is given."""
-        if self._papers is None:
+    def _check_unused(self, local: Plan, own: Mapping[str, str]) -> None:
+        """Raise `RunError` for an end point that is not this host's to give, or is given."""
+        if self._credentials is None:
             return
-        first, last = self.box.file.ports
-        host = host_part(self.box.endpoint)
-        mine = {f"tls/{host}:{port}" for port in range(first, last + 1)} - self._used(part.name)
+        first, last = self.host.file.ports
+        host = endpoint_host(self.host.endpoint)
+        mine = {f"tls/{host}:{port}" for port in range(first, last + 1)} - self._used(local.name)
         if strange := sorted(set(own.values()) - mine):
-            raise RunError(f"{part.name}: {strange[0]} is not free here any more, try again")
+            raise RunError(f"{local.name}: {strange[0]} is not free here any more, try again")
 
     def _resume(self, name: str) -> None:
-        """Begin again with what ran when this box ended; where that cannot be, `ps` tells why."""
-        asked = self._kept.asked(name)
+        """Begin again with what ran when this host ended; where that cannot be, `ps` tells why."""
+        asked = self._store.asked(name)
         try:
-            part = self._part_of(asked)
+            hosted = self._hosted_of(asked)
         except FoveaError as error:
             log.error("%s: cannot go on: %s", name, error)
             return
-        self.parts[name] = part
-        part.begin()
+        self.hosted[name] = hosted
+        hosted.begin()
         log.info("%s: goes on", name)
 
 

@@ -8,23 +8,25 @@ from pipeline import settings as checked
 from pipeline.bus.network import LOCAL, NODE_PORTS
 from pipeline.errors import GraphError, SettingsError
 from pipeline.fleet.allow import ANY, Allowed, is_digest
-from pipeline.fleet.names import box, check_person, endpoint, person
-from pipeline.fleet.secure import Papers
+from pipeline.fleet.names import check_user, endpoint, host_identity, user_identity
+from pipeline.fleet.secure import Credentials
 from pipeline.graph.yaml_lines import YamlFile, plain
 from pipeline.naming import check_name
 from pipeline.run.rundir import base
 
+RENAMED = {"boxes": "hosts", "papers": "credentials", "people": "users"}  # keys of earlier versions
+
 
 @dataclass(frozen=True, kw_only=True)
 class AgentFile:
-    """What a box is and allows."""
+    """What a host is and allows."""
 
     label: str
-    address: str = ""  # HOST[:PORT] with papers; empty: a unix socket of this user
-    papers: str = ""  # folder by `fovea secure`, relative to this file
+    address: str = ""  # HOST[:PORT] with credentials; empty: a unix socket of this user
+    credentials: str = ""  # folder by `fovea secure`, relative to this file
     ports: tuple[int, int] = NODE_PORTS  # first and last, of nodes with an edge to another host
-    people: tuple[str, ...] = ()  # who may deploy, by name
-    boxes: tuple[str, ...] = ()  # labels of the boxes that may share a graph with it
+    users: tuple[str, ...] = ()  # who may deploy, by name
+    hosts: tuple[str, ...] = ()  # labels of the hosts that may share a graph with it
     operators: dict[str, str] = field(default_factory=dict)  # module:Class -> sha256 or `any`
     weights: dict[str, str] = field(default_factory=dict)  # sha256 -> file, or empty: may be sent
     settings: dict[str, dict[str, Any]] = field(default_factory=dict)  # of nodes, laid over
@@ -32,16 +34,17 @@ class AgentFile:
 
     def __post_init__(self) -> None:
         check_name(self.label, "label", SettingsError)
-        for other in self.boxes:
-            check_name(other, "boxes", SettingsError)
-        for name in self.people:
-            check_person(name, "people")
-        if self.address and not self.papers and not self.address.startswith(LOCAL):
+        for other in self.hosts:
+            check_name(other, "hosts", SettingsError)
+        for name in self.users:
+            check_user(name, "users")
+        if self.address and not self.credentials and not self.address.startswith(LOCAL):
             raise SettingsError(
-                f"address: {self.address}: a network address needs `papers`, see `fovea secure`"
+                f"address: {self.address}: a network address needs `credentials`, see "
+                "`fovea secure`"
             )
-        if self.papers and not self.address:
-            raise SettingsError("address: expected HOST[:PORT], as there are papers; got nothing")
+        if self.credentials and not self.address:
+            raise SettingsError("address: expected HOST[:PORT] beside credentials, got nothing")
         first, last = self.ports
         if not 0 < first <= last < 65536:
             raise SettingsError(f"ports: expected first and last of 1..65535, got {first}, {last}")
@@ -54,7 +57,7 @@ class AgentFile:
 
 
 @dataclass(frozen=True)
-class Box:
+class HostConfig:
     """The file together with where it lies: every path resolved."""
 
     file: AgentFile
@@ -66,17 +69,17 @@ class Box:
         return self.file.label
 
     @property
-    def papers(self) -> Papers | None:
-        """Its papers; raises `SettingsError` when they are another's."""
-        if not self.file.papers:
+    def credentials(self) -> Credentials | None:
+        """Its credentials; raises `SettingsError` when they are another's."""
+        if not self.file.credentials:
             return None
-        papers = Papers.of(self.folder / self.file.papers)
-        if papers.holder != box(self.label):
+        credentials = Credentials.of(self.folder / self.file.credentials)
+        if credentials.identity != host_identity(self.label):
             raise SettingsError(
-                f"{papers.certificate}: expected the papers of {box(self.label)}, got those of "
-                f"{papers.holder}"
+                f"{credentials.certificate}: expected the credentials of "
+                f"{host_identity(self.label)}, got those of {credentials.identity}"
             )
-        return papers
+        return credentials
 
     @property
     def endpoint(self) -> str:
@@ -93,9 +96,9 @@ class Box:
         return base() / f"agent-{self.label}"
 
     @property
-    def holders(self) -> tuple[str, ...]:
+    def identities(self) -> tuple[str, ...]:
         """Who may speak with it."""
-        return (*map(person, self.file.people), *map(box, self.file.boxes))
+        return (*map(user_identity, self.file.users), *map(host_identity, self.file.hosts))
 
     @property
     def allowed(self) -> Allowed:
@@ -104,15 +107,20 @@ class Box:
         return Allowed(self.file.operators, files, self.state / "weights")
 
 
-def read(path: Path) -> Box:
+def read(path: Path) -> HostConfig:
     """An agent's file; raises `SettingsError` with file and line."""
     try:
         file = YamlFile(path)
     except GraphError as error:
         raise SettingsError(str(error)) from error
     document = plain(file.document)
+    for old, new in RENAMED.items():
+        if isinstance(document, dict) and old in document:
+            raise SettingsError(
+                f"{file.deepest(file.document, [old])}: {old}: renamed; expected {new}"
+            )
     try:
-        return Box(checked.build(AgentFile, document, "agent"), path.resolve().parent)
+        return HostConfig(checked.build(AgentFile, document, "agent"), path.resolve().parent)
     except checked.WrongSetting as error:
         said = str(error).removeprefix("agent.")
         raise SettingsError(f"{file.deepest(file.document, error.path)}: {said}") from error

@@ -1,7 +1,7 @@
-"""What may run on a box, whoever asks: operators by name and checksum, weights by checksum.
+"""What may run on a host, whoever asks: operators by name and checksum, weights by checksum.
 
-Code and paths never come over the wire: a graph names operators that this box lists, and files only
-as `sha256:…` of weights that this box lists too.
+Code and paths never come over the wire: a graph names operators that this host lists, and files
+only as `sha256:…` of weights that this host lists too.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from pipeline.bus.network import LARGEST_BYTES
 from pipeline.errors import SettingsError, WeightsError
 
 ANY = "any"  # instead of a checksum: whatever version is installed
-MARK = "sha256:"
+DIGEST_PREFIX = "sha256:"
 MOST_WEIGHTS_BYTES = LARGEST_BYTES - (1 << 20)  # they travel as one message
 DEEPEST = 32  # of a setting's value
 _NAME_OF_FILE = re.compile(r".*\.[^\W\d]\w{0,9}", re.DOTALL)  # it ends like one
@@ -25,7 +25,7 @@ _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 @dataclass(frozen=True)
 class Allowed:
-    """The lists of one box."""
+    """The lists of one host."""
 
     code: Mapping[str, str]  # module:Class -> sha256 of its files, or `any`
     weights: Mapping[str, Path | None]  # sha256 -> file; None: may be sent
@@ -34,7 +34,7 @@ class Allowed:
     def check_code(self, path: str, where: str) -> None:
         """Raise `SettingsError` unless that class may be loaded as it is installed here."""
         if path not in self.code:
-            raise SettingsError(f"{where}: {path} is not on the allow list of this box")
+            raise SettingsError(f"{where}: {path} is not on the allow list of this host")
         wanted = self.code[path]
         if wanted != ANY and (got := code_digest(path)) != wanted:
             raise SettingsError(
@@ -42,7 +42,7 @@ class Allowed:
             )
 
     def localise(self, value: Any, where: str, depth: int = 0) -> Any:
-        """Values of a setting with weights as files of this box; raises for anything forbidden."""
+        """Values of a setting with weights as files of this host; raises for anything forbidden."""
         if depth > DEEPEST:
             raise SettingsError(f"{where[:60]}: expected no more than {DEEPEST} levels")
         if isinstance(value, Mapping):
@@ -54,8 +54,8 @@ class Allowed:
             return [self.localise(v, where, depth + 1) for v in value]
         if not isinstance(value, str):
             return value
-        if value.startswith(MARK):
-            return str(self.file(value.removeprefix(MARK), where))
+        if value.startswith(DIGEST_PREFIX):
+            return str(self.file(value.removeprefix(DIGEST_PREFIX), where))
         if is_code(value):
             self.check_code(value, where)
         elif is_path(value):
@@ -77,8 +77,8 @@ class Allowed:
 
     def missing(self, value: Any) -> tuple[str, ...]:
         """The weights in a setting's values that are allowed and not there."""
-        found = strings(value, lambda text: text.startswith(MARK))
-        digests = {text.removeprefix(MARK) for text in found}
+        found = strings(value, lambda text: text.startswith(DIGEST_PREFIX))
+        digests = {text.removeprefix(DIGEST_PREFIX) for text in found}
         known = {d: self.weights[d] or self.store / d for d in digests if d in self.weights}
         return tuple(sorted(d for d, path in known.items() if not path.is_file()))
 
@@ -107,7 +107,7 @@ def is_path(value: str) -> bool:
 
 def is_code(value: str) -> bool:
     """Whether a string could name something that is loaded; times and the like must do without."""
-    return ":" in value and not value.startswith(MARK)
+    return ":" in value and not value.startswith(DIGEST_PREFIX)
 
 
 def strings(value: Any, wanted: Callable[[str], bool]) -> list[str]:

@@ -10,38 +10,42 @@ import click
 from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
-from pipeline.fleet.agent_file import AgentFile, Box, read
+from pipeline.fleet.agent_file import AgentFile, HostConfig, read
 from pipeline.fleet.deploy import (
     Fleet,
     attach,
-    default_person,
+    default_user,
     down,
     known_addresses,
     read_hosts,
     remembered,
     up,
 )
-from pipeline.fleet.draft import check_addressed, issue_for
-from pipeline.fleet.export import KINDS, engines
-from pipeline.fleet.names import check_holder, check_person, person
-from pipeline.fleet.shipping import Desk, holders
-from pipeline.fleet.unit import agent_unit
+from pipeline.fleet.export.bundle import Bundle, identities
+from pipeline.fleet.export.export import KINDS, engines
+from pipeline.fleet.export.systemd import agent_unit
+from pipeline.fleet.names import check_identity, check_user, user_identity
+from pipeline.fleet.provisioning import check_addressed, issue_for
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.naming import check_name
+from pipeline.renamed import renamed_option
 from pipeline.settings import suggest
 from pipeline.signals import Interruption
 
 GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
+CREDENTIALS = click.option(
+    "--credentials", type=click.Path(path_type=Path, file_okay=False), help="Who you are."
+)
 
 
 @click.command("agent")
 @click.option("--config", type=click.Path(path_type=Path, dir_okay=False), help="The agent's file.")
-@click.option("--label", default="", help="Without a file: the label of this box.")
+@click.option("--label", default="", help="Without a file: the label of this host.")
 @click.option("--state", type=click.Path(path_type=Path, file_okay=False), help="Instead of its.")
 @click.option("--unit", is_flag=True, help="Print a systemd unit and leave.")
 def agent_command(config: Path | None, label: str, state: Path | None, unit: bool) -> None:
-    """Run parts of graphs on this box for those who may deploy them."""
+    """Run parts of graphs on this host for those who may deploy them."""
     if unit:
         config = config or Path("agent.yaml")
         known = read(config).state if config.is_file() else config.resolve().parent
@@ -49,7 +53,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
         return
     if config is None and not label:
         raise click.UsageError("give --config FILE or --label LABEL")
-    own = read(config) if config else Box(AgentFile(label=label), Path.cwd())
+    own = read(config) if config else HostConfig(AgentFile(label=label), Path.cwd())
     if state:
         own = replace(own, file=replace(own.file, state=str(state.resolve())))
     with Interruption(last=True) as asked, Agent(own) as agent:
@@ -57,7 +61,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
         if asked.count:  # while it came up
             agent.stop()
         agent.run()
-    logging.getLogger(__name__).info("box %s: stopped", own.label)
+    logging.getLogger(__name__).info("host %s: stopped", own.label)
 
 
 @click.command("up")
@@ -67,20 +71,21 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
     "words",
     multiple=True,
     metavar="LABEL=ADDRESS,…",
-    help="Where boxes are; else as the papers know, else on this machine.",
+    help="Where hosts are; else as the credentials know, else on this machine.",
 )
-@click.option("--papers", type=click.Path(path_type=Path, file_okay=False), help="Who you are.")
+@CREDENTIALS
+@renamed_option("--papers", "--credentials")
 @click.option("--replace", "again", is_flag=True, help="Also where the graph runs already.")
 @click.option("--source", type=click.Path(path_type=Path), help="Where frames come from.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node.")
 def up_command(
-    graph: Path, words: tuple[str, ...], papers: Path | None, again: bool, source: Path | None,
-    changes: tuple[str, ...], wanted: tuple[str, ...],
+    graph: Path, words: tuple[str, ...], credentials: Path | None, again: bool,
+    source: Path | None, changes: tuple[str, ...], wanted: tuple[str, ...],
 ) -> None:  # fmt: skip
-    """Start a graph on the boxes that its `host` labels name, through their agents."""
+    """Start a graph on the hosts that its `host` labels name, through their agents."""
     plan = load(graph, Overlay(source, changes, "", wanted))
-    with Fleet(read_hosts(words, papers, plan.hosts)) as fleet:
+    with Fleet(read_hosts(words, credentials, plan.hosts)) as fleet:
         up(fleet, plan, again=again)
     hosts = ", ".join(sorted({node.host for node in plan.nodes}))
     click.echo(f"{plan.name}: {len(plan.nodes)} nodes run on {hosts}; see `fovea ps`")
@@ -89,11 +94,12 @@ def up_command(
 @click.command("attach")
 @click.argument("graph")
 @click.option("--hosts", "words", multiple=True, metavar="LABEL=ADDRESS,…")
-@click.option("--papers", type=click.Path(path_type=Path, file_okay=False), help="Who you are.")
-def attach_command(graph: str, words: tuple[str, ...], papers: Path | None) -> None:
+@CREDENTIALS
+@renamed_option("--papers", "--credentials")
+def attach_command(graph: str, words: tuple[str, ...], credentials: Path | None) -> None:
     """Look after a graph that was deployed from elsewhere: `ps`, `top`, `down` and the rest."""
-    known = known_addresses(papers) if papers else {}
-    with Fleet(read_hosts(words, papers, known)) as fleet:
+    known = known_addresses(credentials) if credentials else {}
+    with Fleet(read_hosts(words, credentials, known)) as fleet:
         labels = attach(graph, fleet)
     click.echo(f"{graph}: runs on {', '.join(labels)}")
 
@@ -101,7 +107,7 @@ def attach_command(graph: str, words: tuple[str, ...], papers: Path | None) -> N
 @click.command("down")
 @click.argument("graph")
 def down_command(graph: str) -> None:
-    """Stop a graph on all its boxes."""
+    """Stop a graph on all its hosts."""
     known = remembered()
     if graph not in known:
         raise RunError(
@@ -118,65 +124,71 @@ def down_command(graph: str) -> None:
 @click.argument("engine", type=engines())
 @GRAPH
 @click.option(
-    "--papers",
+    "--credentials",
     type=click.Path(path_type=Path, file_okay=False),
-    default=Path("papers"),
+    default=Path("credentials"),
     show_default=True,
     help="The folder of `fovea secure`.",
 )
-@click.option("--person", "name", metavar="NAME", help="Who deploys; without it, you.")
-def export_command(engine: str, graph: Path, papers: Path, name: str | None) -> None:
-    """Print a graph's boxes as units or manifests for an engine of your own."""
-    who = check_person(name or default_person(), "--person")
-    desk = Desk(graph.resolve(), papers.resolve(), who)
-    click.echo(KINDS[engine](load(graph), desk), nl=False)
+@click.option("--user", "name", metavar="NAME", help="Who deploys; without it, you.")
+@renamed_option("--papers", "--credentials")
+@renamed_option("--person", "--user")
+def export_command(engine: str, graph: Path, credentials: Path, name: str | None) -> None:
+    """Print a graph's hosts as units or manifests for an engine of your own."""
+    who = check_user(name or default_user(), "--user")
+    bundle = Bundle(graph.resolve(), credentials.resolve(), who)
+    click.echo(KINDS[engine](load(graph), bundle), nl=False)
 
 
 @click.group("secure")
 def secure_commands() -> None:
-    """A private certificate authority for your boxes, nodes and people."""
+    """A private certificate authority for your hosts, nodes and users."""
 
 
 @secure_commands.command("init")
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--box", "boxes", multiple=True, metavar="LABEL=ADDRESS")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False), metavar="CREDENTIALS")
+@click.option("--host", "hosts", multiple=True, metavar="LABEL=ADDRESS")
+@renamed_option("--box", "--host")
 @click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--person", "people", multiple=True, metavar="NAME")
+@click.option("--user", "users", multiple=True, metavar="NAME")
+@renamed_option("--person", "--user")
 def init_command(folder: Path, **named: Any) -> None:
-    """Make an authority, and papers for boxes, people and the nodes of graphs."""
+    """Make an authority, and credentials for hosts, users and the nodes of graphs."""
     _add(folder, fresh=True, **named)
 
 
 @secure_commands.command("add")
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--box", "boxes", multiple=True, metavar="LABEL=ADDRESS")
+@click.argument("folder", type=click.Path(path_type=Path, file_okay=False), metavar="CREDENTIALS")
+@click.option("--host", "hosts", multiple=True, metavar="LABEL=ADDRESS")
+@renamed_option("--box", "--host")
 @click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--person", "people", multiple=True, metavar="NAME")
+@click.option("--user", "users", multiple=True, metavar="NAME")
+@renamed_option("--person", "--user")
 def add_command(folder: Path, **named: Any) -> None:
-    """Make papers that are missing in the folder of an authority; renew those that end soon."""
+    """Make credentials that are missing below an authority; renew those that end soon."""
     _add(folder, fresh=False, **named)
 
 
 def _add(
-    folder: Path, boxes: tuple[str, ...], graphs: tuple[Path, ...], people: tuple[str, ...], *,
+    folder: Path, hosts: tuple[str, ...], graphs: tuple[Path, ...], users: tuple[str, ...], *,
     fresh: bool,
 ) -> None:  # fmt: skip
     addresses = {}
-    for word in boxes:
+    for word in hosts:
         label, _, address = word.partition("=")
-        addresses[check_name(label, "--box", SettingsError)] = address
-    names = tuple(check_person(name, "--person") for name in people or (default_person(),))
+        addresses[check_name(label, "--host", SettingsError)] = address
+    names = tuple(check_user(name, "--user") for name in users or (default_user(),))
     plans = [load(graph) for graph in graphs]
     check_addressed(folder, addresses, plans)
-    nodes = [holder for p in plans for label in p.hosts for holder in holders(p, label)]
-    for holder in (*map(person, names), *nodes):
-        check_holder(holder)
+    nodes = [identity for p in plans for label in p.hosts for identity in identities(p, label)]
+    for identity in (*map(user_identity, names), *nodes):
+        check_identity(identity)
     if fresh:
         secure.create(folder)
     for line in (*issue_for(folder, addresses, plans, names), *secure.renew(folder)):
         click.echo(line)
-    click.echo(f"copy each box's folder to the box, keep {folder / 'ca.key'} away from all of them")
-    click.echo(f"deploy with --papers {folder / person(names[0])}")
+    click.echo(f"copy each host's folder to it, keep {folder / 'ca.key'} away from all of them")
+    click.echo(f"deploy with --credentials {folder / user_identity(names[0])}")
 
 
 fleet_commands = (

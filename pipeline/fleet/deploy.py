@@ -1,7 +1,7 @@
 """`fovea up` and `fovea down`: a graph to the agents of its hosts, all of it or nothing.
 
 First every agent says whether it may run its part; only then anything starts. What a setting names
-as a file here travels as its checksum; the box has the file, or takes it if it is on its list.
+as a file here travels as its checksum; the host has the file, or takes it if it is on its list.
 """
 
 import fcntl
@@ -23,11 +23,11 @@ from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, Sil
 from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
 from pipeline.fleet.agent_file import local_endpoint
-from pipeline.fleet.allow import MARK, MOST_WEIGHTS_BYTES, file_digest, is_path
+from pipeline.fleet.allow import DIGEST_PREFIX, MOST_WEIGHTS_BYTES, file_digest, is_path
+from pipeline.fleet.hosted_graph import END_S
 from pipeline.fleet.names import ANYBODY, agent_key, endpoint
-from pipeline.fleet.part import END_S
-from pipeline.fleet.placement import check_labels, marks
-from pipeline.fleet.secure import ADDRESSES, Papers
+from pipeline.fleet.placement import check_labels, fingerprints
+from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
 
@@ -43,37 +43,37 @@ class Hosts:
     """Where the agents are, and as whom to speak with them."""
 
     points: Mapping[str, str]  # label -> end point
-    papers: str = ""
+    credentials: str = ""
     nodes: Mapping[str, str] = field(default_factory=dict)  # of a deployed graph: node -> label
 
     @property
-    def holder(self) -> str:
+    def identity(self) -> str:
         """Who asks."""
-        return Papers.of(Path(self.papers)).holder if self.papers else ANYBODY
+        return Credentials.of(Path(self.credentials)).identity if self.credentials else ANYBODY
 
 
-def read_hosts(words: Iterable[str], papers: Path | None, labels: Iterable[str] = ()) -> Hosts:
-    """Where boxes are: `LABEL=ADDRESS` as said, else as the papers know, else on this machine.
+def read_hosts(words: Iterable[str], credentials: Path | None, labels: Iterable[str] = ()) -> Hosts:
+    """Where hosts are: `LABEL=ADDRESS` as said, else as the credentials know, else on this machine.
 
     `labels` are those that are needed, said or not. Raises `SettingsError`.
     """
     said = dict(word.partition("=")[::2] for word in ",".join(words).split(",") if word)
-    known = known_addresses(papers) if papers else {}
+    known = known_addresses(credentials) if credentials else {}
     points = {}
     for label in dict.fromkeys([*labels, *said]):
         check_name(label, "--hosts", SettingsError)
         address = said.get(label) or known.get(label, "")
-        if papers and not address:
-            raise SettingsError(f"--hosts: expected {label}=ADDRESS, as {papers} knows none")
+        if credentials and not address:
+            raise SettingsError(f"--hosts: expected {label}=ADDRESS, as {credentials} knows none")
         points[label] = endpoint(address, f"--hosts {label}") if address else local_endpoint(label)
-    if papers is None and any(point.startswith("tls/") for point in points.values()):
-        raise SettingsError("--hosts: a network address needs --papers, see `fovea secure`")
-    return Hosts(points, str(papers.resolve()) if papers else "")
+    if credentials is None and any(point.startswith("tls/") for point in points.values()):
+        raise SettingsError("--hosts: a network address needs --credentials, see `fovea secure`")
+    return Hosts(points, str(credentials.resolve()) if credentials else "")
 
 
-def known_addresses(papers: Path) -> dict[str, str]:
-    """What `fovea secure` noted beside somebody's papers: label -> address."""
-    path = papers / ADDRESSES
+def known_addresses(credentials: Path) -> dict[str, str]:
+    """What `fovea secure` noted beside somebody's credentials: label -> address."""
+    path = credentials / ADDRESSES
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, str])
     except FileNotFoundError:
@@ -87,10 +87,12 @@ class Fleet:
 
     def __init__(self, hosts: Hosts) -> None:
         self.hosts = hosts
-        self._holder = hosts.holder
-        permits = asker_permits(self._holder, tuple(hosts.points))
+        self._identity = hosts.identity
+        permits = asker_permits(self._identity, tuple(hosts.points))
         self._session = Session.across(
-            Network(connect=tuple(hosts.points.values()), papers=hosts.papers, permits=permits)
+            Network(
+                connect=tuple(hosts.points.values()), credentials=hosts.credentials, permits=permits
+            )
         )
 
     def __enter__(self) -> "Fleet":
@@ -104,16 +106,16 @@ class Fleet:
     ) -> T:
         """What an agent answers; raises `RunError` with its reason, `Silent` when there is none."""
         data = question if isinstance(question, bytes) else wire.encode(question)
-        found = self._session.ask(agent_key(label, self._holder, verb), data, patience_s)
+        found = self._session.ask(agent_key(label, self._identity, verb), data, patience_s)
         if found is None:
             raise Silent(
                 f"{label}: no agent answers at {self.hosts.points[label]} within "
-                f"{patience_s:.0f} s; it does not run, or {self._holder} may not ask it"
+                f"{patience_s:.0f} s; it does not run, or {self._identity} may not ask it"
             )
         return wire.read_reply(cls, label, found)
 
     def states(self, graph: str = "", patience_s: float = 1.5) -> dict[str, list[wire.State] | str]:
-        """What runs on every box, or why it is not known."""
+        """What runs on every host, or why it is not known."""
         found: dict[str, list[wire.State] | str] = {}
         for label in self.hosts.points:
             try:
@@ -130,8 +132,8 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
     check_labels(plan, fleet.hosts.points)
     used = sorted({node.host for node in plan.nodes})
     plan, files = portable(plan)
-    text, signs = wire.write_plan(plan), marks(plan)
-    question = wire.Prepare(text, wire.Versions.ours(), signs, again)
+    text, schemas = wire.write_plan(plan), fingerprints(plan)
+    question = wire.Prepare(text, wire.Versions.ours(), schemas, again)
     for label in used:
         fleet.ask(label, "about", wire.Nothing(), wire.About)
     endpoints: dict[str, str] = {}
@@ -139,13 +141,15 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
         endpoints.update(_prepare(fleet, label, question, files))
     points = {label: fleet.hosts.points[label] for label in used}
     before = remembered().get(plan.name)
-    remember(plan.name, Hosts(points, fleet.hosts.papers, {n.name: n.host for n in plan.nodes}))
+    remember(
+        plan.name, Hosts(points, fleet.hosts.credentials, {n.name: n.host for n in plan.nodes})
+    )
     started: list[str] = []
     try:
         for label in used:
             others = {other: point for other, point in points.items() if other != label}
             started.append(label)
-            order = wire.Start(text, wire.Versions.ours(), signs, endpoints, others)
+            order = wire.Start(text, wire.Versions.ours(), schemas, endpoints, others)
             fleet.ask(label, "start", order, type(None), READY_S)
         _await(fleet, plan.name, used)
     except BaseException:  # Ctrl-C too
@@ -171,14 +175,14 @@ def _leave(graph: str, before: Hosts, used: Iterable[str]) -> None:
 
 
 def attach(graph: str, fleet: Fleet) -> list[str]:
-    """Remember a graph that somebody else deployed: its boxes; raises `RunError` for none."""
+    """Remember a graph that somebody else deployed: its hosts; raises `RunError` for none."""
     states = fleet.states(graph)
     found = {label: said[0] for label, said in states.items() if said and isinstance(said, list)}
     if not found:
         raise RunError(f"{graph}: does not run on {', '.join(states)}")
     points = {label: fleet.hosts.points[label] for label in found}
     nodes = {node.name: label for label, state in found.items() for node in state.nodes}
-    remember(graph, Hosts(points, fleet.hosts.papers, nodes))
+    remember(graph, Hosts(points, fleet.hosts.credentials, nodes))
     return sorted(found)
 
 
@@ -215,7 +219,7 @@ def carried(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Path]]
         if isinstance(value, str) and is_path(value) and Path(value).is_file():
             digest = file_digest(Path(value))
             files[digest] = Path(value)
-            return MARK + digest
+            return DIGEST_PREFIX + digest
         return value
 
     return {name: marked(value) for name, value in values.items()}, files
@@ -224,7 +228,7 @@ def carried(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Path]]
 def send_weights(
     fleet: Fleet, label: str, digests: Iterable[str], files: Mapping[str, Path]
 ) -> None:
-    """Give a box the weights that it allows and has not; raises `GraphError` for what cannot go."""
+    """Give a host weights that it allows and lacks; raises `GraphError` for what cannot go."""
     for digest in digests:
         if digest not in files:
             raise GraphError(f"{label}: weights {digest[:12]}… are neither there nor here")
@@ -241,7 +245,7 @@ def remembered() -> dict[str, Hosts]:
     try:
         document = json.loads(_memory().read_text())
         return {
-            g: Hosts(dict(h["points"]), str(h["papers"]), dict(h["nodes"]))
+            g: Hosts(dict(h["points"]), str(h["credentials"]), dict(h["nodes"]))
             for g, h in document.items()
         }
     except FileNotFoundError:
@@ -262,7 +266,7 @@ def forget(graph: str) -> None:
         _write({g: h for g, h in remembered().items() if g != graph})
 
 
-def default_person() -> str:
+def default_user() -> str:
     """The name of whoever sits here."""
     return getpass.getuser()
 
@@ -270,7 +274,7 @@ def default_person() -> str:
 def _prepare(
     fleet: Fleet, label: str, question: wire.Prepare, files: Mapping[str, Path]
 ) -> dict[str, str]:
-    # a box that has just begun imports every operator first
+    # a host that has just begun imports every operator first
     prepared = fleet.ask(label, "prepare", question, wire.Prepared, READY_S)
     if prepared.weights:
         send_weights(fleet, label, prepared.weights, files)
@@ -303,7 +307,7 @@ def _down(fleet: Fleet, label: str, graph: str) -> str:
 
 
 def _is_on(fleet: Fleet, label: str, graph: str) -> bool:
-    """Whether a box runs a graph, as far as is known."""
+    """Whether a host runs a graph, as far as is known."""
     try:
         return graph in fleet.ask(label, "about", wire.Nothing(), wire.About).graphs
     except FoveaError:
@@ -311,7 +315,7 @@ def _is_on(fleet: Fleet, label: str, graph: str) -> bool:
 
 
 def _memory() -> Path:
-    folder = Path.home() / ".local" / "state" / "fovea"  # as long as the boxes keep what they run
+    folder = Path.home() / ".local" / "state" / "fovea"  # as long as the hosts keep what they run
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return folder / "fleet.json"
 
@@ -327,7 +331,7 @@ def _alone() -> Iterator[None]:
 def _write(graphs: Mapping[str, Hosts]) -> None:
     part = _memory().with_suffix(".part")
     document = {
-        g: {"points": dict(h.points), "papers": h.papers, "nodes": dict(h.nodes)}
+        g: {"points": dict(h.points), "credentials": h.credentials, "nodes": dict(h.nodes)}
         for g, h in graphs.items()
     }
     part.write_text(json.dumps(document))

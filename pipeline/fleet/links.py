@@ -1,4 +1,4 @@
-"""Where the processes of a part listen for those on other hosts, and whom they connect to.
+"""Where the processes of a plan listen for those on other hosts, and whom they connect to.
 
 Of two processes that speak, the first by name listens and the other one connects.
 """
@@ -8,75 +8,77 @@ from collections.abc import Collection, Mapping
 from pipeline.bus.network import LOCAL, Network
 from pipeline.errors import RunError
 from pipeline.fleet.access import node_permits
-from pipeline.fleet.names import node_holder
+from pipeline.fleet.names import node_identity
 from pipeline.fleet.placement import borders, listeners, place
-from pipeline.fleet.secure import Papers
+from pipeline.fleet.secure import Credentials
 from pipeline.graph.plan import Node, Plan
 from pipeline.run.rundir import base
 
-PATIENCE_MS = 1000  # a box that naps for less loses nothing on a lossless edge
+PATIENCE_MS = 1000  # a host that naps for less loses nothing on a lossless edge
 
 
-def local_end_points(part: Plan) -> dict[str, str]:
+def local_end_points(plan: Plan) -> dict[str, str]:
     """`label/process` -> a unix socket of this user."""
-    stem = f"{LOCAL}{base()}/{part.name}@{part.here}"
-    return {f"{part.here}/{p}": f"{stem}.{p}.sock" for p in listeners(part, part.here)}
+    stem = f"{LOCAL}{base()}/{plan.name}@{plan.here}"
+    return {f"{plan.here}/{p}": f"{stem}.{p}.sock" for p in listeners(plan, plan.here)}
 
 
 def end_points(
-    part: Plan, host: str, ports: Collection[int], used: Collection[str]
+    plan: Plan, host: str, ports: Collection[int], used: Collection[str]
 ) -> dict[str, str]:
-    """`label/process` -> a free port of the box; raises `RunError` when there are too few."""
-    names = [f"{part.here}/{process}" for process in listeners(part, part.here)]
+    """`label/process` -> a free port of the host; raises `RunError` when there are too few."""
+    names = [f"{plan.here}/{process}" for process in listeners(plan, plan.here)]
     free = [point for port in ports if (point := f"tls/{host}:{port}") not in used]
     if len(free) < len(names):
         raise RunError(
-            f"{part.name}: expected {len(names)} free ports of {min(ports)} to {max(ports)}, got "
+            f"{plan.name}: expected {len(names)} free ports of {min(ports)} to {max(ports)}, got "
             f"{len(free)}"
         )
     return dict(zip(names, free, strict=False))
 
 
-def own_end_points(part: Plan, free: Mapping[str, str], asked: Mapping[str, str]) -> dict[str, str]:
+def own_end_points(plan: Plan, free: Mapping[str, str], asked: Mapping[str, str]) -> dict[str, str]:
     """Where the processes here shall listen; raises `RunError` when that was not said."""
     lacking = sorted(set(free) - set(asked))
     if lacking:
-        raise RunError(f"{part.name}: no address for {lacking[0]}")
+        raise RunError(f"{plan.name}: no address for {lacking[0]}")
     return {name: asked[name] for name in free}
 
 
-def check_papers(part: Plan, papers: Papers | None) -> None:
-    """Raise `SettingsError` unless every process that speaks with other hosts has papers."""
-    for node in filter(part.is_here, part.nodes):
-        if papers and place(node) in borders(part):
-            Papers.of(papers.folder / "nodes" / node_holder(part.name, node))
+def check_credentials(plan: Plan, credentials: Credentials | None) -> None:
+    """Raise `SettingsError` unless every process that speaks with other hosts has credentials."""
+    for node in filter(plan.is_here, plan.nodes):
+        if credentials and place(node) in borders(plan):
+            Credentials.of(credentials.folder / "nodes" / node_identity(plan.name, node))
 
 
 def networks(
-    part: Plan, own: Mapping[str, str], theirs: Mapping[str, str], papers: Papers | None
+    plan: Plan, own: Mapping[str, str], theirs: Mapping[str, str], credentials: Credentials | None
 ) -> dict[str, Network]:
     """By process, of those that speak with other hosts; raises `RunError` without an address."""
     found = {}
-    for node in part.nodes:
+    for node in plan.nodes:
         name = place(node)
-        others = borders(part).get(name, frozenset())
-        if not others or not part.is_here(node):
+        others = borders(plan).get(name, frozenset())
+        if not others or not plan.is_here(node):
             continue
         lacking = [o for o in others if o < name and o not in theirs]
         if lacking:
-            raise RunError(f"{part.name}: no address for {lacking[0]}")
-        folder = papers.folder / "nodes" / node_holder(part.name, node) if papers else None
+            raise RunError(f"{plan.name}: no address for {lacking[0]}")
+        folder = (
+            credentials.folder / "nodes" / node_identity(plan.name, node) if credentials else None
+        )
         found[node.process] = Network(
             listen=(own[name],) if name in own else (),
             connect=tuple(sorted(theirs[o] for o in others if o < name)),
-            papers=str(Papers.of(folder).folder) if folder else "",
-            permits=node_permits(part, node.process),
-            patience_ms=PATIENCE_MS if _promises(part, node) else 0,
+            credentials=str(Credentials.of(folder).folder) if folder else "",
+            permits=node_permits(plan, node.process),
+            patience_ms=PATIENCE_MS if _promises(plan, node) else 0,
         )
     return found
 
 
-def _promises(part: Plan, node: Node) -> bool:
+def _promises(plan: Plan, node: Node) -> bool:
     """Whether the node's process sends anything across that may not be left out."""
-    mine = {n.name for n in part.nodes if n.process == node.process and part.is_here(n)}
-    return any(e.source in mine and e.keep == "every" and part.crosses(e) for e in part.edges)
+    mine = {n.name for n in plan.nodes if n.process == node.process and plan.is_here(n)}
+    return any(e.source in mine and e.keep == "every" and plan.crosses(e) for e in plan.edges)

@@ -1,4 +1,4 @@
-"""Who is who between hosts: labels, holders of certificates, keys and addresses."""
+"""Names between hosts: labels, identities in certificates, keys and addresses."""
 
 import re
 
@@ -9,47 +9,47 @@ from pipeline.naming import check_name
 
 ANYBODY = "local"  # who asks over a unix socket that only this user can reach
 MOST_LETTERS = 64  # of a common name: RFC 5280, ub-common-name
-_PERSON = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
+_USER = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
 _HOST = re.compile(r"(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.-]+?)(?::(\d{1,5}))?")
 
 
-def box(label: str) -> str:
-    """The holder that an agent is."""
-    return f"box.{label}"
+def host_identity(label: str) -> str:
+    """The identity of the agent of a host."""
+    return f"host.{label}"
 
 
-def person(name: str) -> str:
-    """The holder that somebody at a command line is."""
-    return f"person.{name}"
+def user_identity(name: str) -> str:
+    """The identity of a user at a command line."""
+    return f"user.{name}"
 
 
-def node_holder(graph: str, node: Node) -> str:
-    """The holder that the process of a node is; raises `SettingsError` for names it cannot have.
+def node_identity(graph: str, node: Node) -> str:
+    """The identity of the process of a node; raises `SettingsError` for names it cannot have.
 
-    No name has a dot, so no two processes are the same holder.
+    No name has a dot, so no two processes have the same identity.
     """
     names = check_name(graph, "name", SettingsError), check_name(node.process, "nodes")
     return ".".join(("node", *names))
 
 
-def check_holder(holder: str) -> str:
+def check_identity(identity: str) -> str:
     """A name that a certificate can bear; raises `SettingsError`."""
-    if len(holder) > MOST_LETTERS:
+    if len(identity) > MOST_LETTERS:
         raise SettingsError(
-            f"{holder}: expected a name of up to {MOST_LETTERS} characters, as certificates have, "
-            f"got {len(holder)}; shorten what it is made of"
+            f"{identity}: expected a name of up to {MOST_LETTERS} characters, as certificates "
+            f"have, got {len(identity)}; shorten what it is made of"
         )
-    return holder
+    return identity
 
 
-def agent_key(label: str, holder: str, verb: str) -> str:
-    """The key at which the agent of a box hears one holder, and nobody else."""
-    return f"fovea/@agent/{label}/{holder}/{verb}"
+def agent_key(label: str, identity: str, verb: str) -> str:
+    """The key at which the agent of a host hears one identity, and no other."""
+    return f"fovea/@agent/{label}/{identity}/{verb}"
 
 
-def check_person(name: str, where: str) -> str:
+def check_user(name: str, where: str) -> str:
     """The name of somebody, as an e-mail address or a login has it; raises `SettingsError`."""
-    if not _PERSON.fullmatch(name) or ".." in name:
+    if not _USER.fullmatch(name) or ".." in name:
         raise SettingsError(f"{where}: expected a name of letters, digits, - _ . @, got {name!r}")
     return name
 
@@ -68,6 +68,6 @@ def endpoint(address: str, where: str) -> str:
     return f"tls/{found[1]}:{found[2] or AGENT_PORT}"
 
 
-def host_part(point: str) -> str:
+def endpoint_host(point: str) -> str:
     """The host of a TLS end point."""
     return point.removeprefix("tls/").rpartition(":")[0]

@@ -1,7 +1,7 @@
-"""Which part of a graph runs on which box, and whether a box may run its part.
+"""Which part of a graph runs on which host, and whether a host may run its part.
 
 Of a plan that came over the wire first the form is checked, then code, settings and ports of the
-nodes here. The operators of other boxes are never loaded.
+nodes here. The operators of other hosts are never loaded.
 """
 
 from collections.abc import Mapping
@@ -13,29 +13,29 @@ from pipeline import settings as checked
 from pipeline.contract import inputs_of, outputs_of, settings_of
 from pipeline.errors import GraphError
 from pipeline.fleet.allow import Allowed
-from pipeline.fleet.form import check_form
+from pipeline.fleet.validation import validate_plan
 from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.graph.ports import check_ports
 
 
-def part_of(plan: Plan, label: str) -> Plan:
-    """The plan as the box of that label runs it: edges to other hosts carry bytes."""
-    part = replace(plan, here=label)
-    edges = tuple(replace(e, transport="bytes") if part.crosses(e) else e for e in plan.edges)
-    return replace(part, edges=edges)
+def plan_for(plan: Plan, label: str) -> Plan:
+    """The plan as the host of that label runs it: edges to other hosts carry bytes."""
+    local = replace(plan, here=label)
+    edges = tuple(replace(e, transport="bytes") if local.crosses(e) else e for e in plan.edges)
+    return replace(local, edges=edges)
 
 
 def check_labels(plan: Plan, labels: Mapping[str, Any]) -> None:
-    """Raise `GraphError` unless there is a box for every label, and time is real."""
+    """Raise `GraphError` unless there is a host for every label, and time is real."""
     if plan.clock == "lockstep":
-        raise GraphError(f"{plan.name}: lockstep runs on one host, got several boxes")
+        raise GraphError(f"{plan.name}: lockstep runs on one host, got several")
     used = {node.host for node in plan.nodes}
     if used == {""}:
         raise GraphError(f"{plan.name}: expected a `host` label at every node, got none")
     for label in sorted(used):
         if label not in labels:
             raise GraphError(
-                f"{plan.name}: no box {label} among the agents found"
+                f"{plan.name}: no host {label} among the agents found"
                 f"{checked.suggest(label, labels)}"
             )
 
@@ -57,7 +57,7 @@ def place(node: Node) -> str:
 
 
 def listeners(plan: Plan, label: str) -> list[str]:
-    """The processes of a box that listen: of two that speak, the first by name does."""
+    """The processes of a host that listen: of two that speak, the first by name does."""
     found = borders(plan)
     return [
         name.partition("/")[2]
@@ -66,8 +66,8 @@ def listeners(plan: Plan, label: str) -> list[str]:
     ]
 
 
-def marks(plan: Plan, label: str = "") -> dict[str, str]:
-    """The fingerprints of what every output sends; of one box, what its nodes send and expect."""
+def fingerprints(plan: Plan, label: str = "") -> dict[str, str]:
+    """The fingerprints of what every output sends; of one host, what its nodes send and expect."""
     found: dict[str, str] = {}
     for edge in plan.edges:
         for node, read in ((edge.source, False), (edge.target, True)):
@@ -84,26 +84,26 @@ def marks(plan: Plan, label: str = "") -> dict[str, str]:
 
 
 def inspect(plan: Plan, label: str, allowed: Allowed, over: Mapping[str, Any]) -> Plan:
-    """The part a box would run, its settings those of this box; raises for what may not run."""
-    check_form(plan, label)
+    """The plan that a host would run, with its own settings; raises for what may not run."""
+    validate_plan(plan, label)
     nodes = []
     for node in plan.nodes:
         if node.host == label:
             node = replace(node, settings=_inspected(node, allowed, over.get(node.name, {})))
         nodes.append(node)
-    part = part_of(replace(plan, nodes=tuple(nodes)), label)
+    local = plan_for(replace(plan, nodes=tuple(nodes)), label)
     check_ports(plan, lambda node: node.host == label)
-    part.order()
-    return part
+    local.order()
+    return local
 
 
-def check_marks(plan: Plan, label: str, theirs: Mapping[str, str]) -> None:
-    """Raise `GraphError` where this box would read or write another message than is meant."""
-    for origin, mine in marks(plan, label).items():
+def check_fingerprints(plan: Plan, label: str, theirs: Mapping[str, str]) -> None:
+    """Raise `GraphError` where this host would read or write another message than is meant."""
+    for origin, mine in fingerprints(plan, label).items():
         if theirs.get(origin) != mine:
             raise GraphError(
                 f"{origin}: expected messages of schema {theirs.get(origin, 'none')}, got {mine} "
-                "here; install the same version on all boxes"
+                "here; install the same version on all hosts"
             )
 
 

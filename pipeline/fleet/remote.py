@@ -1,4 +1,4 @@
-"""Questions and orders from a desk to nodes of a graph that runs on several boxes."""
+"""Requests from a command line to the nodes of a graph that runs on several hosts."""
 
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -20,12 +20,12 @@ AT_ONCE = 4  # nodes; one that hangs must not hold up the others
 
 
 def is_deployed(graph: str) -> bool:
-    """Whether this graph was brought up on boxes from here."""
+    """Whether this graph was brought up on hosts from here."""
     return graph in remembered()
 
 
 def ask_there(graph: str, node: str, question: str, payload: bytes) -> bytes:
-    """What a node on one of the boxes answers; raises `FoveaError` with the reason."""
+    """What a node on one of the hosts answers; raises `FoveaError` with the reason."""
     with _way(graph, node) as (fleet, label):
         return _ask(fleet, label, graph, node, question, payload)
 
@@ -45,7 +45,7 @@ def set_there(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
 
 
 def swap_there(graph: str, order: SwapOrder, patience_s: float) -> dict[str, Any]:
-    """Have a node on one of the boxes swapped; raises `FoveaError` with the reason."""
+    """Have a node on one of the hosts swapped; raises `FoveaError` with the reason."""
     with _way(graph, order.node) as (fleet, label):
         changes, files = carried(order.changes)
         _send(fleet, label, files)
@@ -55,7 +55,7 @@ def swap_there(graph: str, order: SwapOrder, patience_s: float) -> dict[str, Any
 
 
 def health_there(graph: str) -> dict[str, Health | None]:
-    """What every node on every box says; None for who is silent, or whose box is."""
+    """What every node on every host says; None for who is silent, or whose host is."""
     hosts = remembered()[graph]
     with Fleet(hosts) as fleet, ThreadPoolExecutor(AT_ONCE) as pool:
         there = {label for label, said in fleet.states(graph).items() if not isinstance(said, str)}

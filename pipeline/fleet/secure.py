@@ -1,11 +1,11 @@
-"""A private certificate authority and what it signs: one certificate per box, node and person.
+"""A private certificate authority and what it signs: one certificate per host, node and user.
 
     <folder>/ca.pem, ca.key                   the authority; its key stays where it was made
-    <folder>/<holder>/ca.pem, own.pem, own.key   what one holder needs, to be copied there
-    <folder>/person.<name>/addresses.json        where the boxes are: label -> address
+    <folder>/<identity>/ca.pem, own.pem, own.key   what a host, node or user needs
+    <folder>/user.<name>/addresses.json          where the hosts are: label -> address
 
-The common name of a certificate says who speaks: `box.<label>`, `node.<graph>.<process>` or
-`person.<name>`, as `pipeline.fleet.names` writes them. The access lists of `pipeline.fleet.access`
+The common name of a certificate says who speaks: `host.<label>`, `node.<graph>.<process>` or
+`user.<name>`, as `pipeline.fleet.names` writes them. The access lists of `pipeline.fleet.access`
 go by these names, never by addresses.
 """
 
@@ -21,32 +21,33 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from pipeline.errors import RunError, SettingsError
-from pipeline.fleet.names import check_holder
+from pipeline.fleet.names import check_identity
 
 AUTHORITY_DAYS = 3650
-HOLDER_DAYS = 825
+CERTIFICATE_DAYS = 825
 RENEWAL = datetime.timedelta(days=90)  # before the end
-SKEW = datetime.timedelta(days=1)  # a box whose clock is behind must not refuse its own
+SKEW = datetime.timedelta(days=1)  # a host whose clock is behind must not refuse its own
 COMMON_NAME = "fovea authority"
 ADDRESSES = "addresses.json"
 
 
 @dataclass(frozen=True)
-class Papers:
-    """The three files that a holder shows and checks others by."""
+class Credentials:
+    """The three files that prove an identity and check others."""
 
     folder: Path
 
     @staticmethod
-    def of(folder: Path) -> "Papers":
+    def of(folder: Path) -> "Credentials":
         """Those of a folder; raises `SettingsError` when one is missing or its key is readable."""
-        papers = Papers(folder)
-        for path in (papers.authority, papers.certificate, papers.key):
+        credentials = Credentials(folder)
+        for path in (credentials.authority, credentials.certificate, credentials.key):
             if not path.is_file():
                 raise SettingsError(f"{path}: expected a file made by `fovea secure`, got none")
-        if papers.key.stat().st_mode & 0o077:
-            raise SettingsError(f"{papers.key}: expected a key only its owner can read (mode 600)")
-        return papers
+        if credentials.key.stat().st_mode & 0o077:
+            expected = "expected a key only its owner can read (mode 600)"
+            raise SettingsError(f"{credentials.key}: {expected}")
+        return credentials
 
     @property
     def authority(self) -> Path:
@@ -55,7 +56,7 @@ class Papers:
 
     @property
     def certificate(self) -> Path:
-        """Who the holder is."""
+        """The certificate with the identity."""
         return self.folder / "own.pem"
 
     @property
@@ -64,9 +65,9 @@ class Papers:
         return self.folder / "own.key"
 
     @property
-    def holder(self) -> str:
+    def identity(self) -> str:
         """The common name; raises `SettingsError` for a file that is no certificate."""
-        return holder_of(self.certificate)
+        return identity_of(self.certificate)
 
 
 def create(folder: Path) -> None:
@@ -85,30 +86,30 @@ def create(folder: Path) -> None:
     _publish(folder / "ca.pem", certificate)
 
 
-def issue(own: Path, folder: Path, holder: str, days: int = HOLDER_DAYS) -> Papers:
-    """Make key and certificate of a holder in a folder of its own, unless it has them.
+def issue(own: Path, folder: Path, identity: str, days: int = CERTIFICATE_DAYS) -> Credentials:
+    """Make key and certificate of an identity in a folder of its own, unless it has them.
 
     The certificate is written last: what was interrupted is made whole by the next call. Raises
-    `SettingsError` for a holder whose name no certificate can bear.
+    `SettingsError` for a name that no certificate can bear.
     """
     if not all(path.exists() for path in _files(own)):
-        _certify(own, folder, check_holder(holder), days)
-    return Papers.of(own)
+        _certify(own, folder, check_identity(identity), days)
+    return Credentials.of(own)
 
 
 def renew(folder: Path) -> Iterator[str]:
-    """Certify anew, for the same keys, who has papers below an authority's folder that end soon."""
+    """Renew credentials below an authority's folder that end soon, for the same keys."""
     for path in sorted(folder.rglob("own.pem")):
         ends = _certificate(path).not_valid_after_utc
         if ends - datetime.datetime.now(datetime.UTC) < RENEWAL:
-            _certify(path.parent, folder, holder_of(path), HOLDER_DAYS)
+            _certify(path.parent, folder, identity_of(path), CERTIFICATE_DAYS)
             yield (
-                f"{path.parent}: renewed for {HOLDER_DAYS} days, as it ends on {ends:%Y-%m-%d}; "
-                "copy it to its holder again"
+                f"{path.parent}: renewed for {CERTIFICATE_DAYS} days, as it ends on "
+                f"{ends:%Y-%m-%d}; copy it to its host or user again"
             )
 
 
-def holder_of(certificate: Path) -> str:
+def identity_of(certificate: Path) -> str:
     """The common name of a certificate; raises `SettingsError` for a file that is none."""
     names = _certificate(certificate).subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     if not names:
@@ -124,16 +125,16 @@ def _certificate(path: Path) -> x509.Certificate:
 
 
 def _files(own: Path) -> tuple[Path, ...]:
-    papers = Papers(own)
-    return papers.key, papers.authority, papers.certificate
+    credentials = Credentials(own)
+    return credentials.key, credentials.authority, credentials.certificate
 
 
-def _certify(own: Path, folder: Path, holder: str, days: int) -> None:
+def _certify(own: Path, folder: Path, identity: str, days: int) -> None:
     authority, authority_key = _authority(folder)
     own.mkdir(mode=0o700, parents=True, exist_ok=True)
     key = _key(own / "own.key")
     certificate = (
-        _draft(_name(holder), authority.subject, key, days)
+        _draft(_name(identity), authority.subject, key, days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
         .add_extension(_usage(signs=False), critical=True)
         .add_extension(
@@ -142,7 +143,7 @@ def _certify(own: Path, folder: Path, holder: str, days: int) -> None:
             ),
             critical=False,
         )
-        .add_extension(x509.SubjectAlternativeName([x509.DNSName(holder)]), critical=False)
+        .add_extension(x509.SubjectAlternativeName([x509.DNSName(identity)]), critical=False)
         .sign(authority_key, hashes.SHA256())
     )  # fmt: skip
     (own / "ca.pem").write_bytes((folder / "ca.pem").read_bytes())

@@ -53,7 +53,7 @@ class Prepare(msgspec.Struct, forbid_unknown_fields=True):
 
     plan: str
     versions: Versions
-    marks: dict[str, str]  # node.output -> fingerprint of its message
+    fingerprints: dict[str, str]  # node.output -> fingerprint of its message
     replace: bool = False
 
 
@@ -69,9 +69,9 @@ class Start(msgspec.Struct, forbid_unknown_fields=True):
 
     plan: str
     versions: Versions
-    marks: dict[str, str]  # as it was prepared for
+    fingerprints: dict[str, str]  # as it was prepared for
     endpoints: dict[str, str]  # of all processes that listen
-    boxes: dict[str, str]  # label -> end point of its agent
+    hosts: dict[str, str]  # label -> end point of its agent
 
 
 class Named(msgspec.Struct, forbid_unknown_fields=True):
@@ -140,10 +140,10 @@ class Pong(msgspec.Struct, forbid_unknown_fields=True, array_like=True):
 
 
 class Accounts(msgspec.Struct, forbid_unknown_fields=True, array_like=True):
-    """One box's half of the accounts of the edges that cross: edge -> counters in fixed order."""
+    """One host's half of the accounts of the edges that cross: edge -> counters in fixed order."""
 
     number: int  # rises with every message of one start
-    mark: str  # of the graph that runs there: another one has other edges
+    fingerprint: str  # of the graph that runs there: another one has other edges
     ready: bool  # every process there has opened its operators
     written: dict[int, tuple[int, ...]]
     read: dict[int, tuple[int, ...]]
@@ -174,7 +174,7 @@ class NodeState(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class EdgeState(msgspec.Struct, forbid_unknown_fields=True):
-    """An edge as the box of its reader sees it."""
+    """An edge as the host of its reader sees it."""
 
     origin: str
     end: str
@@ -185,8 +185,8 @@ class EdgeState(msgspec.Struct, forbid_unknown_fields=True):
     sent: int
 
 
-class BoxState(msgspec.Struct, forbid_unknown_fields=True):
-    """Another box as this one sees it."""
+class HostState(msgspec.Struct, forbid_unknown_fields=True):
+    """Another host as this one sees it."""
 
     label: str
     lost: bool
@@ -198,18 +198,18 @@ class BoxState(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class State(msgspec.Struct, forbid_unknown_fields=True):
-    """A part of a graph on one box."""
+    """A part of a graph on one host."""
 
     graph: str
     label: str
-    at_ns: int  # when, by the box's clock
+    at_ns: int  # when, by the host's clock
     phase: str  # starting | running | failed | stopped
     failure: str
     processes: tuple[Process, ...]
     nodes: tuple[NodeState, ...]
     edges: tuple[EdgeState, ...]
-    boxes: tuple[BoxState, ...]
-    network_bytes: dict[str, tuple[int, int]]  # interface -> received, sent; of the whole box
+    hosts: tuple[HostState, ...]
+    network_bytes: dict[str, tuple[int, int]]  # interface -> received, sent; of the whole host
 
 
 class _Reply(msgspec.Struct, forbid_unknown_fields=True):

@@ -76,7 +76,7 @@ def _known(plan: Plan, name: str) -> None:
 
 
 class _Words(YamlFile):
-    """Stands for the file in complaints about a graph that runs."""
+    """Stands for the file in errors about a graph that runs."""
 
     def __init__(self, plan: Plan) -> None:
         self.path, self.document = Path(plan.name), YamlMapping(plan.name)

@@ -1,4 +1,4 @@
-"""Graph files: YAML to a checked plan. Every complaint says file, line, what, expected and got.
+"""Graph files: YAML to a checked plan. Every error says file, line, what, expected and got.
 
 Everything is checked before a process starts: what the file says by itself (`pipeline.graph.spec`),
 then operators, settings, ports, message types of both ends, loops. Overlays change a graph without
@@ -66,7 +66,7 @@ def _plan(
 
 
 class _Placed(GraphError):
-    """A complaint that has its place already."""
+    """An error that has its place already."""
 
 
 class _Part:

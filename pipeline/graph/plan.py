@@ -108,7 +108,7 @@ class Plan:
     clock: Clock
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
-    hosts: tuple[str, ...] = ()  # labels of the boxes it is laid out for
+    hosts: tuple[str, ...] = ()  # labels of the hosts it is laid out for
     here: str = ""  # the label whose nodes this supervisor runs; empty: all of them
 
     def __post_init__(self) -> None:

@@ -1,6 +1,6 @@
 """What a graph file says, checked as far as it can be without importing anything that it names.
 
-Keys, names, numbers, choices and places are settled here; operators, settings and the types of
+Keys, names, numbers, choices and places are checked here; operators, settings and the types of
 messages are the loader's.
 """
 
@@ -116,7 +116,7 @@ def check_places(file: YamlFile, nodes: Mapping[str, NodeSpec], hosts: tuple[str
         if node.host not in hosts and (node.host or hosts):
             got = f"no host {node.host}" if node.host else "expected a host, got none"
             hint = checked.suggest(node.host, hosts) if hosts else ""
-            say = hint or "; the graph names its boxes with `hosts: [label, …]`"
+            say = hint or "; the graph names its hosts with `hosts: [label, …]`"
             file.fail(node.entry, "host", f"{node.name}.host: {got}{say}")
         if hosts_of.setdefault(node.process, node.host) != node.host:
             what = f"{node.name}.host: group {node.process} is on {hosts_of[node.process]}"

@@ -1,4 +1,4 @@
-"""A YAML file that knows the line of every key, and complains with file and line."""
+"""A YAML file that knows the line of every key, and raises errors with file and line."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

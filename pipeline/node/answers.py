@@ -17,23 +17,23 @@ from pipeline.commands import COMMAND, Outcome, obey, write_outcome
 from pipeline.contract import Operator
 from pipeline.graph.plan import Node, Plan
 from pipeline.node.health import HEALTH, examine, write_health
-from pipeline.node.host import Host
 from pipeline.node.interface import SCHEMA, interface, write_interface
 from pipeline.node.live import CONFIG, Live
+from pipeline.node.operator_runner import OperatorRunner
 from pipeline.text import error_text, harmless
 
 MOST_WORDS = 2000  # characters of a headline
 
 
 class Answers:
-    """What one node answers while its host runs."""
+    """What one node answers while its runner runs."""
 
     def __init__(
-        self, plan: Plan, node: Node, operator: Operator[Any, Any], host: Host, live: Live,
-        ledger: Ledger,
+        self, plan: Plan, node: Node, operator: Operator[Any, Any], runner: OperatorRunner,
+        live: Live, ledger: Ledger,
     ) -> None:  # fmt: skip
         self.plan, self._node, self._operator = plan, node, operator
-        self._host, self._live, self._ledger = host, live, ledger
+        self._runner, self._live, self._ledger = runner, live, ledger
 
     def serve(self, session: Session, key: Callable[[str], str]) -> list[Callable[[], None]]:
         """Begin to answer under the node's own keys; returns how to stop."""
@@ -56,12 +56,12 @@ class Answers:
         reply(write_health(examine(self.plan, self._node, self._ledger, words)))
 
     def _on_config(self, question: bytes, reply: OnBytes) -> None:
-        if not self._host.between(lambda: self._live.answer(question, reply)):
+        if not self._runner.between(lambda: self._live.answer(question, reply)):
             reply(msgspec.msgpack.encode(self._live.describe(self._overrun())))
 
     def _on_command(self, question: bytes, reply: OnBytes) -> None:
         name, operator = self._node.name, self._operator
-        if not self._host.between(lambda: obey(name, operator, question, reply)):
+        if not self._runner.between(lambda: obey(name, operator, question, reply)):
             reply(write_outcome(Outcome(refused=self._overrun())))
 
     def _overrun(self) -> str:

@@ -1,4 +1,4 @@
-"""How a node is, from its accounts alone: also one that hangs can be asked, and judged.
+"""How a node is, from its accounts alone: also one that hangs can be asked.
 
 Progress is what counts. A node is stalled when it took a message and does not finish it, or when
 nothing of it moves at all; to wait for input, for credit or for a model is no illness.
@@ -27,7 +27,7 @@ class Health(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     pid: int
     epoch: int  # which instance this is
     state: str
-    complaint: str  # one sentence; empty while all is well
+    problem: str  # one sentence; empty while all is well
     handled: int  # messages, by all instances together
     last_seq: int
     busy_s: float  # with the message in hand, 0 without one
@@ -42,7 +42,7 @@ class Health(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 _HEALTH = msgspec.msgpack.Decoder(Health)
 
 
-def complaint(node: Node, account: NodeAccount, now_ns: int) -> str:
+def problem(node: Node, account: NodeAccount, now_ns: int) -> str:
     """Why a node must be called stalled, or nothing.
 
     The state is read before the times: a node writes them the other way round, so what it is in now
@@ -72,7 +72,7 @@ def examine(plan: Plan, node: Node, ledger: Ledger, words: str = "") -> Health:
         pid=os.getpid(),
         epoch=account.epoch,
         state=state,
-        complaint=complaint(node, account, now_ns),
+        problem=problem(node, account, now_ns),
         handled=account.handled,
         last_seq=account.last_seq,
         busy_s=round(busy_ns / 1e9, 3),

@@ -28,11 +28,11 @@ from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.node.control import Control
-from pipeline.node.host import Host
+from pipeline.node.handover import read_cut
 from pipeline.node.logfile import log_to
-from pipeline.node.place import check_fit
-from pipeline.node.relay import read_cut
-from pipeline.node.source import SourceHost
+from pipeline.node.operator_runner import OperatorRunner
+from pipeline.node.port_contract import check_fit
+from pipeline.node.source import SourceRunner
 from pipeline.node.wiring import ASIDE, Assignment, Wiring
 from pipeline.once import adapter
 from pipeline.private_folder import PrivateFolder
@@ -55,7 +55,7 @@ class Process:
         self._job, self.say, self._look = job, say, look
         self._nodes = list(job.nodes)
         self._ledger = Ledger.open(PrivateFolder(Path(job.memory_folder)))
-        self._hosts: list[Host] = []
+        self._runners: list[OperatorRunner] = []
         self._operators: list[Operator[Any, Any]] = []
         self._session: Session | None = None
         self._border: Session | None = None
@@ -83,13 +83,13 @@ class Process:
             if self._job.network is not None:
                 self._border = Session.across(self._job.network)
             self._wiring = Wiring(self._job, self._session, self._ledger, self.say, self._border)
-            self._hosts = [
-                self._wiring.host(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
+            self._runners = [
+                self._wiring.runner(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
             ]
             gc.collect()
             gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
             self.say("ready", load_s=loaded_s - began_s)
-            self._run_hosts()
+            self._run_all()
         except BaseException as error:  # an operator may raise SystemExit, a library panic
             self.report(error)
         finally:
@@ -98,41 +98,41 @@ class Process:
     def _check(self) -> None:
         """A part that is new in a running graph has to fit before anything is opened."""
         for node in self._nodes:
-            if place := self._job.places.get(node.name):
-                check_fit(self._job.plan, node, place)
+            if contract := self._job.contracts.get(node.name):
+                check_fit(self._job.plan, node, contract)
                 self._make(node)
 
     def stop(self) -> None:
-        """Let every host return."""
+        """Let every runner return."""
         self.go.set()
-        for host in self._hosts:
-            host.stop()
+        for runner in self._runners:
+            runner.stop()
 
     def finish(self) -> None:
         """Sources make no more frames."""
-        for host in self._hosts:
-            if isinstance(host, SourceHost):
-                host.end()
+        for runner in self._runners:
+            if isinstance(runner, SourceRunner):
+                runner.end()
 
     def do(self, order: Mapping[str, Any]) -> None:
         """What the supervisor wants of one node, done between two calls of its handlers."""
         kind, node = order.get("do"), str(order.get("node"))
-        host = next((h for h in self._hosts if h.name == node), None)
-        if host is not None and kind == "replan" and self._wiring is not None:
+        runner = next((h for h in self._runners if h.name == node), None)
+        if runner is not None and kind == "replan" and self._wiring is not None:
             plan = adapter(Plan).validate_python(order["plan"])
-            host.between(partial(self._wiring.replan, node, plan), must=True)
+            runner.between(partial(self._wiring.replan, node, plan), must=True)
             return
-        relay = self._wiring.relays.get(node) if self._wiring else None
-        if host is None or relay is None:
+        handover = self._wiring.handovers.get(node) if self._wiring else None
+        if runner is None or handover is None:
             log.error("%s: cannot %s %s", self._job.process, kind, node)
         elif kind == "cut":
-            host.between(partial(relay.want, read_cut(order["cut"])), must=True)
+            runner.between(partial(handover.request, read_cut(order["cut"])), must=True)
         elif kind == "uncut":
-            host.between(partial(relay.want, None), must=True)
+            runner.between(partial(handover.request, None), must=True)
         elif kind == "resume":
-            host.between(partial(relay.resume, int(order["epoch"])), must=True)
-        elif kind == "settle":
-            host.between(relay.settle_down, must=True)
+            runner.between(partial(handover.resume, int(order["epoch"])), must=True)
+        elif kind == "confirm":
+            runner.between(handover.confirm, must=True)
 
     def _make(self, node: Node) -> Operator[Any, Any]:
         cls = load_operator(node.operator)
@@ -141,10 +141,10 @@ class Process:
             operator.realtime = self._job.plan.clock == "realtime"
         return operator
 
-    def _run_hosts(self) -> None:
+    def _run_all(self) -> None:
         threads = [
-            threading.Thread(target=self._guard, args=(host,), name=host.name)
-            for host in self._hosts
+            threading.Thread(target=self._guard, args=(runner,), name=runner.name)
+            for runner in self._runners
         ]
         for thread in threads:
             thread.start()
@@ -166,13 +166,13 @@ class Process:
                 self._headlines[node.name] = words
                 self.say("headline", node=node.name, words=words)
 
-    def _guard(self, host: Host) -> None:
+    def _guard(self, runner: OperatorRunner) -> None:
         try:
-            if isinstance(host, SourceHost):
-                host.on_finished = lambda: self.say("finished", node=host.name)
+            if isinstance(runner, SourceRunner):
+                runner.on_finished = lambda: self.say("finished", node=runner.name)
                 while not self.go.is_set():
-                    host.attend()
-            host.run()
+                    runner.attend()
+            runner.run()
         except BaseException as error:  # an operator may raise SystemExit, a library panic
             self.report(error)
             self.stop()
@@ -200,13 +200,13 @@ class Process:
                     act()
                 except BaseException as error:
                     self.report(error)
-        if not self._job.standby and not self._hosts:
+        if not self._job.standby and not self._runners:
             for node in self._nodes:
                 self._ledger.nodes[node.index].enter("stopped")
-        for host in self._hosts:
-            host.account.enter("stopped")
-            if isinstance(host, SourceHost):
-                self.say("summary", node=host.name, figures=host.figures())
+        for runner in self._runners:
+            runner.account.enter("stopped")
+            if isinstance(runner, SourceRunner):
+                self.say("summary", node=runner.name, figures=runner.figures())
         if self._wiring is not None:
             self._wiring.close()
         for session in (self._session, self._border):

@@ -13,12 +13,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from pipeline.bus.inbox import Inbox, Marks, Work
+from pipeline.bus.envelope_buffer import EdgeCut
+from pipeline.bus.inbox import Inbox, InboxPosition, Work
 from pipeline.bus.outport import Arrival
-from pipeline.bus.tape import EdgeCut
 from pipeline.executor import carried
 from pipeline.messages import Message, altered
-from pipeline.node.host import Host
+from pipeline.node.operator_runner import OperatorRunner
 
 MOST_WAITING = 64  # answers of either side whose counterpart has not come
 
@@ -33,23 +33,28 @@ class Difference(msgspec.Struct):
 
 
 class Shadow:
-    """Calls the handlers of a host's operator, in the host's thread, for so many frames."""
+    """Calls the handlers of a runner's operator, in the runner's thread, for so many frames."""
 
     def __init__(
-        self, host: Host, marks: Marks, edges: Mapping[str, EdgeCut], heard: Heard, frames: int
+        self,
+        runner: OperatorRunner,
+        position: InboxPosition,
+        edges: Mapping[str, EdgeCut],
+        heard: Heard,
+        frames: int,
     ) -> None:
-        self._host, self._heard, self._wanted = host, heard, frames
-        self._inbox = Inbox(host.inbox.inputs, lambda *_: None, lockstep=host.lockstep)
-        self._inbox.go_on_from(marks)
+        self._runner, self._heard, self._wanted = runner, heard, frames
+        self._inbox = Inbox(runner.inbox.inputs, lambda *_: None, lockstep=runner.lockstep)
+        self._inbox.go_on_from(position)
         self._mine: dict[tuple[str, int], Message | None] = {}
         self._theirs: dict[tuple[str, int], Message | None] = {}
         self._times_ms: list[float] = []
         self.frames = self.identical = 0
         self.differences: dict[str, Difference] = {}
-        self._loan = host.operator._loan
-        host.operator._loan = lambda _output, shape, dtype: np.empty(shape, dtype)
-        self._ports = [port.shadow(self._deliver(name)) for name, port in host.ports.items()]
-        for port, cut in zip(self._ports, (edges[name] for name in host.ports), strict=True):
+        self._loan = runner.operator._loan
+        runner.operator._loan = lambda _output, shape, dtype: np.empty(shape, dtype)
+        self._ports = [port.shadow(self._deliver(name)) for name, port in runner.ports.items()]
+        for port, cut in zip(self._ports, (edges[name] for name in runner.ports), strict=True):
             port.take_over(cut)
 
     @property
@@ -74,8 +79,8 @@ class Shadow:
 
     def end(self) -> dict[str, Any]:
         """Let go of everything; the figures."""
-        self._host.operator._loan = self._loan
-        for port in self._host.ports.values():
+        self._runner.operator._loan = self._loan
+        for port in self._runner.ports.values():
             port.also = None
         return {
             "missed": sum(port.dropped for port in self._ports),  # it holds no slot
@@ -89,18 +94,18 @@ class Shadow:
         return lambda arrival: self._inbox.offer(name, arrival, time.monotonic_ns())
 
     def _handle(self, work: Work) -> None:
-        host, begun = self._host, time.monotonic()
+        runner, begun = self._runner, time.monotonic()
         if work.new_stream:
-            host.operator.on_stream(work.header)
-        answers = host.executor.call(work.messages) if work.answer else {}
-        if work.messages and host.executor.is_side(tuple(work.messages)):
+            runner.operator.on_stream(work.header)
+        answers = runner.executor.call(work.messages) if work.answer else {}
+        if work.messages and runner.executor.is_side(tuple(work.messages)):
             return
         self._times_ms.append(1000 * (time.monotonic() - begun))
-        for output in host.outs:
+        for output in runner.outs:
             message = answers.get(output)
             if message is not None:
                 leaving = altered(message, header=work.header)
-                message = carried(leaving, f"{host.name}.{output}")
+                message = carried(leaving, f"{runner.name}.{output}")
             self._mine[output, work.header.seq] = message
 
     def _compare(self, mine: Message | None, theirs: Message | None) -> None:

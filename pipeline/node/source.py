@@ -20,13 +20,13 @@ from pipeline.contract import Source
 from pipeline.errors import PoolExhausted
 from pipeline.executor import Answers, header_of
 from pipeline.messages import Header, Message, Span, altered, stamped
-from pipeline.node.host import IDLE_S, WAIT_EVERY, Host, waited_on_the_way
+from pipeline.node.operator_runner import DELAY_EVERY, IDLE_S, OperatorRunner, delay_on_the_way
 
 DRAIN_S = 0.0001
 
 
-class SourceHost(Host):
-    """A host whose operator produces. `limit` exposures at most, 0: until the source ends."""
+class SourceRunner(OperatorRunner):
+    """A runner whose operator produces. `limit` exposures at most, 0: until the source ends."""
 
     def __init__(self, *args: Any, drained: Callable[[], bool], limit: int, **kw: Any) -> None:
         super().__init__(*args, **kw)
@@ -48,7 +48,7 @@ class SourceHost(Host):
         exposures = 0
         try:
             while not self._ending.is_set() and (not self._limit or exposures < self._limit):
-                self.greet()
+                self.handshake()
                 self.do_asked()
                 if self.lockstep and not self._await_answer():
                     break
@@ -59,7 +59,7 @@ class SourceHost(Host):
                 self.account.enter("finished")
                 self.on_finished()
             while not self.stopping.wait(0.2):
-                self.greet()
+                self.handshake()
                 self.account.heartbeat_ns = time.monotonic_ns()
                 self.do_asked()
         finally:
@@ -104,7 +104,7 @@ class SourceHost(Host):
         ready = max(begun_ns, header.stamp_ns)  # before it, the source waited for the world
         span = Span(
             stage=self.name, received_ns=header.stamp_ns, done_ns=ended, handler_ns=ended - ready,
-            wait_ns=0,
+            scheduling_delay_ns=0,
         )  # fmt: skip
         leaving = stamped(header, epoch=self.epoch, span=span)
         if self.clocks.own != ALONE:  # the other hosts have to know whose time it is
@@ -132,7 +132,7 @@ class SourceHost(Host):
             self.account.heartbeat_ns = time.monotonic_ns()
             if self.stopping.wait(DRAIN_S):
                 return False
-            self.greet()
+            self.handshake()
         return True
 
     def _command_loop(self) -> None:
@@ -146,26 +146,26 @@ class SourceHost(Host):
 
     def _accept(self, work: Work) -> None:
         begun = time.monotonic_ns()
-        waited = self._take_arrived_wait()
+        waited = self._take_arrived_delay()
         ((name, message),) = work.messages.items()
         if message is not None:
             self.executor.call(work.messages)
             accepted = time.monotonic_ns()
             fold(self.commands, message)
-            waited = waited_on_the_way(message.header, begun, waited)
+            waited = delay_on_the_way(message.header, begun, waited)
             self._count_loop(message.header, accepted, accepted - begun, waited)
         self._count_age(name, work.header, begun)
-        self.settle(name, "delivered", work.arrived[name])
+        self.acknowledge(name, "delivered", work.arrived[name])
 
     def _count_loop(self, header: Header, now_ns: int, handler_ns: int, waited_ns: int) -> None:
         latency = now_ns - header.stamp_ns
         self.account.histograms["loop"].add(latency)
-        if header.seq % WAIT_EVERY:
+        if header.seq % DELAY_EVERY:
             return
         handlers = handler_ns + sum(span.handler_ns for span in header.trace)
-        waited = waited_ns + sum(span.wait_ns for span in header.trace)
+        waited = waited_ns + sum(span.scheduling_delay_ns for span in header.trace)
         histograms = self.account.histograms
-        histograms["cpu_wait"].add(waited)
+        histograms["scheduling_delay"].add(waited)
         histograms["overhead"].add(max(0, latency - handlers - waited))
 
 

@@ -1,4 +1,4 @@
-"""Connects the operators of a process: a plan's nodes and edges to hosts, ports, doors and keys."""
+"""Connects the operators of a process: nodes and edges to runners, ports, sockets and keys."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.bus.clocks import Clocks
-from pipeline.bus.doors import Doors, Links
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import Ledger, private_ledger
+from pipeline.bus.local_transport import LocalReceiver, LocalSender
 from pipeline.bus.network import Network
 from pipeline.bus.outport import BYTES_SUFFIX, Arrival, OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
@@ -18,12 +18,12 @@ from pipeline.bus.session import Sender, Session
 from pipeline.contract import Input, Operator, Source, outputs_of
 from pipeline.graph.plan import Edge, Node, Plan, inputs_for, slots
 from pipeline.node.answers import Answers
-from pipeline.node.host import Host
+from pipeline.node.handover import HANDOVER_CHANNEL, Handover, Say
 from pipeline.node.live import Live, kept
-from pipeline.node.place import Place
-from pipeline.node.relay import BATON, Relay, Say
+from pipeline.node.operator_runner import OperatorRunner
+from pipeline.node.port_contract import PortContract
 from pipeline.node.shadow import MOST_WAITING, Heard
-from pipeline.node.source import SourceHost
+from pipeline.node.source import SourceRunner
 from pipeline.private_folder import PrivateFolder
 
 CLOCKS = "clocks"  # the file in the run's folder that tells what other hosts' clocks show
@@ -45,7 +45,7 @@ class Assignment:
     network: Network | None = None  # to the nodes on other hosts, where an edge leads there
     standby: bool = False  # another instance works until this one is told to take over
     trial: bool = False  # only say whether operators and settings fit, and leave
-    places: dict[str, Place] = field(default_factory=dict)  # to be checked before it starts
+    contracts: dict[str, PortContract] = field(default_factory=dict)  # checked before the start
 
     def kept_in(self, node: Node) -> Path:
         """The file of settings that were changed while the node ran."""
@@ -64,9 +64,9 @@ class Assignment:
         here = filter(self.plan.is_here, self.plan.nodes)
         return tuple(node for node in here if node.process == self.process)
 
-    def door(self, node: str, instance: int) -> Path:
+    def receiver(self, node: str, instance: int) -> Path:
         """Where an instance of a node receives."""
-        return Path(self.run_folder) / f"{node}.{instance}.door"
+        return Path(self.run_folder) / f"{node}.{instance}.recv"
 
     @property
     def instance(self) -> str:
@@ -77,8 +77,8 @@ class Assignment:
         """The names of what this instance may leave in the run folder when it is killed."""
         if self.trial:
             return []  # it opens none, and bears the epoch of the instance that works
-        doors = [self.door(node, epoch).name for node, epoch in self.epochs.items()]
-        return [*doors, f"{self.instance}.sock", f"{self.instance}.sock.lock"]
+        receivers = [self.receiver(node, epoch).name for node, epoch in self.epochs.items()]
+        return [*receivers, f"{self.instance}.sock", f"{self.instance}.sock.lock"]
 
 
 class Wiring:
@@ -92,27 +92,27 @@ class Wiring:
         self._border = border  # the session with other hosts
         self._clocks = clocks_of(job)
         self._memory = PrivateFolder(Path(job.memory_folder))
-        self._doors: list[Doors] = []
-        self._links: list[Links] = []
+        self._receivers: list[LocalReceiver] = []
+        self._senders: list[LocalSender] = []
         self._stops: list[Any] = []
-        self.relays: dict[str, Relay] = {}
-        self._running: dict[str, tuple[Host, Doors, Answers]] = {}
+        self.handovers: dict[str, Handover] = {}
+        self._running: dict[str, tuple[OperatorRunner, LocalReceiver, Answers]] = {}
 
     def close(self) -> None:
         """Stop listening and close every socket."""
         for stop in self._stops:
             stop()
-        for links in self._links:
-            links.close()
-        for doors in self._doors:
-            doors.close()
+        for sender in self._senders:
+            sender.close()
+        for receiver in self._receivers:
+            receiver.close()
 
-    def host(self, node: Node, operator: Operator[Any, Any]) -> Host:
-        """The host of an operator, its doors open and its ports connected."""
+    def runner(self, node: Node, operator: Operator[Any, Any]) -> OperatorRunner:
+        """The runner of an operator, its receiver open and its ports connected."""
         job, plan = self._job, self._job.plan
         edges = plan.inputs(node.name)
-        doors = Doors(job.door(node.name, job.epochs[node.name]))
-        self._doors.append(doors)
+        receiver = LocalReceiver(job.receiver(node.name, job.epochs[node.name]))
+        self._receivers.append(receiver)
         outs = {
             name: self._out_port(node, name, message)
             for name, message in outputs_of(type(operator)).items()
@@ -121,50 +121,51 @@ class Wiring:
             "inputs": inputs_for(plan, node),
             "edges": {name: self._ledger.edges[e.index] for name, e in edges.items()},
             "outs": outs,
-            "doors": doors,
+            "receiver": receiver,
             "account": self._ledger.nodes[node.index],
             "lockstep": plan.clock == "lockstep",
             "epoch": job.epochs[node.name],
         }
-        host = (
-            SourceHost(
+        runner = (
+            SourceRunner(
                 node.name, operator, drained=self._ledger.drained, limit=job.frames, **common
             )
             if isinstance(operator, Source)
-            else Host(node.name, operator, **common)
+            else OperatorRunner(node.name, operator, **common)
         )
-        host.clocks = self._clocks
+        runner.clocks = self._clocks
         live = Live(node.name, operator, job.settings(node), job.kept_in(node))
-        answers = Answers(plan, node, operator, host, live, self._ledger)
+        answers = Answers(plan, node, operator, runner, live, self._ledger)
         key = partial(key_of, plan.name, node.name)
-        voice = _Voice(lambda: answers.serve(self._session, key))
-        self._stops.append(voice.lower)
-        self._running[node.name] = (host, doors, answers)
+        queryables = _Queryables(lambda: answers.serve(self._session, key))
+        self._stops.append(queryables.undeclare)
+        self._running[node.name] = (runner, receiver, answers)
         for edge in edges.values():
-            self._listen(host, edge, common["inputs"][edge.input], doors)
+            self._listen(runner, edge, common["inputs"][edge.input], receiver)
         if swappable(plan, node) and not isinstance(operator, Source):
-            relay = Relay(
-                host, memory=self._memory, say=self._say,
-                voice=voice, listen=partial(self._tap, node, type(operator)), standby=job.standby,
+            handover = Handover(
+                runner, memory=self._memory, say=self._say,
+                queryables=queryables, listen=partial(self._tap, node, type(operator)),
+                standby=job.standby,
             )  # fmt: skip
-            host.relay = self.relays[node.name] = relay
-            doors.expect(BATON, relay.receive)
+            runner.handover = self.handovers[node.name] = handover
+            receiver.expect(HANDOVER_CHANNEL, handover.receive)
         if not job.standby:
-            voice.raise_()
-        return host
+            queryables.declare()
+        return runner
 
     def replan(self, node: str, plan: Plan) -> None:
         """Connect a running node as another plan has it; its operator and settings stay."""
         self._job = replace(self._job, plan=plan)
-        host, doors, answers = self._running[node]
+        runner, receiver, answers = self._running[node]
         answers.plan = plan
         declared = inputs_for(plan, plan.node(node))
         for edge in plan.inputs(node).values():
-            if host.edges[edge.input] is not self._ledger.edges[edge.index]:
-                port = self._in_port(host, edge, declared[edge.input])
-                host.rewire(edge.input, self._ledger.edges[edge.index], port)
-                doors.expect(edge.index, port.receive)
-        for output, port_out in host.outs.items():
+            if runner.edges[edge.input] is not self._ledger.edges[edge.index]:
+                port = self._in_port(runner, edge, declared[edge.input])
+                runner.rewire(edge.input, self._ledger.edges[edge.index], port)
+                receiver.expect(edge.index, port.receive)
+        for output, port_out in runner.outs.items():
             edges = plan.readers(node, output)
             port_out.change_readers(self._readers(edges), slots(edges))
         self._say("replanned", node=node)
@@ -173,7 +174,7 @@ class Wiring:
         return [
             Reader(
                 self._ledger.edges[e.index], e.keep == "every", e.depth + 1, e.index,
-                partial(self._job.door, e.target) if e.transport == "pool" else None,
+                partial(self._job.receiver, e.target) if e.transport == "pool" else None,
             )
             for e in edges
         ]  # fmt: skip
@@ -186,11 +187,11 @@ class Wiring:
         urgent = any(e.command for e in edges)
         patient = any(e.transport == "bytes" and e.keep == "every" for e in edges)
         stem = f"{node.name}.{output}"
-        links = Links()
-        self._links.append(links)
+        sender = LocalSender()
+        self._senders.append(sender)
         return OutPort(
             message,
-            links,
+            sender,
             self._session.sender(key, urgent=urgent),
             self._remote(key + BYTES_SUFFIX, edges, urgent=urgent, patient=patient),
             readers,
@@ -218,25 +219,29 @@ class Wiring:
 
         return stop
 
-    def _in_port(self, host: Host, edge: Edge, declared: Input, *, holding: bool = False) -> InPort:
+    def _in_port(
+        self, runner: OperatorRunner, edge: Edge, declared: Input, *, holding: bool = False
+    ) -> InPort:
         port = InPort(
             declared.message,
             self._ledger.edges[edge.index],
             PoolReader(self._memory, f"{edge.source}.{edge.output}"),
-            host.epoch,
-            partial(host.deliver, edge.input),
+            runner.epoch,
+            partial(runner.deliver, edge.input),
             tap=edge.tap,
             holding=holding,
         )
-        port.on_loss = partial(host.lost, edge.input)
+        port.on_loss = partial(runner.lost, edge.input)
         return port
 
-    def _listen(self, host: Host, edge: Edge, declared: Input, doors: Doors) -> None:
+    def _listen(
+        self, runner: OperatorRunner, edge: Edge, declared: Input, receiver: LocalReceiver
+    ) -> None:
         job = self._job
-        port = self._in_port(host, edge, declared, holding=job.standby)
-        host.ports[edge.input] = port
+        port = self._in_port(runner, edge, declared, holding=job.standby)
+        runner.ports[edge.input] = port
         if edge.transport == "pool":
-            doors.expect(edge.index, port.receive)
+            receiver.expect(edge.index, port.receive)
             return
         key = key_of(job.plan.name, edge.source, edge.output) + BYTES_SUFFIX
         session = self._border if self._border and job.plan.crosses(edge) else self._session
@@ -257,18 +262,18 @@ def _hear(heard: Heard, name: str, arrival: Arrival) -> None:
         heard.put((name, arrival))
 
 
-class _Voice:
-    """Answers questions to a node, while it is raised."""
+class _Queryables:
+    """What a node answers, while it is declared."""
 
     def __init__(self, serve: Callable[[], list[Callable[[], None]]]) -> None:
         self._serve = serve
         self._stops: list[Callable[[], None]] = []
 
-    def raise_(self) -> None:
+    def declare(self) -> None:
         """Answer from now on."""
         self._stops = self._serve()
 
-    def lower(self) -> None:
+    def undeclare(self) -> None:
         """Answer no more."""
         while self._stops:
             self._stops.pop()()
@@ -277,7 +282,7 @@ class _Voice:
 def swappable(plan: Plan, node: Node) -> bool:
     """Whether a successor may stand by: not in a shared process, nor where bytes are sent instead.
 
-    Only the short way between processes keeps the order across a change of the sender.
+    Only the local transport keeps the order across a change of the sender.
     """
     alone = sum(1 for n in plan.nodes if n.process == node.process) == 1
     return alone and not any(

@@ -13,14 +13,14 @@ import signal
 import time
 from collections.abc import Iterator
 
-MARK = "FOVEA_STARTED_BY"
+TAG_VARIABLE = "FOVEA_STARTED_BY"
 ROUNDS = 5  # one that is found may just have started another
 PAUSE_S = 0.01
 log = logging.getLogger(__name__)
 
 
-def new_mark(run_id: str) -> str:
-    """Return a mark for one instance of a node; marks of a run begin with the run's id."""
+def new_tag(run_id: str) -> str:
+    """Return a tag for one instance of a node; tags of a run begin with the run's id."""
     return f"{run_id}{secrets.token_hex(8)}"
 
 
@@ -30,16 +30,16 @@ def end_group(leader: int) -> None:
         os.killpg(leader, signal.SIGKILL)
 
 
-def end_marked(prefix: str) -> int:
-    """Kill every process of this user whose mark begins so; return how many there were.
+def end_tagged(prefix: str) -> int:
+    """Kill every process of this user whose tag begins so; return how many there were.
 
-    With the mark of an instance that is what it started, with the id of a run what the whole
+    With the tag of an instance that is what it started, with the id of a run what the whole
     run did. This process is spared in any case.
     """
     ended: set[int] = set()
     for _ in range(ROUNDS if prefix else 0):
         try:
-            found = list(marked(prefix))
+            found = list(tagged(prefix))
         except OSError as error:
             log.warning("what nodes started cannot be looked for: %s", error)
             break
@@ -52,8 +52,8 @@ def end_marked(prefix: str) -> int:
     return len(ended)
 
 
-def marked(prefix: str) -> Iterator[int]:
-    """Yield the processes of this user, other than this one, whose mark begins so."""
+def tagged(prefix: str) -> Iterator[int]:
+    """Yield the processes of this user, other than this one, whose tag begins so."""
     own_pid, own_uid = os.getpid(), os.getuid()
     with os.scandir("/proc") as entries:
         pids = [int(entry.name) for entry in entries if entry.name.isdecimal()]
@@ -70,8 +70,8 @@ def _uid(pid: int) -> int | None:
 
 
 def _carries(pid: int, prefix: str) -> bool:
-    """Whether a process has the mark; one that ends meanwhile, or is a zombie, has none."""
-    wanted = f"{MARK}={prefix}".encode()
+    """Whether a process has the tag; one that ends meanwhile, or is a zombie, has none."""
+    wanted = f"{TAG_VARIABLE}={prefix}".encode()
     try:
         with open(f"/proc/{pid}/environ", "rb", buffering=0) as file:
             entries = file.readall() or b""
@@ -81,7 +81,7 @@ def _carries(pid: int, prefix: str) -> bool:
 
 
 def _kill(pid: int, prefix: str) -> None:
-    """Kill a process that carries the mark, not one that has got its number since."""
+    """Kill a process that carries the tag, not one that has got its number since."""
     try:
         handle = os.pidfd_open(pid)
     except ProcessLookupError:

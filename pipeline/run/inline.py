@@ -44,7 +44,7 @@ class _Part:
         accounts = {name: ledger.edges[e.index] for name, e in self.edges.items()}
         self.inbox = Inbox(
             inputs_for(plan, node),
-            lambda name, fate, _ordinal: accounts[name].settle(fate),
+            lambda name, outcome, _ordinal: accounts[name].acknowledge(outcome),
             lockstep=True,
         )
 
@@ -101,7 +101,7 @@ class InlineRunner:
                 return
             header = header_of(exposed)
             self._send(self._source, exposed, header, begun_ns=header.stamp_ns)
-            self._settle_frame()
+            self._drain_frame()
             count += 1
             yield header.seq
 
@@ -121,7 +121,7 @@ class InlineRunner:
             )
         return found[0]
 
-    def _settle_frame(self) -> None:
+    def _drain_frame(self) -> None:
         """Let everything that was sent find its end."""
         pending = True
         while pending:
@@ -158,7 +158,11 @@ class InlineRunner:
     def _send(self, part: _Part, answers: Answers, header: Header, *, begun_ns: int) -> None:
         node, now = part.node.name, time.monotonic_ns()
         span = Span(
-            stage=node, received_ns=begun_ns, done_ns=now, handler_ns=now - begun_ns, wait_ns=0
+            stage=node,
+            received_ns=begun_ns,
+            done_ns=now,
+            handler_ns=now - begun_ns,
+            scheduling_delay_ns=0,
         )
         leaving = stamped(header, epoch=1, span=span)
         for output in part.outputs:

@@ -18,14 +18,14 @@ import psutil
 from pipeline.errors import RunError
 from pipeline.naming import GRAMMAR
 from pipeline.private_folder import PrivateFolder
-from pipeline.run.descendants import end_marked
+from pipeline.run.descendants import end_tagged
 from pipeline.run.memory_folder import MEMORY, RUN_ID, MemoryFolder, abandoned, path_of
 from pipeline.run.rundir import LOCK, locked, noted, run_folders
 
 KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
 NODE_MODULE = "pipeline.node.process"  # what every node process runs
 _RUN_FILES = re.compile(
-    rf"run\.json(\.part)?|clocks|{GRAMMAR}(\.\d+)?\.sock(\.lock)?|{GRAMMAR}\.\d+\.door"
+    rf"run\.json(\.part)?|clocks|{GRAMMAR}(\.\d+)?\.sock(\.lock)?|{GRAMMAR}\.\d+\.recv"
     rf"|{GRAMMAR}\.live(\.part)?"
 )
 _LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?")
@@ -88,7 +88,7 @@ def end_orphans(run_id: str) -> None:
         if of == run_id:
             with contextlib.suppress(psutil.Error):  # it has just ended by itself
                 process.send_signal(signal.SIGKILL)
-    end_marked(run_id)  # and what they had started
+    end_tagged(run_id)  # and what they had started
 
 
 def node_processes() -> Iterator[tuple[psutil.Process, str]]:

@@ -10,7 +10,7 @@ from rich.text import Text
 
 from pipeline.bus.ledger import Ledger
 from pipeline.graph.plan import Node, Plan, sources
-from pipeline.run.child import Sample
+from pipeline.run.process_handle import Sample
 from pipeline.terminal import lean_table, losses, pair, rest
 from pipeline.text import harmless
 
@@ -55,7 +55,7 @@ def compose(
         report["loop"] = {
             "latency_ms": histograms["loop"].summary(),
             "overhead_ms": histograms["overhead"].summary(),
-            "cpu_wait_ms": histograms["cpu_wait"].summary(),
+            "scheduling_delay_ms": histograms["scheduling_delay"].summary(),
             "commands": histograms["loop"].total,
         }
     return report
@@ -127,7 +127,7 @@ def _lines(report: Report) -> list[Text]:
         lines.append(
             f"loop, picture ready -> command accepted: {pair(loop['latency_ms'])} ms p50/p99, "
             f"overhead {pair(loop['overhead_ms'])} ms, waiting for a core "
-            f"{pair(loop['cpu_wait_ms'])} ms, {loop['commands']} commands"
+            f"{pair(loop['scheduling_delay_ms'])} ms, {loop['commands']} commands"
         )
     for key in ("frames", "pixels", "commands"):
         if values := _figures(report.get(key)):

@@ -11,12 +11,12 @@ from typing import Any
 from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
-from pipeline.run.child import KILLED_S, Child, ending
-from pipeline.run.crew import Crew
-from pipeline.run.descendants import end_marked
-from pipeline.run.desk import COMMAND, Desk
-from pipeline.run.judge import late
-from pipeline.run.slot import Slot
+from pipeline.run.control_server import COMMAND, ControlServer
+from pipeline.run.descendants import end_tagged
+from pipeline.run.health import late
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.process_handle import KILLED_S, ProcessHandle, ending
+from pipeline.run.process_manager import ProcessManager
 from pipeline.text import harmless, plain
 
 TICK_S = 0.02
@@ -31,13 +31,13 @@ UNABLE_S = 2.0  # until a process that could not be started is tried again
 log = logging.getLogger(__name__)
 
 
-class Supervisor(Crew):
+class Supervisor(ProcessManager):
     """Runs a plan in the foreground. Use it as a context: leaving it stops and removes all."""
 
     def __init__(
         self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0
     ) -> None:
-        """As for a `Crew`; takes orders from now on."""
+        """As for a `ProcessManager`; takes orders from now on."""
         super().__init__(plan, frames=frames, folder=folder, first_epoch=first_epoch)
         try:
             self._hub = Session(self._run.folder.path, "hub")
@@ -45,8 +45,8 @@ class Supervisor(Crew):
             self.exchange.close()
             self._run.release()
             raise
-        self.desk = Desk(self)
-        self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.desk.ask)
+        self.control = ControlServer(self)
+        self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.control.ask)
         self.summaries: dict[str, dict[str, Any]] = {}
         self.left_out: dict[str, str] = {}  # by node: what the report lacks of its summary
         self._summed: dict[str, int] = {}  # the process whose summary is kept, by node
@@ -74,9 +74,9 @@ class Supervisor(Crew):
             self.tick()
             if self.failure:
                 raise RunError(self.failure)
-            for slot in self.slots.values():
-                if why := late(slot):
-                    raise RunError(f"{slot.name}: {why}, see `fovea logs {slot.name}`")
+            for managed in self.processes.values():
+                if why := late(managed):
+                    raise RunError(f"{managed.name}: {why}, see `fovea logs {managed.name}`")
             if time.monotonic() > deadline:
                 raise RunError("the readers of a source have not heard it in all that time")
         self.begun = self.all_going
@@ -84,13 +84,13 @@ class Supervisor(Crew):
 
     def tick(self) -> None:
         """Look after everything once, then wait for a moment or until a node says something."""
-        self._judge.look()
+        self._health.tick()
         self._hear()
         self._see_off()
-        self.desk.attend()
+        self.control.tick()
         now_s = time.monotonic()
-        for slot in self.slots.values():
-            self._look_after(slot, now_s)
+        for managed in self.processes.values():
+            self._look_after(managed, now_s)
         if now_s - self._sampled_s >= SAMPLE_S:
             self._sampled_s = now_s
             self._sample()
@@ -103,9 +103,9 @@ class Supervisor(Crew):
         A run that was asked to end waits for `DRAIN_S` at most, and not at all in haste.
         """
         self.ending = True
-        for slot in self.slots.values():
-            if slot.sources and slot.child and slot.child.going:
-                slot.child.tell("finish")
+        for managed in self.processes.values():
+            if managed.sources and managed.handle and managed.handle.going:
+                managed.handle.tell("finish")
         began_s = moved_s = now_s = time.monotonic()
         ends = self.ledger.ends()
         while now_s - moved_s < DRAIN_S and now_s - began_s < LONGEST_DRAIN_S:
@@ -127,8 +127,10 @@ class Supervisor(Crew):
 
     def _to_nobody(self) -> set[int]:
         """Indices of the edges into processes that have ended and do not start again."""
-        gone = [s for s in self.slots.values() if not s.child and (s.sources or not s.next_start_s)]
-        names = {node.name for slot in gone for node in slot.nodes}
+        gone = [
+            s for s in self.processes.values() if not s.handle and (s.sources or not s.next_start_s)
+        ]
+        names = {node.name for managed in gone for node in managed.nodes}
         return {edge.index for edge in self.plan.edges if edge.target in names}
 
     def _write_off(self) -> None:
@@ -147,27 +149,27 @@ class Supervisor(Crew):
         self.ending = True
         self._sample()
         self.spare.dismiss()
-        children = {slot.child for slot in self.slots.values() if slot.child}
-        children |= {*self.desk.give_up(), *self._leaving}
-        for child in children:
-            child.tell("stop")
-        self._await_ends(children, STOP_S)
-        for child in children:
-            if child.ended() is None and not self.in_haste:
-                log.warning("%s: did not stop; killed", child.name)
-            child.kill()
-        self._await_ends(children, KILLED_S, hurries=False)
-        for child in children:
-            child.bury(descendants=False)
-        if self.children:
-            end_marked(self._run.run_id)
+        handles = {managed.handle for managed in self.processes.values() if managed.handle}
+        handles |= {*self.control.abort(), *self._leaving}
+        for handle in handles:
+            handle.tell("stop")
+        self._await_ends(handles, STOP_S)
+        for handle in handles:
+            if handle.ended() is None and not self.in_haste:
+                log.warning("%s: did not stop; killed", handle.name)
+            handle.kill()
+        self._await_ends(handles, KILLED_S, hurries=False)
+        for handle in handles:
+            handle.bury(descendants=False)
+        if self.handles:
+            end_tagged(self._run.run_id)
         self._hear()
-        for child in children:
-            status = child.ended()
-            if status is not None and status >= 0 and not child.left:
-                log.warning("%s: ended by %s while it was stopped", child.name, ending(status))
-        for slot in self.slots.values():
-            slot.child = None
+        for handle in handles:
+            status = handle.ended()
+            if status is not None and status >= 0 and not handle.left:
+                log.warning("%s: ended by %s while it was stopped", handle.name, ending(status))
+        for managed in self.processes.values():
+            managed.handle = None
         self._leaving.clear()
 
     def close(self) -> None:
@@ -183,10 +185,12 @@ class Supervisor(Crew):
             finally:
                 self._run.release()
 
-    def _await_ends(self, children: set[Child], limit_s: float, *, hurries: bool = True) -> None:
+    def _await_ends(
+        self, handles: set[ProcessHandle], limit_s: float, *, hurries: bool = True
+    ) -> None:
         """Wait until all have ended, hearing what they say; not at all in haste."""
         late_s = time.monotonic() + limit_s
-        while any(child.ended() is None for child in children) and time.monotonic() < late_s:
+        while any(handle.ended() is None for handle in handles) and time.monotonic() < late_s:
             if hurries and self.in_haste:
                 return
             self.exchange.wait(TICK_S)
@@ -198,112 +202,118 @@ class Supervisor(Crew):
             self.spare.keep({node.operator.partition(":")[0] for node in here})
 
     def _hear(self) -> None:
-        for child in list(self.children):
-            for event in child.events():
+        for handle in list(self.handles):
+            for event in handle.events():
                 try:
-                    self._take_note(child, event)
+                    self._take_note(handle, event)
                 except (KeyError, TypeError, ValueError) as error:
-                    log.warning("%s: an event that is none: %r", child.name, error)
-            if child.gone:
-                self.children.remove(child)
+                    log.warning("%s: an event that is none: %r", handle.name, error)
+            if handle.gone:
+                self.handles.remove(handle)
 
-    def _take_note(self, child: Child, event: dict[str, Any]) -> None:
-        slot, kind, node = self.slots.get(child.name), event["event"], str(event.get("node"))
-        if self.desk.hear(child.pid, event):
+    def _take_note(self, handle: ProcessHandle, event: dict[str, Any]) -> None:
+        managed, kind, node = (
+            self.processes.get(handle.name),
+            event["event"],
+            str(event.get("node")),
+        )
+        if self.control.on_event(handle.pid, event):
             return
-        if kind == "summary" and node in child.nodes:
-            self._keep_summary(child, node, event)
-        elif slot is None or slot.child is not child:
+        if kind == "summary" and node in handle.nodes:
+            self._keep_summary(handle, node, event)
+        elif managed is None or managed.handle is not handle:
             return  # of a node that was removed, of a process that was replaced
         elif kind == "ready":
-            child.ready, child.load_s = True, float(event.get("load_s", 0))
-        elif kind == "finished" and node in child.nodes:
+            handle.ready, handle.load_s = True, float(event.get("load_s", 0))
+        elif kind == "finished" and node in handle.nodes:
             self._finished.add(node)
-        elif kind == "headline" and node in child.nodes:
+        elif kind == "headline" and node in handle.nodes:
             self.headlines[node] = harmless(str(event["words"]), MOST_HEADLINE)
         elif kind == "failed":
-            self._note_failure(slot, event)
+            self._note_failure(managed, event)
 
-    def _keep_summary(self, child: Child, node: str, event: dict[str, Any]) -> None:
+    def _keep_summary(self, handle: ProcessHandle, node: str, event: dict[str, Any]) -> None:
         """Keep what the newest process says, which a source does twice."""
-        if self._summed.get(node) != child.pid:
-            self._summed[node], self.summaries[node] = child.pid, {}
+        if self._summed.get(node) != handle.pid:
+            self._summed[node], self.summaries[node] = handle.pid, {}
             self.left_out.pop(node, None)
         if why := event.get("left_out"):
             self.left_out[node] = harmless(str(why))
             log.warning("%s: its summary is left out: %s", node, self.left_out[node])
         self.summaries[node].update(plain(dict(event["figures"])))
 
-    def _note_failure(self, slot: Slot, event: dict[str, Any]) -> None:
+    def _note_failure(self, managed: ManagedProcess, event: dict[str, Any]) -> None:
         """What starting it again cannot mend ends the run: a graph that never began, a source."""
-        unborn = self._is_first(slot) and not (slot.child and slot.child.ready)
+        unborn = self._is_first(managed) and not (managed.handle and managed.handle.ready)
         error = harmless(str(event.get("error")))
-        if event.get("expected") and (unborn or slot.sources) and not self.failure:
+        if event.get("expected") and (unborn or managed.sources) and not self.failure:
             self.failure = error
         elif not self.failure:
-            slot.last_words = error
-            log.error("%s: %s", slot.name, slot.last_words)
+            managed.last_words = error
+            log.error("%s: %s", managed.name, managed.last_words)
 
-    def _look_after(self, slot: Slot, now_s: float) -> None:
-        if self.desk.owns(slot):
+    def _look_after(self, managed: ManagedProcess, now_s: float) -> None:
+        if self.control.owns(managed):
             return
-        if slot.child is None and slot.sources and self.ending:
-            self._finished |= slot.sources  # it need not come back to make no frames
-        elif slot.child is None:
-            if slot.next_start_s and now_s >= slot.next_start_s:
-                self._begin_again(slot, now_s)
-        elif (status := slot.child.ended()) is not None:
-            slot.child.bury()
-            self._hear()  # what it said last is heard before it is judged
-            self._bury(slot, status, now_s)
-        elif slot.child.ready and not slot.child.going:
-            self.let_go(slot)
-        elif why := self.stalled(slot):
-            log.error("%s: %s; killed", slot.name, why)
-            slot.last_words = why
-            slot.child.kill(with_traceback=True)
+        if managed.handle is None and managed.sources and self.ending:
+            self._finished |= managed.sources  # it need not come back to make no frames
+        elif managed.handle is None:
+            if managed.next_start_s and now_s >= managed.next_start_s:
+                self._begin_again(managed, now_s)
+        elif (status := managed.handle.ended()) is not None:
+            managed.handle.bury()
+            self._hear()  # what it said last is heard before its exit is handled
+            self._bury(managed, status, now_s)
+        elif managed.handle.ready and not managed.handle.going:
+            self.let_go(managed)
+        elif why := self.stalled(managed):
+            log.error("%s: %s; killed", managed.name, why)
+            managed.last_words = why
+            managed.handle.kill(with_traceback=True)
 
-    def _begin_again(self, slot: Slot, now_s: float) -> None:
-        slot.next_start_s = 0.0
+    def _begin_again(self, managed: ManagedProcess, now_s: float) -> None:
+        managed.next_start_s = 0.0
         try:
-            self.begin(slot)
+            self.begin(managed)
         except RunError as error:  # no memory, say: the others may go on until there is some
             log.error("%s", error)
-            slot.next_start_s = now_s + UNABLE_S
+            managed.next_start_s = now_s + UNABLE_S
         self.note()
 
-    def _bury(self, slot: Slot, status: int, now_s: float) -> None:
-        announced = slot.child is not None and slot.child.left
-        self.vacate(slot)
-        how, last = ending(status), f": {slot.last_words}" if slot.last_words else ""
+    def _bury(self, managed: ManagedProcess, status: int, now_s: float) -> None:
+        announced = managed.handle is not None and managed.handle.left
+        self.vacate(managed)
+        how, last = ending(status), f": {managed.last_words}" if managed.last_words else ""
         how += "" if announced or status else ", which it did not announce"
-        slot.last_words = ""
+        managed.last_words = ""
         if not self.failure:
-            log.warning("%s ended by %s, see `fovea logs %s`", slot.name, how, slot.name)
-        rule = slot.nodes[0].restart
-        slot.deaths.append(now_s)
-        lived = slot.going_since_s and now_s - slot.going_since_s > HEALTHY_S
-        slot.quick_deaths = 0 if lived else slot.quick_deaths + 1
-        slot.going_since_s = 0.0
-        recent = sum(1 for death in slot.deaths if now_s - death < rule.window_s)
+            log.warning("%s ended by %s, see `fovea logs %s`", managed.name, how, managed.name)
+        rule = managed.nodes[0].restart
+        managed.deaths.append(now_s)
+        lived = managed.going_since_s and now_s - managed.going_since_s > HEALTHY_S
+        managed.quick_deaths = 0 if lived else managed.quick_deaths + 1
+        managed.going_since_s = 0.0
+        recent = sum(1 for death in managed.deaths if now_s - death < rule.window_s)
         succeeded = announced and status == 0
         if self.failure:
             return
         if self.plan.clock == "lockstep":
-            self.failure = f"{slot.name} ended by {how}: a lockstep run cannot go on{last}"
+            self.failure = f"{managed.name} ended by {how}: a lockstep run cannot go on{last}"
         elif rule.policy == "never" or (rule.policy == "on-failure" and succeeded):
             before = self.finished
-            self._finished |= slot.sources
+            self._finished |= managed.sources
             if self.finished and not (before or succeeded or self.ending):
-                self.failure = f"{slot.name} ended by {how}: no source is left{last}"
+                self.failure = f"{managed.name} ended by {how}: no source is left{last}"
         elif recent > max(rule.most, self.patience):
-            self.failure = f"{slot.name} died {recent} times within {rule.window_s:.0f} s{last}"
+            self.failure = f"{managed.name} died {recent} times within {rule.window_s:.0f} s{last}"
         else:
-            slot.next_start_s = now_s + min(5.0, rule.backoff_s * 2 ** min(slot.quick_deaths, 8))
-            self.restarts[slot.name] = self.restarts.get(slot.name, 0) + 1
+            managed.next_start_s = now_s + min(
+                5.0, rule.backoff_s * 2 ** min(managed.quick_deaths, 8)
+            )
+            self.restarts[managed.name] = self.restarts.get(managed.name, 0) + 1
 
     def _sample(self) -> None:
-        for slot in self.slots.values():
-            sample = slot.child.sample() if slot.child else None
+        for managed in self.processes.values():
+            sample = managed.handle.sample() if managed.handle else None
             if sample:
-                slot.samples.append(sample)
+                managed.samples.append(sample)

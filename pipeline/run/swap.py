@@ -1,6 +1,6 @@
 """Replaces the operator of a running node: stand by, cut, probation, and back when it fails.
 
-The supervisor's side; `pipeline.node.relay` is what the two instances do. A part that shares its
+The supervisor's side; `pipeline.node.handover` is what the two instances do. A part that shares its
 process, or owns a device, cannot stand by: it is stopped, then the other started.
 """
 
@@ -19,16 +19,16 @@ from pipeline.graph.limits import BudgetMs, FrameCount, SomeFrames, Word
 from pipeline.graph.plan import Plan
 from pipeline.node.live import keep, kept
 from pipeline.node.wiring import swappable
-from pipeline.run.affair import Affair
-from pipeline.run.child import KILLED_S, Child, ending
-from pipeline.run.crew import Crew
-from pipeline.run.slot import Slot
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.operation import Operation
+from pipeline.run.process_handle import KILLED_S, ProcessHandle, ending
+from pipeline.run.process_manager import ProcessManager
 from pipeline.settings import suggest
 from pipeline.wording import shown_key
 
 START_S = 60.0
 SPARE_S = 10.0  # for the spare process to be through with its imports
-HEAR_S = 10.0  # for a node that works, to greet a successor
+HEAR_S = 10.0  # for the handshakes of a successor's inputs
 CUT_S = 30.0
 UNCUT_S = 0.5  # in which a cut may cross the order that takes it back
 SHADOW_S = 1.0  # per frame, at most
@@ -56,83 +56,85 @@ class SwapOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="s
     budget_ms: BudgetMs = 0.0  # 0: three times the old part's median
 
 
-class Swap(Affair):
+class SwapOperation(Operation):
     """One swap."""
 
     kind = "swap"
 
-    def __init__(self, crew: Crew, order: SwapOrder) -> None:
-        names = [n.name for n in filter(crew.plan.is_here, crew.plan.nodes)]
+    def __init__(self, manager: ProcessManager, order: SwapOrder) -> None:
+        names = [n.name for n in filter(manager.plan.is_here, manager.plan.nodes)]
         if order.node not in names:
             raise RunError(
-                f"{crew.plan.name}: no node {shown_key(order.node)}{suggest(order.node, names)}"
+                f"{manager.plan.name}: no node {shown_key(order.node)}{suggest(order.node, names)}"
             )
-        self._order, self._node = order, crew.plan.node(order.node)
-        self._slot = crew.slots[self._node.process]
-        if self._slot.child is None or not self._slot.child.going:
+        self._order, self._node = order, manager.plan.node(order.node)
+        self._managed = manager.processes[self._node.process]
+        if self._managed.handle is None or not self._managed.handle.going:
             raise RunError(f"{order.node}: does not run just now, try again")
-        self._other: Child | None = None  # the one of the two that does not work
+        self._other: ProcessHandle | None = None  # the one of the two that does not work
         self._owned = False
         self._gone: set[int] = set()  # pids of who was told to stop
         self._told: dict[str, Any] = {}  # the settings that the old part was given while it ran
-        self._hot = swappable(crew.plan, self._node) and not self._slot.sources
-        super().__init__(crew, self._swap_hot() if self._hot else self._swap_cold())
+        self._hot = swappable(manager.plan, self._node) and not self._managed.sources
+        super().__init__(manager, self._swap_hot() if self._hot else self._swap_cold())
         self.subject = order.node
         self.facts |= {"node": order.node, "hot": self._hot}
 
-    def owns(self, slot: Slot) -> bool:
-        """Whether deaths in that slot are this swap's affair."""
-        return self._owned and slot is self._slot
+    def owns(self, managed: ManagedProcess) -> bool:
+        """Whether exits of that process belong to this swap."""
+        return self._owned and managed is self._managed
 
-    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
         """Take note of an event; True when nobody else needs it."""
         kind = str(event.get("event"))
         if pid in self._gone:
             return True
-        mine = [c for c in (self._other, self._slot.child) if c and c.pid == pid]
+        mine = [c for c in (self._other, self._managed.handle) if c and c.pid == pid]
         if not mine:
             return False
-        super().hear(pid, event)
+        super().on_event(pid, event)
         if mine[0] is self._other and kind == "ready":
             mine[0].ready, mine[0].load_s = True, float(event.get("load_s", 0))
         return mine[0] is self._other or (self._owned and kind == "failed")
 
-    def give_up(self) -> list[Child]:
+    def abort(self) -> list[ProcessHandle]:
         """The run ends: the process that does not work, to be ended with the others."""
         return [self._other] if self._other else []
 
     def _finish(self, refused: str) -> None:
         if self._other is not None:
-            self.crew.dismiss(self._other)
+            self.manager.dismiss(self._other)
             self._other = None
-        for account in self.crew.accounts(self._slot):
-            account.next_door = 0
+        for account in self.manager.accounts(self._managed):
+            account.next_receiver_epoch = 0
         owned, self._owned = self._owned, False
-        if owned and self._slot.child is None and not self._slot.next_start_s:
-            self._slot.next_start_s = time.monotonic()  # it could not be started: the crew tries
-        if refused and self._hot and self._slot.child is not None:
-            self._slot.child.order("uncut", node=self._node.name)
+        if owned and self._managed.handle is None and not self._managed.next_start_s:
+            self._managed.next_start_s = (
+                time.monotonic()
+            )  # it could not be started: the manager retries
+        if refused and self._hot and self._managed.handle is not None:
+            self._managed.handle.order("uncut", node=self._node.name)
         super()._finish(refused)
 
     # hot: a successor stands by
 
     def _swap_hot(self) -> Iterator[None]:
-        crew, slot, order = self.crew, self._slot, self._order
+        manager, managed, order = self.manager, self._managed, self._order
         yield from self._spare()
-        old, before, plan = self._working(), crew.plan, self._changed()
-        epoch = slot.promise()
-        job = crew.job(slot, plan, epoch, standby=True, checked=True)
-        new = self._other = crew.launch(job, fresh=True)
+        old, before, plan = self._working(), manager.plan, self._changed()
+        epoch = managed.promise()
+        job = manager.job(managed, plan, epoch, standby=True, checked=True)
+        new = self._other = manager.launch(job, fresh=True)
         yield from self._beside(old, lambda: new.ready, START_S, "it was not ready")
-        door = job.door(self._node.name, epoch)
-        for account in crew.accounts(slot):
-            account.next_door = epoch
+        receiver = job.receiver(self._node.name, epoch)
+        for account in manager.accounts(managed):
+            account.next_receiver_epoch = epoch
         yield from self._beside(
-            old, lambda: "standing" in self.heard(new), HEAR_S, "its inputs did not greet it"
+            old, lambda: "standing" in self.heard(new), HEAR_S, "its inputs got no handshake"
         )
         heard = self.heard(new)["standing"]["heard"]
         self.facts["ready_seq"] = int(self._account().last_seq)
-        cut = {"door": str(door), "heard": heard, "at": order.at}
+        cut = {"receiver": str(receiver), "heard": heard, "at": order.at}
         if order.shadow:
             yield from self._try(old, new, {**cut, "at": 0, "shadow": order.shadow})
         old.order("cut", node=self._node.name, cut=cut)
@@ -153,36 +155,36 @@ class Swap(Affair):
                     lambda: "answered" in self.heard(new), ANSWER_S, "", of=new, must=False
                 )
         except RunError as error:
-            yield from self._roll_back(new, old, before, slot.promise())
+            yield from self._roll_back(new, old, before, managed.promise())
             raise RunError(f"{error}; the old part goes on") from error
         answered = self.heard(new).get("answered", {})
         self.facts |= {k: answered[k] for k in ("left_out", "answered_ms") if k in answered}
-        new.order("settle", node=self._node.name)
+        new.order("confirm", node=self._node.name)
         yield from self._drained(epoch)
         old.tell("stop")
         yield from self.until(lambda: old.ended() is not None, ANSWER_S, "", must=False)
 
     def _spare(self) -> Iterator[None]:
         """Let a process that is half through with its imports finish them: two cost twice."""
-        spare = self.crew.spare
+        spare = self.manager.spare
         spare.refresh()
         yield from self.until(lambda: not spare.warming, SPARE_S, "", must=False)
         if spare.warming:  # it hangs
             spare.dismiss()
 
     def _beside(
-        self, old: Child, done: Callable[[], bool], limit_s: float, what: str
+        self, old: ProcessHandle, done: Callable[[], bool], limit_s: float, what: str
     ) -> Iterator[None]:
         """Wait for something of the successor, for as long as the old part works."""
 
         def gone() -> bool:
-            return self._slot.child is not old or old.ended() is not None
+            return self._managed.handle is not old or old.ended() is not None
 
         yield from self.until(lambda: done() or gone(), limit_s, what, of=self._other)
         if gone():
             raise RunError(f"{self._node.name}: it ended meanwhile and starts again; try again")
 
-    def _try(self, old: Child, new: Child, cut: dict[str, Any]) -> Iterator[None]:
+    def _try(self, old: ProcessHandle, new: ProcessHandle, cut: dict[str, Any]) -> Iterator[None]:
         """Let the successor answer the same frames, and keep what came of it."""
         old.order("cut", node=self._node.name, cut=cut)
         limit_s = QUIET_S + SHADOW_S * cut["shadow"]
@@ -196,7 +198,7 @@ class Swap(Affair):
         told = self.heard(new)["shadowed"]
         self.facts["shadow"] = {k: v for k, v in told.items() if k not in ("event", "node")}
 
-    def _cut(self, old: Child, new: Child) -> Iterator[None]:
+    def _cut(self, old: ProcessHandle, new: ProcessHandle) -> Iterator[None]:
         """Wait until the old part has stopped, or let it go on."""
         heard, name = self.heard(old), self._node.name
         late_s = time.monotonic() + CUT_S
@@ -216,32 +218,34 @@ class Swap(Affair):
                 raise RunError(f"{name}: it did not come to a frame where it could be cut")
             yield
 
-    def _switch(self, new: Child, old: Child, plan: Plan, epoch: int) -> None:
-        crew, slot = self.crew, self._slot
+    def _switch(self, new: ProcessHandle, old: ProcessHandle, plan: Plan, epoch: int) -> None:
+        manager, managed = self.manager, self._managed
         if kept(self._live_file()) != self._told:
             raise RunError(f"{self._node.name}: its settings were changed meanwhile, try again")
-        for account in crew.accounts(slot):
+        for account in manager.accounts(managed):
             account.reader_epoch = epoch
-            account.next_door, account.door = account.door, epoch
-        slot.child, slot.epoch, self._other = new, epoch, old
-        new.going, slot.going_since_s = True, time.monotonic()
+            account.next_receiver_epoch, account.receiver_epoch = account.receiver_epoch, epoch
+        managed.handle, managed.epoch, self._other = new, epoch, old
+        new.going, managed.going_since_s = True, time.monotonic()
         new.tell("go")
         self._live_file().unlink(missing_ok=True)
-        crew.change_plan(plan)
+        manager.change_plan(plan)
 
-    def _roll_back(self, new: Child, old: Child, before: Plan, epoch: int) -> Iterator[None]:
-        crew, slot, name = self.crew, self._slot, self._node.name
+    def _roll_back(
+        self, new: ProcessHandle, old: ProcessHandle, before: Plan, epoch: int
+    ) -> Iterator[None]:
+        manager, managed, name = self.manager, self._managed, self._node.name
         new.kill()
         yield from self.until(lambda: new.ended() is not None, KILLED_S, "", must=False)
-        self.crew.dismiss(new)
-        switched = slot.child is new
-        slot.child, self._other = old, None
+        self.manager.dismiss(new)
+        switched = managed.handle is new
+        managed.handle, self._other = old, None
         if switched:
-            for account in crew.accounts(slot):
-                account.door, account.next_door = account.next_door, 0
-            crew.change_plan(before)
+            for account in manager.accounts(managed):
+                account.receiver_epoch, account.next_receiver_epoch = account.next_receiver_epoch, 0
+            manager.change_plan(before)
             self._keep_again()
-        slot.epoch = epoch
+        managed.epoch = epoch
         self.facts["rolled_back"] = True
         old.order("resume", node=name, epoch=epoch)
         yield from self.until(
@@ -250,13 +254,13 @@ class Swap(Affair):
             "the old part did not go on",
             of=old,
         )
-        for account in crew.accounts(slot):
+        for account in manager.accounts(managed):
             account.reader_epoch = epoch
         yield from self._drained(epoch)
 
     def _drained(self, epoch: int) -> Iterator[None]:
         """Fence the other off, once what it had sent by right has arrived."""
-        accounts = self.crew.accounts(self._slot, outgoing=True)
+        accounts = self.manager.accounts(self._managed, outgoing=True)
         sent = [account.sent for account in accounts]
         late_s = time.monotonic() + DRAIN_S
         while time.monotonic() < late_s and any(
@@ -270,14 +274,14 @@ class Swap(Affair):
 
     def _swap_cold(self) -> Iterator[None]:
         yield from self._spare()
-        before = self.crew.plan
-        job = self.crew.job(self._slot, self._changed(), self._slot.epoch, trial=True)
-        trial = self._other = self.crew.launch(job, fresh=True)
+        before = self.manager.plan
+        job = self.manager.job(self._managed, self._changed(), self._managed.epoch, trial=True)
+        trial = self._other = self.manager.launch(job, fresh=True)
         yield from self.until(
             lambda: "fits" in self.heard(trial), START_S, "it was not checked", of=trial
         )
         self._other = None
-        self.crew.dismiss(trial, LEAVE_S)
+        self.manager.dismiss(trial, LEAVE_S)
         yield from self._spare()  # while it waits nobody stands still
         self._owned = True
         yield from self._stop()
@@ -290,53 +294,54 @@ class Swap(Affair):
         except RunError as error:
             self.facts["rolled_back"] = True
             self._keep_again()
-            if self._slot.child is not None:
+            if self._managed.handle is not None:
                 yield from self._stop()
                 self._keep_again()  # without what the new part was told
             yield from self._start(before)
             raise RunError(f"{error}; the old part was started again") from error
 
     def _stop(self) -> Iterator[None]:
-        child = self._working()
+        handle = self._working()
         self._stopped_s = time.monotonic()
-        self._gone.add(child.pid)
-        child.tell("stop")
-        yield from self.until(lambda: child.ended() is not None, ANSWER_S, "", must=False)
-        child.kill()
-        yield from self.until(lambda: child.ended() is not None, KILLED_S, "", must=False)
-        self.crew.vacate(self._slot)
+        self._gone.add(handle.pid)
+        handle.tell("stop")
+        yield from self.until(lambda: handle.ended() is not None, ANSWER_S, "", must=False)
+        handle.kill()
+        yield from self.until(lambda: handle.ended() is not None, KILLED_S, "", must=False)
+        self.manager.vacate(self._managed)
 
     def _start(self, plan: Plan) -> Iterator[None]:
-        crew, slot = self.crew, self._slot
+        manager, managed = self.manager, self._managed
         handled = self._account().handled
-        crew.begin(slot, plan=plan, checked=True)
-        child = self._working()
-        yield from self.until(lambda: child.ready, START_S, "it was not ready", of=child)
-        crew.change_plan(plan)
+        manager.begin(managed, plan=plan, checked=True)
+        handle = self._working()
+        yield from self.until(lambda: handle.ready, START_S, "it was not ready", of=handle)
+        manager.change_plan(plan)
 
         def works() -> bool:
-            if not child.going:
-                crew.let_go(slot)
-            return child.going and self._account().handled > handled
+            if not handle.going:
+                manager.let_go(managed)
+            return handle.going and self._account().handled > handled
 
-        yield from self.until(works, QUIET_S, "", of=child, must=False)
+        yield from self.until(works, QUIET_S, "", of=handle, must=False)
         self.facts["gap_ms"] = round(1000 * (time.monotonic() - self._stopped_s), 1)
 
     # both
 
     def _changed(self) -> Plan:
         """The plan with the new operator and settings in the old place."""
-        crew, order, node = self.crew, self._order, self._node
+        manager, order, node = self.manager, self._order, self._node
         self._told = kept(self._live_file())
         settings = {} if order.defaults else {**node.settings, **self._told}
         fresh = replace(
             node, operator=order.operator or node.operator, settings={**settings, **order.changes}
         )
         return replace(
-            crew.plan, nodes=tuple(fresh if n.name == node.name else n for n in crew.plan.nodes)
+            manager.plan,
+            nodes=tuple(fresh if n.name == node.name else n for n in manager.plan.nodes),
         )
 
-    def _probation(self, child: Child) -> Iterator[None]:
+    def _probation(self, handle: ProcessHandle) -> Iterator[None]:
         """Watch the successor's first frames; raises `RunError` when it is not good enough."""
         node, account, wanted = self._node.name, self._account(), self._order.probation
         first, earlier = account.handled, self._account().histograms["handler"].counts.copy()
@@ -345,14 +350,14 @@ class Swap(Affair):
         )
         stuck_s = max(STUCK_S, self._order.budget_ms / 1000)
         still_s, seen_s, handled = 0.0, time.monotonic(), first
-        while handled - first < wanted and not self.crew.finished:
+        while handled - first < wanted and not self.manager.finished:
             yield
-            if (status := child.ended()) is not None:
-                yield from self.last_words(child)
-                said = self.heard(child).get("failed", {}).get("error", "")
+            if (status := handle.ended()) is not None:
+                yield from self.last_words(handle)
+                said = self.heard(handle).get("failed", {}).get("error", "")
                 raise RunError(f"{node}: the new part ended by {ending(status)} {said}".rstrip())
-            if complaint := self.crew.stalled(self._slot):
-                raise RunError(complaint)
+            if problem := self.manager.stalled(self._managed):
+                raise RunError(problem)
             seen_s, before_s = time.monotonic(), seen_s
             still_s += min(seen_s - before_s, LOOK_S)
             if account.handled != handled:
@@ -364,7 +369,7 @@ class Swap(Affair):
                         f"{node}: the new part takes {slow:.1f} ms a frame, expected at most "
                         f"{budget_ms:.1f} ms"
                     )
-            waiting = any(a.in_flight for a in self.crew.accounts(self._slot))
+            waiting = any(a.in_flight for a in self.manager.accounts(self._managed))
             if still_s > stuck_s and waiting and account.condition != "credit":
                 raise RunError(f"{node}: the new part finished no frame for {still_s:.1f} s")
             if still_s > QUIET_S:
@@ -381,13 +386,13 @@ class Swap(Affair):
         except OSError as error:
             log.warning("%s: its settings cannot be kept: %s", self._node.name, error)
 
-    def _working(self) -> Child:
-        if self._slot.child is None:
+    def _working(self) -> ProcessHandle:
+        if self._managed.handle is None:
             raise RunError(f"{self._node.name}: does not run just now, try again")
-        return self._slot.child
+        return self._managed.handle
 
     def _account(self) -> NodeAccount:
-        return self.crew.ledger.nodes[self._node.index]
+        return self.manager.ledger.nodes[self._node.index]
 
     def _live_file(self) -> Path:
-        return self.crew.live_file(self._node.name)
+        return self.manager.live_file(self._node.name)

@@ -15,10 +15,10 @@ from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan, sources
 from pipeline.graph.ports import check_ports
 from pipeline.once import adapter
-from pipeline.run.affair import Affair, log
-from pipeline.run.child import Child
-from pipeline.run.crew import Crew
-from pipeline.run.slot import Slot
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.operation import Operation, log
+from pipeline.run.process_handle import ProcessHandle
+from pipeline.run.process_manager import ProcessManager
 
 START_S = 60.0
 TELL_S = 5.0
@@ -32,31 +32,33 @@ class PlanOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="p
     revision: int
 
 
-class Topology(Affair):
+class TopologyOperation(Operation):
     """One change of the plan."""
 
     kind = "topology"
 
-    def __init__(self, crew: Crew, order: PlanOrder) -> None:
-        if order.revision != crew.revision:
-            raise RunError(f"{crew.plan.name}: it was changed meanwhile, try again")
+    def __init__(self, manager: ProcessManager, order: PlanOrder) -> None:
+        if order.revision != manager.revision:
+            raise RunError(f"{manager.plan.name}: it was changed meanwhile, try again")
         try:
             wanted = adapter(Plan).validate_python(order.plan)
         except ValidationError as error:
             raise RunError(f"not a plan: {error.errors()[0]['msg']}") from error
         same = ("name", "clock", "hosts", "here")
-        if any(getattr(wanted, name) != getattr(crew.plan, name) for name in same):
-            raise RunError(f"{crew.plan.name}: expected the same {', '.join(same)} as it runs with")
-        self._before, self._plan = crew.plan, _numbered(crew, wanted)
-        old = {n.name: n for n in crew.plan.nodes}
+        if any(getattr(wanted, name) != getattr(manager.plan, name) for name in same):
+            raise RunError(
+                f"{manager.plan.name}: expected the same {', '.join(same)} as it runs with"
+            )
+        self._before, self._plan = manager.plan, _numbered(manager, wanted)
+        old = {n.name: n for n in manager.plan.nodes}
         new = {n.name: n for n in self._plan.nodes}
         self._added = [n for n in self._plan.nodes if n.name not in old]
-        self._removed = [n for n in crew.plan.nodes if n.name not in new]
-        self._edges_added = [e for e in self._plan.edges if e not in crew.plan.edges]
-        self._edges_removed = [e for e in crew.plan.edges if e not in self._plan.edges]
+        self._removed = [n for n in manager.plan.nodes if n.name not in new]
+        self._edges_added = [e for e in self._plan.edges if e not in manager.plan.edges]
+        self._edges_removed = [e for e in manager.plan.edges if e not in self._plan.edges]
         self._check()
-        self._mine: list[Slot] = []  # slots whose processes come or go
-        super().__init__(crew, self._change())
+        self._mine: list[ManagedProcess] = []  # that come or go
+        super().__init__(manager, self._change())
         self.facts |= {
             "added": [n.name for n in self._added],
             "removed": [n.name for n in self._removed],
@@ -64,14 +66,14 @@ class Topology(Affair):
             "cut": [f"{e.origin} -> {e.end}" for e in self._edges_removed],
         }
 
-    def owns(self, slot: Slot) -> bool:
+    def owns(self, managed: ManagedProcess) -> bool:
         """Whoever comes or goes is no crash."""
-        return slot in self._mine
+        return managed in self._mine
 
-    def hear(self, pid: int, event: dict[str, Any]) -> bool:
+    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
         """That one of them fails, or makes no more frames, concerns this change alone."""
-        super().hear(pid, event)
-        mine = any(slot.child and slot.child.pid == pid for slot in self._mine)
+        super().on_event(pid, event)
+        mine = any(managed.handle and managed.handle.pid == pid for managed in self._mine)
         return mine and event.get("event") in ("failed", "finished")
 
     def _check(self) -> None:
@@ -90,21 +92,21 @@ class Topology(Affair):
             raise RunError(f"{self._plan.name}: expected a node that makes frames, got none")
 
     def _change(self) -> Iterator[None]:
-        crew = self.crew
+        manager = self.manager
         for edge in self._edges_added:
-            crew.ledger.edges[edge.index].clear()
+            manager.ledger.edges[edge.index].clear()
         for node in self._added:
-            crew.ledger.nodes[node.index].clear()
-        crew.change_plan(self._plan)
-        fresh = [s for n, s in crew.slots.items() if n in {a.process for a in self._added}]
+            manager.ledger.nodes[node.index].clear()
+        manager.change_plan(self._plan)
+        fresh = [s for n, s in manager.processes.items() if n in {a.process for a in self._added}]
         try:
             self._mine = fresh
-            for slot in fresh:
-                crew.begin(slot)
-                yield from self._ready(slot)
+            for managed in fresh:
+                manager.begin(managed)
+                yield from self._ready(managed)
         except RunError:
             self._end(fresh)
-            crew.change_plan(self._before)
+            manager.change_plan(self._before)
             raise
         self._mine = []
         self._address()
@@ -113,61 +115,66 @@ class Topology(Affair):
         for name in (*touched, *(writers - touched)):  # who reads must know before who writes
             yield from self._tell(name)
         yield from self._remove()
-        crew.note()
+        manager.note()
 
-    def _ready(self, slot: Slot) -> Iterator[None]:
-        child = slot.child
-        assert child is not None
-        yield from self.until(lambda: child.ready, START_S, f"{slot.name} was not ready", of=child)
+    def _ready(self, managed: ManagedProcess) -> Iterator[None]:
+        handle = managed.handle
+        assert handle is not None
+        yield from self.until(
+            lambda: handle.ready, START_S, f"{managed.name} was not ready", of=handle
+        )
 
     def _address(self) -> None:
         """Edges between nodes that run already: who speaks and who listens there now."""
-        crew, fresh = self.crew, {n.name for n in self._added}
+        manager, fresh = self.manager, {n.name for n in self._added}
         for edge in self._edges_added:
-            account = crew.ledger.edges[edge.index]
+            account = manager.ledger.edges[edge.index]
             if edge.source not in fresh:
-                account.writer_epoch = crew.slots[self._plan.node(edge.source).process].epoch
+                account.writer_epoch = manager.processes[self._plan.node(edge.source).process].epoch
             if edge.target not in fresh:
                 other = next(e for e in self._before.edges if e.target == edge.target)
-                known = crew.ledger.edges[other.index]
-                account.reader_epoch, account.door = known.reader_epoch, known.door
+                known = manager.ledger.edges[other.index]
+                account.reader_epoch, account.receiver_epoch = (
+                    known.reader_epoch,
+                    known.receiver_epoch,
+                )
 
     def _tell(self, name: str) -> Iterator[None]:
         """Have a node connect anew; one that does not answer starts again with the new plan."""
         if name in {n.name for n in (*self._added, *self._removed)}:
             return
-        child = self.crew.slots[self._plan.node(name).process].child
-        if child is None:
+        handle = self.manager.processes[self._plan.node(name).process].handle
+        if handle is None:
             return  # it starts with the new plan
-        said = self.heard(child)
+        said = self.heard(handle)
         said.pop("replanned", None)
-        child.order("replan", node=name, plan=adapter(Plan).dump_python(self._plan, mode="json"))
+        handle.order("replan", node=name, plan=adapter(Plan).dump_python(self._plan, mode="json"))
         yield from self.until(
-            lambda: said.get("replanned", {}).get("node") == name or child.ended() is not None,
+            lambda: said.get("replanned", {}).get("node") == name or handle.ended() is not None,
             TELL_S, "", must=False,
         )  # fmt: skip
         if said.get("replanned", {}).get("node") != name:
             log.error("%s: does not connect anew; killed", name)
-            child.kill()
+            handle.kill()
 
     def _remove(self) -> Iterator[None]:
-        crew = self.crew
-        gone = [s for n, s in crew.slots.items() if n in {r.process for r in self._removed}]
+        manager = self.manager
+        gone = [s for n, s in manager.processes.items() if n in {r.process for r in self._removed}]
         self._mine = gone
-        for slot in gone:
-            if slot.child is not None:
-                slot.child.tell("stop")
-        children: list[Child] = [slot.child for slot in gone if slot.child]
+        for managed in gone:
+            if managed.handle is not None:
+                managed.handle.tell("stop")
+        handles: list[ProcessHandle] = [managed.handle for managed in gone if managed.handle]
         yield from self.until(
-            lambda: all(c.ended() is not None for c in children), TELL_S, "", must=False
+            lambda: all(c.ended() is not None for c in handles), TELL_S, "", must=False
         )
         self._end(gone)
-        crew.change_plan(self._plan)
-        accounts = {e.end: crew.ledger.edges[e.index] for e in self._edges_removed}
+        manager.change_plan(self._plan)
+        accounts = {e.end: manager.ledger.edges[e.index] for e in self._edges_removed}
         dead = {n.name for n in self._removed}
         yield from self.until(
             lambda: all(
-                crew.ledger.edges[e.index].in_flight == 0 or e.target in dead
+                manager.ledger.edges[e.index].in_flight == 0 or e.target in dead
                 for e in self._edges_removed
             ),
             REST_S, "", must=False,
@@ -176,22 +183,22 @@ class Topology(Affair):
             log.info("topology: %s ends with %s", end, account.report())
             account.clear()
 
-    def _end(self, slots: list[Slot]) -> None:
-        for slot in slots:
-            if slot.child is not None:
-                slot.child.kill()
-                self.crew.dismiss(slot.child)
-                slot.child = None
+    def _end(self, processes: list[ManagedProcess]) -> None:
+        for managed in processes:
+            if managed.handle is not None:
+                managed.handle.kill()
+                self.manager.dismiss(managed.handle)
+                managed.handle = None
 
 
-def _numbered(crew: Crew, plan: Plan) -> Plan:
+def _numbered(manager: ProcessManager, plan: Plan) -> Plan:
     """The plan with the numbers that its nodes and edges have in the ledger, or will have."""
-    known_nodes = {n.name: n.index for n in crew.plan.nodes}
-    known_edges = {_ends(e): e for e in crew.plan.edges}
-    free_nodes = iter(set(range(len(crew.ledger.nodes))) - set(known_nodes.values()))
-    free_edges = iter(set(range(len(crew.ledger.edges))) - {e.index for e in crew.plan.edges})
+    known_nodes = {n.name: n.index for n in manager.plan.nodes}
+    known_edges = {_ends(e): e for e in manager.plan.edges}
+    free_nodes = iter(set(range(len(manager.ledger.nodes))) - set(known_nodes.values()))
+    free_edges = iter(set(range(len(manager.ledger.edges))) - {e.index for e in manager.plan.edges})
     try:
-        nodes = [_same(crew, n) or replace(n, index=next(free_nodes)) for n in plan.nodes]
+        nodes = [_same(manager, n) or replace(n, index=next(free_nodes)) for n in plan.nodes]
         edges = []
         for edge in plan.edges:
             before = known_edges.get(_ends(edge))
@@ -206,9 +213,9 @@ def _numbered(crew: Crew, plan: Plan) -> Plan:
     return replace(plan, nodes=tuple(nodes), edges=tuple(edges))
 
 
-def _same(crew: Crew, node: Node) -> Node | None:
+def _same(manager: ProcessManager, node: Node) -> Node | None:
     """The node as it runs, which keeps its settings whatever else is said of it."""
-    return next((n for n in crew.plan.nodes if n.name == node.name), None)
+    return next((n for n in manager.plan.nodes if n.name == node.name), None)
 
 
 def _ends(edge: Edge) -> tuple[str, str, str, str]:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from bench.chaos import main
 from bench.grounds import OneHost, ThreeHosts
 from bench.netns import permitted
-from tests.pipeline.fleet.boxes import TRIO
+from tests.pipeline.fleet.agents import TRIO
 from tests.toy_graphs import LOOP
 
 

@@ -160,7 +160,7 @@ def test_the_bar_counts_what_was_finished_before(
     assert "-" not in last
 
 
-def test_what_the_parts_complain_of_is_kept_and_counted(
+def test_warnings_of_the_parts_are_kept_and_counted(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     follow(recorded, tmp_path, row("foveated", "1/8"))

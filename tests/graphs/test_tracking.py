@@ -67,7 +67,7 @@ def test_a_model_file_is_swapped_as_any_setting_and_a_missing_one_is_refused(
         for weights in (other, tmp_path / "none.onnx"):
             order = SwapOrder(node="saliency", changes={"weights": str(weights)}, probation=5)
             wanted = len(answers) + 1
-            supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+            supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
             wait_for(supervisor, partial(lambda count: len(answers) >= count, wanted), 60)
         before = handled(supervisor, "saliency")
         wait_for(supervisor, lambda: handled(supervisor, "saliency") > before + 5, 60)

@@ -42,7 +42,7 @@ def traced(seq: int, stage: str) -> Header:
             received_ns=ready + 2_000_000 * k,
             done_ns=ready + 2_000_000 * k + 1_500_000,
             handler_ns=1_000_000,
-            wait_ns=100_000,
+            scheduling_delay_ns=100_000,
         )
         for k, name in enumerate(("capture", stage))
     ]

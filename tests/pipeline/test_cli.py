@@ -214,3 +214,27 @@ def test_the_transport_prints_nothing_between_the_lines_of_an_answer(
     CliRunner().invoke(commands, words)
 
     assert said == levels
+
+
+@pytest.mark.parametrize(
+    ("command", "old", "new"),
+    [
+        (["doctor"], ["--sweep"], "--cleanup"),
+        (["secure", "init"], ["--box", "a=10.0.0.1"], "--host"),
+        (["secure", "add"], ["--box", "a=10.0.0.1"], "--host"),
+        (["secure", "init"], ["--person", "alice"], "--user"),
+        (["secure", "add"], ["--person", "alice"], "--user"),
+        (["up"], ["--papers", "x"], "--credentials"),
+        (["attach"], ["--papers", "x"], "--credentials"),
+        (["export"], ["--papers", "x"], "--credentials"),
+        (["export"], ["--person", "alice"], "--user"),
+    ],
+)
+def test_an_option_that_was_renamed_names_the_new_one(
+    command: list[str], old: list[str], new: str
+) -> None:
+    done = CliRunner().invoke(commands, [*command, *old])
+
+    assert done.exit_code == 2
+    assert f"{old[0]}: renamed; expected {new}" in done.output
+    assert old[0] not in CliRunner().invoke(commands, [*command, "--help"]).output

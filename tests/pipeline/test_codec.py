@@ -40,7 +40,7 @@ def test_a_message_comes_back_as_it_was_sent(n: int) -> None:
 
 
 def test_the_trace_of_stages_travels_in_the_header() -> None:
-    span = Span(stage="saliency", received_ns=1, done_ns=5, handler_ns=3, wait_ns=1)
+    span = Span(stage="saliency", received_ns=1, done_ns=5, handler_ns=3, scheduling_delay_ns=1)
     sent = replace(detections(1), header=stamped(header(3), epoch=2, span=span))
 
     got = loads(Detections, dumps(sent))

@@ -35,7 +35,7 @@ def test_a_name_is_one_safe_part_of_a_path(text: str) -> None:
 
 
 @pytest.mark.parametrize("value", [None, 5, b"a", ["a"], 10**400])
-def test_only_texts_are_names_and_the_complaint_is_short(value: object) -> None:
+def test_only_texts_are_names_and_the_error_is_short(value: object) -> None:
     with pytest.raises(GraphError) as caught:
         check_name(value, "graph.name")
 

@@ -74,7 +74,7 @@ def test_a_download_is_found_afterwards(tmp_path: Path, serve: Serve) -> None:
 
 
 @pytest.mark.parametrize(
-    ("body", "announced_bytes", "complaint"),
+    ("body", "announced_bytes", "message"),
     [
         (NETWORK[:-1], len(NETWORK), f"expected {len(NETWORK)} bytes, got {len(NETWORK) - 1}"),
         (NETWORK * 9, len(NETWORK) * 9, f"got more than {len(NETWORK)}"),
@@ -84,12 +84,12 @@ def test_a_download_is_found_afterwards(tmp_path: Path, serve: Serve) -> None:
     ids=["truncated", "too long", "tampered", "empty"],
 )
 def test_a_wrong_download_is_refused_and_leaves_nothing(
-    tmp_path: Path, serve: Serve, body: bytes, announced_bytes: int, complaint: str
+    tmp_path: Path, serve: Serve, body: bytes, announced_bytes: int, message: str
 ) -> None:
     manifest = manifest_of(tmp_path, url=serve(body, announced_bytes))
     folder = tmp_path / "kept"
 
-    with pytest.raises(WeightsError, match=complaint):
+    with pytest.raises(WeightsError, match=message):
         pull(["net"], folder=folder, manifest=manifest)
 
     assert list(folder.iterdir()) == []
@@ -192,7 +192,7 @@ def test_a_misspelt_name_is_met_with_the_right_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "complaint"),
+    ("change", "message"),
     [
         (('file = "net.onnx"', 'file = "../net.onnx"'), "net.file: expected a bare file name"),
         (('url = ""', 'url = "file:///etc/passwd"'), "net.url: expected https"),
@@ -203,12 +203,12 @@ def test_a_misspelt_name_is_met_with_the_right_one() -> None:
     ],
 )
 def test_a_bad_manifest_says_what_is_wrong(
-    tmp_path: Path, change: tuple[str, str], complaint: str
+    tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     path = manifest_of(tmp_path)
     path.write_text(path.read_text().replace(*change))
 
-    with pytest.raises(WeightsError, match=complaint):
+    with pytest.raises(WeightsError, match=message):
         entries(path)
 
 

@@ -191,7 +191,7 @@ def test_missing_weights_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("settings", "message"),
     [
         ({"crop_px": 0}, "crop_px: must be at least 1, got 0"),
         ({"batch": -1}, "batch: must not be negative"),
@@ -200,8 +200,8 @@ def test_missing_weights_are_named(tmp_path: Path) -> None:
         ({"std": (1.0, 0.0, 1.0)}, "std: must be above 0"),
     ],
 )
-def test_a_wrong_setting_is_named(settings: dict[str, object], complaint: str) -> None:
-    with pytest.raises(SettingsError, match=complaint):
+def test_a_wrong_setting_is_named(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
         encoded("unread.onnx", roi_with(), tracks_at(), **settings)
 
 

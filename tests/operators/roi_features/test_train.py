@@ -167,7 +167,7 @@ def test_a_new_head_leaves_the_features_as_they_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("settings", "message"),
     [
         ({"batch": 8}, "batch: must be at least 24, got 8"),
         ({"scenes": 1}, "scenes: a batch of 48 needs at least 2, got 1"),
@@ -177,8 +177,8 @@ def test_a_new_head_leaves_the_features_as_they_are(tmp_path: Path) -> None:
         ({"device": "gpu"}, "device: expected auto, cpu, cuda, cuda:N or mps, got gpu"),
     ],
 )
-def test_a_training_that_cannot_be_is_refused(settings: dict[str, object], complaint: str) -> None:
-    with pytest.raises(SettingsError, match=complaint):
+def test_a_training_that_cannot_be_is_refused(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(SettingsError, match=message):
         settings_in(Path(), **settings)
 
 

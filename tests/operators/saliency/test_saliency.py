@@ -159,7 +159,7 @@ def test_an_output_of_unknown_shape_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("settings", "message"),
     [
         ({"confidence": 1.5}, "confidence: must be within 0..1, got 1.5"),
         ({"class_confidence": {"ball": -1.0}}, "class_confidence.ball: must be within"),
@@ -169,11 +169,11 @@ def test_an_output_of_unknown_shape_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_setting_is_named(
-    tmp_path: Path, settings: dict[str, object], complaint: str
+    tmp_path: Path, settings: dict[str, object], message: str
 ) -> None:
     weights = constant_network(tmp_path / "n.onnx", yolo_output((100, 99, 16, 16, 0.9)))
 
-    with pytest.raises(SettingsError, match=complaint):
+    with pytest.raises(SettingsError, match=message):
         seen(weights, **settings)
 
 

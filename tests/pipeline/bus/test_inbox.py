@@ -1,4 +1,4 @@
-"""Joins: exact on seq, bounded, every arrival settled once."""
+"""Joins: exact on seq, bounded, every arrival acknowledged once."""
 
 from collections import Counter
 
@@ -20,13 +20,15 @@ def arrival(seq: int, stream: str = "s", *, nothing: bool = False) -> Arrival:
     return Arrival(head, None if nothing else Frame(header=head, pixels=PIXELS), seq + 1)
 
 
-class Desk:
-    """An inbox and the fates of what went in."""
+class Recorder:
+    """An inbox and the outcomes of what went in."""
 
     def __init__(self, *, lockstep: bool = False, **inputs: Input) -> None:
-        self.fates: list[tuple[str, str]] = []
+        self.outcomes: list[tuple[str, str]] = []
         self.inbox = Inbox(
-            inputs, lambda name, fate, _: self.fates.append((name, fate)), lockstep=lockstep
+            inputs,
+            lambda name, outcome, _: self.outcomes.append((name, outcome)),
+            lockstep=lockstep,
         )
 
     def put(self, name: str, seq: int, **kind: object) -> None:
@@ -41,59 +43,59 @@ LATEST, EVERY = Input(Frame), Input(Frame, keep="every")
 
 
 def test_latest_gives_the_newest_and_counts_the_others() -> None:
-    desk = Desk(frame=LATEST)
+    recorder = Recorder(frame=LATEST)
     for seq in range(3):
-        desk.put("frame", seq)
+        recorder.put("frame", seq)
 
-    assert desk.take() == 2
-    assert desk.take() is None
-    assert desk.fates == [("frame", "superseded")] * 2
+    assert recorder.take() == 2
+    assert recorder.take() is None
+    assert recorder.outcomes == [("frame", "superseded")] * 2
 
 
 def test_every_gives_all_in_order() -> None:
-    desk = Desk(frame=EVERY)
+    recorder = Recorder(frame=EVERY)
     for seq in range(3):
-        desk.put("frame", seq)
+        recorder.put("frame", seq)
 
-    assert [desk.take() for _ in range(4)] == [0, 1, 2, None]
-    assert desk.fates == []
+    assert [recorder.take() for _ in range(4)] == [0, 1, 2, None]
+    assert recorder.outcomes == []
 
 
 def test_a_set_waits_for_its_partner_of_the_same_frame() -> None:
-    desk = Desk(left=LATEST, right=LATEST)
-    desk.put("left", 5)
+    recorder = Recorder(left=LATEST, right=LATEST)
+    recorder.put("left", 5)
 
-    assert desk.take() is None
-    desk.put("right", 5)
-    assert desk.take() == 5
+    assert recorder.take() is None
+    recorder.put("right", 5)
+    assert recorder.take() == 5
 
 
 def test_a_partner_that_can_no_longer_come_is_not_waited_for() -> None:
-    desk = Desk(left=EVERY, right=EVERY)
-    desk.put("left", 1)
-    desk.put("right", 2)
+    recorder = Recorder(left=EVERY, right=EVERY)
+    recorder.put("left", 1)
+    recorder.put("right", 2)
 
-    assert desk.fates == [("left", "unmatched")]
-    desk.put("left", 2)
-    assert desk.take() == 2
+    assert recorder.outcomes == [("left", "unmatched")]
+    recorder.put("left", 2)
+    assert recorder.take() == 2
 
 
 def test_latest_drops_whole_sets() -> None:
-    desk = Desk(left=LATEST, right=LATEST)
+    recorder = Recorder(left=LATEST, right=LATEST)
     for seq in (1, 2):
-        desk.put("left", seq)
-        desk.put("right", seq)
+        recorder.put("left", seq)
+        recorder.put("right", seq)
 
-    assert desk.take() == 2
-    assert sorted(desk.fates) == [("left", "superseded"), ("right", "superseded")]
+    assert recorder.take() == 2
+    assert sorted(recorder.outcomes) == [("left", "superseded"), ("right", "superseded")]
 
 
 def test_nothing_from_a_required_input_is_answered_by_nothing() -> None:
-    desk = Desk(left=EVERY, right=EVERY)
-    desk.put("left", 1)
-    desk.put("right", 1, nothing=True)
+    recorder = Recorder(left=EVERY, right=EVERY)
+    recorder.put("left", 1)
+    recorder.put("right", 1, nothing=True)
 
-    work = desk.inbox.take(0)
+    work = recorder.inbox.take(0)
 
     assert work is not None
     assert not work.answer
@@ -101,33 +103,33 @@ def test_nothing_from_a_required_input_is_answered_by_nothing() -> None:
 
 
 def test_an_optional_input_is_waited_for_only_so_long() -> None:
-    desk = Desk(left=EVERY, right=Input(Frame, keep="every", optional=True, wait_ms=5))
-    desk.put("left", 1)
+    recorder = Recorder(left=EVERY, right=Input(Frame, keep="every", optional=True, wait_ms=5))
+    recorder.put("left", 1)
 
-    assert desk.take(now_ms=4) is None
-    work = desk.inbox.take(int(6e6))
+    assert recorder.take(now_ms=4) is None
+    work = recorder.inbox.take(int(6e6))
     assert work is not None
     assert work.messages["right"] is None
-    desk.put("right", 1)
-    assert desk.fates == [("right", "unmatched")]
+    recorder.put("right", 1)
+    assert recorder.outcomes == [("right", "unmatched")]
 
 
 def test_in_lockstep_an_optional_input_is_waited_for_until_it_answers() -> None:
-    desk = Desk(lockstep=True, left=EVERY, right=Input(Frame, optional=True, wait_ms=5))
-    desk.put("left", 1)
+    recorder = Recorder(lockstep=True, left=EVERY, right=Input(Frame, optional=True, wait_ms=5))
+    recorder.put("left", 1)
 
-    assert desk.take(now_ms=1e6) is None
-    desk.put("right", 1, nothing=True)
-    assert desk.take() == 1
+    assert recorder.take(now_ms=1e6) is None
+    recorder.put("right", 1, nothing=True)
+    assert recorder.take() == 1
 
 
 def test_what_comes_beside_a_set_is_handled_after_it_in_lockstep() -> None:
-    desk = Desk(lockstep=True, frame=EVERY, beside=Input(Percept, join=False))
-    desk.put("beside", 3)
+    recorder = Recorder(lockstep=True, frame=EVERY, beside=Input(Percept, join=False))
+    recorder.put("beside", 3)
 
-    assert desk.take() is None
-    desk.put("frame", 3)
-    first, second = desk.inbox.take(0), desk.inbox.take(0)
+    assert recorder.take() is None
+    recorder.put("frame", 3)
+    first, second = recorder.inbox.take(0), recorder.inbox.take(0)
     assert first is not None
     assert second is not None
     assert tuple(first.messages) == ("frame",)
@@ -135,29 +137,29 @@ def test_what_comes_beside_a_set_is_handled_after_it_in_lockstep() -> None:
 
 
 def test_a_new_stream_flushes_the_old_and_is_announced() -> None:
-    desk = Desk(left=EVERY, right=EVERY)
-    desk.put("left", 9)
-    desk.put("left", 0, stream="t")
-    desk.put("right", 0, stream="t")
-    desk.put("right", 9)  # a straggler of the old stream
+    recorder = Recorder(left=EVERY, right=EVERY)
+    recorder.put("left", 9)
+    recorder.put("left", 0, stream="t")
+    recorder.put("right", 0, stream="t")
+    recorder.put("right", 9)  # a straggler of the old stream
 
-    work = desk.inbox.take(0)
+    work = recorder.inbox.take(0)
 
     assert work is not None
     assert work.new_stream
     assert work.header.stream == "t"
-    assert desk.fates == [("left", "unmatched"), ("right", "unmatched")]
+    assert recorder.outcomes == [("left", "unmatched"), ("right", "unmatched")]
 
 
 def test_stale_sets_are_dropped_and_counted() -> None:
-    desk = Desk(frame=Input(Frame, max_age_ms=50))
-    desk.put("frame", 0)  # stamped at 0 ms
+    recorder = Recorder(frame=Input(Frame, max_age_ms=50))
+    recorder.put("frame", 0)  # stamped at 0 ms
 
-    work = desk.inbox.take(int(60e6))
+    work = recorder.inbox.take(int(60e6))
 
     assert work is not None
     assert not work.answer
-    assert desk.fates == [("frame", "stale")]
+    assert recorder.outcomes == [("frame", "stale")]
 
 
 @pytest.mark.parametrize("keep", ["latest", "every"])
@@ -166,29 +168,29 @@ def test_every_arrival_is_settled_once_and_memory_is_bounded(
     keep: str, data: st.DataObject
 ) -> None:
     declared = Input(Frame, keep=keep, depth=4)  # type: ignore[arg-type]
-    desk, bound = Desk(left=declared, right=declared), 4 if keep == "latest" else 10
+    recorder, bound = Recorder(left=declared, right=declared), 4 if keep == "latest" else 10
     streams = {
         name: sorted(data.draw(st.sets(st.integers(0, 30), max_size=12)))
         for name in ("left", "right")
     }
     order = data.draw(st.permutations([n for n, seqs in streams.items() for _ in seqs]))
-    settled: Counter[str] = Counter()
+    acknowledged: Counter[str] = Counter()
     handled = []
     for name in order:
-        desk.put(name, streams[name].pop(0))
-        if data.draw(st.booleans()) and (work := desk.inbox.take(0)):
+        recorder.put(name, streams[name].pop(0))
+        if data.draw(st.booleans()) and (work := recorder.inbox.take(0)):
             handled.append(work.header.seq)
-            settled.update(list(work.arrived))
-        assert len(desk.inbox) <= bound
+            acknowledged.update(list(work.arrived))
+        assert len(recorder.inbox) <= bound
 
-    while work := desk.inbox.take(0):
+    while work := recorder.inbox.take(0):
         handled.append(work.header.seq)
-        settled.update(list(work.arrived))
-    settled.update(name for name, _fate in desk.fates)
+        acknowledged.update(list(work.arrived))
+    acknowledged.update(name for name, _outcome in recorder.outcomes)
 
-    waiting = Counter(order) - settled
+    waiting = Counter(order) - acknowledged
     assert sum(waiting.values()) <= bound
-    assert not settled - Counter(order)
+    assert not acknowledged - Counter(order)
     assert handled == sorted(set(handled))
 
 
@@ -199,66 +201,66 @@ def test_a_histogram_of_nothing_is_zero() -> None:
 
 
 def test_after_a_loss_an_incomplete_set_is_given_up_when_its_member_had_time_to_come() -> None:
-    desk = Desk(left=EVERY, right=EVERY)
+    recorder = Recorder(left=EVERY, right=EVERY)
     for seq in range(3):
-        desk.put("right", seq)
-    desk.put("left", 0)
+        recorder.put("right", seq)
+    recorder.put("left", 0)
 
-    desk.inbox.lost("left", now_ns=0)
-    desk.put("right", 3)
-    desk.put("left", 2)
+    recorder.inbox.lost("left", now_ns=0)
+    recorder.put("right", 3)
+    recorder.put("left", 2)
 
-    assert desk.take(999) == 0
-    assert desk.take(999) == 2
-    assert desk.fates == [("right", "unmatched")]  # frame 1: the left one can come no more
-    assert desk.inbox.due_ns() is not None
-    assert desk.take(1001) is None
-    assert len(desk.inbox) == 1  # frame 3 came after the loss
-    assert desk.inbox.due_ns() is None
+    assert recorder.take(999) == 0
+    assert recorder.take(999) == 2
+    assert recorder.outcomes == [("right", "unmatched")]  # frame 1: the left one can come no more
+    assert recorder.inbox.due_ns() is not None
+    assert recorder.take(1001) is None
+    assert len(recorder.inbox) == 1  # frame 3 came after the loss
+    assert recorder.inbox.due_ns() is None
 
 
 def test_a_loss_where_nothing_waits_changes_nothing() -> None:
-    desk = Desk(left=EVERY, right=EVERY)
+    recorder = Recorder(left=EVERY, right=EVERY)
 
-    desk.inbox.lost("left", now_ns=0)
-    desk.put("right", 0)
+    recorder.inbox.lost("left", now_ns=0)
+    recorder.put("right", 0)
 
-    assert desk.take(5000) is None
-    assert len(desk.inbox) == 1
+    assert recorder.take(5000) is None
+    assert len(recorder.inbox) == 1
 
 
 def test_a_set_whose_member_is_lost_is_given_up_after_a_second() -> None:
-    desk = Desk(left=EVERY, right=EVERY)
-    desk.put("right", 0)
+    recorder = Recorder(left=EVERY, right=EVERY)
+    recorder.put("right", 0)
 
-    desk.inbox.lost("left", now_ns=0)
+    recorder.inbox.lost("left", now_ns=0)
 
-    assert desk.take(999) is None
-    assert desk.fates == []
-    assert desk.take(1001) is None
-    assert desk.fates == [("right", "unmatched")]
+    assert recorder.take(999) is None
+    assert recorder.outcomes == []
+    assert recorder.take(1001) is None
+    assert recorder.outcomes == [("right", "unmatched")]
 
 
 def test_losses_that_follow_one_another_put_nothing_off() -> None:
-    desk = Desk(left=EVERY, right=EVERY)
+    recorder = Recorder(left=EVERY, right=EVERY)
     for seq in range(3):
-        desk.put("right", seq)
-        desk.inbox.lost("left", now_ns=seq * 400_000_000)
+        recorder.put("right", seq)
+        recorder.inbox.lost("left", now_ns=seq * 400_000_000)
 
     given_up = []
     for now_ms in (999, 1001, 1401, 1801):
-        desk.take(now_ms)
-        given_up.append(len(desk.fates))
+        recorder.take(now_ms)
+        given_up.append(len(recorder.outcomes))
 
     assert given_up == [0, 1, 2, 3]
 
 
 def test_a_loss_of_one_stream_is_none_of_the_next() -> None:
-    desk = Desk(left=EVERY, right=EVERY)
-    desk.put("right", 5)
-    desk.inbox.lost("left", now_ns=0)
+    recorder = Recorder(left=EVERY, right=EVERY)
+    recorder.put("right", 5)
+    recorder.inbox.lost("left", now_ns=0)
 
-    desk.put("right", 0, stream="t")
+    recorder.put("right", 0, stream="t")
 
-    assert desk.take(2000) is None
-    assert len(desk.inbox) == 1
+    assert recorder.take(2000) is None
+    assert len(recorder.inbox) == 1

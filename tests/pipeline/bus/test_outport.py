@@ -13,7 +13,7 @@ from pipeline import Frame, Header, MessageError, Percept, PoolExhausted
 from pipeline.bus.envelope import Envelope
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import EdgeAccount, private_ledger
-from pipeline.bus.outport import KNOCK_S, Arrival, OutPort, Reader
+from pipeline.bus.outport import PROBE_S, Arrival, OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
 from pipeline.codec import to_bytes
 from pipeline.run.memory_folder import MemoryFolder
@@ -34,7 +34,7 @@ class Wire:
         """Whether a link is new."""
         return self.fresh
 
-    def aim(self, *_: object) -> None:
+    def set_targets(self, *_: object) -> None:
         """There is one reader."""
 
     def send(self, payload: bytes) -> list[int]:
@@ -82,7 +82,7 @@ class Edge:
 
     def finish(self) -> None:
         """The operator has done with all that arrived."""
-        self.account.settle("delivered", len(self.arrivals))
+        self.account.acknowledge("delivered", len(self.arrivals))
         self.arrivals.clear()
 
 
@@ -116,7 +116,7 @@ def test_a_descriptor_is_small_whatever_the_picture(edge: Edge) -> None:
 
 
 def test_a_lossless_reader_has_credit_for_its_depth_only(edge: Edge) -> None:
-    edge.out.hello()
+    edge.out.handshake()
     edge.carry()
     for seq in range(3):
         assert edge.out.has_credit()
@@ -155,17 +155,17 @@ def test_a_lost_descriptor_is_counted_as_a_gap(edge: Edge) -> None:
 def test_a_reader_to_whom_everything_was_lost_hears_of_it_and_the_writer_goes_on(
     edge: Edge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    edge.out.hello()
+    edge.out.handshake()
     edge.carry()
     while edge.out.has_credit():
         edge.send(1, side_px=20)
     edge.wire.sent.clear()  # the cable was pulled
-    edge.out.hello()
+    edge.out.handshake()
     assert edge.wire.sent == []
 
     now_s = time.monotonic()
-    monkeypatch.setattr("pipeline.bus.outport.time.monotonic", lambda: now_s + 2 * KNOCK_S)
-    edge.out.hello()
+    monkeypatch.setattr("pipeline.bus.outport.time.monotonic", lambda: now_s + 2 * PROBE_S)
+    edge.out.handshake()
     edge.carry()
 
     assert edge.account.gap == edge.account.sent == edge.depth
@@ -181,7 +181,7 @@ def test_a_new_reader_counts_what_its_predecessor_left(edge: Edge) -> None:
     edge.account.reader_epoch = 2
     edge.port = edge.reader(2)
 
-    edge.out.hello()
+    edge.out.handshake()
     edge.carry()
 
     assert edge.account.lost_in_crash == 2
@@ -221,7 +221,7 @@ def test_noise_on_the_key_never_raises_and_never_counts_as_sent(noise: bytes) ->
 
     edge.port.receive(noise)
 
-    assert edge.account.strays == 1
+    assert edge.account.unexpected == 1
     assert edge.account.accounted == 0
 
 
@@ -232,7 +232,7 @@ def test_a_repeated_descriptor_is_a_stray(edge: Edge) -> None:
     edge.port.receive(payload)
 
     assert len(edge.arrivals) == 1
-    assert edge.account.strays == 1
+    assert edge.account.unexpected == 1
 
 
 def test_bytes_are_rendered_only_while_a_remote_reader_matches() -> None:
@@ -295,16 +295,16 @@ def test_an_envelope_of_another_version_is_refused() -> None:
 
 
 def told_of_losses(edge: Edge) -> list[int]:
-    """Greets and carries; one entry for every loss that the reader heard of."""
+    """Sends handshakes and messages; one entry for every loss that the reader heard of."""
     told: list[int] = []
     edge.port.on_loss = lambda: told.append(1)
-    edge.out.hello()
+    edge.out.handshake()
     edge.carry()
     return told
 
 
 def test_a_reader_hears_of_a_loss_once(edge: Edge) -> None:
-    edge.out.hello()
+    edge.out.handshake()
     edge.carry()
 
     edge.out.has_lost()
@@ -314,7 +314,7 @@ def test_a_reader_hears_of_a_loss_once(edge: Edge) -> None:
 
 
 def test_who_began_anew_has_lost_something_and_who_took_over_has_not(edge: Edge) -> None:
-    edge.out.hello()
+    edge.out.handshake()
     edge.carry()
 
     edge.wire.fresh = True

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline import Frame, Percept
-from pipeline.bus.envelope import HELLO, Envelope, first_of
+from pipeline.bus.envelope import HANDSHAKE, Envelope, first_of
 from pipeline.bus.ledger import private_ledger
 from pipeline.bus.outport import OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
@@ -148,7 +148,7 @@ def test_a_restart_is_heard_at_once_and_nothing_before_it_counts_as_missed(
         output.send(seq, side_px=2)
     output.out = output.instance(2)  # killed between two messages
     output.out.has_lost()
-    output.out.hello()
+    output.out.handshake()
     for seq in range(5, 8):
         output.send(seq, side_px=2)
 
@@ -196,10 +196,10 @@ def test_after_a_swap_that_is_rolled_back_the_numbers_still_fit(output: Output) 
 
 
 def test_a_straggler_of_the_old_instance_is_no_loss_and_a_superseded_one_is_not_heard() -> None:
-    tap, mark = Tap(Frame), fingerprint(Frame)
+    tap, schema = Tap(Frame), fingerprint(Frame)
 
     def send(ordinal: int, epoch: int, kind: int = 2) -> None:
-        tap.receive(Envelope.render(kind, ordinal, epoch, mark, None, header(ordinal)))
+        tap.receive(Envelope.render(kind, ordinal, epoch, schema, None, header(ordinal)))
 
     send(5, 1)
     send(7, 2)  # of another link, and so before the last one of the old instance
@@ -216,7 +216,7 @@ def test_a_greeting_tells_a_tap_what_it_missed(output: Output) -> None:
     for seq in range(1, 4):
         output.send(seq)
     output.out.has_lost()
-    output.out.hello()
+    output.out.handshake()
 
     output.carry(tap, lambda index: index not in (1, 2, 3))
 
@@ -239,12 +239,12 @@ EVENTS = st.lists(st.tuples(st.integers(0, 2), st.integers(0, 40), st.integers(1
 def test_no_order_of_messages_makes_a_tap_raise_or_count_below_zero(
     events: list[tuple[int, int, int]], *, private: bool
 ) -> None:
-    tap, mark = Tap(Frame), fingerprint(Frame)
+    tap, schema = Tap(Frame), fingerprint(Frame)
 
     for kind, number, epoch in events:
         ordinal = number + (first_of(epoch) - 1 if private else 0)
-        body: Any = None if kind == HELLO else header(number)
-        tap.receive(Envelope.render(kind, ordinal, epoch, mark, None, body))
+        body: Any = None if kind == HANDSHAKE else header(number)
+        tap.receive(Envelope.render(kind, ordinal, epoch, schema, None, body))
 
     heard(tap)
     assert min(tap.missed) >= 0

@@ -30,7 +30,7 @@ def with_network(name: str, tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["tracking.yaml", "boxes.yaml"])
+@pytest.mark.parametrize("name", ["tracking.yaml", "multi_host.yaml"])
 def test_the_shipped_graphs_need_nothing_but_the_repository(name: str) -> None:
     assert not any("warning" in line for line in advice(load(GRAPHS / name)))
 
@@ -56,7 +56,7 @@ def test_missing_weights_refuse_a_graph_before_a_process_starts(tmp_path: Path) 
 
 
 def test_weights_that_another_host_must_have_are_advised_of(tmp_path: Path) -> None:
-    lines = list(advice(load(with_network("boxes.yaml", tmp_path))))
+    lines = list(advice(load(with_network("multi_host.yaml", tmp_path))))
 
     assert any(line.startswith("tracker: on viewer: vittrack: expected") for line in lines)
 

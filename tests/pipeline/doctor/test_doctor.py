@@ -17,9 +17,9 @@ from packaging.requirements import Requirement
 from pipeline.doctor.finding import Finding
 from pipeline.doctor.installation import (
     bus,
+    left_over,
     orphaned,
     python,
-    remains,
     requirements,
     versions,
 )  # fmt: skip
@@ -47,7 +47,7 @@ def verdicts(findings: list[Finding]) -> dict[str, str]:
     return {finding.what: finding.verdict for finding in findings}
 
 
-def test_every_complaint_says_what_to_do(tmp_path: Path) -> None:
+def test_every_finding_says_what_to_do(tmp_path: Path) -> None:
     findings = [*examine_machine(), *examine_machine(memory=tmp_path / "none", system=tmp_path)]
 
     assert verdicts(findings)["shared memory"] == "wrong"
@@ -167,7 +167,7 @@ def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
     supervisor.wait()
     supervisor.stdout.close()
 
-    told = "\n".join(f.why for f in remains())
+    told = "\n".join(f.why for f in left_over())
 
     assert plan.name in told
     listed = [p.pid for p in orphaned()]
@@ -202,7 +202,7 @@ def test_a_graph_whose_folder_is_elsewhere_is_no_remains(
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(tempfile, "tempdir", str(tmp_path_factory.mktemp("other")))
             assert plan.name not in running()
-            words = "\n".join(f.why for f in remains())
+            words = "\n".join(f.why for f in left_over())
             told.extend([facts, words, [p.pid for p in orphaned()]])
         supervisor.finish()
 

@@ -1,6 +1,6 @@
-"""Somebody on the network who means no good tries everything with the papers he has.
+"""An intruder on the network tries everything with the credentials that it has.
 
-python -m tests.pipeline.fleet.intruder PAPERS|-CA_FILE ADDRESS,… SECONDS
+python -m tests.pipeline.fleet.intruder CREDENTIALS|-CA_FILE ADDRESS,… SECONDS
 """
 
 import json
@@ -20,7 +20,7 @@ FORGED = ("fovea/trio/steer/out/bytes", "fovea/trio/capture/context/bytes")
 ASKED = [
     f"fovea/@agent/{label}/{who}/{verb}"
     for label in ("sensor", "compute")
-    for who in ("person.tester", "box.compute", "person.intruder", "box.viewer")
+    for who in ("user.tester", "host.compute", "user.intruder", "host.viewer")
     for verb in ("about", "start", "down", "state")
 ]
 
@@ -31,16 +31,16 @@ class Open(Network):
     def config(self) -> dict[str, object]:
         config = super().config()
         config.pop("access_control")
-        if self.papers.startswith("-"):  # TLS without a certificate of one's own
+        if self.credentials.startswith("-"):  # TLS without a certificate of one's own
             config["transport"]["link"]["tls"] = {
-                "root_ca_certificate": self.papers[1:],
+                "root_ca_certificate": self.credentials[1:],
                 "verify_name_on_connect": False,
             }
         return config
 
 
-def main(papers: str, points: list[str], seconds: float) -> dict[str, object]:
-    network = Open(connect=tuple(f"tls/{p}" for p in points), papers=papers)
+def main(credentials: str, points: list[str], seconds: float) -> dict[str, object]:
+    network = Open(connect=tuple(f"tls/{p}" for p in points), credentials=credentials)
     session, spy = Session.across(network), Session.across(network)
     seen: Counter[str] = Counter()
     for key in READ:

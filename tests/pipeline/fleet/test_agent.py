@@ -13,9 +13,9 @@ import pytest
 
 from pipeline.bus.network import LOCAL, Network
 from pipeline.bus.session import Session
-from pipeline.console.asking import ask_node, fleet_health
-from pipeline.console.asking import tell as tell_node
 from pipeline.console.changing import ask
+from pipeline.console.graph_client import ask_node, fleet_health
+from pipeline.console.graph_client import tell as tell_node
 from pipeline.console.operating import replan, tell
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
@@ -29,18 +29,18 @@ from pipeline.fleet.deploy import (
     send_weights,
     up,
 )
-from pipeline.fleet.names import agent_key, box
-from pipeline.fleet.part import PartSupervisor
+from pipeline.fleet.hosted_graph import HostedSupervisor
+from pipeline.fleet.names import agent_key, host_identity
 from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.run.rundir import base
 from pipeline.run.swap import SwapOrder
-from tests.pipeline.fleet.boxes import (
+from tests.pipeline.fleet.agents import (
     TRIO,
     Running,
-    box_of,
-    boxes,
+    agents,
     fleet_of,
     handled,
+    host_of,
     phases,
     plan_of,
     state_of,
@@ -53,7 +53,7 @@ LABELS = ("sensor", "compute", "viewer")
 
 @pytest.fixture
 def three(tmp_path: Path) -> Iterator[dict[str, Running]]:
-    with boxes(tmp_path, *LABELS) as running:
+    with agents(tmp_path, *LABELS) as running:
         yield running
 
 
@@ -63,7 +63,7 @@ def fleet(three: dict[str, Running]) -> Iterator[Fleet]:
         yield fleet
 
 
-def test_a_graph_goes_up_runs_over_its_boxes_and_comes_down(fleet: Fleet, tmp_path: Path) -> None:
+def test_a_graph_goes_up_runs_over_its_hosts_and_comes_down(fleet: Fleet, tmp_path: Path) -> None:
     up(fleet, plan_of(tmp_path))
 
     until(
@@ -94,7 +94,7 @@ def test_a_graph_goes_up_runs_over_its_boxes_and_comes_down(fleet: Fleet, tmp_pa
         ),
     ],
 )
-def test_what_one_box_refuses_starts_on_none(
+def test_what_one_host_refuses_starts_on_none(
     fleet: Fleet, node: str, changes: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     plan = plan_of(tmp_path)
@@ -123,16 +123,17 @@ def test_noise_is_refused_and_the_agent_lives(fleet: Fleet, data: bytes) -> None
     assert fleet.ask("sensor", "about", wire.Nothing(), wire.About).label == "sensor"
 
 
-def test_a_box_that_asks_what_it_may_not_holds_up_nobody(fleet: Fleet, tmp_path: Path) -> None:
+def test_a_host_that_asks_what_it_may_not_holds_up_nobody(fleet: Fleet, tmp_path: Path) -> None:
     way = Network(
-        connect=(fleet.hosts.points["sensor"],), permits=asker_permits(box("viewer"), ["sensor"])
+        connect=(fleet.hosts.points["sensor"],),
+        permits=asker_permits(host_identity("viewer"), ["sensor"]),
     )
     session = Session.across(way)
     try:
         for verb in ("weights", "start", "nothing"):
-            said = session.ask(agent_key("sensor", box("viewer"), verb), b"x", 5)
+            said = session.ask(agent_key("sensor", host_identity("viewer"), verb), b"x", 5)
             assert said is not None
-            with pytest.raises(RunError, match=f"box.viewer may not {verb} here"):
+            with pytest.raises(RunError, match=f"host.viewer may not {verb} here"):
                 wire.read_reply(wire.Prepared, "sensor", said)
     finally:
         session.close()
@@ -159,7 +160,7 @@ def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path)
         partial(tell, "trio", SwapOrder(node="work", changes={"hold": "~/x"}))
     )
     assert "no node count" in refusal(partial(tell, "trio@compute", SwapOrder(node="count")))
-    assert "runs on several boxes" in refusal(partial(replan, "trio", lambda plan: plan))
+    assert "runs on several hosts" in refusal(partial(replan, "trio", lambda plan: plan))
     before = handled(fleet, "compute", "steer")
     until(lambda: handled(fleet, "compute", "steer") > before + 10)
     assert fleet_health("trio@compute").keys() == {"work", "pair", "steer"}
@@ -172,7 +173,7 @@ def refusal(act: Callable[[], Any]) -> str:
     return str(caught.value)
 
 
-def test_a_node_that_is_killed_starts_again_on_its_box(fleet: Fleet, tmp_path: Path) -> None:
+def test_a_node_that_is_killed_starts_again_on_its_host(fleet: Fleet, tmp_path: Path) -> None:
     up(fleet, plan_of(tmp_path))
 
     def work() -> wire.Process:
@@ -186,17 +187,17 @@ def test_a_node_that_is_killed_starts_again_on_its_box(fleet: Fleet, tmp_path: P
     down("trio", fleet.hosts)
 
 
-def test_a_box_that_ends_is_told_and_takes_its_part_up_again(
+def test_a_host_that_ends_is_told_and_takes_its_part_up_again(
     three: dict[str, Running], fleet: Fleet, tmp_path: Path
 ) -> None:
     up(fleet, plan_of(tmp_path))
     until(lambda: handled(fleet, "viewer", "count") > 10)
 
     three["viewer"].stop()
-    seen = lambda: {b.label: b.lost for b in state_of(fleet, "sensor").boxes}  # noqa: E731
+    seen = lambda: {b.label: b.lost for b in state_of(fleet, "sensor").hosts}  # noqa: E731
     until(lambda: seen()["viewer"])
     assert "no agent answers" in fleet.states()["viewer"]
-    three["viewer"] = Running(box_of("viewer", LABELS, tmp_path))
+    three["viewer"] = Running(host_of("viewer", LABELS, tmp_path))
 
     until(lambda: not seen()["viewer"])
     until(lambda: isinstance(fleet.states("trio")["viewer"], list))
@@ -222,14 +223,14 @@ def test_another_graph_of_the_name_takes_the_place_of_the_first_when_asked_to(
     down("trio", fleet.hosts)
 
 
-def test_two_graphs_share_a_box_and_both_go_on_after_it_began_again(
+def test_two_graphs_share_a_host_and_both_go_on_after_it_began_again(
     three: dict[str, Running], fleet: Fleet, tmp_path: Path
 ) -> None:
     for name in ("zoo", "ant"):
         up(fleet, plan_of(tmp_path, TRIO.replace("name: trio", f"name: {name}")))
 
     three["compute"].stop()
-    three["compute"] = Running(box_of("compute", LABELS, tmp_path))
+    three["compute"] = Running(host_of("compute", LABELS, tmp_path))
 
     for name in ("zoo", "ant"):
         until(lambda name=name: phases(fleet, "compute", name))  # type: ignore[misc]
@@ -261,27 +262,27 @@ def test_a_part_that_worked_once_tries_again_when_it_cannot_begin(
     three["sensor"].stop()
     failures = []
 
-    def begin(*words: Any) -> PartSupervisor:
+    def begin(*words: Any) -> HostedSupervisor:
         if not failures:
             failures.append("the camera is not there yet")
             raise RunError(failures[0])
-        return PartSupervisor(*words)
+        return HostedSupervisor(*words)
 
-    monkeypatch.setattr("pipeline.fleet.part.PartSupervisor", begin)
-    three["sensor"] = Running(box_of("sensor", LABELS, tmp_path))
+    monkeypatch.setattr("pipeline.fleet.hosted_graph.HostedSupervisor", begin)
+    three["sensor"] = Running(host_of("sensor", LABELS, tmp_path))
 
     until(lambda: phases(fleet, "sensor") == ["running"])
     assert failures
     down("trio", fleet.hosts)
 
 
-def test_a_damaged_state_stops_one_graph_and_not_the_box(tmp_path: Path) -> None:
-    own = box_of("sensor", LABELS, tmp_path)
+def test_a_damaged_state_stops_one_graph_and_not_the_host(tmp_path: Path) -> None:
+    own = host_of("sensor", LABELS, tmp_path)
     own.state.mkdir(parents=True, exist_ok=True)
     for name, text in {"a": "[]", "b": "", "c": '{"plan": 3}'}.items():
         (own.state / f"{name}.graph").write_text(text)
     try:
-        with boxes(tmp_path, *LABELS), fleet_of(*LABELS) as fleet:
+        with agents(tmp_path, *LABELS), fleet_of(*LABELS) as fleet:
             up(fleet, plan_of(tmp_path))
             down("trio", fleet.hosts)
     finally:
@@ -318,11 +319,11 @@ def test_a_graph_that_another_desk_deployed_is_found(
         attach("trio", fleet)
 
 
-def test_weights_that_a_box_allows_and_has_not_are_sent(tmp_path: Path) -> None:
+def test_weights_that_a_host_allows_and_has_not_are_sent(tmp_path: Path) -> None:
     file = tmp_path / "network.onnx"
     file.write_bytes(b"a network")
     digest = hashlib.sha256(b"a network").hexdigest()
-    own = box_of("sensor", LABELS, tmp_path, weights={digest: ""})
+    own = host_of("sensor", LABELS, tmp_path, weights={digest: ""})
     running = Running(own)
     try:
         with fleet_of("sensor") as fleet:
@@ -337,15 +338,15 @@ def test_weights_that_a_box_allows_and_has_not_are_sent(tmp_path: Path) -> None:
         (own.state / "weights" / digest).unlink()
 
 
-def test_a_box_behind_a_bad_link_is_missed_and_found_again(
+def test_a_host_behind_a_bad_link_is_missed_and_found_again(
     three: dict[str, Running], tmp_path: Path
 ) -> None:
     near = base() / f"bad-{os.getpid()}.sock"
-    far = Path(three["viewer"].agent.box.endpoint.removeprefix(LOCAL))
+    far = Path(three["viewer"].agent.host.endpoint.removeprefix(LOCAL))
     hosts = read_hosts(("sensor", "compute", f"viewer={LOCAL}{near}"), None)
 
     def lost() -> bool:
-        return {b.label: b.lost for b in state_of(fleet, "sensor").boxes}["viewer"]
+        return {b.label: b.lost for b in state_of(fleet, "sensor").hosts}["viewer"]
 
     def goes_on(label: str, node: str) -> None:
         before = handled(fleet, label, node)
@@ -369,7 +370,7 @@ def test_a_box_behind_a_bad_link_is_missed_and_found_again(
     near.unlink(missing_ok=True)
 
 
-def test_a_box_without_an_agent_is_named(tmp_path: Path) -> None:
+def test_a_host_without_an_agent_is_named(tmp_path: Path) -> None:
     with (
         Fleet(read_hosts(("nowhere",), None)) as fleet,
         pytest.raises(RunError, match="nowhere: no agent answers at unixsock"),

@@ -16,16 +16,18 @@ from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
 from pipeline.fleet.commands import export_command
-from pipeline.fleet.deploy import default_person, read_hosts
-from pipeline.fleet.draft import check_addressed, issue_for
-from pipeline.fleet.export import compose, k8s, systemd
+from pipeline.fleet.deploy import default_user, read_hosts
+from pipeline.fleet.export.bundle import AGENT, Bundle, memory_mb
+from pipeline.fleet.export.compose import compose
+from pipeline.fleet.export.kubernetes import k8s
+from pipeline.fleet.export.systemd import systemd
 from pipeline.fleet.links import networks
-from pipeline.fleet.placement import part_of, place
-from pipeline.fleet.secure import Papers
-from pipeline.fleet.shipping import AGENT, Desk, memory_mb
+from pipeline.fleet.placement import place, plan_for
+from pipeline.fleet.provisioning import check_addressed, issue_for
+from pipeline.fleet.secure import Credentials
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
-from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
+from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
 
 ALONE = TRIO.replace("hosts: [sensor, compute, viewer]\n", "")
 for _label in ("sensor", "compute", "viewer"):
@@ -33,28 +35,28 @@ for _label in ("sensor", "compute", "viewer"):
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Desk:
-    """Papers as `fovea secure init` makes them, and the graph they are for."""
+def bundle(tmp_path: Path) -> Bundle:
+    """Credentials as `fovea secure init` makes them, and the graph they are for."""
     plan = plan_of(tmp_path)
-    papers = tmp_path / "papers"
-    secure.create(papers)
-    for _line in issue_for(papers, {label: label for label in plan.hosts}, [plan], ["alice"]):
+    credentials = tmp_path / "credentials"
+    secure.create(credentials)
+    for _line in issue_for(credentials, {label: label for label in plan.hosts}, [plan], ["alice"]):
         pass
-    return Desk(tmp_path / "graph.yaml", papers, "alice")
+    return Bundle(tmp_path / "graph.yaml", credentials, "alice")
 
 
 def expect_agent(plan: Plan, label: str, folder: Path) -> None:
-    """Everything that the agent of a box reads is there, and is its own."""
+    """Everything that the agent of a host reads is there, and is its own."""
     own = read(folder / "agent.yaml")
     assert own.endpoint == f"tls/{label}:7447"
-    assert own.papers is not None
-    part = part_of(plan, label)
+    assert own.credentials is not None
+    part = plan_for(plan, label)
     points = {place(node): "tls/somewhere:7500" for node in plan.nodes}
-    here = networks(part, points, points, own.papers)
+    here = networks(part, points, points, own.credentials)
     assert set(here) == {n.process for n in plan.nodes if n.host == label}
     for process, network in here.items():
-        holder = Papers.of(Path(network.papers)).holder
-        assert holder == f"node.trio.{process}"
+        identity = Credentials.of(Path(network.credentials)).identity
+        assert identity == f"node.trio.{process}"
 
 
 def expect_deploy(words: Sequence[str], root: Path) -> None:
@@ -62,15 +64,17 @@ def expect_deploy(words: Sequence[str], root: Path) -> None:
     at = [root / word.removeprefix("/") for word in words]
     assert words[:2] == ["fovea", "up"]
     assert load(at[2]).name == "trio"
-    papers = at[words.index("--papers") + 1]
-    assert Papers.of(papers).holder == "person.alice"
-    hosts = read_hosts([words[words.index("--hosts") + 1]], papers, ["sensor"])
+    credentials = at[words.index("--credentials") + 1]
+    assert Credentials.of(credentials).identity == "user.alice"
+    hosts = read_hosts([words[words.index("--hosts") + 1]], credentials, ["sensor"])
     assert hosts.points == {n: f"tls/{n}:7447" for n in ("sensor", "compute", "viewer")}
 
 
-def test_compose_mounts_papers_and_graph_where_they_are_read(desk: Desk, tmp_path: Path) -> None:
-    plan = load(desk.graph)
-    services: dict[str, Any] = YAML(typ="safe").load(compose(plan, desk))["services"]
+def test_compose_mounts_credentials_and_graph_where_they_are_read(
+    bundle: Bundle, tmp_path: Path
+) -> None:
+    plan = load(bundle.graph)
+    services: dict[str, Any] = YAML(typ="safe").load(compose(plan, bundle))["services"]
 
     assert set(services) == {"sensor", "compute", "viewer", "deploy"}
     for name, service in services.items():
@@ -90,8 +94,10 @@ def test_compose_mounts_papers_and_graph_where_they_are_read(desk: Desk, tmp_pat
             expect_agent(plan, name, root / "etc/fovea")
 
 
-def test_k8s_mounts_papers_and_graph_where_they_are_read(desk: Desk, tmp_path: Path) -> None:
-    plan, text = load(desk.graph), k8s(load(desk.graph), desk)
+def test_k8s_mounts_credentials_and_graph_where_they_are_read(
+    bundle: Bundle, tmp_path: Path
+) -> None:
+    plan, text = load(bundle.graph), k8s(load(bundle.graph), bundle)
     documents = list(YAML(typ="safe").load_all(text))
     made = secrets_of(text)
     config = {d["metadata"]["name"]: d["data"] for d in documents if d["kind"] == "ConfigMap"}
@@ -152,8 +158,8 @@ def projected(sources: Sequence[Any], made: Mapping[str, Any]) -> dict[str, byte
     return files
 
 
-def test_k8s_has_a_pod_per_box_and_never_two_owners_of_a_sensor(desk: Desk) -> None:
-    documents = list(YAML(typ="safe").load_all(k8s(load(desk.graph), desk)))
+def test_k8s_has_a_pod_per_host_and_never_two_owners_of_a_sensor(bundle: Bundle) -> None:
+    documents = list(YAML(typ="safe").load_all(k8s(load(bundle.graph), bundle)))
 
     kinds = [document["kind"] for document in documents]
     assert kinds == ["ConfigMap", *["Deployment", "Service"] * 3, "Job"]
@@ -162,11 +168,11 @@ def test_k8s_has_a_pod_per_box_and_never_two_owners_of_a_sensor(desk: Desk) -> N
     }
 
 
-def test_a_box_that_kubernetes_cannot_name_is_told(tmp_path: Path) -> None:
+def test_a_host_that_kubernetes_cannot_name_is_told(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, TRIO.replace("viewer", "Viewer_2"))
 
     with pytest.raises(GraphError, match="hosts: Viewer_2: expected small letters"):
-        k8s(plan, Desk(tmp_path / "graph.yaml", tmp_path, "alice"))
+        k8s(plan, Bundle(tmp_path / "graph.yaml", tmp_path, "alice"))
 
 
 def units(text: str) -> list[configparser.ConfigParser]:
@@ -181,8 +187,8 @@ def units(text: str) -> list[configparser.ConfigParser]:
     return found
 
 
-def test_systemd_units_name_files_wherever_they_are_started(desk: Desk) -> None:
-    *agents, deploy = units(systemd(load(desk.graph), desk))
+def test_systemd_units_name_files_wherever_they_are_started(bundle: Bundle) -> None:
+    *agents, deploy = units(systemd(load(bundle.graph), bundle))
 
     assert len(agents) == 3
     for unit in agents:
@@ -190,41 +196,43 @@ def test_systemd_units_name_files_wherever_they_are_started(desk: Desk) -> None:
         assert unit["Service"]["WorkingDirectory"] == "/etc/fovea"
     words = shlex.split(deploy["Service"]["ExecStart"])
     assert load(Path(words[2])).name == "trio"
-    assert Papers.of(Path(words[words.index("--papers") + 1])).holder == "person.alice"
+    assert Credentials.of(Path(words[words.index("--credentials") + 1])).identity == "user.alice"
     assert all(Path(words[i]).is_absolute() for i in (0, 2, 4))
     assert Path(deploy["Service"]["WorkingDirectory"]) == Path.cwd()
     for label in ("sensor", "compute", "viewer"):
-        assert f"{desk.box(label)} is to be /etc/fovea" in systemd(load(desk.graph), desk)
-        expect_agent(load(desk.graph), label, desk.box(label))
+        assert f"{bundle.host_folder(label)} is to be /etc/fovea" in systemd(
+            load(bundle.graph), bundle
+        )
+        expect_agent(load(bundle.graph), label, bundle.host_folder(label))
 
 
-def test_who_deploys_is_you_unless_you_say_who(desk: Desk) -> None:
-    words = ["compose", str(desk.graph), f"--papers={desk.papers}"]
+def test_who_deploys_is_you_unless_you_say_who(bundle: Bundle) -> None:
+    words = ["compose", str(bundle.graph), f"--credentials={bundle.credentials}"]
 
     own = CliRunner().invoke(export_command, words, catch_exceptions=False).output
-    other = CliRunner().invoke(export_command, [*words, "--person=bob"], catch_exceptions=False)
+    other = CliRunner().invoke(export_command, [*words, "--user=bob"], catch_exceptions=False)
 
-    assert f"{desk.papers}/person.{default_person()}:" in own
-    assert f"{desk.papers}/person.bob:" in other.output
+    assert f"{bundle.credentials}/user.{default_user()}:" in own
+    assert f"{bundle.credentials}/user.bob:" in other.output
 
 
 def test_a_graph_without_hosts_is_one_service(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, ALONE)
-    desk = Desk(tmp_path / "graph.yaml", tmp_path, "alice")
+    bundle = Bundle(tmp_path / "graph.yaml", tmp_path, "alice")
 
-    (service,) = YAML(typ="safe").load(compose(plan, desk))["services"].values()
+    (service,) = YAML(typ="safe").load(compose(plan, bundle))["services"].values()
     assert service["command"] == ["fovea", "run", "/etc/fovea/graph/graph.yaml"]
-    assert service["volumes"] == [f"{desk.graph}:/etc/fovea/graph/graph.yaml:ro"]
-    (unit,) = units(systemd(plan, desk))
-    assert shlex.split(unit["Service"]["ExecStart"])[1:] == ["run", str(desk.graph)]
-    config, deployment = YAML(typ="safe").load_all(k8s(plan, desk))
+    assert service["volumes"] == [f"{bundle.graph}:/etc/fovea/graph/graph.yaml:ro"]
+    (unit,) = units(systemd(plan, bundle))
+    assert shlex.split(unit["Service"]["ExecStart"])[1:] == ["run", str(bundle.graph)]
+    config, deployment = YAML(typ="safe").load_all(k8s(plan, bundle))
     root = tmp_path / "root"
     data = {config["metadata"]["name"]: config["data"]}
     words = mount(deployment["spec"]["template"]["spec"], root, {}, data)
     assert load(root / words[2].removeprefix("/")).name == "trio"
 
 
-def test_papers_and_agent_files_allow_what_the_graph_has_on_that_box_and_no_more(
+def test_credentials_and_agent_files_allow_what_the_graph_has_on_that_host_and_no_more(
     tmp_path: Path,
 ) -> None:
     folder = tmp_path / "authority"
@@ -234,39 +242,39 @@ def test_papers_and_agent_files_allow_what_the_graph_has_on_that_box_and_no_more
     lines = list(issue_for(folder, addresses, [plan_of(tmp_path)], ["alice"]))
 
     assert len(lines) == 4
-    box = read(folder / "box.compute" / "agent.yaml")
-    assert box.endpoint == "tls/10.0.0.2:7000"
-    assert set(box.file.operators) == {"tests.toys:Pass", "tests.toys:Pair", "tests.toys:Steer"}
-    assert set(box.file.operators) < set(ALLOWED)
-    assert box.holders == ("person.alice", "box.sensor", "box.viewer")
-    assert box.papers is not None
-    assert sorted(p.name for p in (folder / "box.compute" / "nodes").iterdir()) == [
+    host = read(folder / "host.compute" / "agent.yaml")
+    assert host.endpoint == "tls/10.0.0.2:7000"
+    assert set(host.file.operators) == {"tests.toys:Pass", "tests.toys:Pair", "tests.toys:Steer"}
+    assert set(host.file.operators) < set(ALLOWED)
+    assert host.identities == ("user.alice", "host.sensor", "host.viewer")
+    assert host.credentials is not None
+    assert sorted(p.name for p in (folder / "host.compute" / "nodes").iterdir()) == [
         "node.trio.pair", "node.trio.steer", "node.trio.work",
     ]  # fmt: skip
     assert (folder / "ca.key").stat().st_mode & 0o077 == 0
-    assert not list((folder / "box.compute").rglob("ca.key"))
+    assert not list((folder / "host.compute").rglob("ca.key"))
 
-    hosts = read_hosts((), folder / "person.alice", ["compute", "viewer"])
+    hosts = read_hosts((), folder / "user.alice", ["compute", "viewer"])
     assert hosts.points == {"compute": "tls/10.0.0.2:7000", "viewer": "tls/10.0.0.3:7447"}
     with pytest.raises(SettingsError, match="expected desk=ADDRESS"):
-        read_hosts((), folder / "person.alice", ["desk"])
+        read_hosts((), folder / "user.alice", ["desk"])
 
 
-def test_a_box_without_an_address_is_told_before_anything_is_made(tmp_path: Path) -> None:
-    with pytest.raises(RunError, match="expected --box viewer=ADDRESS, got none"):
+def test_a_host_without_an_address_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="expected --host viewer=ADDRESS, got none"):
         check_addressed(tmp_path, {"sensor": "a", "compute": "b"}, [plan_of(tmp_path)])
 
 
-def test_an_authority_is_made_once_and_papers_are_their_holders(tmp_path: Path) -> None:
+def test_an_authority_is_made_once_and_credentials_are_their_identity(tmp_path: Path) -> None:
     secure.create(tmp_path / "ca")
     with pytest.raises(RunError, match="without an authority"):
         secure.create(tmp_path / "ca")
 
-    papers = secure.issue(tmp_path / "own", tmp_path / "ca", "box.sensor")
-    assert papers.holder == "box.sensor"
-    papers.key.chmod(0o644)
+    credentials = secure.issue(tmp_path / "own", tmp_path / "ca", "host.sensor")
+    assert credentials.identity == "host.sensor"
+    credentials.key.chmod(0o644)
     with pytest.raises(SettingsError, match="only its owner can read"):
-        secure.Papers.of(papers.folder)
+        secure.Credentials.of(credentials.folder)
 
 
 @pytest.mark.parametrize(
@@ -277,9 +285,15 @@ def test_an_authority_is_made_once_and_papers_are_their_holders(tmp_path: Path) 
             r":2: address: 10\.0\.0\.1: a network address needs",
         ),
         ("label: ../x\n", r":1: label: expected up to 32 letters"),
+        ("label: a\nboxes: [b]\n", r":2: boxes: renamed; expected hosts$"),
+        ("label: a\npapers: .\n", r":2: papers: renamed; expected credentials$"),
+        ("label: a\npeople: [b]\n", r":2: people: renamed; expected users$"),
         ("label: a\nopertors: {}\n", r"no such setting, did you mean 'operators'"),
         ("label: a\noperators: {a:B: yes}\n", r"operators"),
-        ("label: a\npapers: .\naddress: h\nports: [9, 1]\n", r"ports: expected first and last"),
+        (
+            "label: a\ncredentials: .\naddress: h\nports: [9, 1]\n",
+            r"ports: expected first and last",
+        ),
     ],
 )
 def test_a_wrong_agents_file_is_refused_with_its_line(text: str, said: str, tmp_path: Path) -> None:

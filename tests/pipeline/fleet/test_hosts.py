@@ -1,4 +1,4 @@
-"""Three hosts, TLS between them: a graph runs, boxes are missed and come back, intruders fail."""
+"""Three hosts, TLS between them: a graph runs, hosts are missed and come back, intruders fail."""
 
 import json
 import signal
@@ -15,8 +15,8 @@ from bench.netns import permitted
 from pipeline import RunError
 from pipeline.bus.network import LEASE_MS
 from pipeline.fleet import secure
-from pipeline.fleet.names import person
-from tests.pipeline.fleet.boxes import TRIO
+from pipeline.fleet.names import user_identity
+from tests.pipeline.fleet.agents import TRIO
 from tests.toy_graphs import until
 
 pytestmark = pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here")
@@ -60,39 +60,39 @@ def edge(world: World, label: str, end: str) -> dict[str, Any]:
 def test_the_loop_closes_over_hosts_with_clocks_of_their_own(world: World) -> None:
     until(lambda: edge(world, "sensor", "capture.schedule")["account"]["delivered"] > 5)
 
-    boxes = {b["label"]: b for b in part(world, "sensor")["boxes"]}
-    error_ms = boxes["compute"]["clock_error_ms"]
+    hosts = {b["label"]: b for b in part(world, "sensor")["hosts"]}
+    error_ms = hosts["compute"]["clock_error_ms"]
     assert 0 < error_ms < 50
-    assert abs(boxes["compute"]["clock_ahead_ms"] - 1000 * AHEAD_S) <= error_ms
+    assert abs(hosts["compute"]["clock_ahead_ms"] - 1000 * AHEAD_S) <= error_ms
     read = edge(world, "compute", "pair.right")
     assert 0 < read["age_ms"]["p50"] < 5000  # and not a thousand seconds
     assert read["age_error_ms"] > 0
 
 
-def test_ps_shows_every_box_and_logs_come_from_the_box_that_has_them(world: World) -> None:
+def test_ps_shows_every_host_and_logs_come_from_the_host_that_has_them(world: World) -> None:
     shown = world.fovea("ps")
 
     assert all(label in shown for label in ("sensor", "viewer", "capture", "count"))
-    assert "boxes" in world.fovea("top", "trio", "--once")
+    assert "hosts" in world.fovea("top", "trio", "--once")
     assert world.fovea("logs", "count") is not None
     with pytest.raises(RunError, match="no log of a node cuont"):
         world.fovea("logs", "cuont")
 
 
-def test_a_lost_box_is_reported_before_its_links_end_and_its_nodes_come_back(world: World) -> None:
+def test_a_lost_host_is_reported_before_its_links_end_and_its_nodes_come_back(world: World) -> None:
     label, seer = "viewer", "sensor"
     since = len(world.log(seer).read_text())
 
     world.link(label, up=False)
     try:
-        missed_s = world.heard(seer, f"box {label} is lost", since)
+        missed_s = world.heard(seer, f"host {label} is lost", since)
         assert missed_s < LEASE_MS / 1000
         assert "no agent answers" in world.states()[label]
         assert node(world, "compute", "work")["condition"] in ("waiting", "busy")
     finally:
         world.link(label, up=True)
 
-    world.heard(seer, f"box {label} is back", since)
+    world.heard(seer, f"host {label} is back", since)
     before = node(world, label, "count")["handled"]
     try:
         until(lambda: node(world, label, "count")["handled"] > before + 10)
@@ -101,26 +101,26 @@ def test_a_lost_box_is_reported_before_its_links_end_and_its_nodes_come_back(wor
         raise AssertionError(f"{error}\n{world.states()}\n{logs}") from error
 
 
-def test_a_cable_that_is_out_for_long_silences_no_other_box(world: World) -> None:
+def test_a_cable_that_is_out_for_long_silences_no_other_host(world: World) -> None:
     label, seer = "viewer", "sensor"
     since = len(world.log(seer).read_text())
 
     world.link(label, up=False)
     try:
-        world.heard(seer, f"box {label} is lost", since)
+        world.heard(seer, f"host {label} is lost", since)
         time.sleep(LEASE_MS / 1000 + 2)  # the links have been given up by now
         earlier = node(world, "compute", "work")["handled"]
         until(lambda: node(world, "compute", "work")["handled"] > earlier + 10)
     finally:
         world.link(label, up=True)
-    world.heard(seer, f"box {label} is back", since)
+    world.heard(seer, f"host {label} is back", since)
     before = node(world, label, "count")["handled"]
     until(lambda: node(world, label, "count")["handled"] > before + 10)
 
     assert "compute is lost" not in " ".join(world.log(seer).read_text()[since:].split())
 
 
-def test_a_box_that_was_switched_off_goes_on_where_the_books_of_the_others_stand(
+def test_a_host_that_was_switched_off_goes_on_where_the_books_of_the_others_stand(
     world: World,
 ) -> None:
     before = edge(world, "viewer", "count.frame")["account"]["delivered"]
@@ -137,11 +137,11 @@ def test_a_box_that_was_switched_off_goes_on_where_the_books_of_the_others_stand
     assert account["offered"] >= account["delivered"] + account["lost_in_crash"]
 
 
-INTRUDERS = ("nobody", "a foreign authority", "a node of another place", "another box")
+INTRUDERS = ("nobody", "a foreign authority", "a node of another place", "another host")
 
 
-def papers_of(world: World, who: str, tmp_path: Path) -> str:
-    viewer = world.authority / "box.viewer"
+def credentials_of(world: World, who: str, tmp_path: Path) -> str:
+    viewer = world.authority / "host.viewer"
     if who == "nobody":
         return f"-{world.authority / 'ca.pem'}"
     if who == "a foreign authority":
@@ -159,7 +159,7 @@ def intrude(world: World, tmp_path: Path) -> dict[str, dict[str, Any]]:
     points = [f"{host}:{port}" for host in (sensor, compute) for port in (7447, 7500, 7501, 7502)]
     began = {}
     for who in INTRUDERS:
-        words = ("-m", "tests.pipeline.fleet.intruder", papers_of(world, who, tmp_path))
+        words = ("-m", "tests.pipeline.fleet.intruder", credentials_of(world, who, tmp_path))
         began[who] = world.start(DESK, *words, ",".join(points), "2")
     found = {}
     for who, popen in began.items():
@@ -175,10 +175,10 @@ def test_intruders_get_nothing_and_disturb_nothing(world: World, tmp_path: Path)
     for who, got in intrude(world, tmp_path).items():
         own = "fovea/trio/capture/context/bytes" if who == "a node of another place" else ""
         assert {key.split(" ")[1] for key in got["read"]} <= {own}, who  # what its edge gives it
-        mine = {key: said for key, said in got["answers"].items() if "/box.viewer/" in key}
+        mine = {key: said for key, said in got["answers"].items() if "/host.viewer/" in key}
         assert got["answers"].keys() == mine.keys(), who
-        assert all("box.viewer may not" in said for said in mine.values())
-        assert bool(mine) == (who == "another box")
+        assert all("host.viewer may not" in said for said in mine.values())
+        assert bool(mine) == (who == "another host")
         assert got["sent"] > 10, who
 
     commands = edge(world, "sensor", "capture.schedule")["account"]["delivered"]
@@ -193,7 +193,7 @@ def test_intruders_get_nothing_and_disturb_nothing(world: World, tmp_path: Path)
 SEEN = (("sensor", "capture.schedule"), ("compute", "work.frame"), ("viewer", "count.frame"))
 
 
-def test_what_a_box_refuses_starts_nothing_anywhere(world: World, tmp_path: Path) -> None:
+def test_what_a_host_refuses_starts_nothing_anywhere(world: World, tmp_path: Path) -> None:
     other = world.graph.with_name("other.yaml")
     other.write_text(
         TRIO.replace("name: trio", "name: other").replace("tests.toys:Steer", "tests.toys:Nosy")
@@ -208,14 +208,14 @@ def test_what_a_box_refuses_starts_nothing_anywhere(world: World, tmp_path: Path
 
 
 def deploy(world: World, graph: Path) -> str:
-    papers = str(world.authority / person("tester"))
-    return world.fovea("up", str(graph), "--papers", papers)
+    credentials = str(world.authority / user_identity("tester"))
+    return world.fovea("up", str(graph), "--credentials", credentials)
 
 
-def test_down_stops_the_graph_on_every_box_and_leaves_nothing(world: World) -> None:
+def test_down_stops_the_graph_on_every_host_and_leaves_nothing(world: World) -> None:
     assert "trio: down" in world.fovea("down", "trio")
 
-    left = [p for label in world.plan.hosts for p in world.home(label).rglob("*.door")]
+    left = [p for label in world.plan.hosts for p in world.home(label).rglob("*.recv")]
     assert left == []
     with pytest.raises(RunError, match="no graph trio was brought up from here"):
         world.fovea("down", "trio")

@@ -1,4 +1,4 @@
-"""Nodes are placed by label, and a box runs only what it allows: nothing by the wire's word."""
+"""Nodes are placed by label, and a host runs only what it allows: nothing by the wire's word."""
 
 import hashlib
 import json
@@ -12,14 +12,21 @@ import pytest
 from pipeline.bus.ledger import private_ledger
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
 from pipeline.fleet.access import edge_key, node_permits
-from pipeline.fleet.allow import MARK, Allowed, code_digest
+from pipeline.fleet.allow import DIGEST_PREFIX, Allowed, code_digest
 from pipeline.fleet.clock import DRIFT, Offset
-from pipeline.fleet.mirror import READ, WRITTEN, Mirror, adopt
-from pipeline.fleet.placement import check_labels, check_marks, inspect, listeners, marks, part_of
+from pipeline.fleet.placement import (
+    check_fingerprints,
+    check_labels,
+    fingerprints,
+    inspect,
+    listeners,
+    plan_for,
+)
+from pipeline.fleet.replication import READ, WRITTEN, Replication, adopt
 from pipeline.fleet.wire import Accounts, read_plan, write_plan
 from pipeline.graph.plan import Plan
-from pipeline.node.place import place_of
-from tests.pipeline.fleet.boxes import ALLOWED, TRIO, plan_of
+from pipeline.node.port_contract import contract_of
+from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
 
 
 def allowed(folder: Path, **weights: Path | None) -> Allowed:
@@ -31,12 +38,12 @@ def allowed(folder: Path, **weights: Path | None) -> Allowed:
     [
         (("host: viewer", "host: veiwer"), r":24: count\.host: no host veiwer, did you mean 'vi"),
         (("    host: viewer\n", ""), r"graph\.yaml:23: count\.host: expected a host, got none"),
-        (("hosts: [sensor, compute, viewer]\n", ""), r"no host sensor; the graph names its boxes"),
+        (("hosts: [sensor, compute, viewer]\n", ""), r"no host sensor; the graph names its hosts"),
         (("[sensor, compute, viewer]", "[sensor, ../viewer]"), r"hosts: expected up to 32 letters"),
         (("[sensor, compute, viewer]", "[sensor, sensor]"), r"different names"),
     ],
 )  # fmt: skip
-def test_a_label_that_no_box_has_is_refused(
+def test_a_label_that_no_host_has_is_refused(
     change: tuple[str, str], said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(GraphError, match=said):
@@ -52,12 +59,12 @@ def test_a_group_stays_on_one_host(tmp_path: Path) -> None:
 
 
 def test_a_label_without_an_agent_is_told(tmp_path: Path) -> None:
-    with pytest.raises(GraphError, match="no box viewer among the agents found"):
+    with pytest.raises(GraphError, match="no host viewer among the agents found"):
         check_labels(plan_of(tmp_path), {"sensor": 0, "compute": 0, "viewr": 0})
 
 
 def test_only_edges_between_hosts_carry_bytes(tmp_path: Path) -> None:
-    part = part_of(plan_of(tmp_path), "compute")
+    part = plan_for(plan_of(tmp_path), "compute")
 
     assert {e.end for e in part.edges if e.transport == "bytes"} == {
         "work.frame", "pair.right", "count.frame", "capture.schedule",
@@ -73,11 +80,11 @@ def test_a_plan_is_the_same_after_the_wire(tmp_path: Path) -> None:
 
 
 def test_a_node_lets_others_do_what_the_graph_says_and_nothing_else(tmp_path: Path) -> None:
-    part = part_of(plan_of(tmp_path), "sensor")
+    part = plan_for(plan_of(tmp_path), "sensor")
 
     permits = node_permits(part, "capture")
 
-    said = {(p.holder, p.key, p.inward, p.outward) for p in permits}
+    said = {(p.identity, p.key, p.inward, p.outward) for p in permits}
     context, roi, command = (edge_key(part, part.edges[i]) for i in (1, 3, 0))
     reads = (("declare_subscriber",), ("put",))
     assert said == {
@@ -108,7 +115,7 @@ def evil(plan: Plan, node: str, **changes: Any) -> Plan:
         ({"settings": {"sleep_s": "/etc/shadow"}}, "expected no path from outside"),
         ({"settings": {"sleep_s": {"deep": ["../x"]}}}, "expected no path from outside"),
         ({"settings": {"sleep_s": "subprocess:run"}}, "subprocess:run is not on the allow list"),
-        ({"settings": {"sleep_s": MARK + "0" * 64}}, "not on the allow list"),
+        ({"settings": {"sleep_s": DIGEST_PREFIX + "0" * 64}}, "not on the allow list"),
         ({"settings": {"hold": -1.5}}, r"work\.hold"),
         ({"index": 7}, "expected a node with a place of its own"),
         ({"settings": {"sleep_s": "new.rrd"}}, "expected no path from outside"),
@@ -118,7 +125,7 @@ def evil(plan: Plan, node: str, **changes: Any) -> Plan:
         ({"settings": {"sleep_s": nested(40)}}, "no more than 32 levels"),
     ],
 )
-def test_a_box_refuses_code_paths_and_names_that_it_does_not_know(
+def test_a_host_refuses_code_paths_and_names_that_it_does_not_know(
     changes: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     plan = evil(plan_of(tmp_path), "work", **changes)
@@ -135,12 +142,12 @@ def test_a_process_over_two_hosts_is_refused_by_both(tmp_path: Path) -> None:
             inspect(plan, label, allowed(tmp_path), {})
 
 
-def test_the_code_of_another_box_is_never_loaded_here(tmp_path: Path) -> None:
+def test_the_code_of_another_host_is_never_loaded_here(tmp_path: Path) -> None:
     sys.modules.pop("this", None)
     plan = evil(plan_of(tmp_path), "capture", operator="this:s")
 
     part = inspect(plan, "compute", allowed(tmp_path), {})
-    place_of(part, part.node("work"))
+    contract_of(part, part.node("work"))
 
     assert "this" not in sys.modules
 
@@ -199,21 +206,21 @@ def test_weights_are_taken_by_checksum_only(tmp_path: Path) -> None:
     data = b"a network"
     digest = hashlib.sha256(data).hexdigest()
     mine = allowed(tmp_path, **{digest: None})
-    assert mine.missing({"weights": MARK + digest}) == (digest,)
+    assert mine.missing({"weights": DIGEST_PREFIX + digest}) == (digest,)
 
     with pytest.raises(WeightsError, match="not on the allow list"):
         mine.keep(b"another")
     assert mine.keep(data) == digest
 
-    assert mine.localise({"weights": MARK + digest}, "x") == {
+    assert mine.localise({"weights": DIGEST_PREFIX + digest}, "x") == {
         "weights": str(tmp_path / "store" / digest)
     }
     (tmp_path / "store" / digest).write_bytes(b"changed")
     with pytest.raises(SettingsError, match="expected sha256"):
-        mine.localise(MARK + digest, "x")
+        mine.localise(DIGEST_PREFIX + digest, "x")
 
 
-def test_what_the_box_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> None:
+def test_what_the_host_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> None:
     plan = evil(plan_of(tmp_path), "work", settings={"hold": 3, "every": 2})
 
     part = inspect(plan, "compute", allowed(tmp_path), {"work": {"hold": 1}})
@@ -223,11 +230,11 @@ def test_what_the_box_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> N
 
 def test_another_schema_is_refused_with_both_sides(tmp_path: Path) -> None:
     plan = plan_of(tmp_path)
-    theirs = {**marks(plan), "capture.context": "00" * 8}
+    theirs = {**fingerprints(plan), "capture.context": "00" * 8}
 
     with pytest.raises(GraphError, match=r"capture\.context: expected messages of schema 0000"):
-        check_marks(part_of(plan, "compute"), "compute", theirs)
-    check_marks(part_of(plan, "compute"), "compute", marks(plan))
+        check_fingerprints(plan_for(plan, "compute"), "compute", theirs)
+    check_fingerprints(plan_for(plan, "compute"), "compute", fingerprints(plan))
 
 
 def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
@@ -249,11 +256,14 @@ def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
     assert later.error_ns > 5_000_000  # nobody has asked for a minute: crystals drift
 
 
-def test_each_box_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
-    sensor, viewer = (part_of(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
+def test_each_host_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
+    sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
     ledgers = [private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2)]
-    here, there = Mirror(sensor, ledgers[0], "viewer"), Mirror(viewer, ledgers[1], "sensor")
+    here, there = (
+        Replication(sensor, ledgers[0], "viewer"),
+        Replication(viewer, ledgers[1], "sensor"),
+    )
     ledgers[0].edges[edge].sent = 9
     ledgers[1].edges[edge].delivered, ledgers[1].edges[edge].seen = 7, 8
     ledgers[1].edges[edge].reader_epoch = 1
@@ -270,13 +280,13 @@ def test_each_box_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
     assert not ledgers[0].edges[edge].live  # a writer waits for no reader that is gone
 
 
-def test_a_box_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path) -> None:
-    sensor, viewer = (part_of(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
+def test_a_host_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path) -> None:
+    sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
     old.edges[edge].sent, old.edges[edge].seen, old.edges[edge].delivered = 20, 19, 18
 
-    adopt(sensor, fresh, [Mirror(viewer, old, "sensor").whole()])
+    adopt(sensor, fresh, [Replication(viewer, old, "sensor").whole()])
 
     assert fresh.edges[edge].sent == 20
     siblings = sensor.readers("capture", "context")
@@ -286,26 +296,26 @@ def test_a_box_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path
 def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) -> None:
     text = TRIO + "  near:\n    operator: tests.toys:Count\n    host: sensor\n"
     text += "    inputs: {frame: capture.context}\n"
-    sensor, viewer = (part_of(plan_of(tmp_path, text), name) for name in ("sensor", "viewer"))
+    sensor, viewer = (plan_for(plan_of(tmp_path, text), name) for name in ("sensor", "viewer"))
     old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
     far, near = (
         next(e.index for e in sensor.edges if e.end == end) for end in ("count.frame", "near.frame")
     )
     old.edges[far].sent = old.edges[far].seen = old.edges[far].delivered = 20
 
-    adopt(sensor, fresh, [Mirror(viewer, old, "sensor").whole()])
+    adopt(sensor, fresh, [Replication(viewer, old, "sensor").whole()])
 
     assert (fresh.edges[near].sent, fresh.edges[near].lost_in_crash) == (0, 0)
     assert fresh.edges[near].base == 20
 
 
-def test_a_box_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -> None:
-    plan = part_of(plan_of(tmp_path), "sensor")
+def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -> None:
+    plan = plan_for(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
     everything = {e.index: (99,) * len(WRITTEN) for e in plan.edges}
     halves = {e.index: (99,) * len(READ) for e in plan.edges}
 
-    Mirror(plan, ledger, "viewer").hear(Accounts(1, "", True, everything, halves))
+    Replication(plan, ledger, "viewer").hear(Accounts(1, "", True, everything, halves))
 
     for edge in plan.edges:
         account = ledger.edges[edge.index]
@@ -314,19 +324,19 @@ def test_a_box_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) ->
 
 
 def test_what_another_graph_of_that_name_counts_is_not_heard(tmp_path: Path) -> None:
-    plan = part_of(plan_of(tmp_path), "sensor")
+    plan = plan_for(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
-    theirs = Mirror(part_of(plan_of(tmp_path), "viewer"), ledger, "sensor", mark="old")
+    theirs = Replication(plan_for(plan_of(tmp_path), "viewer"), ledger, "sensor", fingerprint="old")
     mine = private_ledger(len(plan.edges), len(plan.nodes))
     edge = next(e.index for e in plan.edges if e.end == "count.frame")
     ledger.edges[edge].reader_epoch = 7
 
     told = theirs.tell(ready=True, anyway=True)
     assert told is not None
-    Mirror(plan, mine, "viewer", mark="new").hear(told)
+    Replication(plan, mine, "viewer", fingerprint="new").hear(told)
     assert mine.edges[edge].reader_epoch == 0
 
-    Mirror(plan, mine, "viewer", mark="old").hear(told)
+    Replication(plan, mine, "viewer", fingerprint="old").hear(told)
     assert mine.edges[edge].reader_epoch == 7
 
 

@@ -1,4 +1,4 @@
-"""Papers: made whole after an interruption, renewed before they end, and each of one holder."""
+"""Credentials: made whole after an interruption, renewed before they end, each of one identity."""
 
 import datetime
 from dataclasses import replace
@@ -11,51 +11,51 @@ from cryptography import x509
 from pipeline.errors import SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.commands import secure_commands
-from pipeline.fleet.names import node_holder
+from pipeline.fleet.names import node_identity
 from pipeline.naming import LONGEST_NAME
-from tests.pipeline.fleet.boxes import TRIO, plan_of
+from tests.pipeline.fleet.agents import TRIO, plan_of
 
 
-def ends(papers: secure.Papers) -> datetime.datetime:
-    return x509.load_pem_x509_certificate(papers.certificate.read_bytes()).not_valid_after_utc
+def ends(credentials: secure.Credentials) -> datetime.datetime:
+    return x509.load_pem_x509_certificate(credentials.certificate.read_bytes()).not_valid_after_utc
 
 
-def test_papers_that_end_soon_are_renewed_for_the_same_key_and_others_are_not(
+def test_credentials_that_end_soon_are_renewed_for_the_same_key_and_others_are_not(
     tmp_path: Path,
 ) -> None:
     secure.create(tmp_path)
-    soon = secure.issue(tmp_path / "box.a", tmp_path, "box.a", days=89)
-    inner = secure.issue(tmp_path / "box.a/nodes/node.g.n", tmp_path, "node.g.n", days=10)
-    late = secure.issue(tmp_path / "box.b", tmp_path, "box.b", days=91)
+    soon = secure.issue(tmp_path / "host.a", tmp_path, "host.a", days=89)
+    inner = secure.issue(tmp_path / "host.a/nodes/node.g.n", tmp_path, "node.g.n", days=10)
+    late = secure.issue(tmp_path / "host.b", tmp_path, "host.b", days=91)
     key, before = soon.key.read_bytes(), late.certificate.read_bytes()
 
-    words = ["add", str(tmp_path), "--person", "alice"]
+    words = ["add", str(tmp_path), "--user", "alice"]
     done = CliRunner().invoke(secure_commands, words, catch_exceptions=False)
 
     assert {line for line in done.output.splitlines() if "renewed for 825 days" in line} == {
-        line for line in done.output.splitlines() if "box.a" in line
+        line for line in done.output.splitlines() if "host.a" in line
     }
     wanted = datetime.datetime.now(datetime.UTC) + datetime.timedelta(days=800)
     assert ends(soon) > wanted
     assert ends(inner) > wanted
-    assert (soon.holder, soon.key.read_bytes()) == ("box.a", key)
+    assert (soon.identity, soon.key.read_bytes()) == ("host.a", key)
     assert late.certificate.read_bytes() == before
     assert not list(secure.renew(tmp_path))
 
 
 @pytest.mark.parametrize("lost", ["own.pem", "ca.pem", "own.key"])
-def test_papers_whose_making_was_interrupted_are_made_whole(lost: str, tmp_path: Path) -> None:
+def test_credentials_whose_making_was_interrupted_are_made_whole(lost: str, tmp_path: Path) -> None:
     secure.create(tmp_path)
-    own = secure.issue(tmp_path / "box.a", tmp_path, "box.a").folder
+    own = secure.issue(tmp_path / "host.a", tmp_path, "host.a").folder
     (own / lost).unlink()
     (own / f"{lost}.part").write_text("half of it")
 
-    papers = secure.issue(own, tmp_path, "box.a")
+    credentials = secure.issue(own, tmp_path, "host.a")
 
-    certificate = x509.load_pem_x509_certificate(papers.certificate.read_bytes())
-    authority = x509.load_pem_x509_certificate(papers.authority.read_bytes())
+    certificate = x509.load_pem_x509_certificate(credentials.certificate.read_bytes())
+    authority = x509.load_pem_x509_certificate(credentials.authority.read_bytes())
     certificate.verify_directly_issued_by(authority)
-    assert certificate.public_key() == secure._key(papers.key).public_key()
+    assert certificate.public_key() == secure._key(credentials.key).public_key()
 
 
 def test_an_authority_whose_making_was_interrupted_is_made_whole(tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_an_authority_whose_making_was_interrupted_is_made_whole(tmp_path: Path)
 
     secure.create(tmp_path)
 
-    assert secure.issue(tmp_path / "box.a", tmp_path, "box.a").holder == "box.a"
+    assert secure.issue(tmp_path / "host.a", tmp_path, "host.a").identity == "host.a"
 
 
 def test_a_name_that_no_certificate_can_bear_is_told_before_anything_is_made(
@@ -73,22 +73,22 @@ def test_a_name_that_no_certificate_can_bear_is_told_before_anything_is_made(
     graph, folder = tmp_path / "graph.yaml", tmp_path / "ca"
     text = TRIO.replace("name: trio", f"name: {'a' * LONGEST_NAME}")
     graph.write_text(text.replace("capture", "c" * LONGEST_NAME))
-    boxes = [f"--box={label}=h" for label in ("sensor", "compute", "viewer")]
+    hosts = [f"--host={label}=h" for label in ("sensor", "compute", "viewer")]
 
     with pytest.raises(SettingsError, match=r"expected a name of up to 64 characters, .* got 70"):
         CliRunner().invoke(
-            secure_commands, ["init", str(folder), *boxes, f"--graph={graph}"],
+            secure_commands, ["init", str(folder), *hosts, f"--graph={graph}"],
             catch_exceptions=False,
         )  # fmt: skip
 
     assert not folder.exists()
     with pytest.raises(SettingsError, match="up to 64 characters"):
-        secure.issue(tmp_path / "own", tmp_path, "person." + "x" * 58)
+        secure.issue(tmp_path / "own", tmp_path, "user." + "x" * 60)
 
 
-def test_the_parts_of_a_holder_cannot_run_into_one_another(tmp_path: Path) -> None:
+def test_the_parts_of_a_identity_cannot_run_into_one_another(tmp_path: Path) -> None:
     node = plan_of(tmp_path).nodes[0]
 
-    assert node_holder("a-b", replace(node, name="c")) == "node.a-b.c"
+    assert node_identity("a-b", replace(node, name="c")) == "node.a-b.c"
     with pytest.raises(SettingsError, match=r"name: expected up to 32 letters, .* got 'a\.b'"):
-        node_holder("a.b", node)
+        node_identity("a.b", node)

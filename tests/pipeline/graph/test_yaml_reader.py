@@ -161,7 +161,7 @@ def test_values_mean_what_yaml_1_2_says() -> None:
     ]  # fmt: skip
 
 
-def test_a_complaint_about_a_source_file_names_that_file(tmp_path: Path) -> None:
+def test_an_error_about_a_source_file_names_that_file(tmp_path: Path) -> None:
     graph = write(tmp_path, f"name: toy\n{CHAIN}")
     source = write(tmp_path, "\n\nsettings:\n  rate_hz: fast\n", "source.yaml")
 

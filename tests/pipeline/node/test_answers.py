@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pipeline import Frame, Operator, RunError, SettingsError
 from pipeline.codec import fingerprint
 from pipeline.commands import carry_out, commands_of, obey, read_outcome, write_order
-from pipeline.console.asking import ask_node, fleet_health, tell
+from pipeline.console.graph_client import ask_node, fleet_health, tell
 from pipeline.node.health import Health
 from pipeline.node.interface import SCHEMA, interface, read_interface
 from pipeline.run.supervisor import Supervisor
@@ -109,7 +109,7 @@ def test_a_running_graph_answers_every_question(tmp_path: Path) -> None:
         assert list(fleet) == ["ticker", "work", "pair", "steer"]
         for node, health in fleet.items():
             assert health is not None
-            assert (health.pid, health.complaint) == (supervisor.pid(node), "")
+            assert (health.pid, health.problem) == (supervisor.pid(node), "")
             assert health.handled > 0
             assert 0 < health.own_mb < 500
         assert held == [held[0], held[0] + 1]
@@ -130,11 +130,11 @@ def test_who_hangs_says_so_and_who_is_frozen_is_silent(tmp_path: Path) -> None:
         send_signal(supervisor, "steer", signal.SIGSTOP)
         fleet: dict[str, Health | None] = {}
 
-        def complains() -> bool:  # and the supervisor does not look after them
+        def has_problem() -> bool:  # and the supervisor does not look after them
             fleet.update(fleet_health(plan.name))
-            return bool(fleet["work"] and fleet["work"].complaint)
+            return bool(fleet["work"] and fleet["work"].problem)
 
-        until(complains)
+        until(has_problem)
         assert fleet["work"] is not None
-        assert "work has worked on frame" in fleet["work"].complaint
+        assert "work has worked on frame" in fleet["work"].problem
         assert fleet["steer"] is None

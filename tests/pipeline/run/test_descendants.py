@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.run.descendants import MARK, end_marked, marked, new_mark
+from pipeline.run.descendants import TAG_VARIABLE, end_tagged, new_tag, tagged
 from pipeline.run.leftovers import cleanup
 from pipeline.run.rundir import running
 from pipeline.run.supervisor import Supervisor
@@ -84,20 +84,20 @@ def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_ne
 
 
 def test_only_what_carries_the_mark_is_ended() -> None:
-    mark, other = new_mark("fovea-test-"), new_mark("fovea-test-")
-    marks = {"mine": mark, "other": other, "longer": f"x{mark}"}
+    tag, other = new_tag("fovea-test-"), new_tag("fovea-test-")
+    tags = {"mine": tag, "other": other, "longer": f"x{tag}"}
     started = {
-        name: subprocess.Popen(["sleep", "1000"], env={**os.environ, MARK: value})
-        for name, value in marks.items()
+        name: subprocess.Popen(["sleep", "1000"], env={**os.environ, TAG_VARIABLE: value})
+        for name, value in tags.items()
     }
     try:
-        until(lambda: list(marked(mark)) == [started["mine"].pid])
+        until(lambda: list(tagged(tag)) == [started["mine"].pid])
 
-        assert end_marked(mark) == 1
+        assert end_tagged(tag) == 1
 
         assert started["mine"].wait(10) == -signal.SIGKILL
         assert [started[name].poll() for name in ("other", "longer")] == [None, None]
-        assert end_marked("") == 0
+        assert end_tagged("") == 0
     finally:
         for process in started.values():
             process.kill()
@@ -105,11 +105,11 @@ def test_only_what_carries_the_mark_is_ended() -> None:
 
 
 def test_a_process_never_ends_itself() -> None:
-    words = "from pipeline.run.descendants import end_marked; print(end_marked('fovea-own-'))"
-    mark = new_mark("fovea-own-")
+    words = "from pipeline.run.descendants import end_tagged; print(end_tagged('fovea-own-'))"
+    tag = new_tag("fovea-own-")
 
     done = subprocess.run(
-        [sys.executable, "-c", words], env={**os.environ, MARK: mark},
+        [sys.executable, "-c", words], env={**os.environ, TAG_VARIABLE: tag},
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
 
@@ -124,11 +124,11 @@ def test_a_tick_never_waits_for_a_stopped_node_that_is_told_more_than_its_socket
 
     def during(supervisor: Supervisor) -> None:
         send_signal(supervisor, "unruly", signal.SIGSTOP)
-        child = supervisor.slots["unruly"].child
-        assert child is not None
+        handle = supervisor.processes["unruly"].handle
+        assert handle is not None
         for _ in range(20):
             began_s = time.monotonic()
-            child.order("replan", node="nobody", plan="x" * 1_000_000)
+            handle.order("replan", node="nobody", plan="x" * 1_000_000)
             supervisor.tick()
             longest.append(time.monotonic() - began_s)
         recovers(supervisor)

@@ -24,7 +24,7 @@ os.write(2, b"a library's own words\\n")
 IN_FULL_FOLDER = """
 import logging, signal, sys
 from pathlib import Path
-from pipeline.console.asking import tell
+from pipeline.console.graph_client import tell
 from pipeline.console.changing import ask
 from pipeline.graph.loader import load
 from tests.toy_graphs import (

@@ -16,19 +16,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline import FoveaError, Frame, MessageError, Operator, RunError, Source
-from pipeline.bus.doors import Doors
-from pipeline.bus.inbox import Marks
+from pipeline.bus.envelope_buffer import EdgeCut
+from pipeline.bus.inbox import InboxPosition
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import private_ledger
+from pipeline.bus.local_transport import LocalReceiver
 from pipeline.bus.outport import Arrival, OutPort
-from pipeline.bus.tape import EdgeCut
 from pipeline.codec import carried, dumps, loads, to_bytes, unpack
 from pipeline.contract import inputs_of, outputs_of
 from pipeline.graph.plan import load_operator
 from pipeline.messages import altered
-from pipeline.node.host import Host
+from pipeline.node.operator_runner import OperatorRunner
 from pipeline.node.shadow import Shadow
-from pipeline.node.source import SourceHost
+from pipeline.node.source import SourceRunner
 from pipeline.run.inline import InlineRunner
 from pipeline.testing import drive, header, picture
 from tests.pipeline.bus.test_outport import Wire
@@ -116,12 +116,12 @@ def frame(seq: int = 0) -> Frame:
 
 
 @contextmanager
-def host_of(folder: Path, cls: str, answer: str) -> Iterator[Host]:
-    """The host of an operator, without a graph around it."""
+def runner_of(folder: Path, cls: str, answer: str) -> Iterator[OperatorRunner]:
+    """The runner of an operator, without a graph around it."""
     operator: type[Operator[Any, Any]] = load_operator(f"tests.wrong_toys:{cls}")
     subject = operator(WrongSettings(answer=answer))
     subject.open()
-    ledger, doors = private_ledger(1, 1), Doors(folder / "wrong.door")
+    ledger, receiver = private_ledger(1, 1), LocalReceiver(folder / "wrong.recv")
     outs = {
         name: OutPort(message, Wire(), Wire(), Wire(), [], lambda _claim: None, 1)  # type: ignore[arg-type,return-value]
         for name, message in outputs_of(operator).items()
@@ -129,14 +129,14 @@ def host_of(folder: Path, cls: str, answer: str) -> Iterator[Host]:
     (name,) = inputs_of(operator)
     common: dict[str, Any] = {"lockstep": False, "epoch": 1}
     more = {"drained": lambda: True, "limit": 0} if issubclass(operator, Source) else {}
-    host = (SourceHost if more else Host)(
+    runner = (SourceRunner if more else OperatorRunner)(
         "wrong", subject, inputs_of(operator), {name: ledger.edges[0]}, outs, ledger.nodes[0],
-        doors, **common, **more,
+        receiver, **common, **more,
     )  # fmt: skip
     try:
-        yield host
+        yield runner
     finally:
-        doors.close()
+        receiver.close()
 
 
 def arrival() -> Arrival:
@@ -144,29 +144,29 @@ def arrival() -> Arrival:
 
 
 def by_a_host(folder: Path, cls: str, answer: str) -> None:
-    with host_of(folder, cls, answer) as host:
-        host.deliver("frame", arrival())
-        host.step()
+    with runner_of(folder, cls, answer) as runner:
+        runner.deliver("frame", arrival())
+        runner.step()
 
 
 def by_a_source_host(folder: Path, answer: str) -> None:
-    with host_of(folder, "Maker", answer) as host:
-        assert isinstance(host, SourceHost)
-        host._expose()
-        host.deliver("schedule", arrival())
-        work = host.next_work(0.0)
+    with runner_of(folder, "Maker", answer) as runner:
+        assert isinstance(runner, SourceRunner)
+        runner._expose()
+        runner.deliver("schedule", arrival())
+        work = runner.next_work(0.0)
         assert work is not None
-        host._accept(work)
+        runner._accept(work)
 
 
 def by_a_shadow(folder: Path, cls: str, answer: str) -> None:
-    with host_of(folder, cls, answer) as host:
-        account = host.edges["frame"]
-        host.ports["frame"] = InPort(
+    with runner_of(folder, cls, answer) as runner:
+        account = runner.edges["frame"]
+        runner.ports["frame"] = InPort(
             Frame, account, None, 1, lambda _: None, holding=True  # type: ignore[arg-type]
         )  # fmt: skip
         edges = {"frame": EdgeCut(0, [], 1)}
-        shadow = Shadow(host, Marks("", [], -1, {}), edges, queue.SimpleQueue(), 1)
+        shadow = Shadow(runner, InboxPosition("", [], -1, {}), edges, queue.SimpleQueue(), 1)
         shadow._deliver("frame")(arrival())
         shadow.step()
 

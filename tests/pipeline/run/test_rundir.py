@@ -40,7 +40,7 @@ def test_logs_of_last_week_stay_and_older_ones_go() -> None:
     assert not stale.exists()
 
 
-def test_who_sweeps_for_long_keeps_nobody_from_starting() -> None:
+def test_a_long_cleanup_keeps_no_graph_from_starting() -> None:
     folder = base() / f"test-{secrets.token_hex(3)}"
     RunFolder.claim(folder.name).release()
     lock = os.open(folder / "lock", os.O_RDWR)
@@ -63,15 +63,15 @@ def test_a_claim_that_breaks_leaves_the_name_free(monkeypatch: pytest.MonkeyPatc
     RunFolder.claim(name).release()
 
 
-@pytest.mark.parametrize("swept", [False, True])
-def test_who_looks_or_sweeps_keeps_nobody_from_starting(*, swept: bool) -> None:
+@pytest.mark.parametrize("cleaned", [False, True])
+def test_a_look_or_a_cleanup_keeps_no_graph_from_starting(*, cleaned: bool) -> None:
     folder = base() / f"test-{secrets.token_hex(3)}"
     RunFolder.claim(folder.name).release()
     lock = os.open(folder / "lock", os.O_RDWR)
-    fcntl.flock(lock, fcntl.LOCK_EX if swept else fcntl.LOCK_SH)
+    fcntl.flock(lock, fcntl.LOCK_EX if cleaned else fcntl.LOCK_SH)
 
     def let_go() -> None:
-        if swept:
+        if cleaned:
             shutil.rmtree(folder)
         os.close(lock)
 
@@ -84,7 +84,7 @@ def test_who_looks_or_sweeps_keeps_nobody_from_starting(*, swept: bool) -> None:
 
 def test_what_killed_nodes_leave_in_the_folder_is_removed_and_logs_are_not() -> None:
     owned = RunFolder.claim(f"test-{secrets.token_hex(3)}")
-    for name in ("a.1.sock", "a.1.sock.lock", "a.1.door", "a.live", "clocks", "a.log"):
+    for name in ("a.1.sock", "a.1.sock.lock", "a.1.recv", "a.live", "clocks", "a.log"):
         (owned.folder.path / name).touch()
 
     owned.release()

@@ -93,7 +93,9 @@ def test_a_reader_that_stands_still_on_a_lossless_edge_loses_nothing(tmp_path: P
         wait_for(supervisor, lambda: handled(supervisor, "count") > 0)
         pid = send_signal(supervisor, "count", signal.SIGSTOP)
         ask(plan.name, "ticker", {"rate_hz": 200})
-        until(lambda: account_of(supervisor, "count.frame").sent == frames)  # nobody is judged
+        until(
+            lambda: account_of(supervisor, "count.frame").sent == frames
+        )  # no process is replaced
         os.kill(pid, signal.SIGCONT)
 
     report = go(plan, frames, freeze)
@@ -364,7 +366,7 @@ def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
     assert_accounts_add_up(report)
 
 
-def test_a_killed_supervisor_takes_its_children_along_and_the_next_start_sweeps(
+def test_a_killed_supervisor_takes_its_nodes_along_and_the_next_start_cleans_up(
     tmp_path: Path,
 ) -> None:
     plan = plan_of(tmp_path, LOOP)

@@ -9,10 +9,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.aftermath import remains
+from bench.leftovers import leftover_files
 from pipeline import RunError
-from pipeline.run.child import NodeProcess, spawn
 from pipeline.run.memory_folder import path_of
+from pipeline.run.process_handle import NodeProcess, spawn
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from tests.toy_graphs import LOOP, plan_of
@@ -34,7 +34,7 @@ def test_too_few_descriptors_are_one_sentence(tmp_path: Path, most: int) -> None
     assert "Traceback" not in said
     assert "fovea: " in done.stderr
     folder = base() / name_of(graph)
-    assert not folder.exists() or remains(folder) == []
+    assert not folder.exists() or leftover_files(folder) == []
 
 
 @pytest.mark.parametrize("number", range(4))
@@ -49,7 +49,7 @@ def test_a_start_that_fails_half_way_leaves_nothing(
         started.append(spawn(*words, **more))  # type: ignore[arg-type]
         return started[-1]
 
-    monkeypatch.setattr("pipeline.run.crew.spawn", refuse)
+    monkeypatch.setattr("pipeline.run.process_manager.spawn", refuse)
     with Supervisor(plan) as supervisor:
         run_id = supervisor._run.run_id
         with pytest.raises(RunError, match="cannot be started: Resource temporarily unavailable"):
@@ -57,7 +57,7 @@ def test_a_start_that_fails_half_way_leaves_nothing(
 
     assert len(started) == number
     assert not any(psutil.pid_exists(process.pid) for process in started)
-    assert remains(base() / plan.name) == []
+    assert leftover_files(base() / plan.name) == []
     assert not path_of(run_id).exists()
 
 
@@ -70,7 +70,11 @@ def test_a_supervisor_that_cannot_come_up_holds_no_name_and_no_descriptor(
         raise OSError(24, "Too many open files")
 
     for _ in range(3):
-        for part in ("supervisor.Session", "crew.Exchange", "crew.Ledger.create"):
+        for part in (
+            "supervisor.Session",
+            "process_manager.Exchange",
+            "process_manager.Ledger.create",
+        ):
             with monkeypatch.context() as patch:
                 patch.setattr(f"pipeline.run.{part}", refuse)
                 with pytest.raises(OSError, match="Too many open files"):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.aftermath import remains
+from bench.leftovers import leftover_files
 from pipeline.run.memory_folder import path_of
 from pipeline.run.rundir import base, running
 from tests.toy_graphs import LOOP, ended, until
@@ -83,7 +83,7 @@ def nodes_of(name: str) -> list[int]:
 
 
 def assert_nothing_left(name: str, run_id: str, pids: list[int]) -> None:
-    assert remains(base() / name) == []
+    assert leftover_files(base() / name) == []
     assert not path_of(run_id).exists()
     until(lambda: all(ended(pid) for pid in pids))
 
@@ -137,7 +137,7 @@ def test_a_signal_while_the_command_comes_up_ends_it_without_a_word(
         ends(process, number)
 
     folder = base() / name_of(graph)
-    assert not folder.exists() or remains(folder) == []
+    assert not folder.exists() or leftover_files(folder) == []
 
 
 def answers_signals(pid: int) -> bool:
@@ -200,7 +200,7 @@ def test_a_signal_ends_a_command_that_looks(
             ends(looking, number)
 
         ends(process, signal.SIGTERM)
-    assert remains(base() / name) == []
+    assert leftover_files(base() / name) == []
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -243,7 +243,7 @@ def test_a_reader_that_leaves_ends_a_command_that_only_shows(tmp_path: Path) -> 
 
         assert (looking.returncode, err) == (1, "")
         ends(process, signal.SIGTERM)
-    assert remains(base() / name) == []
+    assert leftover_files(base() / name) == []
 
 
 def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path) -> None:

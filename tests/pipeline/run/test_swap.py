@@ -63,7 +63,7 @@ def swapping(results: Results, *orders: SwapOrder) -> Callable[[Supervisor], Non
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, orders[0].node) > 3)
         for count, order in enumerate(orders, len(results) + 1):
-            supervisor.desk.take(order, lambda answer: results.append(json.loads(answer)))
+            supervisor.control.take(order, lambda answer: results.append(json.loads(answer)))
             wait_for(supervisor, partial(lambda wanted: len(results) >= wanted, count))
         supervisor.finish()
 
@@ -109,8 +109,8 @@ def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_pat
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 0)
-        supervisor.desk.take(order("work", at=200), lambda a: results.append(json.loads(a)))
-        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_door != 0)
+        supervisor.control.take(order("work", at=200), lambda a: results.append(json.loads(a)))
+        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_receiver_epoch != 0)
         beside(supervisor, lambda: ask(plan.name, "ticker", {"rate_hz": 60}))
         wait_for(supervisor, lambda: bool(results))
         supervisor.finish()
@@ -176,9 +176,9 @@ def test_a_part_that_dies_while_its_successor_gets_ready_is_started_again(
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
-        supervisor.desk.take(slow, lambda a: results.append(json.loads(a)))
+        supervisor.control.take(slow, lambda a: results.append(json.loads(a)))
         account = account_of(supervisor, "work.frame")
-        wait_for(supervisor, lambda: supervisor.slots["work"].promised > account.reader_epoch)
+        wait_for(supervisor, lambda: supervisor.processes["work"].promised > account.reader_epoch)
         send_signal(supervisor, "work", signal.SIGKILL)
         wait_for(supervisor, lambda: bool(results))
         wait_for_progress(supervisor, "work")
@@ -197,7 +197,7 @@ def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         old = supervisor.pid("work")
-        supervisor.desk.take(
+        supervisor.control.take(
             order("work", probation=1_000_000), lambda a: results.append(json.loads(a))
         )
         wait_for(supervisor, lambda: supervisor.pid("work") != old)
@@ -242,9 +242,9 @@ def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> N
 def test_a_node_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
     with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
         with pytest.raises(RunError, match="no node wrk, did you mean 'work'"):
-            supervisor.desk.take(SwapOrder(node="wrk"), lambda _: None)
+            supervisor.control.take(SwapOrder(node="wrk"), lambda _: None)
         with pytest.raises(RunError, match="work: does not run just now"):
-            supervisor.desk.take(SwapOrder(node="work"), lambda _: None)
+            supervisor.control.take(SwapOrder(node="work"), lambda _: None)
 
 
 def test_joined_inputs_and_latest_edges_keep_their_accounts(tmp_path: Path) -> None:
@@ -308,9 +308,9 @@ def test_a_part_that_shall_never_restart_is_not_started_by_a_swap_that_failed(
         supervisor.start()
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         never = order("work", at=1 << 30)
-        supervisor.desk.take(never, lambda answer: results.append(json.loads(answer)))
+        supervisor.control.take(never, lambda answer: results.append(json.loads(answer)))
         account = account_of(supervisor, "work.frame")
-        wait_for(supervisor, lambda: account.next_door != 0)
+        wait_for(supervisor, lambda: account.next_receiver_epoch != 0)
         send_signal(supervisor, "work", signal.SIGKILL)
         wait_for(supervisor, lambda: bool(results) and supervisor.pid("work") == 0)
         made = account_of(supervisor, "work.frame").sent
@@ -354,7 +354,7 @@ def test_an_order_to_a_supervisor_that_is_killed_is_not_waited_for(tmp_path: Pat
         try:
             supervisor.stdout.readline()
             asked = pool.submit(tell, plan.name, SwapOrder(node="work", at=10**9))
-            until(lambda: asked.done() or any((base() / plan.name).glob("work.2.door")))
+            until(lambda: asked.done() or any((base() / plan.name).glob("work.2.recv")))
         finally:
             supervisor.kill()  # else leaving the context would wait for it for ever
         with pytest.raises(RunError, match="ended before that was done"):
@@ -366,7 +366,7 @@ def test_an_order_that_the_end_of_the_run_overtakes_is_answered(tmp_path: Path) 
 
     with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
         supervisor.start()
-        supervisor.desk.take(SwapOrder(node="work"), lambda a: results.append(json.loads(a)))
+        supervisor.control.take(SwapOrder(node="work"), lambda a: results.append(json.loads(a)))
         supervisor.tick()
 
     assert "the run ended before that was done" in results[0]["refused"]

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.run.descendants import marked
+from pipeline.run.descendants import tagged
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from tests.toy_graphs import assert_accounts_add_up, ended, go, handled, until, wait_for
@@ -18,7 +18,7 @@ def swap(supervisor: Supervisor, **changes: Any) -> list[dict[str, Any]]:
     answers: list[dict[str, Any]] = []
     wait_for(supervisor, lambda: handled(supervisor, "after") > 5, 60)
     order = SwapOrder(node="unruly", changes=changes, probation=5)
-    supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+    supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
     return answers
 
 
@@ -60,14 +60,16 @@ def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: P
         run_id = supervisor._run.run_id
         supervisor.start()
         answers = swap(supervisor, kind="slow_open")
-        slot = supervisor.slots["unruly"]
-        wait_for(supervisor, lambda: any(c is not slot.child for c in of(supervisor, "unruly")), 60)
+        managed = supervisor.processes["unruly"]
+        wait_for(
+            supervisor, lambda: any(c is not managed.handle for c in of(supervisor, "unruly")), 60
+        )
         supervisor.asked_to_end = lambda: 1
         supervisor.finish()
 
     assert answers == [{"refused": f"{plan.name}: the run ended before that was done"}]
-    assert list(marked(run_id)) == []
+    assert list(tagged(run_id)) == []
 
 
 def of(supervisor: Supervisor, process: str) -> list[Any]:
-    return [child for child in supervisor.children if child.name == process]
+    return [handle for handle in supervisor.handles if handle.name == process]

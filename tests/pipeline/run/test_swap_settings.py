@@ -71,8 +71,8 @@ def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         late = order("work", at=handled(supervisor, "work") + 300)
-        supervisor.desk.take(late, lambda answer: results.append(json.loads(answer)))
-        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_door != 0)
+        supervisor.control.take(late, lambda answer: results.append(json.loads(answer)))
+        wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_receiver_epoch != 0)
         beside(supervisor, tell_meanwhile)
         wait_for(supervisor, lambda: bool(results))
         results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
@@ -97,10 +97,10 @@ def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         beside(supervisor, lambda: ask(plan.name, "work", {"every": 2}))
-        supervisor.desk.take(order("work"), lambda answer: results.append(json.loads(answer)))
-        wait_for(supervisor, lambda: supervisor.desk.owns(supervisor.slots["hand"]))
+        supervisor.control.take(order("work"), lambda answer: results.append(json.loads(answer)))
+        wait_for(supervisor, lambda: supervisor.control.owns(supervisor.processes["hand"]))
         with monkeypatch.context() as patch:
-            patch.setattr("pipeline.run.crew.spawn", refuse)
+            patch.setattr("pipeline.run.process_manager.spawn", refuse)
             supervisor.spare.dismiss()
             wait_for(supervisor, lambda: bool(results))
         wait_for(supervisor, lambda: supervisor.pid("hand") != 0)

@@ -76,7 +76,7 @@ def test_a_consumer_is_added_and_removed_and_the_others_do_not_stutter(tmp_path:
             account = supervisor.ledger.edges[supervisor.plan.inputs("second")["frame"].index]
             lost.append(account.lost_in_crash)
             assert order(without_node, "second")["removed"] == ["second"]
-            assert "second" not in supervisor.slots
+            assert "second" not in supervisor.processes
 
     report = go(plan, 0, operating(plan, acts))
 
@@ -146,7 +146,7 @@ def test_an_addition_that_does_not_start_leaves_the_graph_as_it_was(tmp_path: Pa
     def acts(order: Order, supervisor: Supervisor) -> None:
         with pytest.raises(FoveaError, match="never meant to live"):
             order(with_nodes, addition(tmp_path, text))
-        assert "second" not in supervisor.slots
+        assert "second" not in supervisor.processes
         order(with_nodes, addition(tmp_path))
 
     report = go(plan, 0, operating(plan, acts))

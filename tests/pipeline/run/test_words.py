@@ -124,7 +124,7 @@ def test_a_state_that_cannot_be_had_costs_the_swap_alone(tmp_path: Path) -> None
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "after") > 5, 60)
         order = SwapOrder(node="unruly", probation=5)
-        supervisor.desk.take(order, lambda answer: answers.append(json.loads(answer)))
+        supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
         wait_for(supervisor, lambda: bool(answers), 60)
         supervisor.finish()
 

@@ -1,0 +1,1 @@
+"""Exports of a graph to engines other than our agents' own deployment."""

@@ -1,0 +1,94 @@
+"""What a graph needs in another engine: memory, credentials, the command that deploys it."""
+
+import json
+import math
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.compat import StringIO
+from ruamel.yaml.scalarstring import walk_tree
+
+from pipeline.bus.network import AGENT_PORT
+from pipeline.fleet.names import node_identity, user_identity
+from pipeline.fleet.placement import borders, place
+from pipeline.graph.plan import Plan, slots
+
+IMAGE = "fovea:latest"
+ETC = "/etc/fovea"  # credentials and agent.yaml of a host, as they are in its folder
+GRAPH = f"{ETC}/graph/graph.yaml"
+USER = f"{ETC}/user"
+STATE = "/tmp"  # what runs, for the next start of the agent, lies beside the run folders
+LARGEST_FRAME_MB = 64  # per slot, where nobody knows how big pictures will be
+SPARE_MB = 64
+AGENT = ("fovea", "agent", "--config", f"{ETC}/agent.yaml", "--state", f"{STATE}/state")
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """The files that an engine has to mount, and the user who deploys. Paths are absolute."""
+
+    graph: Path
+    credentials: Path  # folder by `fovea secure`
+    user: str
+
+    def host_folder(self, label: str) -> Path:
+        """The credentials and the agent.yaml of a host."""
+        return self.credentials / f"host.{label}"
+
+    @property
+    def own(self) -> Path:
+        """The credentials of who deploys."""
+        return self.credentials / user_identity(self.user)
+
+
+def memory_mb(plan: Plan, label: str) -> int:
+    """Shared memory that a host's frame pools may take, if every picture is the largest."""
+    outputs = {(e.source, e.output) for e in plan.edges if plan.node(e.source).host == label}
+    count = sum(slots(plan.readers(*output)) for output in outputs)
+    return SPARE_MB + math.ceil(count * LARGEST_FRAME_MB)
+
+
+def identities(plan: Plan, label: str) -> list[str]:
+    """The nodes of a host that have credentials: those with an edge to another one."""
+    crossing = borders(plan)
+    here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
+    return list(dict.fromkeys(node_identity(plan.name, node) for node in here))
+
+
+def run_words() -> list[str]:
+    """What a container runs for a graph without hosts."""
+    return ["fovea", "run", GRAPH]
+
+
+def up_words(plan: Plan) -> list[str]:
+    """What a container runs to deploy to hosts that their labels resolve to."""
+    hosts = ",".join(f"{label}={label}:{AGENT_PORT}" for label in plan.hosts)
+    return ["fovea", "up", GRAPH, "--credentials", USER, "--hosts", hosts, "--replace"]
+
+
+def credentials_words(plan: Plan, bundle: Bundle) -> list[str]:
+    """What makes credentials for hosts that are reached by their labels."""
+    hosts = [f"--host={label}={label}" for label in plan.hosts]
+    return ["fovea", "secure", "init", str(bundle.credentials), f"--graph={bundle.graph}", *hosts,
+            f"--user={bundle.user}"]  # fmt: skip
+
+
+def comments(*lines: str | Sequence[str]) -> Iterator[str]:
+    """Lines to be read first; of words, a command to be typed."""
+    for line in lines:
+        yield f"# {line if isinstance(line, str) else shlex.join(line)}\n"
+
+
+def to_yaml(document: Mapping[str, Any]) -> str:
+    """A document as a YAML file."""
+    yaml, text = YAML(), StringIO()
+    yaml.default_flow_style = False
+    yaml.width = 1000
+    plain = json.loads(json.dumps(document))
+    walk_tree(plain)  # a graph file reads as it does elsewhere
+    yaml.dump(plain, text)
+    return str(text.getvalue())

@@ -1,0 +1,65 @@
+"""`fovea export compose`: a service for every host of a graph, and one that deploys."""
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from pipeline.fleet.export.bundle import (
+    AGENT,
+    ETC,
+    GRAPH,
+    IMAGE,
+    STATE,
+    USER,
+    Bundle,
+    comments,
+    credentials_words,
+    memory_mb,
+    run_words,
+    to_yaml,
+    up_words,
+)
+from pipeline.graph.plan import Plan
+
+
+def compose(plan: Plan, bundle: Bundle) -> str:
+    """A compose file: a service per host with its own shared memory, and one that deploys."""
+    graph = f"{bundle.graph}:{GRAPH}:ro"
+    if not plan.hosts:
+        return to_yaml({"services": {plan.name: _service(plan, "", run_words(), graph)}})
+    services = {
+        label: {
+            **_service(
+                plan,
+                label,
+                AGENT,
+                f"{bundle.host_folder(label)}:{ETC}:ro",
+                f"state-{label}:{STATE}",
+            ),
+            "hostname": label,
+        }
+        for label in plan.hosts
+    }
+    services["deploy"] = {
+        **_common(),
+        "command": up_words(plan), "restart": "on-failure",
+        "volumes": [f"{bundle.own}:{USER}:ro", graph], "depends_on": list(plan.hosts),
+    }  # fmt: skip
+    states: dict[str, Any] = {f"state-{label}": {} for label in plan.hosts}
+    first = "".join(comments("before:", credentials_words(plan, bundle)))
+    return first + to_yaml({"services": services, "volumes": states})
+
+
+def _service(plan: Plan, label: str, command: Sequence[str], *volumes: str) -> dict[str, Any]:
+    return {
+        **_common(), "command": list(command), "restart": "always",
+        "shm_size": f"{memory_mb(plan, label)}mb", "volumes": list(volumes),
+    }  # fmt: skip
+
+
+def _common() -> dict[str, Any]:
+    """Keys are readable for their owner only, whom root without capabilities is not."""
+    return {
+        "image": IMAGE, "init": True, "user": f"{os.getuid()}:{os.getgid()}",
+        "cap_drop": ["ALL"], "security_opt": ["no-new-privileges:true"],
+    }  # fmt: skip

@@ -1,0 +1,181 @@
+"""A graph for Kubernetes: deployments, services and a job, and how their secrets are made.
+
+A secret holds no folders, so every identity has one of its own, and a projected volume lays them
+out as an agent expects them.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import GraphError
+from pipeline.fleet.export.bundle import (
+    AGENT,
+    ETC,
+    GRAPH,
+    IMAGE,
+    STATE,
+    USER,
+    Bundle,
+    comments,
+    credentials_words,
+    identities,
+    memory_mb,
+    run_words,
+    to_yaml,
+    up_words,
+)
+from pipeline.graph.plan import Plan
+
+_DNS = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")
+CREDENTIAL_FILES = ("ca.pem", "own.pem", "own.key")
+Mount = tuple[dict[str, Any], dict[str, Any]]  # a volume, and where a container mounts it
+
+
+def k8s(plan: Plan, bundle: Bundle) -> str:
+    """Manifests: per host a deployment of one pod and a headless service; a job that deploys."""
+    first, documents = manifests(plan, bundle)
+    return first + "---\n".join(to_yaml(document) for document in documents)
+
+
+def manifests(plan: Plan, bundle: Bundle) -> tuple[str, list[dict[str, Any]]]:
+    """What is to be typed before, and the documents; raises `GraphError` for a host's label."""
+    graph = _config(plan, bundle)
+    mounted = _volume(
+        "graph", {"configMap": {"name": graph["metadata"]["name"]}}, str(Path(GRAPH).parent)
+    )
+    if not plan.hosts:
+        pod = _pod(run_words(), [_memory(plan, ""), mounted])
+        return "", [graph, _deployment(_slug(plan.name), pod)]
+    documents = [graph]
+    for label in plan.hosts:
+        mounts = [_memory(plan, label), _credentials(plan, label), _state()]
+        pod = {"hostname": _checked(label), **_pod(AGENT, mounts)}
+        pod["nodeSelector"] = {"fovea/host": label}
+        documents += [_deployment(label, pod), _service(label)]
+    secret = {"secret": {"secretName": _own_secret(plan), "defaultMode": 0o400}}
+    pod = _pod(up_words(plan), [_volume("user", secret, USER), mounted])
+    documents.append(
+        {
+            "apiVersion": "batch/v1", "kind": "Job",
+            "metadata": {"name": f"fovea-up-{_slug(plan.name)}"},
+            "spec": {"template": {"spec": {**pod, "restartPolicy": "OnFailure"}}},
+        }
+    )  # fmt: skip
+    words = [credentials_words(plan, bundle), *_secrets(plan, bundle), *_machines(plan)]
+    return "".join(comments("before:", *words)), documents
+
+
+def _secrets(plan: Plan, bundle: Bundle) -> Iterator[Sequence[str]]:
+    folders = [(_own_secret(plan), bundle.own)]
+    for label in plan.hosts:
+        folders.append((_secret(label), bundle.host_folder(label)))
+        folders += [
+            (_secret(label, number), bundle.host_folder(label) / "nodes" / identity)
+            for number, identity in enumerate(identities(plan, label))
+        ]
+    for name, folder in folders:
+        yield "kubectl", "create", "secret", "generic", name, f"--from-file={folder}"
+
+
+def _machines(plan: Plan) -> Iterator[Sequence[str]]:
+    for label in plan.hosts:
+        yield "kubectl", "label", "node", f"MACHINE-OF-{label}", f"fovea/host={label}"
+
+
+def _credentials(plan: Plan, label: str) -> Mount:
+    sources: list[dict[str, Any]] = [{"secret": {"name": _secret(label)}}]
+    for number, identity in enumerate(identities(plan, label)):
+        items = [{"key": name, "path": f"nodes/{identity}/{name}"} for name in CREDENTIAL_FILES]
+        sources.append({"secret": {"name": _secret(label, number), "items": items}})
+    projected = {"projected": {"sources": sources, "defaultMode": 0o400}}
+    return _volume("credentials", projected, ETC)
+
+
+def _memory(plan: Plan, label: str) -> Mount:
+    limit = f"{memory_mb(plan, label)}Mi"
+    memory = {"emptyDir": {"medium": "Memory", "sizeLimit": limit}}
+    return _volume("shm", memory, "/dev/shm")
+
+
+def _state() -> Mount:
+    return _volume("state", {"emptyDir": {}}, STATE)
+
+
+def _volume(name: str, kind: dict[str, Any], folder: str) -> Mount:
+    return {"name": name, **kind}, {"name": name, "mountPath": folder}
+
+
+def _pod(command: Sequence[str], mounts: Sequence[Mount]) -> dict[str, Any]:
+    return {
+        "containers": [
+            {
+                "name": "fovea", "image": IMAGE, "command": list(command),
+                "volumeMounts": [mount for _, mount in mounts],
+                "securityContext": {
+                    # keys are readable for their owner only, and secrets are root's
+                    "runAsUser": 0,
+                    "allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]},
+                },
+            }
+        ],
+        "volumes": [volume for volume, _ in mounts],
+    }  # fmt: skip
+
+
+def _deployment(name: str, pod: dict[str, Any]) -> dict[str, Any]:
+    labels = {"app": "fovea", "host": name}
+    return {
+        "apiVersion": "apps/v1", "kind": "Deployment", "metadata": {"name": f"fovea-{name}"},
+        "spec": {
+            "replicas": 1,
+            "strategy": {"type": "Recreate"},  # a sensor has one owner
+            "selector": {"matchLabels": labels},
+            "template": {"metadata": {"labels": labels}, "spec": pod},
+        },
+    }  # fmt: skip
+
+
+def _service(label: str) -> dict[str, Any]:
+    return {
+        "apiVersion": "v1", "kind": "Service", "metadata": {"name": label},
+        "spec": {
+            "clusterIP": "None", "publishNotReadyAddresses": True,
+            "selector": {"app": "fovea", "host": label},
+        },
+    }  # fmt: skip
+
+
+def _config(plan: Plan, bundle: Bundle) -> dict[str, Any]:
+    return {
+        "apiVersion": "v1", "kind": "ConfigMap",
+        "metadata": {"name": f"fovea-{_slug(plan.name)}"},
+        "data": {Path(GRAPH).name: bundle.graph.read_text()},
+    }  # fmt: skip
+
+
+def _secret(label: str, number: int | None = None) -> str:
+    return f"fovea-{label}" if number is None else f"fovea-{label}.{number}"
+
+
+def _own_secret(plan: Plan) -> str:
+    return f"fovea-up-{_slug(plan.name)}"
+
+
+def _checked(label: str) -> str:
+    if not _DNS.fullmatch(label):
+        raise GraphError(
+            f"hosts: {label}: expected small letters, digits and -, a letter first, as services "
+            "of Kubernetes are named"
+        )
+    return label
+
+
+def _slug(name: str) -> str:
+    """A name as Kubernetes may have it.
+
+    >>> _slug("My_graph.2")
+    'my-graph-2'
+    """
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-") or "graph"

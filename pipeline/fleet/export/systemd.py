@@ -1,0 +1,92 @@
+"""`fovea export systemd`: the units of a graph's agents, and one that deploys."""
+
+import getpass
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.fleet.export.bundle import ETC, Bundle, comments
+from pipeline.graph.plan import Plan
+
+UNIT = """\
+[Unit]
+Description=fovea agent
+Wants=network-online.target
+After=network-online.target
+
+[Service]
+Type=exec
+ExecStart={command} agent --config {config}
+WorkingDirectory={folder}
+Restart=always
+RestartSec=1
+# its nodes are in the same group and end with it; what ran goes on at the next start
+KillMode=mixed
+TimeoutStopSec=30
+User={user}
+NoNewPrivileges=yes
+ProtectSystem=strict
+ProtectHome=read-only
+# run folders lie in /tmp, which has to be the one that `fovea ps` on this host looks into
+ReadWritePaths=/tmp /dev/shm {state}
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
+LimitNOFILE=65536
+LimitMEMLOCK=infinity
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def agent_unit(config: Path, state: Path, user: str = "fovea") -> str:
+    """The unit for an agent with that file, which keeps its state there."""
+    config = config.resolve()
+    command = Path(sys.executable).parent / "fovea"
+    return UNIT.format(
+        command=command, config=config, folder=config.parent, state=state.resolve(), user=user
+    )
+
+
+def systemd(plan: Plan, bundle: Bundle) -> str:
+    """Units: one per host, to be copied to it, and one that deploys from this one."""
+    if not plan.hosts:
+        return _titled(f"fovea-{plan.name}.service", _unit(["run", str(bundle.graph)], plan.name))
+    units = [
+        _titled(
+            f"{label}: fovea-agent.service; {bundle.host_folder(label)} is to be {ETC} there, of "
+            "the user fovea",
+            agent_unit(Path(f"{ETC}/agent.yaml"), Path(f"{ETC}/state")),
+        )
+        for label in plan.hosts
+    ]
+    deploy = ["up", str(bundle.graph), "--credentials", str(bundle.own), "--replace"]
+    unit = _unit(deploy, plan.name, once=True)
+    return "\n".join([*units, _titled(f"here: fovea-{plan.name}.service (once)", unit)])
+
+
+def _unit(words: Sequence[str], what: str, *, once: bool = False) -> str:
+    """A unit of whoever sits here, in the folder he works in: his operators may lie there."""
+    command = " ".join(map(_quoted, [str(Path(sys.executable).parent / "fovea"), *words]))
+    return (
+        f"[Unit]\nDescription=fovea {what}\nWants=network-online.target\n"
+        "After=network-online.target\n\n"
+        f"[Service]\nType={'oneshot' if once else 'exec'}\nExecStart={command}\n"
+        f"WorkingDirectory={str(Path.cwd()).replace('%', '%%')}\nUser={getpass.getuser()}\n"
+        f"Restart={'on-failure' if once else 'always'}\nRestartSec=2\n"
+        "KillMode=mixed\nTimeoutStopSec=30\nNoNewPrivileges=yes\nLimitNOFILE=65536\n\n"
+        "[Install]\nWantedBy=multi-user.target\n"
+    )
+
+
+def _quoted(word: str) -> str:
+    """A word as systemd reads it.
+
+    >>> _quoted("up"), _quoted("my graph.yaml"), _quoted("100%")
+    ('up', '"my graph.yaml"', '100%%')
+    """
+    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{word}"' if any(mark in word for mark in " '\"\t\\") else word
+
+
+def _titled(title: str, text: str) -> str:
+    return "".join(comments(title)) + text

@@ -1,0 +1,193 @@
+"""One host's part of a graph: a supervisor in a thread of its own, and its talk with others."""
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+from pipeline.bus.clocks import Clocks
+from pipeline.bus.network import Network
+from pipeline.errors import FoveaError, RunError
+from pipeline.fleet.peer import Peer
+from pipeline.fleet.replication import Replication, adopt
+from pipeline.fleet.wire import Accounts
+from pipeline.graph.plan import Plan
+from pipeline.node.wiring import CLOCKS
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.supervisor import Supervisor
+
+WAIT_FOR_OTHERS_S = 60.0  # then the source begins without them
+TELL_S = 0.004  # how often accounts are looked at: the credit of lossless edges goes with it
+ANYWAY_S = 0.25
+END_S = 20.0  # stopping takes as long as the slowest operator's close
+AGAIN_S = (1.0, 30.0)  # first and longest pause before a graph that worked once begins again
+STARTS_EPOCHS = 1000  # between two starts of a host, so that what an earlier one sent is told apart
+log = logging.getLogger(__name__)
+
+
+class HostedSupervisor(Supervisor):
+    """Runs the nodes that are here; its sources begin when the other hosts are ready too."""
+
+    def __init__(self, plan: Plan, folder: str, first_epoch: int) -> None:
+        super().__init__(plan, folder=folder, first_epoch=first_epoch)
+        self.peers: tuple[Peer, ...] = ()
+        self._since_s = time.monotonic()
+        try:
+            self.clocks = Clocks.create(self._run.folder.path / CLOCKS, plan.here, plan.hosts)
+        except OSError as error:
+            self.close()
+            raise RunError(f"{CLOCKS}: cannot be made: {error.strerror}") from error
+
+    @property
+    def ready(self) -> bool:
+        """Every process here has opened its operators."""
+        return all(managed.handle and managed.handle.ready for managed in self.processes.values())
+
+    def _may_go(self, managed: ManagedProcess) -> bool:
+        waited = time.monotonic() - self._since_s > WAIT_FOR_OTHERS_S
+        others = all(n.replication.other_ready or n.lost for n in self.peers)
+        return super()._may_go(managed) and (not managed.sources or waited or others)
+
+
+@dataclass
+class HostedGraph:
+    """This host's part of a graph, from start to end. Any thread may call `stop` and `end`."""
+
+    plan: Plan
+    fingerprint: str  # of the graph as it was asked for; hosts that run another do not replicate
+    networks: Mapping[str, Network]
+    hosts: Mapping[str, str]  # label -> end point of the agent
+    way: Network  # to those agents, without end points
+    begins: Callable[[], int]  # counts one more start, also beyond the end of the agent
+    phase: str = "starting"
+    failure: str = ""
+    supervisor: HostedSupervisor | None = None
+    peers: dict[str, Peer] = field(default_factory=dict)
+    _proven: bool = False  # it has worked once: then it tries again when it fails
+    _stop: threading.Event = field(default_factory=threading.Event)
+    _in_haste: bool = False
+    _thread: threading.Thread | None = None
+
+    @property
+    def folder(self) -> str:
+        """Its name among the graphs that run on this machine."""
+        return f"{self.plan.name}@{self.plan.here}"
+
+    @property
+    def alive(self) -> bool:
+        """It runs, begins, or will try again."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def begin(self) -> None:
+        """Run in a thread of its own."""
+        self._thread = threading.Thread(target=self._run, name=f"graph-{self.plan.name}")
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Let everything here come to its end."""
+        self._stop.set()
+
+    def hurry(self) -> None:
+        """Likewise, without waiting for any operator."""
+        self._in_haste = True
+        self.stop()
+
+    def end(self) -> None:
+        """Likewise, and wait for it; raises `RunError` when that takes too long."""
+        self.stop()
+        if self._thread is not None:
+            self._thread.join(END_S)
+            if self._thread.is_alive():
+                raise RunError(f"{self.plan.name}: did not end within {END_S:.0f} s")
+
+    def hear(self, label: str, accounts: Accounts) -> None:
+        """Another host tells of its accounts."""
+        if (peer := self.peers.get(label)) is not None:
+            peer.hear(accounts)
+
+    def fail(self, why: str) -> None:
+        """It does not run, for that reason."""
+        self.phase, self.failure = "failed", why
+        log.error("%s: %s", self.plan.name, why)
+
+    def _run(self) -> None:
+        pause_s = AGAIN_S[0]
+        while not self._stop.is_set():
+            self._run_once()
+            if not self._proven or self._stop.wait(pause_s):
+                return
+            pause_s = min(2 * pause_s, AGAIN_S[1])
+
+    def _run_once(self) -> None:
+        self.phase = "starting"
+        try:
+            starts = self.begins()
+            self._proven = self._proven or starts > 1
+            epochs = starts * STARTS_EPOCHS
+            supervisor = HostedSupervisor(self.plan, self.folder, epochs)
+            with supervisor:
+                self._keep(supervisor, starts)
+            self.phase = "stopped"
+        except FoveaError as error:
+            self.fail(str(error))
+        except Exception as error:
+            log.exception("%s: its supervisor broke", self.plan.name)
+            self.fail(f"{type(error).__name__}: {error}")
+        finally:
+            self.supervisor = None
+
+    def _keep(self, supervisor: HostedSupervisor, starts: int) -> None:
+        supervisor.networks = dict(self.networks)
+        supervisor.asked_to_end = lambda: self._stop.is_set() + self._in_haste
+        graph, done = self.plan.name, threading.Event()
+        self.peers = {}
+        telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
+        try:
+            for label, point in self.hosts.items():
+                replication = Replication(
+                    self.plan, supervisor.ledger, label, starts, self.fingerprint
+                )
+                way = replace(self.way, connect=(point,))
+                clock = supervisor.clocks.readings[label]
+                self.peers[label] = Peer(graph, self.plan.here, replication, clock, way)
+            supervisor.peers = tuple(self.peers.values())
+            if starts > 1:
+                told = [n.recall() for n in supervisor.peers]
+                mine = [t for t in told if t is not None and t.fingerprint == self.fingerprint]
+                adopt(self.plan, supervisor.ledger, mine)
+            self.supervisor = supervisor
+            for peer in supervisor.peers:
+                peer.begin()
+            telling.start()
+            self._supervise(supervisor)
+        finally:
+            done.set()
+            if telling.is_alive():
+                telling.join()
+            for peer in self.peers.values():
+                peer.close()
+
+    def _supervise(self, supervisor: HostedSupervisor) -> None:
+        supervisor.begin_all()
+        while not self._stop.is_set():
+            supervisor.tick()
+            broken = [n.broken for n in supervisor.peers if n.broken]
+            if supervisor.failure or broken:
+                raise RunError(supervisor.failure or broken[0])
+            if self.phase == "starting" and supervisor.all_going:
+                self.phase, self.failure, self._proven = "running", "", True
+                log.info("%s: %d processes run", self.plan.name, len(supervisor.processes))
+
+    def _tell(self, supervisor: HostedSupervisor, done: threading.Event) -> None:
+        anyway_s = 0.0
+        try:
+            while not done.wait(TELL_S):
+                now_s = time.monotonic()
+                anyway = now_s - anyway_s > ANYWAY_S
+                anyway_s = now_s if anyway else anyway_s
+                for peer in supervisor.peers:
+                    peer.tell(ready=supervisor.ready, anyway=anyway)
+        except Exception as error:
+            log.exception("%s: accounts are told no more", self.plan.name)
+            supervisor.failure = f"accounts are told no more: {type(error).__name__}: {error}"

@@ -1,0 +1,89 @@
+"""Makes the credentials and agent files for the hosts of some graphs, to be copied there."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from pipeline.errors import RunError
+from pipeline.fleet import secure
+from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
+from pipeline.fleet.names import host_identity, node_identity, user_identity
+from pipeline.fleet.placement import borders, place
+from pipeline.graph.plan import Plan
+
+
+def issue_for(
+    folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan], users: Sequence[str]
+) -> Iterator[str]:
+    """Make what is missing, a line for each."""
+    labels = _labels(addresses, plans)
+    for name in users:
+        own = folder / user_identity(name)
+        secure.issue(own, folder, user_identity(name))
+        note = own / secure.ADDRESSES
+        before = json.loads(note.read_text()) if note.exists() else {}
+        note.write_text(json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
+        yield f"{folder / user_identity(name)}: credentials of {name}, who may deploy"
+    for label in labels:
+        own = folder / host_identity(label)
+        secure.issue(own, folder, host_identity(label))
+        for plan in plans:
+            for identity in _identities(plan, label):
+                secure.issue(own / "nodes" / identity, folder, identity)
+        path = _agent_file(folder, label)
+        if path.exists():
+            yield f"{own}: credentials of host {label}; its agent.yaml stays as it was"
+            continue
+        others = [other for other in labels if other != label]
+        path.write_text(agent_yaml(label, addresses[label], users, others, plans))
+        yield f"{own}: credentials and agent.yaml of host {label}, which allows what graphs need"
+
+
+def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
+    """Raise `RunError` for a host that is new and has no address."""
+    for label in _labels(addresses, plans):
+        if not addresses.get(label) and not _agent_file(folder, label).exists():
+            raise RunError(f"{label}: expected --host {label}=ADDRESS, got none")
+
+
+def agent_yaml(
+    label: str, address: str, users: Sequence[str], others: Sequence[str], plans: Sequence[Plan]
+) -> str:
+    """An agent's file that allows what the graphs have on that host, as it is installed here."""
+    nodes = [node for plan in plans for node in plan.nodes if node.host == label]
+    code = {
+        path: code_digest(path) for node in nodes for path in code_of(node.operator, node.settings)
+    }
+    files = {
+        Path(p) for node in nodes for p in strings(node.settings, is_path) if Path(p).is_file()
+    }
+    lines = [
+        f"label: {label}",
+        f"address: {json.dumps(address)}" if address else "",
+        "credentials: ." if address else "",
+        "state: state # what runs here and the weights it was sent, kept over a restart",
+        f"users: {json.dumps(list(users))}",
+        f"hosts: {json.dumps(list(others))}",
+        "operators: # what may run here, each with the checksum of its files, or: any",
+        *(f"  {path}: {digest}" for path, digest in sorted(code.items())),
+        "weights: # checksum: file on this host, or empty where `fovea up` may send it",
+        *(f'  {file_digest(file)}: "" # {file.name}' for file in sorted(files)),
+    ]
+    text = "\n".join(line for line in lines if line) + "\n"
+    for name, known in (("operators", code), ("weights", files)):
+        text = text if known else text.replace(f"{name}: #", f"{name}: {{}} #")
+    return text
+
+
+def _labels(addresses: Mapping[str, str], plans: Sequence[Plan]) -> list[str]:
+    return list(dict.fromkeys([*addresses, *(host for plan in plans for host in plan.hosts)]))
+
+
+def _agent_file(folder: Path, label: str) -> Path:
+    return folder / host_identity(label) / "agent.yaml"
+
+
+def _identities(plan: Plan, label: str) -> list[str]:
+    crossing = borders(plan)
+    here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
+    return list(dict.fromkeys(node_identity(plan.name, node) for node in here))

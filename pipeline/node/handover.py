@@ -1,0 +1,311 @@
+"""Hands a running node from one process to another: one stops, the other goes on from there.
+
+The successor stands by with a receiver of its own: writers send to both, it keeps what comes.
+Between two calls of handlers the old part stops reading, writes its state to shared memory and
+tells the successor how far it came on every edge; the successor takes what was not finished and
+what came since. The old part keeps receiving until its successor has proven itself, and can resume.
+"""
+
+import logging
+import queue
+import re
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import msgspec
+
+from pipeline import codec
+from pipeline.bus.envelope_buffer import DropCounts, EdgeCut
+from pipeline.bus.inbox import InboxPosition
+from pipeline.bus.ledger import NodeAccount, private_ledger
+from pipeline.bus.local_transport import LocalReceiver, connect
+from pipeline.errors import FoveaError, MessageError, RunError
+from pipeline.node.operator_runner import OperatorRunner
+from pipeline.node.operator_state import UndeclaredState, class_of, lost_words, restore
+from pipeline.node.shadow import Heard, Shadow
+from pipeline.private_folder import PrivateFolder
+from pipeline.text import error_text
+
+HANDOVER_CHANNEL = 0xFFFFFFFF  # the "edge" on which a successor gets the state
+REST_S = 0.005
+MOST_STATE_BYTES = 1 << 30
+MARGIN = 64  # descriptors kept beyond what the other instance can have waiting
+Say = Callable[..., None]
+Listen = Callable[[Heard], Callable[[], None]]  # to the working part's outputs; how to stop
+log = logging.getLogger(__name__)
+
+
+class HandoverState(msgspec.Struct, forbid_unknown_fields=True):
+    """What the predecessor hands to its successor."""
+
+    edges: dict[str, EdgeCut]  # by input
+    position: InboxPosition
+    stopped_ns: int  # monotonic
+    state: str  # file in the memory folder, "" for none
+    shadow: int = 0  # frames to try before; the other works on
+    operator: str = ""  # class of the one that stopped, module:Class
+    forgotten: list[str] = []  # its attributes that changed while it ran, when it tells no state
+
+
+_READ = msgspec.msgpack.Decoder(HandoverState)
+
+
+class Cut(msgspec.Struct, forbid_unknown_fields=True):
+    """The order to stop: at frame `at` or later, once everything the successor lacks is done."""
+
+    receiver: str  # of the successor
+    heard: dict[str, int]  # by input: it lacks what came up to this ordinal
+    at: int = 0
+    shadow: int = 0  # frames: do not stop, only say how far it is
+
+
+class Takeover(NamedTuple):
+    """The counts when an instance took over."""
+
+    answered: int  # sets of joined inputs
+    dropped: dict[str, int]  # by input
+    stopped_ns: int  # when the other one stopped, monotonic
+
+
+class Queryables(Protocol):
+    """The node's answers to questions, which only the instance that works may give."""
+
+    def declare(self) -> None:
+        """Answer from now on."""
+        ...
+
+    def undeclare(self) -> None:
+        """Answer no more."""
+        ...
+
+
+class Handover:
+    """One instance's side. Everything happens on the thread that calls its handlers."""
+
+    def __init__(
+        self, runner: OperatorRunner, *, memory: PrivateFolder, say: Say, queryables: Queryables,
+        listen: Listen, standby: bool,
+    ) -> None:  # fmt: skip
+        self._runner, self._memory = runner, memory
+        self._say, self._queryables, self._listen = say, queryables, listen
+        self._shadow: Shadow | None = None
+        self._unlisten: Callable[[], None] = lambda: None
+        self._account = runner.account
+        self.inactive = self._standby = standby
+        self._told = False
+        self._requested: Cut | None = None
+        self._before: dict[str, DropCounts] = {}
+        self._received = b""
+        self._first: Takeover | None = None  # its first answer is awaited
+        self._undeclared = UndeclaredState(runner.operator)
+        if standby:
+            runner.account = _nowhere()
+
+    def stand_by(self, receiver: LocalReceiver) -> None:
+        """Keep what comes, for a moment; take over when the state has come."""
+        ports = self._runner.ports
+        for name, port in ports.items():
+            seen = self._runner.edges[name].seen
+            if port.buffer is not None:
+                back = self._runner.inbox.capacity + MARGIN if self._standby else 0
+                port.buffer.trim(seen - back)
+        if not self._standby:
+            for out in self._runner.outs.values():
+                out.let_go()
+        elif not self._told and all(
+            p.buffer and p.buffer.complete_after is not None for p in ports.values()
+        ):
+            self._told = True
+            heard = {
+                name: port.buffer.complete_after for name, port in ports.items() if port.buffer
+            }
+            self._say("standing", node=self._runner.name, heard=heard)
+        receiver.wait(REST_S)
+        if self._shadow is not None:
+            self._try(self._shadow)
+        if self._received:
+            handover, self._received = _READ.decode(self._received), b""
+            if handover.shadow:
+                self._begin_trial(handover)
+            else:
+                self._take_over(handover)
+
+    def receive(self, handover: bytes) -> None:
+        """Note that it is this instance's turn."""
+        self._received = handover
+
+    def request(self, cut: Cut | None) -> None:
+        """Stop as soon as may be; with None, go on after all."""
+        self._requested = cut
+
+    def poll(self) -> None:
+        """Between two calls of handlers."""
+        ports = self._runner.ports
+        if self._first is not None and self._runner.answered > self._first.answered:
+            first, self._first = self._first, None
+            left_out = {name: port.dropped - first.dropped[name] for name, port in ports.items()}
+            answered_ms = (time.monotonic_ns() - first.stopped_ns) / 1e6
+            self._say(
+                "answered", node=self._runner.name, left_out=left_out, answered_ms=answered_ms
+            )
+        if self._requested is not None and self._may_stop(self._requested):
+            cut, self._requested = self._requested, None
+            try:
+                self._stop(cut)
+            except (FoveaError, OSError) as error:
+                if self.inactive:
+                    self.resume(self._runner.epoch)
+                self._say("uncut", node=self._runner.name, reason=str(error))
+
+    def resume(self, epoch: int) -> None:
+        """Go on after all, after what the successor has finished."""
+        if not self.inactive:
+            return
+        runner = self._runner
+        self._begin(epoch)
+        done = {name: p.resume(epoch, self._before[name]) for name, p in runner.ports.items()}
+        runner.inbox.forget(lambda name, ordinal: done[name](ordinal))
+        for port in runner.ports.values():
+            port.replay()
+        self._activate()
+        self._say("resumed", node=runner.name)
+
+    def confirm(self) -> None:
+        """The other instance is not needed any more."""
+        for port in self._runner.ports.values():
+            port.confirm()
+
+    def _may_stop(self, cut: Cut) -> bool:
+        if self._account.last_seq + 1 < cut.at:
+            return False
+        ports = self._runner.ports
+        return all(ports[name].finished_up_to(heard) for name, heard in cut.heard.items())
+
+    def _stop(self, cut: Cut) -> None:
+        runner = self._runner
+        state = self._write_state()
+        link = connect(HANDOVER_CHANNEL, Path(cut.receiver))
+        if link is None:
+            raise RunError("the successor has closed its receiver")
+        if cut.shadow:
+            with link:
+                edges = {name: port.here() for name, port in runner.ports.items()}
+                handover = HandoverState(
+                    edges, runner.inbox.position(), 0, state, cut.shadow, class_of(runner.operator)
+                )
+                link.send(msgspec.msgpack.encode(handover))
+            return
+        self._before = {name: DropCounts(account) for name, account in runner.edges.items()}
+        position = runner.inbox.position()
+        forgotten = self._undeclared.names()
+        edges = {name: port.cut() for name, port in runner.ports.items()}
+        self.inactive, runner.account = True, _nowhere()
+        with link:
+            for out in runner.outs.values():
+                out.let_go()
+            handover = HandoverState(
+                edges, position, time.monotonic_ns(), state, 0, class_of(runner.operator), forgotten
+            )
+            link.send(msgspec.msgpack.encode(handover))
+        self._say("cut", node=runner.name, seq=int(self._account.last_seq))
+        self._queryables.undeclare()
+
+    def _take_over(self, handover: HandoverState) -> None:
+        runner = self._runner
+        self._end_trial()
+        for name, port in runner.ports.items():
+            if port.buffer is None or port.buffer.incomplete:
+                raise RunError(f"{runner.name}: the successor fell behind on {name}")
+        state = self._read_state(handover)
+        same = handover.operator == class_of(runner.operator)
+        forgotten = handover.forgotten if same else []
+        if forgotten:
+            log.warning("%s: %s", runner.name, lost_words(forgotten))
+        runner.inbox.go_on_from(handover.position)
+        self._begin(runner.epoch)
+        dropped = {name: port.dropped for name, port in runner.ports.items()}
+        self._first = Takeover(runner.answered, dropped, handover.stopped_ns)
+        for name, port in runner.ports.items():
+            port.take_over(handover.edges[name])
+        gap_ms = (time.monotonic_ns() - handover.stopped_ns) / 1e6
+        self._say(
+            "taken", node=runner.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state,
+            forgotten=forgotten,
+        )  # fmt: skip
+        self._activate()
+
+    def _begin_trial(self, handover: HandoverState) -> None:
+        """Answer the same frames as the working part, and send nothing."""
+        heard: Heard = queue.SimpleQueue()
+        self._read_state(handover)
+        self._unlisten = self._listen(heard)
+        self._shadow = Shadow(
+            self._runner, handover.position, handover.edges, heard, handover.shadow
+        )
+
+    def _try(self, shadow: Shadow) -> None:
+        shadow.step()
+        if shadow.done:
+            self._end_trial()
+
+    def _end_trial(self) -> None:
+        if self._shadow is not None:
+            self._say("shadowed", node=self._runner.name, **self._shadow.end())
+            self._unlisten()
+            self._shadow = None
+
+    def _begin(self, epoch: int) -> None:
+        runner = self._runner
+        runner.epoch, runner.account = epoch, self._account
+        runner.account.epoch = epoch
+        runner.alive("waiting")
+        for out in runner.outs.values():
+            out.begin(epoch)
+
+    def _activate(self) -> None:
+        self.inactive = self._standby = False
+        self._queryables.declare()
+
+    def _write_state(self) -> str:
+        try:
+            state = self._runner.operator.state()
+        except Exception as error:  # the part works on: only the swap comes to nothing
+            raise RunError(f"its state cannot be had: {error_text(error)}") from error
+        if state is None:
+            return ""
+        name = f"{self._runner.name}.{self._runner.epoch}.state"
+        try:
+            data = codec.dumps(state)
+        except MessageError as error:
+            raise RunError(f"its state cannot be written: {error}") from error
+        self._memory.write(name, data)
+        return name
+
+    def _read_state(self, handover: HandoverState) -> str:
+        """Give the operator its predecessor's state; what came of it, in words."""
+        name, operator = handover.state, self._runner.operator
+        if not name:
+            return "none"
+        if not re.fullmatch(rf"{re.escape(self._runner.name)}\.\d+\.state", name):
+            raise MessageError(f"{self._runner.name}: the state lies in a file that is not its own")
+        try:
+            data = self._memory.read(name, MOST_STATE_BYTES)
+            return restore(operator, data, must=handover.operator == class_of(operator))
+        except FoveaError as error:
+            raise RunError(f"{self._runner.name}: {error}") from error
+        except OSError as error:
+            raise RunError(f"{self._runner.name}: the state cannot be read: {error}") from error
+        finally:
+            self._memory.remove(name)
+
+
+def read_cut(order: Mapping[str, object]) -> Cut:
+    """The order as it came; raises `MessageError`."""
+    return codec.parse(lambda o: msgspec.convert(o, Cut), order, "not an order to stop")  # type: ignore[arg-type]
+
+
+def _nowhere() -> NodeAccount:
+    """The account of an instance that does not work."""
+    return private_ledger(0, 1).nodes[0]

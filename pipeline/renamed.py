@@ -1,0 +1,17 @@
+"""Options that have another name now: the old one is refused in a sentence that gives the new."""
+
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+
+def renamed_option(old: str, new: str, *, flag: bool = False) -> Callable[..., Any]:
+    """A hidden option of a command that raises `click.UsageError` when it is given."""
+
+    def refuse(_context: click.Context, _option: click.Parameter, given: object) -> None:
+        if given:
+            raise click.UsageError(f"{old}: renamed; expected {new}")
+
+    more: dict[str, Any] = {"is_flag": True} if flag else {"multiple": True}
+    return click.option(old, hidden=True, expose_value=False, callback=refuse, **more)

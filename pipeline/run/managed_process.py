@@ -1,0 +1,69 @@
+"""A process of a plan as its supervisor keeps it: its nodes and its present handle."""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from pipeline.graph.plan import Node
+from pipeline.run.process_handle import ProcessHandle, Sample
+
+EARLY_SAMPLES, LATE_SAMPLES = 120, 600  # about one a second
+
+
+class Samples:
+    """The first samples of a process and the newest ones: a run may last for months.
+
+    >>> samples = Samples()
+    >>> for second in range(5000):
+    ...     samples.append(Sample(second, 0, 50))
+    >>> len(list(samples)), samples[-1].at_s, [s.at_s for s in samples][119:121]
+    (720, 4999, [119, 4400])
+    """
+
+    def __init__(self) -> None:
+        self._early: list[Sample] = []
+        self._late: deque[Sample] = deque(maxlen=LATE_SAMPLES)
+
+    def append(self, sample: Sample) -> None:
+        """Add the newest."""
+        (self._early if len(self._early) < EARLY_SAMPLES else self._late).append(sample)
+
+    def __len__(self) -> int:
+        return len(self._early) + len(self._late)
+
+    def __getitem__(self, index: int) -> Sample:
+        return list(self)[index] if index != -1 else (self._late or self._early)[-1]
+
+    def __iter__(self) -> Iterator[Sample]:
+        yield from self._early
+        yield from self._late
+
+    def __reversed__(self) -> Iterator[Sample]:
+        yield from reversed(self._late)
+        yield from reversed(self._early)
+
+
+@dataclass
+class ManagedProcess:
+    """A process of the plan and its present incarnation."""
+
+    name: str
+    nodes: tuple[Node, ...]
+    handle: ProcessHandle | None = None
+    epoch: int = 0
+    promised: int = 0  # the newest epoch that was given to anybody, who stands by included
+    next_start_s: float = 0.0
+    going_since_s: float = 0.0
+    last_words: str = ""  # why it ended, the last time that it was known
+    quick_deaths: int = 0  # in a row, each before it had run for a while
+    deaths: deque[float] = field(default_factory=lambda: deque(maxlen=64))
+    samples: Samples = field(default_factory=Samples)
+    sources: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        self.promised = self.epoch
+
+    def promise(self) -> int:
+        """The epoch of another incarnation: nobody had it, nobody will."""
+        self.promised = max(self.promised, self.epoch) + 1
+        return self.promised

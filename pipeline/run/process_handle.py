@@ -1,0 +1,244 @@
+"""One node process as its supervisor holds it: started, spoken to, listened to, ended."""
+
+import contextlib
+import json
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from pipeline.node.wiring import ASIDE, Assignment
+from pipeline.once import adapter
+from pipeline.run.channel import Channel, Exchange
+from pipeline.run.descendants import TAG_VARIABLE, end_group, end_tagged, new_tag
+
+# numeric libraries would start a thread per core in every process
+_THREAD_LIMITS = (
+    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM",
+)  # fmt: skip
+PAUSE_S = 0.003  # between two looks whether a process has ended
+KILLED_S = 1.0  # a killed process that takes longer hangs in the kernel
+MOST_SPARE_LOG = 1 << 20  # bytes of what processes print before they have a log of their own
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What the process used at one moment."""
+
+    at_s: float
+    cpu_s: float
+    rss_mb: float
+    own_mb: float = 0.0  # what it shares with nobody: no pools, no libraries
+    stopped: bool = False  # by a signal; it does nothing at all
+    pid: int = 0
+
+
+class NodeProcess:
+    """A process and the supervisor's end of its socket; it leads a group, which ends with it."""
+
+    def __init__(self, popen: "subprocess.Popen[bytes]", channel: Channel, tag: str) -> None:
+        self._popen, self.channel, self.tag = popen, channel, tag
+        self._status: int | None = None
+        self.reaped = False
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._popen.pid
+
+    def ended(self) -> int | None:
+        """Return the exit status, negative for a signal; None while it lives. It stays a zombie."""
+        if self._status is None:
+            try:
+                flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
+                found = os.waitid(os.P_PID, self._popen.pid, flags)
+            except ChildProcessError:  # somebody else has reaped it
+                self._status = self._popen.wait()
+                self.reaped = True
+            else:
+                if found is not None:
+                    exited = found.si_code == os.CLD_EXITED
+                    self._status = found.si_status if exited else -found.si_status
+        return self._status
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the process alone, if it lives."""
+        if self.ended() is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._popen.pid, number)
+
+    def kill(self) -> None:
+        """End it and its group at once."""
+        if not self.reaped:
+            end_group(self._popen.pid)
+
+    def await_end(self, timeout_s: float) -> bool:
+        """Wait for its end, hearing what it says meanwhile; False when it takes too long."""
+        late_s = time.monotonic() + timeout_s
+        while self.ended() is None:
+            if time.monotonic() > late_s:
+                return False
+            self.channel.waiting()
+            time.sleep(PAUSE_S)
+        return True
+
+    def bury(self, *, descendants: bool = True) -> None:
+        """Of one that has ended: end what it started, hear its last words, give all back.
+
+        Without `descendants` those outside its group are left to who ends those of the whole run.
+        """
+        if self.ended() is None or self.channel.fileno() < 0:
+            return
+        if not self.reaped:
+            end_group(self._popen.pid)  # before it is reaped: its number is still its own
+            self._popen.wait()
+            self.reaped = True
+        if descendants and (count := end_tagged(self.tag)):
+            log.warning("process %d left %d processes behind; killed", self._popen.pid, count)
+        self.channel.close()
+
+
+def spawn(run_id: str, folder: Path, modules: Collection[str], *, wanted: bool) -> NodeProcess:
+    """Start a process that imports what it may need and waits for its assignment.
+
+    Unless it is `wanted` at once, its imports leave the cores to others. Raises `OSError`.
+    """
+    words = [run_id, *modules, *(() if wanted else (ASIDE,))]
+    tag = new_tag(run_id)
+    ours, theirs = socket.socketpair()
+    try:
+        with theirs, _spare_log(folder).open("ab") as printed:
+            popen = subprocess.Popen(
+                [sys.executable, "-m", "pipeline.node.process", *words],
+                stdin=theirs.fileno(),
+                stdout=printed,
+                stderr=printed,
+                env={**os.environ, **dict.fromkeys(_THREAD_LIMITS, "1"), TAG_VARIABLE: tag},
+                start_new_session=True,  # Ctrl-C goes to the supervisor alone
+            )
+    except BaseException:
+        ours.close()
+        raise
+    return NodeProcess(popen, Channel(ours), tag)
+
+
+class ProcessHandle:
+    """A process with an assignment. It logs to `<folder>/<process>.log`."""
+
+    def __init__(self, process: NodeProcess, job: Assignment, exchange: Exchange) -> None:
+        self.name, self._process, self._exchange = job.process, process, exchange
+        self.nodes = frozenset(node.name for node in job.nodes)
+        self.ready = self.going = False
+        self.left = False  # it has said that it was done
+        self.began_s = time.monotonic()
+        self.load_s = 0.0  # time it took to open its operators, models included
+        self._usage: psutil.Process | None = None
+        self._told_left_out = False
+        # a killed instance cannot remove them, and Zenoh leaves the file of a closed one
+        self._sockets = [Path(job.run_folder) / name for name in job.sockets()]
+        exchange.add(process.channel)
+        self._write(adapter(Assignment).dump_json(job).decode())
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def deaf(self) -> bool:
+        """Whether it reads nothing of what it is told."""
+        return self._process.channel.deaf
+
+    @property
+    def gone(self) -> bool:
+        """Whether nothing is left of it, and all that it said was heard."""
+        return self._process.channel.fileno() < 0 and not self._process.channel.waiting()
+
+    def ended(self) -> int | None:
+        """Return the exit status, negative for a signal; None while it lives."""
+        return self._process.ended()
+
+    def events(self) -> list[dict[str, Any]]:
+        """Return what it has said since the last time."""
+        channel = self._process.channel
+        found = channel.events()
+        if channel.left_out and not self._told_left_out:
+            self._told_left_out = True
+            log.warning("%s: says more than can be heard; the rest is left out", self.name)
+        self.left = self.left or any(event["event"] == "leaving" for event in found)
+        return found
+
+    def tell(self, word: str) -> None:
+        """Say `go`, `finish` or `stop`."""
+        self._write(word)
+
+    def order(self, do: str, **more: Any) -> None:
+        """Have something done to one node (`pipeline.node.process.Process.do`)."""
+        self._write(json.dumps({"do": do, **more}))
+
+    def kill(self, *, with_traceback: bool = False) -> None:
+        """End it at once; first have it write where it stands, when asked."""
+        if self.ended() is None and with_traceback:
+            self._process.signal(signal.SIGUSR1)
+            time.sleep(0.05)
+        self._process.kill()
+
+    def await_end(self, timeout_s: float) -> bool:
+        """Wait for its end; False when it takes too long."""
+        return self._process.await_end(timeout_s)
+
+    def bury(self, *, descendants: bool = True) -> None:
+        """Of one that has ended: end what it started and give everything back."""
+        if self.ended() is not None:
+            self._exchange.remove(self._process.channel)
+            self._process.bury(descendants=descendants)
+            for socket_file in self._sockets:
+                socket_file.unlink(missing_ok=True)
+
+    def sample(self) -> Sample | None:
+        """Processor time and memory now; None when it is gone."""
+        try:
+            if self._usage is None:
+                self._usage = psutil.Process(self.pid)
+            with self._usage.oneshot():
+                times = self._usage.cpu_times()
+                memory = self._usage.memory_info()
+                stopped = self._usage.status() == psutil.STATUS_STOPPED
+        except (psutil.Error, OSError):
+            return None
+        cpu_s, own_mb = times.user + times.system, (memory.rss - memory.shared) / 1e6
+        return Sample(time.monotonic(), cpu_s, memory.rss / 1e6, own_mb, stopped, self.pid)
+
+    def _write(self, line: str) -> None:
+        self._process.channel.send(line)
+
+
+def ending(status: int) -> str:
+    """How a process ended, in words.
+
+    >>> ending(-9), ending(1)
+    ('signal SIGKILL', 'exit status 1')
+    """
+    try:
+        return f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
+    except ValueError:
+        return f"signal {-status}"  # one without a name
+
+
+def _spare_log(folder: Path) -> Path:
+    """Where processes print until they have a log of their own; begun anew when it is long."""
+    path = folder / "node.stderr.log"
+    with contextlib.suppress(OSError):
+        if path.stat().st_size > MOST_SPARE_LOG:
+            path.unlink()
+    return path

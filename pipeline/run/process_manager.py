@@ -1,0 +1,263 @@
+"""The processes of a running graph, their accounts, and how they are started.
+
+What supervises them, and what changes them while they run, stand on this.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Collection
+from functools import partial
+from pathlib import Path
+
+from pipeline.bus.ledger import EdgeAccount, Ledger
+from pipeline.bus.network import Network
+from pipeline.errors import RunError
+from pipeline.graph.plan import Plan, is_source
+from pipeline.node.port_contract import contract_of
+from pipeline.node.wiring import Assignment
+from pipeline.once import adapter
+from pipeline.run.channel import Exchange
+from pipeline.run.health import HealthMonitor
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.process_handle import KILLED_S, NodeProcess, ProcessHandle, Sample, spawn
+from pipeline.run.run_folder import RunFolder
+from pipeline.run.rundir import check_addresses, folder_of
+from pipeline.run.warm_spare import WarmSpare
+
+log = logging.getLogger(__name__)
+
+
+class ProcessManager:
+    """The processes of one plan, in a run folder of their own."""
+
+    def __init__(
+        self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0
+    ) -> None:
+        """`folder`: where it runs, else the graph's name; epochs begin after the first one."""
+        self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
+        self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
+        names = [name for n in plan.nodes for name in (n.name, n.process)]
+        check_addresses(folder_of(folder or plan.name), names)
+        self._run = RunFolder.claim(folder or plan.name)
+        try:
+            self.ledger = Ledger.create(self._run.memory, len(plan.edges), len(plan.nodes))
+            self.exchange = Exchange()
+        except BaseException:
+            self._run.release()
+            raise
+        self.handles: list[ProcessHandle] = []  # that were started, until all they said was heard
+        self._leaving: dict[
+            ProcessHandle, float
+        ] = {}  # when those are killed that shall end, monotonic
+        self.asked_to_end: Callable[[], int] = lambda: 0  # how often: more than once is in haste
+        self.spare = WarmSpare(partial(self._spawn, wanted=False))
+        self._health = HealthMonitor()
+        self.processes = {
+            name: ManagedProcess(
+                name,
+                nodes,
+                epoch=first_epoch,
+                sources=frozenset(n.name for n in nodes if is_source(n)),
+            )
+            for name, nodes in plan.processes().items()
+        }
+        self.revision = 0  # of the plan
+        self.failure = ""
+        self.ending = False  # sources shall make no more frames
+        self._finished: set[str] = set()
+
+    @property
+    def all_going(self) -> bool:
+        """Every process works."""
+        return all(managed.handle and managed.handle.going for managed in self.processes.values())
+
+    @property
+    def finished(self) -> bool:
+        """Every source has made its last frame, or the run has failed."""
+        wanted = set().union(*(managed.sources for managed in self.processes.values()))
+        return bool(self.failure) or (bool(wanted) and wanted <= self._finished)
+
+    def begin_all(self) -> None:
+        """Start every process; the caller goes on with `tick`."""
+        for managed in reversed(self.processes.values()):
+            if not self.asked_to_end():
+                self.begin(managed)
+        self.note()
+
+    def begin(
+        self, managed: ManagedProcess, *, plan: Plan | None = None, checked: bool = False
+    ) -> None:
+        """Start a process as its next incarnation; `checked`: of a plan that is still to prove."""
+        managed.epoch = managed.promise()
+        for node in managed.nodes:
+            self.ledger.nodes[node.index].enter("starting")
+        for account in self.accounts(managed, outgoing=True):
+            account.writer_epoch = managed.epoch
+        for account in self.accounts(managed):
+            account.reader_epoch = account.receiver_epoch = managed.epoch
+            account.next_receiver_epoch = 0
+        job = self.job(managed, plan or self.plan, managed.epoch, checked=checked)
+        managed.handle = self.launch(job, fresh=checked)
+
+    def job(
+        self,
+        managed: ManagedProcess,
+        plan: Plan,
+        epoch: int,
+        *,
+        standby: bool = False,
+        checked: bool = False,
+        trial: bool = False,
+    ) -> Assignment:
+        """The assignment of that process; `checked`: it must fit the edges that run now."""
+        mine = self.plan.processes()[managed.name]
+        return Assignment(
+            plan=plan,
+            process=managed.name,
+            run_folder=str(self._run.folder.path),
+            memory_folder=str(self._run.memory.path),
+            epochs={node.name: epoch for node in mine},
+            frames=self._frames,
+            network=self.networks.get(managed.name),
+            standby=standby or trial,
+            trial=trial,
+            contracts={n.name: contract_of(self.plan, n) for n in mine} if checked or trial else {},
+        )
+
+    def accounts(self, managed: ManagedProcess, *, outgoing: bool = False) -> list[EdgeAccount]:
+        """Of the edges into a process, or out of it."""
+        names = {node.name for node in managed.nodes}
+        return [
+            self.ledger.edges[edge.index]
+            for edge in self.plan.edges
+            if (edge.source if outgoing else edge.target) in names
+        ]
+
+    def vacate(self, managed: ManagedProcess) -> None:
+        """Nobody works there now: writers do not wait for it."""
+        if managed.handle is not None:
+            self.dismiss(managed.handle)
+        managed.handle = None
+        for account in self.accounts(managed):
+            account.reader_epoch = account.receiver_epoch = account.next_receiver_epoch = 0
+        for node in managed.nodes:
+            self.ledger.nodes[node.index].enter("absent")
+
+    def live_file(self, node: str) -> Path:
+        """Where a node keeps the settings that it was told while it ran."""
+        return self._run.folder.path / f"{node}.live"
+
+    def change_plan(self, plan: Plan) -> None:
+        """Another plan runs now; a process that left it must have ended."""
+        self.plan, self.revision = plan, self.revision + 1
+        for name, nodes in plan.processes().items():
+            managed = self.processes.setdefault(name, ManagedProcess(name, nodes))
+            managed.nodes = nodes
+            managed.sources = frozenset(n.name for n in nodes if is_source(n))
+        for name in self.processes.keys() - plan.processes().keys():
+            if self.processes[name].handle is None:
+                del self.processes[name]
+        self.note()
+
+    def launch(self, job: Assignment, *, fresh: bool = False) -> ProcessHandle:
+        """A process for an assignment; a `fresh` one has imported what is on disk now.
+
+        Raises `RunError` when the machine gives none.
+        """
+        if fresh:
+            self.spare.refresh()
+        mine = {n.operator.partition(":")[0] for n in job.nodes}
+        try:
+            process = self.spare.take() or self._spawn(mine if fresh else (), wanted=True)
+        except OSError as error:
+            raise RunError(f"{job.process}: cannot be started: {error}") from error
+        handle = ProcessHandle(process, job, self.exchange)
+        self.handles.append(handle)
+        return handle
+
+    def dismiss(self, handle: ProcessHandle, within_s: float = 0.0) -> None:
+        """Let a process end by itself in that time, or be killed; nobody waits for it."""
+        self._leaving[handle] = time.monotonic() + within_s
+        self._see_off()
+
+    def _see_off(self) -> None:
+        """Kill those that were to end by now, give back what is left of those that have."""
+        now_s = time.monotonic()
+        for handle, late_s in list(self._leaving.items()):
+            if handle.ended() is not None:
+                handle.bury()
+                del self._leaving[handle]
+            elif now_s >= late_s:
+                handle.kill()
+                if now_s > late_s + KILLED_S:
+                    log.error("%s: process %d hangs in the kernel", handle.name, handle.pid)
+                    self._leaving[handle] = float("inf")  # it is buried when it ends after all
+
+    def _spawn(self, modules: Collection[str], *, wanted: bool) -> NodeProcess:
+        return spawn(self._run.run_id, self._run.folder.path, modules, wanted=wanted)
+
+    def let_go(self, managed: ManagedProcess) -> None:
+        """Let a process that is ready begin, if it may."""
+        if managed.handle is not None and self._may_go(managed):
+            managed.handle.going, managed.going_since_s = True, time.monotonic()
+            managed.handle.tell("go")
+            if self.ending:
+                managed.handle.tell("finish")
+
+    def _is_first(self, managed: ManagedProcess) -> bool:
+        return managed.epoch == self._first_epoch + 1
+
+    def _may_go(self, managed: ManagedProcess) -> bool:
+        """Sources begin when every reader has heard them; the others at once."""
+        if not managed.sources:
+            return True
+        all_ready = all(s.handle and s.handle.ready for s in self.processes.values())
+        if self._is_first(managed) and not all_ready:
+            return False
+        first = self._is_first(managed)
+        mine = [e for e in self.plan.edges if first or e.source in managed.sources]
+        accounts = [self.ledger.edges[e.index] for e in mine]
+        return all(account.live or not account.reader_epoch for account in accounts)
+
+    def stalled(self, managed: ManagedProcess) -> str:
+        """Why its process has to be killed, or nothing."""
+        return self._health.problem(managed, self.ledger)
+
+    def samples(self, process: str) -> list[Sample]:
+        """What a process used, about once a second: the first minutes and the last."""
+        return list(self.processes[process].samples)
+
+    def load_s(self, process: str) -> float:
+        """How long the present process took to open its operators, 0 until it is ready."""
+        handle = self.processes[process].handle
+        return handle.load_s if handle else 0.0
+
+    def pid(self, process: str) -> int:
+        """Its present process id, 0 while there is none."""
+        handle = self.processes[process].handle
+        return handle.pid if handle else 0
+
+    def note(self) -> None:
+        self._run.note(
+            {
+                "graph": self.plan.name,
+                "clock": self.plan.clock,
+                "nodes": [
+                    {
+                        "name": n.name,
+                        "index": n.index,
+                        "process": n.process,
+                        "operator": n.operator,
+                    }
+                    for n in filter(self.plan.is_here, self.plan.nodes)
+                ],
+                "edges": [
+                    {"from": e.origin, "to": e.end, "index": e.index}
+                    for e in self.plan.edges
+                    if self.plan.touches(e)
+                ],
+                "plan": adapter(Plan).dump_python(self.plan, mode="json"),
+                "revision": self.revision,
+                "pids": {s.name: s.handle.pid for s in self.processes.values() if s.handle},
+            }
+        )

@@ -1,0 +1,100 @@
+"""Hosts to test with: agents in threads of this process, each with nodes of its own."""
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from pipeline.fleet import wire
+from pipeline.fleet.agent import Agent
+from pipeline.fleet.agent_file import AgentFile, HostConfig
+from pipeline.fleet.allow import ANY
+from pipeline.fleet.deploy import Fleet, read_hosts
+from pipeline.graph.loader import load
+from pipeline.graph.plan import Plan
+
+TOYS = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")
+ALLOWED = {f"tests.toys:{name}": ANY for name in TOYS}
+TRIO = """
+name: trio
+hosts: [sensor, compute, viewer]
+nodes:
+  capture:
+    operator: tests.toys:Ticker
+    host: sensor
+    inputs: {schedule: steer}
+    settings: {rate_hz: 30}
+  work:
+    operator: tests.toys:Pass
+    host: compute
+    inputs: {frame: capture.context}
+  pair:
+    operator: tests.toys:Pair
+    host: compute
+    inputs: {left: work, right: capture.roi}
+  steer:
+    operator: tests.toys:Steer
+    host: compute
+    inputs: {percept: pair}
+  count:
+    operator: tests.toys:Count
+    host: viewer
+    inputs: {frame: capture.context}
+"""
+
+
+def plan_of(folder: Path, text: str = TRIO) -> Plan:
+    path = folder / "graph.yaml"
+    path.write_text(text)
+    return load(path)
+
+
+def host_of(label: str, others: Sequence[str], folder: Path, **more: object) -> HostConfig:
+    values = {"operators": ALLOWED, "state": str(folder / f"state-{label}"), **more}
+    file = AgentFile(label=label, hosts=tuple(others), **values)  # type: ignore[arg-type]
+    return HostConfig(file, folder)
+
+
+class Running:
+    """An agent at work."""
+
+    def __init__(self, own: HostConfig) -> None:
+        self.agent = Agent(own)
+        self._thread = threading.Thread(target=self.agent.run)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self.agent.stop()
+        self._thread.join()
+        self.agent.__exit__()
+
+
+@contextmanager
+def agents(folder: Path, *labels: str) -> Iterator[dict[str, Running]]:
+    running: dict[str, Running] = {}
+    try:
+        for label in labels:
+            running[label] = Running(host_of(label, labels, folder))
+        yield running
+    finally:
+        for one in running.values():
+            one.stop()
+
+
+def fleet_of(*labels: str) -> Fleet:
+    return Fleet(read_hosts(labels, None))
+
+
+def phases(fleet: Fleet, label: str, graph: str = "trio") -> list[str]:
+    said = fleet.states(graph)[label]
+    return [] if isinstance(said, str) else [state.phase for state in said]
+
+
+def state_of(fleet: Fleet, label: str, graph: str = "trio") -> wire.State:
+    (state,) = fleet.ask(label, "state", wire.Named(graph), tuple[wire.State, ...])
+    return state
+
+
+def handled(fleet: Fleet, label: str, node: str, graph: str = "trio") -> int:
+    nodes = state_of(fleet, label, graph).nodes
+    return next((n.handled for n in nodes if n.name == node), 0)

@@ -1,0 +1,77 @@
+"""What `ps` and `top` show of hosts: every node that was brought up, and words as they came."""
+
+from rich.console import Console, RenderableType
+
+from pipeline.console.changing import table as settings_table
+from pipeline.console.graph_client import health_table
+from pipeline.fleet.status_tables import (
+    Said,
+    add_rows,
+    nodes_of,
+    process_rows,
+    process_table,
+    silence,
+    top_tables,
+)
+from pipeline.fleet.wire import Process, State
+from pipeline.node.live import Answer
+
+NODES = {"capture": "sensor", "saliency": "compute", "policy": "compute"}
+
+
+def shown(table: RenderableType) -> list[str]:
+    console = Console(width=300)
+    with console.capture() as caught:
+        console.print(table)
+    return caught.get().splitlines()
+
+
+def state(label: str, *nodes: str, phase: str = "running", failure: str = "") -> State:
+    processes = tuple(Process(name, (name,), 7, 1.0, 2.0, 0) for name in nodes)
+    return State("hosts", label, 0, phase, failure, processes, (), (), (), {})
+
+
+def ps(label: str, said: Said) -> list[str]:
+    table = process_table()
+    add_rows(table, "hosts", process_rows(label, said, nodes_of(NODES, label)))
+    return shown(table)
+
+
+def test_the_nodes_of_a_silent_host_are_each_marked_lost() -> None:
+    lines = ps("compute", "compute: no agent answers")
+
+    for node in ("saliency", "policy"):
+        assert [line for line in lines if node in line and "lost" in line], lines
+    assert not [line for line in lines if "capture" in line]
+
+
+def test_a_node_that_a_host_should_run_and_does_not_is_marked() -> None:
+    failed = ps("compute", [state("compute", "saliency", phase="failed")])
+
+    assert [line for line in failed if "policy" in line and "failed" in line]
+    assert not [line for line in failed if "saliency" in line and "failed" in line]
+    assert [line for line in ps("sensor", []) if "capture" in line and "gone" in line]
+
+
+def test_top_keeps_the_nodes_of_a_lost_host_in_sight() -> None:
+    now: dict[str, Said] = {"sensor": [state("sensor", "capture")], "compute": "nobody answers"}
+
+    lines = shown(top_tables({}, now, 1.0, NODES))
+
+    for node in ("saliency", "policy"):
+        assert [line for line in lines if node in line and "lost" in line], lines
+
+
+def test_a_lost_host_is_told_with_its_nodes() -> None:
+    assert silence("nobody answers", nodes_of(NODES, "compute")) == (
+        "nobody answers; lost: saliency, policy"
+    )
+
+
+def test_words_from_outside_are_no_markup() -> None:
+    why = "no such device [/dev/video0] [red]"
+
+    assert why in "".join(ps("sensor", [state("sensor", "[/x]", phase="failed", failure=why)]))
+    assert "[/x]" in "".join(ps("sensor", [state("sensor", "[/x]")]))
+    assert "[/a]" in "".join(shown(health_table({"[/g]": {"[/a]": None}})))
+    assert "[/tmp]" in "".join(shown(settings_table(Answer({"at": ["[/tmp]"]}))))
