@@ -47,29 +47,29 @@ def _plan(
     file: YamlFile, name: str, clock: Clock, specs: Mapping[str, NodeSpec], hosts: tuple[str, ...]
 ) -> Plan:
     check_places(file, specs, hosts)
-    parts = {part: _Part(file, spec) for part, spec in specs.items()}
+    nodes = {node: _LoadedNode(file, spec) for node, spec in specs.items()}
     place = file.at(file.document, "nodes")
     try:
         plan = Plan(
             name=name,
             clock=clock,
-            nodes=tuple(part.node(i) for i, part in enumerate(parts.values())),
-            edges=tuple(_edges(file, parts, clock)),
+            nodes=tuple(loaded.node(i) for i, loaded in enumerate(nodes.values())),
+            edges=tuple(_edges(file, nodes, clock)),
             hosts=hosts,
         )
         plan.order()
-    except _Placed as error:
+    except _LocatedError as error:
         raise GraphError(str(error)) from error.__cause__
     except GraphError as error:
         raise GraphError(f"{place}: {error}") from error
     return plan
 
 
-class _Placed(GraphError):
+class _LocatedError(GraphError):
     """An error that has its place already."""
 
 
-class _Part:
+class _LoadedNode:
     """One node of the file, its operator imported and its settings checked."""
 
     def __init__(self, file: YamlFile, spec: NodeSpec) -> None:
@@ -124,42 +124,42 @@ class _Part:
                 self.file.fail(self.spec.entry, "operator", what)
 
 
-def _edges(file: YamlFile, parts: Mapping[str, _Part], clock: Clock) -> Iterator[Edge]:
+def _edges(file: YamlFile, nodes: Mapping[str, _LoadedNode], clock: Clock) -> Iterator[Edge]:
     index = 0
-    for part in parts.values():
-        for name, spec in part.spec.inputs.items():
-            if name not in part.inputs:
-                hint = checked.suggest(name, part.inputs)
-                raise _Placed(f"{spec.place}: {spec.where}: no such input{hint}")
-        for name, port in part.inputs.items():
-            if name in part.spec.inputs:
-                yield _edge(parts, part.name, name, port, part.spec.inputs[name], clock, index)
+    for loaded in nodes.values():
+        for name, spec in loaded.spec.inputs.items():
+            if name not in loaded.inputs:
+                hint = checked.suggest(name, loaded.inputs)
+                raise _LocatedError(f"{spec.place}: {spec.where}: no such input{hint}")
+        for name, port in loaded.inputs.items():
+            if name in loaded.spec.inputs:
+                yield _edge(nodes, loaded.name, name, port, loaded.spec.inputs[name], clock, index)
                 index += 1
             elif port.join and not (port.optional or port.command):
-                place = file.at(part.spec.entry, "inputs")
-                raise _Placed(f"{place}: {part.name}.inputs.{name}: required, got nothing")
+                place = file.at(loaded.spec.entry, "inputs")
+                raise _LocatedError(f"{place}: {loaded.name}.inputs.{name}: required, got nothing")
 
 
 def _edge(
-    parts: Mapping[str, _Part], target: str, name: str, port: Input, spec: EdgeSpec, clock: Clock,
-    index: int,
+    nodes: Mapping[str, _LoadedNode], target: str, name: str, port: Input, spec: EdgeSpec,
+    clock: Clock, index: int,
 ) -> Edge:  # fmt: skip
     place = f"{spec.place}: {spec.where}"
-    if spec.source not in parts:
-        hint = _suggest_origin(spec.origin, parts)
-        raise _Placed(f"{place}: no node {shown_key(spec.source)}{hint}")
-    outputs = parts[spec.source].outputs
+    if spec.source not in nodes:
+        hint = _suggest_origin(spec.origin, nodes)
+        raise _LocatedError(f"{place}: no node {shown_key(spec.source)}{hint}")
+    outputs = nodes[spec.source].outputs
     if spec.output not in outputs:
         options = [_origin(spec.source, output) for output in outputs]
         hint = checked.suggest(spec.origin, options)
-        raise _Placed(f"{place}: {spec.source} has no output {shown_key(spec.output)}{hint}")
+        raise _LocatedError(f"{place}: {spec.source} has no output {shown_key(spec.output)}{hint}")
     if (sent := outputs[spec.output]) is not port.message:
         expected = f"expected {port.message.__name__}, got {sent.__name__}"
-        raise _Placed(f"{place}: {expected} from {spec.origin}")
+        raise _LocatedError(f"{place}: {expected} from {spec.origin}")
     values = {key: getattr(port, key) for key in FROM_PORT} | {"transport": "pool"}
     values |= spec.given
     if port.command and values["keep"] != "latest":
-        raise _Placed(f"{place}.keep: a sensor command is always latest, got every")
+        raise _LocatedError(f"{place}.keep: a sensor command is always latest, got every")
     if clock == "lockstep":
         values["keep"] = "every"
     return Edge(
@@ -168,8 +168,8 @@ def _edge(
     )  # fmt: skip
 
 
-def _suggest_origin(origin: str, parts: Mapping[str, _Part]) -> str:
-    options = [_origin(name, output) for name, part in parts.items() for output in part.outputs]
+def _suggest_origin(origin: str, nodes: Mapping[str, _LoadedNode]) -> str:
+    options = [_origin(name, output) for name, loaded in nodes.items() for output in loaded.outputs]
     return checked.suggest(origin, options)
 
 

@@ -167,14 +167,14 @@ def _node(file: YamlFile, nodes: Mapping[str, Any], name: str) -> NodeSpec:
         entry=entry,
         operator=check_import_path(entry.get("operator"), where, GraphError),
         inputs=_inputs(file, entry, name),
-        settings=plain(_part(file, entry, "settings", name)),
+        settings=plain(_optional_mapping(file, entry, "settings", name)),
         given=_given(file, entry, name),
         restart=_restart(file, entry, name),
         manual=manual,
     )
 
 
-def _part(file: YamlFile, entry: Mapping[str, Any], key: str, name: str) -> Any:
+def _optional_mapping(file: YamlFile, entry: Mapping[str, Any], key: str, name: str) -> Any:
     """A mapping that may be left out."""
     return {} if entry.get(key) is None else file.mapping(entry, key, name)
 
@@ -205,7 +205,7 @@ def _restart(file: YamlFile, entry: Mapping[str, Any], name: str) -> Restart:
 
 
 def _inputs(file: YamlFile, entry: Mapping[str, Any], name: str) -> dict[str, EdgeSpec]:
-    inputs = _part(file, entry, "inputs", name)
+    inputs = _optional_mapping(file, entry, "inputs", name)
     for key in inputs:
         check_name(key, f"{file.at(inputs, key)}: {name}.inputs")
     return {key: _edge(file, inputs, key, f"{name}.inputs.{key}") for key in inputs}

@@ -27,7 +27,7 @@ from pipeline.run.report import Report, compose
 Watch = Callable[[str, Message], None]  # node.output, message
 
 
-class _Part:
+class _InlineNode:
     """One operator of the graph."""
 
     def __init__(self, plan: Plan, node: Node, ledger: Ledger) -> None:
@@ -55,7 +55,9 @@ class InlineRunner:
     def __init__(self, plan: Plan, *, watch: Watch | None = None) -> None:
         self.plan, self._watch = plan, watch
         self.ledger = private_ledger(len(plan.edges), len(plan.nodes))
-        self._parts = {name: _Part(plan, plan.node(name), self.ledger) for name in plan.order()}
+        self._nodes = {
+            name: _InlineNode(plan, plan.node(name), self.ledger) for name in plan.order()
+        }
         self._source = self._only_source()
         self.commands = hashlib.sha256()
         self._began_s = time.monotonic()
@@ -64,8 +66,8 @@ class InlineRunner:
         assert isinstance(self._source.operator, Source)
         self._source.operator.realtime = False
         try:
-            for part in self._parts.values():
-                part.operator.open()
+            for loaded in self._nodes.values():
+                loaded.operator.open()
         except BaseException:
             self.__exit__()
             raise
@@ -74,21 +76,21 @@ class InlineRunner:
     def __exit__(self, *_: object) -> None:
         """Close every operator, also after one that breaks over it; the first error is raised."""
         with ExitStack() as closing:
-            for part in reversed(self._parts.values()):
-                closing.callback(part.operator.close)
+            for loaded in reversed(self._nodes.values()):
+                closing.callback(loaded.operator.close)
 
     def operator(self, node: str) -> Operator[Any, Any]:
         """The live operator behind a node, for training and evaluation."""
-        return self._parts[node].operator
+        return self._nodes[node].operator
 
     def change(self, node: str, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Change live settings between two frames; the effective values of all of them.
 
         Raises `SettingsError` and changes nothing when the node refuses, `RunError` for no node.
         """
-        if node not in self._parts:
-            raise RunError(f"{self.plan.name}: no node {node}{checked.suggest(node, self._parts)}")
-        live = self._parts[node].live
+        if node not in self._nodes:
+            raise RunError(f"{self.plan.name}: no node {node}{checked.suggest(node, self._nodes)}")
+        live = self._nodes[node].live
         live.change(changes)
         return live.describe().settings
 
@@ -107,14 +109,14 @@ class InlineRunner:
 
     def report(self, *, summaries: bool = True) -> Report:
         """The same report as a run of processes gives; or what is known without the operators."""
-        parts = self._parts.items() if summaries else ()
-        found = {name: dict(p.operator.summary()) for name, p in parts}
+        nodes = self._nodes.items() if summaries else ()
+        found = {name: dict(p.operator.summary()) for name, p in nodes}
         found.setdefault(self._source.node.name, {})["schedule_sha256"] = self.commands.hexdigest()
         duration_s = time.monotonic() - self._began_s
         return compose(self.plan, self.ledger, found, {}, duration_s=duration_s)
 
-    def _only_source(self) -> _Part:
-        found = [p for p in self._parts.values() if isinstance(p.operator, Source)]
+    def _only_source(self) -> _InlineNode:
+        found = [p for p in self._nodes.values() if isinstance(p.operator, Source)]
         if len(found) != 1:
             raise GraphError(
                 f"{self.plan.name}: expected one node that makes frames, got {len(found)}"
@@ -126,37 +128,39 @@ class InlineRunner:
         pending = True
         while pending:
             pending = False
-            for part in self._parts.values():
-                work = part.inbox.take(time.monotonic_ns())
+            for loaded in self._nodes.values():
+                work = loaded.inbox.take(time.monotonic_ns())
                 while work is not None:
                     pending = True
-                    self._handle(part, work)
-                    work = part.inbox.take(time.monotonic_ns())
+                    self._handle(loaded, work)
+                    work = loaded.inbox.take(time.monotonic_ns())
         if not self.ledger.drained():
             stuck = [e.end for e in self.plan.edges if self.ledger.edges[e.index].in_flight]
             raise RunError(f"frame not answered: messages wait at {', '.join(stuck)}")
 
-    def _handle(self, part: _Part, work: Work) -> None:
+    def _handle(self, loaded: _InlineNode, work: Work) -> None:
         begun = time.monotonic_ns()
         if work.new_stream:
-            part.operator.on_stream(work.header)
+            loaded.operator.on_stream(work.header)
         names = tuple(work.messages)
         answers: Answers = {}
         if work.answer:
-            answers = part.executor.call(work.messages)
-            if part.edges[names[0]].command:
+            answers = loaded.executor.call(work.messages)
+            if loaded.edges[names[0]].command:
                 message = work.messages[names[0]]
                 assert message is not None
                 fold(self.commands, message)
-        part.account.handled += 1
-        part.account.histograms["handler"].add(time.monotonic_ns() - begun)
-        if not part.executor.is_side(names):
-            self._send(part, answers, work.header, begun_ns=begun)
+        loaded.account.handled += 1
+        loaded.account.histograms["handler"].add(time.monotonic_ns() - begun)
+        if not loaded.executor.is_side(names):
+            self._send(loaded, answers, work.header, begun_ns=begun)
         for name in work.arrived:
-            self.ledger.edges[part.edges[name].index].delivered += 1
+            self.ledger.edges[loaded.edges[name].index].delivered += 1
 
-    def _send(self, part: _Part, answers: Answers, header: Header, *, begun_ns: int) -> None:
-        node, now = part.node.name, time.monotonic_ns()
+    def _send(
+        self, loaded: _InlineNode, answers: Answers, header: Header, *, begun_ns: int
+    ) -> None:
+        node, now = loaded.node.name, time.monotonic_ns()
         span = Span(
             stage=node,
             received_ns=begun_ns,
@@ -165,7 +169,7 @@ class InlineRunner:
             scheduling_delay_ns=0,
         )
         leaving = stamped(header, epoch=1, span=span)
-        for output in part.outputs:
+        for output in loaded.outputs:
             message = answers.get(output)
             if message is not None:
                 message = carried(altered(message, header=leaving), f"{node}.{output}")
@@ -178,5 +182,5 @@ class InlineRunner:
         account = self.ledger.edges[edge.index]
         account.sent += 1
         arrival = Arrival(header, message, account.sent)
-        self._parts[edge.target].inbox.offer(edge.input, arrival, time.monotonic_ns())
+        self._nodes[edge.target].inbox.offer(edge.input, arrival, time.monotonic_ns())
         account.seen = account.sent
