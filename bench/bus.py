@@ -155,24 +155,24 @@ def run_to_end(words: list[str], limit_s: float) -> str:
         words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
     ) as child:  # fmt: skip
-        patience_s = 0.0
+        timeout_s = 0.0
         try:
             output, errors = child.communicate(timeout=limit_s)
-            patience_s = FAREWELL_S
+            timeout_s = FAREWELL_S
         finally:
-            end_group(child.pid, patience_s)
+            end_group(child.pid, timeout_s)
     if child.returncode or not output.strip():
         last = (errors.strip().splitlines() or ["it said nothing"])[-1]
         raise subprocess.SubprocessError(f"ended with {child.returncode}: {last}")
     return output
 
 
-def end_group(group: int, patience_s: float) -> None:
+def end_group(group: int, timeout_s: float) -> None:
     """Wait for the processes of a group to be gone, then kill those that are not.
 
     Python's own resource tracker outlives its master for a moment, to remove semaphores.
     """
-    deadline = time.monotonic() + patience_s
+    deadline = time.monotonic() + timeout_s
     with suppress(ProcessLookupError):
         while time.monotonic() < deadline:
             os.killpg(group, 0)

@@ -36,7 +36,7 @@ WARM_S = 3.0
 SETTLE_S = (2.0, 12.0)  # between a recovery and the next fault
 NAP_S = (0.1, 2.0)
 CUT_S = (0.2, 6.0)  # a cable's absence
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,14 +119,14 @@ class _Watch:
         """Watch until all are back, and for as long again as commands need to flow."""
         began = time.monotonic()
         while not all(a.epoch >= epoch and a.handled > h + 1 for a, epoch, h in self._marks):
-            if time.monotonic() - began > PATIENCE_S or self._ground.failure:
-                raise Stuck(f"{what}: {self._ground.failure or f'nothing for {PATIENCE_S:.0f} s'}")
+            if time.monotonic() - began > TIMEOUT_S or self._ground.failure:
+                raise Stuck(f"{what}: {self._ground.failure or f'nothing for {TIMEOUT_S:.0f} s'}")
             self._look()
         back_s = time.monotonic() - began
         commands = self._ground.commands.total
         while self._ground.commands.total == commands:
-            if time.monotonic() - began > back_s + PATIENCE_S:
-                raise Stuck(f"{what}: no commands for {PATIENCE_S:.0f} s")
+            if time.monotonic() - began > back_s + TIMEOUT_S:
+                raise Stuck(f"{what}: no commands for {TIMEOUT_S:.0f} s")
             self._look()
         return back_s
 

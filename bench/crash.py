@@ -31,7 +31,7 @@ from pipeline.run.supervisor import Supervisor
 
 ASKED_S = 1.0  # plus the time to load the model
 SETTLE_S = 3.0  # failures do not come in volleys; the spare process needs a moment
-PATIENCE_S = 30.0
+TIMEOUT_S = 30.0
 
 
 @click.command(cls=Bench)
@@ -45,7 +45,7 @@ def main(
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     kills: list[dict[str, Any]] = []
     with Supervisor(plan) as supervisor:
-        supervisor.patience = count * len(plan.nodes) + 10
+        supervisor.max_restarts = count * len(plan.nodes) + 10
         supervisor.start()
         traces = Traces.of(plan.name)
         run_for(supervisor, 2.0)
@@ -79,7 +79,7 @@ def _kill(supervisor: Supervisor, node: Node) -> dict[str, float]:
     began = time.monotonic()
     os.kill(supervisor.pid(node.process), signal.SIGKILL)
     while not (account.epoch > epoch and account.handled > handled + 1):
-        if time.monotonic() - began > PATIENCE_S or supervisor.failure:
+        if time.monotonic() - began > TIMEOUT_S or supervisor.failure:
             raise click.ClickException(f"{node.name} did not come back: {supervisor.failure}")
         supervisor.tick()
     recovered_s = time.monotonic() - began

@@ -50,7 +50,7 @@ nodes:
 """
 KILLED, SWAPPED, LAST = "second", "first", "sink"
 EVERY = 50  # events between two looks
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 PROBATION = 2  # frames
 
 
@@ -69,7 +69,7 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
         "looks": looks,
     }  # fmt: skip
     with Supervisor(plan) as supervisor:
-        supervisor.patience = kills + 10
+        supervisor.max_restarts = kills + 10
         supervisor.start()
         traces = Traces.of(plan.name)
         _until(supervisor, lambda: _handled(supervisor, LAST) > 50)
@@ -164,7 +164,7 @@ def _handled(supervisor: Supervisor, node: str) -> int:
 
 
 def _until(supervisor: Supervisor, holds: Any) -> None:
-    late_s = time.monotonic() + PATIENCE_S
+    late_s = time.monotonic() + TIMEOUT_S
     while not holds():
         if supervisor.failure or time.monotonic() > late_s:
             raise click.ClickException(supervisor.failure or "it did not come back")

@@ -92,12 +92,12 @@ class World(Hosts):
         found: dict[str, Any] = json.loads(self.fovea("ps", "--json"))[self.plan.name]
         return found
 
-    def heard(self, label: str, words: str, since: int = 0, patience_s: float = 60) -> float:
+    def heard(self, label: str, words: str, since: int = 0, timeout_s: float = 60) -> float:
         """Wait until a host's agent says that; how long it took. Raises `RunError`."""
         began_s = time.monotonic()
         while words not in " ".join(self.log(label).read_text()[since:].split()):
-            if time.monotonic() - began_s > patience_s:
-                raise RunError(f"{label}: did not say {words!r} within {patience_s:.0f} s")
+            if time.monotonic() - began_s > timeout_s:
+                raise RunError(f"{label}: did not say {words!r} within {timeout_s:.0f} s")
             time.sleep(0.02)
         return time.monotonic() - began_s
 

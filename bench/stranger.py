@@ -84,7 +84,7 @@ def _one_life(found: dict[str, Any]) -> None:
         path.unlink()
     victims, killed = ["work", "check", "eye"], 0
     with Supervisor(plan) as supervisor:
-        supervisor.patience = 1000
+        supervisor.max_restarts = 1000
         supervisor.start()
         traces, began_s = Traces.of(plan.name), time.monotonic()
         while (lived_s := time.monotonic() - began_s) < ROUND_S and not supervisor.failure:

@@ -36,7 +36,7 @@ from pipeline.run.rundir import folder_of, memory_of, running
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 MEMORY_EVERY = 50  # swaps
 
 
@@ -149,7 +149,7 @@ def _swap(supervisor: Supervisor, order: SwapOrder) -> dict[str, Any]:
     supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
     began_s = time.monotonic()
     while not answers:
-        if time.monotonic() - began_s > PATIENCE_S or supervisor.failure:
+        if time.monotonic() - began_s > TIMEOUT_S or supervisor.failure:
             raise click.ClickException(f"{order.node} was not swapped: {supervisor.failure}")
         supervisor.tick()
     return {**answers[0], "took_s": time.monotonic() - began_s}

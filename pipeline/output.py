@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TextIO
 if TYPE_CHECKING:
     from typing_extensions import Buffer
 
-PATIENCE_S = 0.1  # for a reader that does not read, once
+TIMEOUT_S = 0.1  # for a reader that does not read, once
 _ATOMIC = 512  # bytes that a pipe which can be written takes without waiting (POSIX)
 
 
@@ -54,7 +54,7 @@ class Outlet(io.RawIOBase):
         """Whether the reader reads; one that did not is waited for no more, until it does."""
         poll = select.poll()
         poll.register(self._handle, select.POLLOUT)
-        self._stuck = not poll.poll(0 if self._stuck else 1000 * PATIENCE_S)
+        self._stuck = not poll.poll(0 if self._stuck else 1000 * TIMEOUT_S)
         return not self._stuck
 
 

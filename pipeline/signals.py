@@ -77,7 +77,7 @@ class Interruption:
         self.count = 0
         self.number = 0  # the first signal
         self.on_signal: Callable[[], None] = lambda: None
-        self._patience_s = 0.0  # of the work that may be given up, 0: none may
+        self._timeout_s = 0.0  # of the work that may be given up, 0: none may
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> "Interruption":
@@ -101,20 +101,20 @@ class Interruption:
         return self.count
 
     @contextmanager
-    def giving_up(self, patience_s: float) -> Iterator[None]:
+    def giving_up(self, timeout_s: float) -> Iterator[None]:
         """Leave the work in this context that long after a signal, or at the second one.
 
         What is closed on the way out has as long again, then the kernel ends the process.
         """
-        self._patience_s = patience_s
+        self._timeout_s = timeout_s
         before = signal.signal(signal.SIGALRM, self._give_up)
         try:
             with contextlib.suppress(Interrupted):
                 if self.count:
-                    signal.setitimer(signal.ITIMER_REAL, patience_s)
+                    signal.setitimer(signal.ITIMER_REAL, timeout_s)
                 yield
         finally:
-            self._patience_s = 0.0
+            self._timeout_s = 0.0
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
 
@@ -122,15 +122,15 @@ class Interruption:
         self.count += 1
         self.number = self.number or number
         self.on_signal()
-        if self._patience_s and self.count > 1:
+        if self._timeout_s and self.count > 1:
             self._give_up(number, None)
-        elif self._patience_s:
-            signal.setitimer(signal.ITIMER_REAL, self._patience_s)
+        elif self._timeout_s:
+            signal.setitimer(signal.ITIMER_REAL, self._timeout_s)
 
     def _give_up(self, _number: int, _frame: FrameType | None) -> None:
-        if self._patience_s:
-            end_by_kernel(self._patience_s)
-            self._patience_s = 0.0
+        if self._timeout_s:
+            end_by_kernel(self._timeout_s)
+            self._timeout_s = 0.0
             raise Interrupted
 
 

@@ -111,7 +111,7 @@ def _answered(live: Live, data: bytes) -> None:
 
 def _to_graph(plan: Plan, count: int, rng: random.Random, tally: Tally) -> None:
     with Supervisor(plan) as supervisor:
-        supervisor.patience = count
+        supervisor.max_restarts = count
         supervisor.start()
         for _ in range(count):
             order = _order(supervisor, plan, rng)

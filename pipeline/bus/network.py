@@ -42,7 +42,7 @@ class Network:
     credentials: str = ""  # folder with ca.pem, own.pem, own.key; empty: unix sockets only
     permits: tuple[Permit, ...] = ()
     # for so long a message waits for a link that takes nothing; then it is lost, and counted
-    patience_ms: int = 0
+    timeout_ms: int = 0
 
     def config(self) -> dict[str, Any]:
         """Zenoh's configuration; raises `SettingsError` for a network without credentials."""
@@ -52,8 +52,8 @@ class Network:
                 raise SettingsError(f"{point}: expected {wanted}… here")
         first, last = RETRY_MS
         queue: dict[str, Any] = {"size": {"data": 16, "real_time": 16}}
-        if self.patience_ms:
-            wait_us = 1000 * self.patience_ms
+        if self.timeout_ms:
+            wait_us = 1000 * self.timeout_ms
             drop = {"wait_before_drop": wait_us, "max_wait_before_drop_fragments": wait_us}
             queue["congestion_control"] = {"drop": drop}
         config: dict[str, Any] = {

@@ -29,7 +29,7 @@ class Sender(Protocol):
     """One key's writing end."""
 
     def send(self, payload: bytes) -> None:
-        """Hand over to the transport; waits for a reader only where the session has patience."""
+        """Hand over to the transport; waits for a reader only where the session has a timeout."""
         ...
 
     def matching(self) -> bool:
@@ -41,10 +41,10 @@ class Session:
     """A peer of the graph's bus. Close it before the process ends, or Zenoh keeps it alive."""
 
     def __init__(
-        self, folder: Path, name: str, *, hub: str = "hub", patience_s: float = 10.0,
+        self, folder: Path, name: str, *, hub: str = "hub", timeout_s: float = 10.0,
         guest: bool = False,
     ) -> None:  # fmt: skip
-        """`patience_s`: how long a frozen peer may keep this one from opening or closing a link.
+        """`timeout_s`: how long a frozen peer may keep this one from opening or closing a link.
 
         A `guest` listens nowhere: it leaves no socket behind, however it ends, and no other process
         ever waits for it to open a link.
@@ -56,7 +56,7 @@ class Session:
         links = {"listen": {"endpoints": [] if guest else [own]}}
         if name != hub:
             links["connect"] = {"endpoints": [f"unixsock-stream/{folder / hub}.sock"]}
-        unicast = {"open_timeout": int(patience_s * 1000)}
+        unicast = {"open_timeout": int(timeout_s * 1000)}
         transport = {"transport": {**_TRANSPORT, "unicast": unicast}}
         self._session = _open({**links, **_COMMON, **transport}, f"{folder}: no bus there")
 
@@ -119,7 +119,7 @@ class Session:
     def serve(self, keys: str, on_question: Callable[[str, bytes, OnBytes], None]) -> None:
         """Call `on_question` with key, question and how to reply, for every key under a wildcard.
 
-        As for `answer`; without a reply within the asker's patience he hears nothing.
+        As for `answer`; without a reply within the asker's timeout it gets nothing.
         """
 
         def receive(query: zenoh.Query) -> None:

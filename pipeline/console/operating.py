@@ -22,7 +22,7 @@ from pipeline.run.swap import SwapOrder
 from pipeline.run.topology import PlanOrder
 from pipeline.text import error_text, harmless
 
-PATIENCE_S = 300.0  # loading a model, a shadow run and probation take their time
+TIMEOUT_S = 300.0  # loading a model, a shadow run and probation take their time
 
 
 @click.command()
@@ -95,15 +95,15 @@ def topology_lines(result: Mapping[str, Any]) -> list[str]:
 def tell(graph: str, order: Order) -> dict[str, Any]:
     """Give a running graph an order; raises `RunError` or `GraphError` with its reason."""
     if isinstance(order, SwapOrder) and is_deployed(graph) and graph not in running():
-        return _judged(swap_there(graph, order, PATIENCE_S))
+        return _judged(swap_there(graph, order, TIMEOUT_S))
     name, facts = find(graph)
     with client_session(name, "order") as session:
         key = f"fovea/{facts['graph']}/{COMMAND}"
-        answer = session.ask(key, _written(order), PATIENCE_S, lambda: same_run(name, facts))
+        answer = session.ask(key, _written(order), TIMEOUT_S, lambda: same_run(name, facts))
     if answer is None and not same_run(name, facts):
         raise RunError(f"{name}: ended before that was done")
     if answer is None:
-        raise RunError(f"{name}: no answer for {PATIENCE_S:.0f} s; see `fovea ps`")
+        raise RunError(f"{name}: no answer for {TIMEOUT_S:.0f} s; see `fovea ps`")
     return _judged(msgspec.json.decode(answer))
 
 

@@ -115,7 +115,7 @@ def bus() -> Finding:
         sessions: list[Session] = []
         try:
             sessions.append(Session(Path(name), "hub"))
-            sessions.append(Session(Path(name), "asker", patience_s=1.0))
+            sessions.append(Session(Path(name), "asker", timeout_s=1.0))
             sessions[0].answer(key, lambda question, reply: reply(question[::-1]))
             heard = sessions[1].ask(key, b"well", ECHO_S)
         except (FoveaError, OSError) as error:

@@ -31,7 +31,7 @@ from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
 
-PATIENCE_S = 5.0  # until an agent must have answered
+TIMEOUT_S = 5.0  # until an agent must have answered
 DOWN_S = END_S + 5.0
 READY_S = 90.0
 T = TypeVar("T")
@@ -102,25 +102,25 @@ class Fleet:
         self._session.close()
 
     def ask(
-        self, label: str, verb: str, question: Any, cls: type[T], patience_s: float = PATIENCE_S
+        self, label: str, verb: str, question: Any, cls: type[T], timeout_s: float = TIMEOUT_S
     ) -> T:
         """What an agent answers; raises `RunError` with its reason, `Silent` when there is none."""
         data = question if isinstance(question, bytes) else wire.encode(question)
-        found = self._session.ask(agent_key(label, self._identity, verb), data, patience_s)
+        found = self._session.ask(agent_key(label, self._identity, verb), data, timeout_s)
         if found is None:
             raise Silent(
                 f"{label}: no agent answers at {self.hosts.points[label]} within "
-                f"{patience_s:.0f} s; it does not run, or {self._identity} may not ask it"
+                f"{timeout_s:.0f} s; it does not run, or {self._identity} may not ask it"
             )
         return wire.read_reply(cls, label, found)
 
-    def states(self, graph: str = "", patience_s: float = 1.5) -> dict[str, list[wire.State] | str]:
+    def states(self, graph: str = "", timeout_s: float = 1.5) -> dict[str, list[wire.State] | str]:
         """What runs on every host, or why it is not known."""
         found: dict[str, list[wire.State] | str] = {}
         for label in self.hosts.points:
             try:
                 question = wire.Named(graph)
-                states = self.ask(label, "state", question, tuple[wire.State, ...], patience_s)
+                states = self.ask(label, "state", question, tuple[wire.State, ...], timeout_s)
                 found[label] = list(states)
             except FoveaError as error:
                 found[label] = str(error)

@@ -14,7 +14,7 @@ from pipeline.fleet.secure import Credentials
 from pipeline.graph.plan import Node, Plan
 from pipeline.run.rundir import base
 
-PATIENCE_MS = 1000  # a host that naps for less loses nothing on a lossless edge
+TIMEOUT_MS = 1000  # a host that naps for less loses nothing on a lossless edge
 
 
 def local_end_points(plan: Plan) -> dict[str, str]:
@@ -73,7 +73,7 @@ def networks(
             connect=tuple(sorted(theirs[o] for o in others if o < name)),
             credentials=str(Credentials.of(folder).folder) if folder else "",
             permits=node_permits(plan, node.process),
-            patience_ms=PATIENCE_MS if _promises(plan, node) else 0,
+            timeout_ms=TIMEOUT_MS if _promises(plan, node) else 0,
         )
     return found
 

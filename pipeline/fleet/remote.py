@@ -15,7 +15,7 @@ from pipeline.node.live import CONFIG, Answer, read_answer, write_question
 from pipeline.run.swap import SwapOrder
 from pipeline.settings import suggest
 
-ASK_S = 8.0  # the node's own patience, and the way
+ASK_S = 8.0  # the node's own timeout, and the way
 AT_ONCE = 4  # nodes; one that hangs must not hold up the others
 
 
@@ -44,14 +44,14 @@ def set_there(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
         return read_answer(_ask(fleet, label, graph, node, CONFIG, write_question(moved)))
 
 
-def swap_there(graph: str, order: SwapOrder, patience_s: float) -> dict[str, Any]:
+def swap_there(graph: str, order: SwapOrder, timeout_s: float) -> dict[str, Any]:
     """Have a node on one of the hosts swapped; raises `FoveaError` with the reason."""
     with _way(graph, order.node) as (fleet, label):
         changes, files = carried(order.changes)
         _send(fleet, label, files)
         order = msgspec.structs.replace(order, changes=changes)
         asked = wire.Change(graph, order)
-        return fleet.ask(label, "swap", asked, dict[str, Any], max(patience_s, READY_S))
+        return fleet.ask(label, "swap", asked, dict[str, Any], max(timeout_s, READY_S))
 
 
 def health_there(graph: str) -> dict[str, Health | None]:

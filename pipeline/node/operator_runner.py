@@ -141,17 +141,17 @@ class OperatorRunner:
         self._waiter = threading.get_ident()
         self._receiver.wait(HANDSHAKE_S)
 
-    def next_work(self, patience_s: float) -> Work | None:
-        """What to do next; None when nothing came within the patience."""
+    def next_work(self, timeout_s: float) -> Work | None:
+        """What to do next; None when nothing came in time."""
         with self._lock:
             work = self.inbox.take(time.monotonic_ns())
             if work is not None:
                 return work
             due = self.inbox.due_ns()
         if due is not None:
-            patience_s = min(patience_s, max(0.0, (due - time.monotonic_ns()) / 1e9))
+            timeout_s = min(timeout_s, max(0.0, (due - time.monotonic_ns()) / 1e9))
         self._waiter = threading.get_ident()
-        self._receiver.wait(patience_s)
+        self._receiver.wait(timeout_s)
         with self._lock:
             return self.inbox.take(time.monotonic_ns())
 

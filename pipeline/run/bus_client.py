@@ -10,17 +10,17 @@ from pipeline.errors import RunError
 from pipeline.node.wiring import key_of
 from pipeline.run.rundir import folder_of
 
-PATIENCE_S = 5.0  # a node answers between two frames; one that hangs does not
+TIMEOUT_S = 5.0  # a node answers between two frames; one that hangs does not
 _COUNT = itertools.count()  # several threads may ask
 
 
 def ask_local(folder: str, graph: str, node: str, question: str, payload: bytes) -> bytes:
     """Likewise, of a graph that runs in a folder of that name; raises `RunError` for silence."""
     with client_session(folder, "ask") as session:
-        answer = session.ask(key_of(graph, node, question), payload, PATIENCE_S)
+        answer = session.ask(key_of(graph, node, question), payload, TIMEOUT_S)
     if answer is None:
         raise RunError(
-            f"{folder}: {node} gave no answer for {PATIENCE_S:.0f} s; see `fovea logs {node}`"
+            f"{folder}: {node} gave no answer for {TIMEOUT_S:.0f} s; see `fovea logs {node}`"
         )
     return answer
 
@@ -29,7 +29,7 @@ def ask_local(folder: str, graph: str, node: str, question: str, payload: bytes)
 def client_session(graph: str, purpose: str) -> Iterator[Session]:
     """A session on the bus of a graph that runs here; it leaves no file, not even when killed."""
     own = f"{purpose}-{os.getpid()}-{next(_COUNT)}"
-    session = Session(folder_of(graph), own, patience_s=1.0, guest=True)
+    session = Session(folder_of(graph), own, timeout_s=1.0, guest=True)
     try:
         yield session
     finally:

@@ -55,7 +55,7 @@ class Supervisor(ProcessManager):
         self._sampled_s = 0.0
         self.started_s = time.monotonic()
         self.begun = False  # every process has worked once
-        self.patience = 0  # deaths allowed whatever the graph says; for those who kill on purpose
+        self.max_restarts = 0  # allowed whatever the graph says; for tests that kill on purpose
 
     def __enter__(self) -> "Supervisor":
         return self
@@ -304,7 +304,7 @@ class Supervisor(ProcessManager):
             self._finished |= managed.sources
             if self.finished and not (before or succeeded or self.ending):
                 self.failure = f"{managed.name} ended by {how}: no source is left{last}"
-        elif recent > max(rule.most, self.patience):
+        elif recent > max(rule.most, self.max_restarts):
             self.failure = f"{managed.name} died {recent} times within {rule.window_s:.0f} s{last}"
         else:
             managed.next_start_s = now_s + min(
