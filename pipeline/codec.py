@@ -19,10 +19,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.class_cache import cached_by_class
 from pipeline.errors import MessageError
 from pipeline.fields import DTYPES, Array, Fetch, Kind, Nested, PlaceArray, Plain, Tuples
 from pipeline.messages import Message, Shape
-from pipeline.once import once
 from pipeline.text import harmless
 
 T = TypeVar("T")
@@ -156,13 +156,13 @@ class Schema(Generic[T]):
             raise MessageError(f"{self.cls.__name__}: {error}") from error
 
 
-@once
+@cached_by_class
 def schema(cls: type[Any]) -> Schema[Any]:
     """The schema of a dataclass; raises `MessageError` for a field that cannot travel."""
     return Schema(cls)
 
 
-@once
+@cached_by_class
 def fingerprint(cls: type[Any]) -> bytes:
     """The fingerprint of a dataclass's schema, eight bytes."""
     return schema(cls).fingerprint

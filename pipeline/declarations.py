@@ -10,19 +10,19 @@ from typing import Any, get_args
 
 from pipeline import settings as checked
 from pipeline.cause import cause_of
+from pipeline.class_cache import cached_by_class
 from pipeline.commands import commands_of
 from pipeline.contract import Input, Keep, Operator, inputs_of, live_of, outputs_of, settings_of
 from pipeline.errors import FoveaError, GraphError
 from pipeline.graph.limits import EDGE, check_numbers
 from pipeline.messages import Message
 from pipeline.naming import check_name
-from pipeline.once import once
 from pipeline.wording import shown
 
 FLAGS = ("join", "optional", "command", "tap")
 
 
-@once
+@cached_by_class
 def check_declarations(operator: type[Operator[Any, Any]]) -> None:
     """Raise `GraphError` for a class that declares what no operator can."""
     where = f"{operator.__module__}:{operator.__qualname__}"

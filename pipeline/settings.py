@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from pipeline.cause import cause_of
+from pipeline.class_cache import cached_by_class
 from pipeline.errors import FoveaError, SettingsError
-from pipeline.once import once
 from pipeline.text import harmless
 from pipeline.wording import shown, shown_key
 
@@ -118,7 +118,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
     return f"; there is {', '.join(options)}" if options else "; there is none"
 
 
-@once
+@cached_by_class
 def _adapter(cls: type[Any]) -> TypeAdapter[Any]:
     cls.__pydantic_config__ = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
     return TypeAdapter(cls)

@@ -1,4 +1,4 @@
-"""Remember what was worked out for a class, so that it is worked out once."""
+"""A cache for what is computed from a class."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -10,7 +10,7 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 
-def once(make: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
+def cached_by_class(make: Callable[[type[Any]], R]) -> Callable[[type[Any]], R]:
     """`lru_cache` for functions of a class, with a type that mypy accepts for classes."""
     return cast(Callable[[type[Any]], R], lru_cache(maxsize=256)(make))
 
