@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from operators.policy.conditioning import CONDITION, condition, place, unlike
 from operators.policy.memory import Memory, recall, refuted
 from operators.policy.plan import Plan, field_centre, stay
-from operators.policy.prompt import Choice, Prompt, Wish, follow, held
+from operators.policy.target import Choice, TargetSpec, TargetState, follow, held
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, batched, joined, objects, without
 from pipeline import Tracks
 from pipeline.errors import MessageError, WeightsError
@@ -29,7 +29,7 @@ Selection = Literal["argmax", "sample"]
 class Gaze:
     """What the learned policy remembers beside its looks."""
 
-    prompt: Prompt = field(default_factory=Prompt)
+    target: TargetState = field(default_factory=TargetState)
     first_seq: int = 0  # the frame that row 0 of the last choice speaks of
     choice: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))  # (Tp,)
     chance: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (Tp,)
@@ -42,7 +42,7 @@ class Rules:
     patience: int = 64  # frames for which the place of a target out of sight stays a candidate
     least_genuine: float = 0.2
     roi_channels: int = 576
-    loyalty: float = 30.0  # how much likelier the object is that the prompt follows; 1: no more so
+    loyalty: float = 30.0  # how much likelier the target's own track is; 1: no more so
 
 
 class Chooser:
@@ -110,33 +110,33 @@ def softmax(logits: Array) -> Array:
 
 
 def observe(
-    before: Gaze, wish: Wish, tracks: Tracks, memory: Memory, rules: Rules
+    before: Gaze, spec: TargetSpec, tracks: Tracks, memory: Memory, rules: Rules
 ) -> tuple[Gaze, Objects, Array]:
     """Take in one frame: what to remember, the candidates, the condition."""
     seq, observed = tracks.header.seq, tracks.boxes.shape[1]
-    prompt = follow(before.prompt, wish, tracks, chosen_for(before, seq))
-    ids = np.append(tracks.ids, np.int32(prompt.bound_id))
+    target = follow(before.target, spec, tracks, chosen_for(before, seq))
+    ids = np.append(tracks.ids, np.int32(target.bound_id))
     looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
     candidates = objects(tracks, looks[:-1])
     candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
-    if held(prompt, tracks) >= 0:  # where it was going before is nowhere
-        candidates = without(candidates, candidates.ids == prompt.bound_id)
-    spot = place(prompt, wish, tracks, looks[-1], patience=rules.patience)
+    if held(target, tracks) >= 0:  # where it was going before is nowhere
+        candidates = without(candidates, candidates.ids == target.bound_id)
+    spot = place(target, spec, tracks, looks[-1], patience=rules.patience)
     if spot is not None:
         candidates = joined(candidates, spot)
-        candidates = without(candidates, unlike(prompt, wish, tracks, candidates.ids))
-    return replace(before, prompt=prompt), candidates, condition(prompt, wish, tracks)
+        candidates = without(candidates, unlike(target, spec, tracks, candidates.ids))
+    return replace(before, target=target), candidates, condition(target, spec, tracks)
 
 
-def loyal(probability: Array, candidates: Objects, prompt: Prompt, loyalty: float) -> Array:
-    """The network's belief (N, Tp) times the prompt's; each step's sum is 1 again.
+def loyal(probability: Array, candidates: Objects, target: TargetState, loyalty: float) -> Array:
+    """The network's belief (N, Tp) times the target's own; each step's sum is 1 again.
 
-    The prompt follows its target by motion, the network knows it by its looks and its place. Among
+    The target is followed by motion, the network knows it by its looks and its place. Among
     players of one team looks tell little: who was meant a moment ago is still meant, unless the
     network is `loyalty` times surer of somebody else.
     """
-    own = candidates.ids == prompt.bound_id
-    if prompt.bound_id < 0 or not own.any():
+    own = candidates.ids == target.bound_id
+    if target.bound_id < 0 or not own.any():
         return probability
     raised = np.where(own[:, None], loyalty, np.float32(1)) * probability
     return np.asarray(raised / raised.sum(0, keepdims=True), np.float32)
@@ -185,6 +185,6 @@ def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArra
 
 def nothing(gaze: Gaze, tracks: Tracks, horizon: int) -> Plan:
     """Without candidates: where the target was last believed to be, or the middle of the field."""
-    if gaze.prompt.placed:
-        return stay(gaze.prompt.box, horizon)
+    if gaze.target.placed:
+        return stay(gaze.target.box, horizon)
     return stay(field_centre(tracks.header.geometry), horizon)

@@ -32,8 +32,8 @@ from operators.policy.learned import (
 from operators.policy.memory import Memory, blank, remember
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.plan import Plan, no_proposal, scanpath
-from operators.policy.prompt import Wish
 from operators.policy.pursuit import Pursuit, pursue
+from operators.policy.target import TargetSpec
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
 log = logging.getLogger(__name__)
@@ -81,9 +81,9 @@ class PolicySettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyState:
-    """What a policy remembers from frame to frame; of whom, says the wish."""
+    """What a policy remembers from frame to frame; of whom, says the spec."""
 
-    wish: Wish = field(default_factory=Wish)
+    spec: TargetSpec = field(default_factory=TargetSpec)
     pursuit: Pursuit = field(default_factory=Pursuit)
     turn: Turn = field(default_factory=Turn)
     gaze: Gaze = field(default_factory=Gaze)
@@ -120,15 +120,15 @@ class Policy(Operator[PolicySettings, Scanpath]):
         another = settings.target != self.settings.target
         if another and (sentence := unknown(settings.target, self._names)):
             raise SettingsError(sentence)
-        self.settings, before = settings, self._wish
+        self.settings, before = settings, self._spec
         self._look_for(settings)
-        if self._wish != before:
+        if self._spec != before:
             self._state = replace(self._state, pursuit=Pursuit(), gaze=Gaze())
             self._ailing.discard("prompt")
 
     def _look_for(self, s: PolicySettings) -> None:
-        self._wish = Wish(
-            object_id=s.target_id, box=s.prompt_box, target=s.target, held_by=s.held_by
+        self._spec = TargetSpec(
+            object_id=s.target_id, box=s.prompt_box, label=s.target, held_by=s.held_by
         )
 
     def on_stream(self, header: Header) -> None:
@@ -137,11 +137,11 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     def state(self) -> PolicyState:
         """Everything remembered."""
-        return replace(self._state, wish=self._wish)
+        return replace(self._state, spec=self._spec)
 
     def restore(self, state: PolicyState) -> None:
         """Go on where another instance stopped; after another target, if it had another."""
-        if state.wish != self._wish:
+        if state.spec != self._spec:
             state = replace(state, pursuit=Pursuit(), gaze=Gaze())
         self._state = state
 
@@ -174,7 +174,7 @@ class Policy(Operator[PolicySettings, Scanpath]):
         plan, pursuit = pursue(
             tracks,
             state.pursuit,
-            self._wish,
+            self._spec,
             confirm=s.confirm,
             patience=s.patience,
             horizon=s.horizon,
@@ -196,11 +196,11 @@ class Policy(Operator[PolicySettings, Scanpath]):
             roi_channels=chooser.roi_channels,
             loyalty=s.loyalty,
         )
-        gaze, candidates, told = observe(state.gaze, self._wish, tracks, state.memory, rules)
-        self._complain("prompt", unmet(gaze.prompt, self._wish, tracks))
+        gaze, candidates, told = observe(state.gaze, self._spec, tracks, state.memory, rules)
+        self._complain("prompt", unmet(gaze.target, self._spec, tracks))
         if len(candidates.ids):
             believed = chooser(candidates, told)
-            probability = loyal(believed, candidates, gaze.prompt, rules.loyalty)
+            probability = loyal(believed, candidates, gaze.target, rules.loyalty)
             rng = np.random.default_rng([s.seed, tracks.header.seq])
             picked = pick(probability, s.selection, rng)
             plan, gaze = decide(gaze, tracks, candidates, probability, picked)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from operators.policy.candidates import Sightings, count, nearest, none_seen, worth
 from operators.policy.holding import able
 from operators.policy.plan import Plan, follow, future, name_of, of_class, row_of, stay
-from operators.policy.prompt import BIND_IOU, GROWTH, Wish
 from operators.policy.search import search
+from operators.policy.target import BIND_IOU, GROWTH, TargetSpec
 from pipeline import Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
@@ -43,67 +43,67 @@ class Pursuit:
 
 
 def pursue(
-    tracks: Tracks, before: Pursuit, wish: Wish, *, confirm: int, patience: int, horizon: int
+    tracks: Tracks, before: Pursuit, spec: TargetSpec, *, confirm: int, patience: int, horizon: int
 ) -> tuple[Plan, Pursuit]:
     """The plan for the frames after these tracks, and what to remember."""
     now = replace(before, sightings=count(before.sightings, tracks))
-    now = locked_on(tracks, now, wish, confirm)
+    now = locked_on(tracks, now, spec, confirm)
     row = row_of(tracks, now.locked)
     if row < 0:
-        return wait(tracks, now, wish, patience=patience, horizon=horizon), now
-    now = noted(tracks, row, now, wish)
+        return wait(tracks, now, spec, patience=patience, horizon=horizon), now
+    now = noted(tracks, row, now, spec)
     held = row_of(tracks, now.holder)
     if tracks.header.seq - now.seen_seq > COAST and held >= 0:
         return stay(future(tracks, held, horizon), horizon), now
     return follow(tracks, row, horizon), now
 
 
-def locked_on(tracks: Tracks, now: Pursuit, wish: Wish, confirm: int) -> Pursuit:
+def locked_on(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> Pursuit:
     """Keep, gain or change the track that is the target."""
     if row_of(tracks, now.locked) >= 0:
-        by_class = not wish.one
-        return challenged(tracks, now, wish, confirm) if by_class else now
-    row = first_lock(tracks, wish) if now.seen_seq < 0 else -1
-    if row < 0 and (now.seen_seq >= 0 or not wish.one):
-        row = regained(tracks, now, wish, confirm)
+        by_class = not spec.one
+        return challenged(tracks, now, spec, confirm) if by_class else now
+    row = first_lock(tracks, spec) if now.seen_seq < 0 else -1
+    if row < 0 and (now.seen_seq >= 0 or not spec.one):
+        row = regained(tracks, now, spec, confirm)
     locked = int(tracks.ids[row]) if row >= 0 else -1
     return replace(now, locked=locked, rival=-1, rival_frames=0)
 
 
-def first_lock(tracks: Tracks, wish: Wish) -> int:
+def first_lock(tracks: Tracks, spec: TargetSpec) -> int:
     """Row of the object asked for by id or by box, -1 when it is not there."""
-    if wish.object_id >= 0:
-        return row_of(tracks, wish.object_id)
-    if wish.boxed and len(tracks.ids):
-        overlap = iou(tracks.boxes[:, -1], np.array([wish.box], np.float32))[:, 0]
+    if spec.object_id >= 0:
+        return row_of(tracks, spec.object_id)
+    if spec.boxed and len(tracks.ids):
+        overlap = iou(tracks.boxes[:, -1], np.array([spec.box], np.float32))[:, 0]
         return int(overlap.argmax()) if overlap.max() >= BIND_IOU else -1
     return -1
 
 
-def regained(tracks: Tracks, now: Pursuit, wish: Wish, confirm: int) -> int:
+def regained(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> int:
     """Row of the best confirmed candidate, -1: none.
 
     One of many alike (asked for by id or by box) must be near where it was lost; the distance it
     may have gone grows with time. A class may turn up anywhere.
     """
-    known = now.target if now.target else wish.target
+    known = now.target if now.target else spec.label
     fit = of_class(tracks, known) & (now.sightings.counts >= confirm) & tracks.visible[:, -1]
-    if wish.one:
+    if spec.one:
         gone = tracks.header.seq - now.seen_seq
         away = np.linalg.norm(centres(tracks.boxes[:, -1]) - centres(now.box), axis=1)
         fit &= away <= (1 + GROWTH * gone) * sizes(now.box[None])
         value = -away.astype(np.float32)
     else:
-        value = worth(tracks, able(tracks, wish.held_by, known))
+        value = worth(tracks, able(tracks, spec.held_by, known))
     return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
 
 
-def challenged(tracks: Tracks, now: Pursuit, wish: Wish, confirm: int) -> Pursuit:
+def challenged(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> Pursuit:
     """Change to a rival that has been clearly better for `confirm` frames in succession."""
-    fit = of_class(tracks, now.target or wish.target) & tracks.visible[:, -1]
+    fit = of_class(tracks, now.target or spec.label) & tracks.visible[:, -1]
     fit &= now.sightings.counts >= confirm
     own = row_of(tracks, now.locked)
-    value = worth(tracks, able(tracks, wish.held_by, now.target))
+    value = worth(tracks, able(tracks, spec.held_by, now.target))
     best = int(np.where(fit, value, -np.inf).argmax())
     if not fit[best] or value[best] <= value[own] + MARGIN:
         return replace(now, rival=-1, rival_frames=0)
@@ -114,7 +114,7 @@ def challenged(tracks: Tracks, now: Pursuit, wish: Wish, confirm: int) -> Pursui
     return replace(now, locked=rival, rival=-1, rival_frames=0)
 
 
-def noted(tracks: Tracks, row: int, now: Pursuit, wish: Wish) -> Pursuit:
+def noted(tracks: Tracks, row: int, now: Pursuit, spec: TargetSpec) -> Pursuit:
     """Remember where the target is, what it is and who is beside it."""
     box, target = tracks.boxes[row, -1], name_of(tracks, row)
     if not tracks.visible[row, -1]:
@@ -122,7 +122,7 @@ def noted(tracks: Tracks, row: int, now: Pursuit, wish: Wish) -> Pursuit:
         return replace(
             now, box=box, seen_seq=now.seen_seq if now.seen_seq >= 0 else tracks.header.seq
         )
-    rows = np.flatnonzero(able(tracks, wish.held_by, target))
+    rows = np.flatnonzero(able(tracks, spec.held_by, target))
     at, _ = nearest(box, tracks.boxes[rows, -1], HOLD_REACH * float(sizes(box[None])[0]))
     return replace(
         now,
@@ -133,14 +133,14 @@ def noted(tracks: Tracks, row: int, now: Pursuit, wish: Wish) -> Pursuit:
     )
 
 
-def wait(tracks: Tracks, now: Pursuit, wish: Wish, *, patience: int, horizon: int) -> Plan:
+def wait(tracks: Tracks, now: Pursuit, spec: TargetSpec, *, patience: int, horizon: int) -> Plan:
     """Where to look while there is no target: with its holder, at its last place, all over."""
     held = row_of(tracks, now.holder)
     if held >= 0:
         return stay(future(tracks, held, horizon), horizon)
     header = tracks.header
-    if now.seen_seq < 0 and wish.boxed:
-        return stay(np.array(wish.box, np.float32), horizon)
+    if now.seen_seq < 0 and spec.boxed:
+        return stay(np.array(spec.box, np.float32), horizon)
     frames = header.seq + 1 + np.arange(horizon) - now.seen_seq
     if now.seen_seq < 0:
         return stay(search(header.geometry, None, header.seq + 1 + np.arange(horizon)), horizon)

@@ -17,7 +17,7 @@ from operators.policy.data import Recording
 from operators.policy.learned import Gaze, Rules, Selection, decide, loyal, nothing, observe, pick
 from operators.policy.memory import blank, remember
 from operators.policy.plan import Plan
-from operators.policy.prompt import Wish
+from operators.policy.target import TargetSpec
 from operators.policy.tokens import Array, Objects
 from operators.policy.utility import gains
 from pipeline import RoiFeatures, Tracks
@@ -76,9 +76,9 @@ class Episode:
         first = self.truth[task.start]
         if task.prompt == "box":
             left, top, right, bottom = (float(side) for side in first)
-            self._wish = Wish(box=(left, top, right, bottom))
+            self._spec = TargetSpec(box=(left, top, right, bottom))
         else:
-            self._wish = Wish(target=CLASS_OF_ROLE[self.label])
+            self._spec = TargetSpec(label=CLASS_OF_ROLE[self.label])
         field = recording.geometry
         middle = np.array([field.width_px / 2, field.height_px / 2], np.float32)
         self._window = roi_window(
@@ -104,7 +104,7 @@ class Episode:
             self.shown.append(float(covered(self.truth[self.frame][None], window)[0]))
         self._tracks = moment.tracks
         self._gaze, self._candidates, told = observe(
-            self._gaze, self._wish, moment.tracks, self._memory, self._rules
+            self._gaze, self._spec, moment.tracks, self._memory, self._rules
         )
         # in the loop too the plan is made before this frame's ROI has been encoded
         seen = within(moment.seen, moment.tracks, self._window)
@@ -122,7 +122,7 @@ class Episode:
         """Look where the policy says, and go on to the next frame."""
         if len(self._candidates.ids):
             probability = loyal(
-                probability, self._candidates, self._gaze.prompt, self._rules.loyalty
+                probability, self._candidates, self._gaze.target, self._rules.loyalty
             )
             picked = pick(probability, how, rng)
             plan, self._gaze = decide(

@@ -15,7 +15,7 @@ from operators.policy.conditioning import CHANNELS, CONDITION
 from operators.policy.learned import SHIPPED, Chooser, loyal, pick
 from operators.policy.model import INPUTS, PolicyNet, example, export
 from operators.policy.policy import Policy, PolicySettings
-from operators.policy.prompt import Prompt
+from operators.policy.target import TargetState
 from operators.policy.tokens import MOST_OBJECTS, batched, objects
 from pipeline import MessageError, RoiFeatures, Scanpath, Tracks, WeightsError
 from pipeline.codec import dumps, loads
@@ -166,11 +166,11 @@ def test_drawing_follows_the_chances_and_the_seed() -> None:
 
 def test_who_was_meant_stays_meant_unless_the_network_is_much_surer_of_another() -> None:
     world = tracks(0, (1, 1, 100, 100, 0), (2, 1, 300, 100, 0))
-    candidates, prompt = objects(world, np.zeros((2, 4, 5), np.float32)), Prompt(bound_id=1)
+    candidates, target = objects(world, np.zeros((2, 4, 5), np.float32)), TargetState(bound_id=1)
 
     def chosen(surer: float, *, loyalty: float = 30.0) -> list[int]:
         believed = np.array([[1.0], [surer]], np.float32) / (1 + surer)
-        weighed = loyal(believed, candidates, prompt, loyalty)
+        weighed = loyal(believed, candidates, target, loyalty)
         assert np.allclose(weighed.sum(0), 1)
         return candidates.ids[weighed.argmax(0)].tolist()
 
@@ -181,8 +181,8 @@ def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
     candidates = objects(tracks(0, (1, 1, 100, 100, 0)), np.zeros((1, 4, 5), np.float32))
     believed = np.ones((1, 3), np.float32)
 
-    for prompt in (Prompt(), Prompt(bound_id=7)):
-        assert loyal(believed, candidates, prompt, 30) is believed
+    for target in (TargetState(), TargetState(bound_id=7)):
+        assert loyal(believed, candidates, target, 30) is believed
 
 
 def test_what_two_looks_found_to_be_nothing_is_no_candidate(weights: Path) -> None:
@@ -229,12 +229,12 @@ def test_another_target_takes_effect_with_the_next_plan(weights: Path) -> None:
     subject = Policy(PolicySettings(strategy="learned", weights=str(weights), target_id=1))
     subject.open()
     subject.on_tracks(world(0))
-    assert subject.state().gaze.prompt.bound_id == 1
+    assert subject.state().gaze.target.bound_id == 1
 
     subject.on_settings(PolicySettings(strategy="learned", weights=str(weights), target_id=4))
 
     subject.on_tracks(world(1))
-    assert subject.state().gaze.prompt.bound_id == 4
+    assert subject.state().gaze.target.bound_id == 4
 
 
 def test_what_is_no_other_target_leaves_the_prompt_where_it_is(weights: Path) -> None:
@@ -244,12 +244,12 @@ def test_what_is_no_other_target_leaves_the_prompt_where_it_is(weights: Path) ->
     subject = Policy(settings)
     subject.open()
     subject.on_tracks(world(0))
-    prompt = subject.state().gaze.prompt
+    target = subject.state().gaze.target
 
     subject.on_settings(replace(settings, least_genuine=0.5))
 
-    assert prompt.bound_id == 1
-    assert subject.state().gaze.prompt is prompt
+    assert target.bound_id == 1
+    assert subject.state().gaze.target is target
 
 
 def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None:
