@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.plan import Plan, field_centre, future, of_class, stay
+from operators.policy.gaze_plan import GazePlan, field_centre, future, of_class, stay
 from pipeline import Tracks
 
 
@@ -17,14 +17,14 @@ class Turn:
     since_seq: int = -1
 
 
-def centred(tracks: Tracks, horizon: int) -> Plan:
+def centred(tracks: Tracks, horizon: int) -> GazePlan:
     """Always the middle of the field."""
     return stay(field_centre(tracks.header.geometry), horizon)
 
 
 def round_robin(
     tracks: Tracks, turn: Turn, *, target: str, dwell: int, horizon: int
-) -> tuple[Plan, Turn]:
+) -> tuple[GazePlan, Turn]:
     """Each object in turn, by id, `dwell` frames each; `target` limits the round to one class.
 
     The turn passes to the next higher id, so that objects may come and go without disturbing the
@@ -43,7 +43,7 @@ def round_robin(
     frames = np.arange(horizon)
     places = (first + (now - turn.since_seq + frames) // dwell) % len(rows)
     boxes = np.stack([future(tracks, int(row), horizon) for row in rows])
-    return Plan(choice=ids[places], boxes=boxes[places, frames]), turn
+    return GazePlan(choice=ids[places], boxes=boxes[places, frames]), turn
 
 
 def after(ids: NDArray[np.int32], last: int) -> int:

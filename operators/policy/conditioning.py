@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.policy.gaze_plan import PLACE, row_of
 from operators.policy.holding import carried
 from operators.policy.motion import camera_motion
-from operators.policy.plan import PLACE, row_of
 from operators.policy.target import TargetSpec, TargetState, alike, held
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, one_hot, tell
 from pipeline import Tracks

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.plan import of_class
+from operators.policy.gaze_plan import of_class
 from pipeline import Tracks
 from pipeline.boxes import centres
 

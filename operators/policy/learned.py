@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.conditioning import CONDITION, condition, place, unlike
+from operators.policy.gaze_plan import GazePlan, field_centre, stay
 from operators.policy.memory import Memory, recall, refuted
-from operators.policy.plan import Plan, field_centre, stay
 from operators.policy.target import Choice, TargetSpec, TargetState, follow, held
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, batched, joined, objects, without
 from pipeline import Tracks
@@ -45,7 +45,7 @@ class Rules:
     loyalty: float = 30.0  # how much likelier the target's own track is; 1: no more so
 
 
-class Chooser:
+class PolicyNetwork:
     """The network of one ONNX file; raises `WeightsError` when it is none of ours."""
 
     def __init__(self, path: Path, *, threads: int = 1) -> None:
@@ -159,14 +159,14 @@ def chosen_for(gaze: Gaze, seq: int) -> Choice:
 
 def decide(
     before: Gaze, tracks: Tracks, candidates: Objects, probability: Array, picked: NDArray[np.intp]
-) -> tuple[Plan, Gaze]:
+) -> tuple[GazePlan, Gaze]:
     """The plan that looks at candidate `picked[t]` (Tp,) at step t, and what to remember of it."""
     steps = np.arange(len(picked))
     choice = candidates.ids[picked]
     over = np.zeros((len(picked), len(tracks.ids)), np.float32)
     track, candidate = np.nonzero(tracks.ids[:, None] == candidates.ids)
     over[:, track] = probability[candidate].T
-    plan = Plan(choice=choice, boxes=candidates.path[picked, steps], probability=over)
+    plan = GazePlan(choice=choice, boxes=candidates.path[picked, steps], probability=over)
     return plan, replace(
         before,
         first_seq=tracks.header.seq + 1,
@@ -183,7 +183,7 @@ def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArra
     return np.asarray(reached.argmax(0))
 
 
-def nothing(gaze: Gaze, tracks: Tracks, horizon: int) -> Plan:
+def nothing(gaze: Gaze, tracks: Tracks, horizon: int) -> GazePlan:
     """Without candidates: where the target was last believed to be, or the middle of the field."""
     if gaze.target.placed:
         return stay(gaze.target.box, horizon)

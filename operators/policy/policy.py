@@ -15,11 +15,12 @@ import numpy as np
 
 from operators.policy.baselines import Turn, centred, round_robin
 from operators.policy.conditioning import unknown, unmet
+from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
 from operators.policy.holding import PEOPLE
 from operators.policy.learned import (
     SHIPPED,
-    Chooser,
     Gaze,
+    PolicyNetwork,
     Rules,
     Selection,
     decide,
@@ -31,7 +32,6 @@ from operators.policy.learned import (
 )
 from operators.policy.memory import Memory, blank, remember
 from operators.policy.memory import fault as fault_of_looks
-from operators.policy.plan import Plan, no_proposal, scanpath
 from operators.policy.pursuit import Pursuit, pursue
 from operators.policy.target import TargetSpec
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
@@ -104,10 +104,12 @@ class Policy(Operator[PolicySettings, Scanpath]):
         """Start without a past; raises `WeightsError` when no network fits the settings."""
         s = self.settings
         self._state = PolicyState()
-        self._chooser: Chooser | None = None
+        self._network: PolicyNetwork | None = None
         if s.strategy == "learned":
-            self._chooser = Chooser(Path(s.weights) if s.weights else SHIPPED, threads=s.threads)
-            self._chooser.suits(horizon=s.horizon, observed=s.observed)
+            self._network = PolicyNetwork(
+                Path(s.weights) if s.weights else SHIPPED, threads=s.threads
+            )
+            self._network.suits(horizon=s.horizon, observed=s.observed)
         self._ailing: set[str] = set()
         self._names: Sequence[str] = ()  # of the classes that tracks have
         self._look_for(s)
@@ -159,10 +161,10 @@ class Policy(Operator[PolicySettings, Scanpath]):
         self._names = tracks.names
         return scanpath(tracks, self._plan(tracks))
 
-    def _plan(self, tracks: Tracks) -> Plan:
+    def _plan(self, tracks: Tracks) -> GazePlan:
         s, state = self.settings, self._state
-        if s.strategy == "learned" and self._chooser is not None:
-            return self._chosen(tracks, self._chooser)
+        if s.strategy == "learned" and self._network is not None:
+            return self._chosen(tracks, self._network)
         if s.strategy == "centred":
             return centred(tracks, s.horizon)
         if s.strategy == "round_robin":
@@ -182,10 +184,10 @@ class Policy(Operator[PolicySettings, Scanpath]):
         self._state = replace(state, pursuit=pursuit)
         return plan
 
-    def _chosen(self, tracks: Tracks, chooser: Chooser) -> Plan:
+    def _chosen(self, tracks: Tracks, network: PolicyNetwork) -> GazePlan:
         """What the network chooses."""
         s, state = self.settings, self._state
-        chooser.check(tracks)
+        network.check(tracks)
         wrong = fault(tracks)
         self._complain("tracks", wrong)
         if wrong:
@@ -193,19 +195,19 @@ class Policy(Operator[PolicySettings, Scanpath]):
         rules = Rules(
             patience=s.place_patience,
             least_genuine=s.least_genuine,
-            roi_channels=chooser.roi_channels,
+            roi_channels=network.roi_channels,
             loyalty=s.loyalty,
         )
         gaze, candidates, told = observe(state.gaze, self._spec, tracks, state.memory, rules)
         self._complain("prompt", unmet(gaze.target, self._spec, tracks))
         if len(candidates.ids):
-            believed = chooser(candidates, told)
+            believed = network(candidates, told)
             probability = loyal(believed, candidates, gaze.target, rules.loyalty)
             rng = np.random.default_rng([s.seed, tracks.header.seq])
             picked = pick(probability, s.selection, rng)
             plan, gaze = decide(gaze, tracks, candidates, probability, picked)
         else:
-            plan = nothing(gaze, tracks, chooser.horizon)
+            plan = nothing(gaze, tracks, network.horizon)
         self._state = replace(state, gaze=gaze)
         return plan
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.candidates import Sightings, count, nearest, none_seen, worth
+from operators.policy.gaze_plan import GazePlan, follow, future, name_of, of_class, row_of, stay
 from operators.policy.holding import able
-from operators.policy.plan import Plan, follow, future, name_of, of_class, row_of, stay
 from operators.policy.search import search
 from operators.policy.target import BIND_IOU, GROWTH, TargetSpec
 from pipeline import Tracks
@@ -44,7 +44,7 @@ class Pursuit:
 
 def pursue(
     tracks: Tracks, before: Pursuit, spec: TargetSpec, *, confirm: int, patience: int, horizon: int
-) -> tuple[Plan, Pursuit]:
+) -> tuple[GazePlan, Pursuit]:
     """The plan for the frames after these tracks, and what to remember."""
     now = replace(before, sightings=count(before.sightings, tracks))
     now = locked_on(tracks, now, spec, confirm)
@@ -133,7 +133,9 @@ def noted(tracks: Tracks, row: int, now: Pursuit, spec: TargetSpec) -> Pursuit:
     )
 
 
-def wait(tracks: Tracks, now: Pursuit, spec: TargetSpec, *, patience: int, horizon: int) -> Plan:
+def wait(
+    tracks: Tracks, now: Pursuit, spec: TargetSpec, *, patience: int, horizon: int
+) -> GazePlan:
     """Where to look while there is no target: with its holder, at its last place, all over."""
     held = row_of(tracks, now.holder)
     if held >= 0:

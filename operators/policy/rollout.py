@@ -14,9 +14,9 @@ import numpy as np
 from drivers.source import CLASS_OF_ROLE
 from operators.dispatch import plan_windows
 from operators.policy.data import Recording
+from operators.policy.gaze_plan import GazePlan
 from operators.policy.learned import Gaze, Rules, Selection, decide, loyal, nothing, observe, pick
 from operators.policy.memory import blank, remember
-from operators.policy.plan import Plan
 from operators.policy.target import TargetSpec
 from operators.policy.tokens import Array, Objects
 from operators.policy.utility import gains
@@ -133,7 +133,7 @@ class Episode:
         self._dispatch(plan)
         self.frame += 1
 
-    def _dispatch(self, plan: Plan) -> None:
+    def _dispatch(self, plan: GazePlan) -> None:
         if self.frame - self._planned < self.task.replan:
             return
         self._planned = self.frame

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.policy.gaze_plan import PLACE, name_of, of_class, row_of
 from operators.policy.holding import PEOPLE, able, holder_of
 from operators.policy.motion import camera_motion
-from operators.policy.plan import PLACE, name_of, of_class, row_of
 from operators.policy.tokens import Array
 from pipeline import Geometry, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes

@@ -92,7 +92,7 @@ def loss_of(
     return settings.imitation * (imitation * counts).sum() / steps - utility, utility
 
 
-def chooser(net: PolicyNet) -> Choose:
+def network_choice(net: PolicyNet) -> Choose:
     """The network, where it is, as roll-outs use it: many moments at once."""
     device = next(net.parameters()).device
 
@@ -149,7 +149,7 @@ def round_of(run: Run, clips: Clips, number: int) -> Pool:
     s = run.settings
     rng = np.random.default_rng([s.seed, number])
     episodes = clips.episodes(s.episodes, seed=1000 * s.seed + number)
-    choose = chooser(run.roller) if number else teacher(episodes, 0.2, rng)
+    choose = network_choice(run.roller) if number else teacher(episodes, 0.2, rng)
     how: Selection = "sample" if number else "argmax"
     samples = roll(episodes, choose, frames=s.length, how=how, rng=rng)
     if not samples:
@@ -164,7 +164,7 @@ def coverage(net: PolicyNet, clips: Clips, *, count: int, seed: int) -> dict[str
     """Share of the target that the ROI shows when the policy is in charge, by label."""
     episodes = clips.episodes(count, seed=seed, plain=True)
     rng = np.random.default_rng(seed)
-    roll(episodes, chooser(net), frames=clips.settings.length, how="argmax", rng=rng, keep=0)
+    roll(episodes, network_choice(net), frames=clips.settings.length, how="argmax", rng=rng, keep=0)
     shown: dict[str, list[float]] = {}
     for episode in episodes:
         shown.setdefault(episode.label, []).extend(episode.shown[1:])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operators.policy.conditioning import CHANNELS, CONDITION, condition, place, unmet
-from operators.policy.plan import PLACE
+from operators.policy.gaze_plan import PLACE
 from operators.policy.target import Choice, TargetSpec, TargetState, follow
 from tests.operators.policy.made_up import followed, tracks
 

@@ -5,10 +5,10 @@ from functools import reduce
 import numpy as np
 
 from operators.policy.conditioning import place
+from operators.policy.gaze_plan import PLACE
 from operators.policy.holding import PEOPLE, able, holder_of
 from operators.policy.learned import Gaze, Rules, observe
 from operators.policy.memory import blank
-from operators.policy.plan import PLACE
 from operators.policy.target import PATIENCE, Choice, TargetSpec, TargetState, follow, held
 from pipeline import Tracks
 from tests.operators.policy.made_up import tracks

@@ -12,7 +12,7 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
 from operators.policy.conditioning import CHANNELS, CONDITION
-from operators.policy.learned import SHIPPED, Chooser, loyal, pick
+from operators.policy.learned import SHIPPED, PolicyNetwork, loyal, pick
 from operators.policy.model import INPUTS, PolicyNet, example, export
 from operators.policy.policy import Policy, PolicySettings
 from operators.policy.target import TargetState
@@ -318,9 +318,9 @@ def test_weights_that_are_no_policy_are_refused(tmp_path: Path) -> None:
     mean_encoder(tmp_path / "other.onnx", batch="n", side_px=8, as_map=False)
 
     with pytest.raises(WeightsError, match=r"other\.onnx: expected a policy's inputs"):
-        Chooser(tmp_path / "other.onnx")
+        PolicyNetwork(tmp_path / "other.onnx")
     with pytest.raises(WeightsError, match=r"none\.onnx: no such weights"):
-        Chooser(tmp_path / "none.onnx")
+        PolicyNetwork(tmp_path / "none.onnx")
 
 
 def test_weights_for_another_history_or_horizon_are_refused_before_the_first_frame(
