@@ -1,6 +1,6 @@
-"""What the network is told of who is meant: the condition, and the prompted place as a candidate.
+"""Encode the target for the network: the condition, and the prompted place as a candidate.
 
-The paper conditions on the features at the target's first place and on its box. We tell the box
+The paper conditions on the features at the target's first place and on its box. Here it is the box
 where the target was last believed to be (`target.py`).
 
 The place itself is a candidate too while its target is not in view. That is ours, not the paper's:
@@ -17,7 +17,7 @@ from operators.policy.gaze_plan import PLACE, row_of
 from operators.policy.holding import carried
 from operators.policy.motion import camera_motion
 from operators.policy.target import TargetSpec, TargetState, alike, held
-from operators.policy.tokens import BOX, CLASSES, Array, Objects, one_hot, tell
+from operators.policy.tokens import BOX, CLASSES, Array, Objects, encode_boxes, encode_labels
 from pipeline import Tracks
 
 CHANNELS = 64  # of the detector's feature map
@@ -25,22 +25,22 @@ CONDITION = CHANNELS + BOX + CLASSES + 4
 GRACE = 8  # frames a prompt may wait for its track before that is worth a word
 
 
-def condition(target: TargetState, spec: TargetSpec, tracks: Tracks) -> Array:
+def encode_condition(target: TargetState, spec: TargetSpec, tracks: Tracks) -> Array:
     """The condition (CONDITION,): features, box, class, and what is known of the target."""
-    told = np.zeros(CONDITION, np.float32)
-    told[: min(len(target.features), CHANNELS)] = target.features[:CHANNELS]
+    encoded = np.zeros(CONDITION, np.float32)
+    encoded[: min(len(target.features), CHANNELS)] = target.features[:CHANNELS]
     if target.placed:
-        told[CHANNELS : CHANNELS + BOX] = tell(target.box, tracks.header.geometry)
-    told[CHANNELS + BOX : -4] = one_hot(tracks.names, [target.label or spec.label])[0]
+        encoded[CHANNELS : CHANNELS + BOX] = encode_boxes(target.box, tracks.header.geometry)
+    encoded[CHANNELS + BOX : -4] = encode_labels(tracks.names, [target.label or spec.label])[0]
     row = row_of(tracks, target.bound_id)
     unseen = tracks.header.seq - target.seen_seq if target.seen_seq >= 0 else 0
-    told[-4:] = (
+    encoded[-4:] = (
         spec.one,
         bool(spec.label),
         row >= 0 and tracks.visible[row, -1],
         min(unseen / 16, 2),
     )
-    return told
+    return encoded
 
 
 def unmet(target: TargetState, spec: TargetSpec, tracks: Tracks) -> str:
@@ -57,13 +57,13 @@ def unmet(target: TargetState, spec: TargetSpec, tracks: Tracks) -> str:
 
 
 def unknown(target: str, names: Sequence[str]) -> str:
-    """A sentence when a class is none of those that the tracks have, as far as they tell."""
+    """A sentence when a class is none of those that the tracks have, as far as that is known."""
     if not target or not names or target in names:
         return ""
     return f"policy.target: expected one of {', '.join(names)}, got {target}"
 
 
-def place(
+def encode_place(
     target: TargetState, spec: TargetSpec, tracks: Tracks, looks: Array, *, patience: int
 ) -> Objects | None:
     """The prompted place as a candidate; None while its target is in view, and after `patience`.
@@ -84,7 +84,7 @@ def place(
     if holder >= 0:
         moved, moves = carried(tracks, holder)
     path = (target.box + np.tile(moves, 2)).astype(np.float32)
-    past = tell((target.box + np.tile(moved, 2)).astype(np.float32), tracks.header.geometry)
+    past = encode_boxes((target.box + np.tile(moved, 2)).astype(np.float32), tracks.header.geometry)
     features = np.zeros(tracks.features.shape[2], np.float32)
     features[: len(target.features)] = target.features
     return Objects(
@@ -92,8 +92,8 @@ def place(
         roi=looks[None],
         context=np.broadcast_to(features, (1, observed, len(features))).copy(),
         boxes=np.concatenate([past, np.zeros((observed, 1), np.float32)], 1)[None],
-        predicted=tell(path, tracks.header.geometry)[None],
-        label=one_hot(tracks.names, [target.label or spec.label]),
+        predicted=encode_boxes(path, tracks.header.geometry)[None],
+        label=encode_labels(tracks.names, [target.label or spec.label]),
         place=np.ones(1, np.float32),
         path=path[None],
     )

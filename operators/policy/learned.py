@@ -12,11 +12,20 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.conditioning import CONDITION, condition, place, unlike
+from operators.policy.conditioning import CONDITION, encode_condition, encode_place, unlike
 from operators.policy.gaze_plan import GazePlan, field_centre, stay
 from operators.policy.memory import Memory, recall, refuted
 from operators.policy.target import Choice, TargetSpec, TargetState, follow, held
-from operators.policy.tokens import BOX, CLASSES, Array, Objects, batched, joined, objects, without
+from operators.policy.tokens import (
+    BOX,
+    CLASSES,
+    Array,
+    Objects,
+    batched,
+    encode_objects,
+    joined,
+    without,
+)
 from pipeline import Tracks
 from pipeline.errors import MessageError, WeightsError
 from pipeline.inference import Network
@@ -53,10 +62,10 @@ class PolicyNetwork:
             raise WeightsError(f"policy.weights: {path.name} is not there; train one, or name one")
         self.path, self._network = path, Network(path, threads=threads)
         given = self._network.inputs
-        told = {f.name for f in fields(Objects)} - {"ids", "path"} | {"condition", "mask"}
-        if set(given) != told or set(self._network.outputs) != {"logits"}:
+        wanted = {f.name for f in fields(Objects)} - {"ids", "path"} | {"condition", "mask"}
+        if set(given) != wanted or set(self._network.outputs) != {"logits"}:
             raise WeightsError(
-                f"{path}: expected a policy's inputs {', '.join(sorted(told))} and the output "
+                f"{path}: expected a policy's inputs {', '.join(sorted(wanted))} and the output "
                 f"logits, got {', '.join(given)} and {', '.join(self._network.outputs)}"
             )
         self.roi_channels, self._context = _last(given["roi"]), _last(given["context"])
@@ -91,9 +100,9 @@ class PolicyNetwork:
                 f"features and {expected[2]} foreseen, got {got[0]} of {got[1]} and {got[2]}"
             )
 
-    def __call__(self, candidates: Objects, told: Array) -> Array:
+    def __call__(self, candidates: Objects, condition: Array) -> Array:
         """Probability of each of N candidates at each step: (N, Tp)."""
-        logits = self._network(batched([candidates], [told]))["logits"][0]
+        logits = self._network(batched([candidates], [condition]))["logits"][0]
         return softmax(logits)
 
 
@@ -117,15 +126,15 @@ def observe(
     target = follow(before.target, spec, tracks, chosen_for(before, seq))
     ids = np.append(tracks.ids, np.int32(target.bound_id))
     looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
-    candidates = objects(tracks, looks[:-1])
+    candidates = encode_objects(tracks, looks[:-1])
     candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
     if held(target, tracks) >= 0:  # where it was going before is nowhere
         candidates = without(candidates, candidates.ids == target.bound_id)
-    spot = place(target, spec, tracks, looks[-1], patience=rules.patience)
+    spot = encode_place(target, spec, tracks, looks[-1], patience=rules.patience)
     if spot is not None:
         candidates = joined(candidates, spot)
         candidates = without(candidates, unlike(target, spec, tracks, candidates.ids))
-    return replace(before, target=target), candidates, condition(target, spec, tracks)
+    return replace(before, target=target), candidates, encode_condition(target, spec, tracks)
 
 
 def loyal(probability: Array, candidates: Objects, target: TargetState, loyalty: float) -> Array:

@@ -198,10 +198,10 @@ class Policy(Operator[PolicySettings, Scanpath]):
             roi_channels=network.roi_channels,
             loyalty=s.loyalty,
         )
-        gaze, candidates, told = observe(state.gaze, self._spec, tracks, state.memory, rules)
+        gaze, candidates, condition = observe(state.gaze, self._spec, tracks, state.memory, rules)
         self._complain("prompt", unmet(gaze.target, self._spec, tracks))
         if len(candidates.ids):
-            believed = network(candidates, told)
+            believed = network(candidates, condition)
             probability = loyal(believed, candidates, gaze.target, rules.loyalty)
             rng = np.random.default_rng([s.seed, tracks.header.seq])
             picked = pick(probability, s.selection, rng)

@@ -1,4 +1,4 @@
-"""The policy in its own loop on recorded clips: what it was told, and what each choice was worth.
+"""The policy in its own loop on recorded clips: its inputs, and what each choice was worth.
 
 A recording holds everything that does not depend on where the ROI looked; a roll-out adds what
 does: the looks. It is the loop itself, without pictures: the same observing, deciding and
@@ -62,7 +62,7 @@ class Sample:
     """One moment of an episode."""
 
     candidates: Objects
-    told: Array  # (CONDITION,)
+    condition: Array  # (CONDITION,)
     worth: Array  # (N, Tp)
 
 
@@ -96,20 +96,20 @@ class Episode:
         return self.frame + 1 >= len(self.recording)
 
     def look(self) -> tuple[Objects, Array]:
-        """What the policy is told in this frame."""
+        """Return the candidates and the condition of this frame."""
         moment = self.recording.moment(self.frame)
         self._window = self._commanded.pop(self.frame, self._window)
         if self.visible[self.frame] > 0:
             window = np.array(self._window, np.float32)
             self.shown.append(float(covered(self.truth[self.frame][None], window)[0]))
         self._tracks = moment.tracks
-        self._gaze, self._candidates, told = observe(
+        self._gaze, self._candidates, condition = observe(
             self._gaze, self._spec, moment.tracks, self._memory, self._rules
         )
         # in the loop too the plan is made before this frame's ROI has been encoded
         seen = within(moment.seen, moment.tracks, self._window)
         self._memory = remember(self._memory, seen, moment.tracks.boxes.shape[1])
-        return self._candidates, told
+        return self._candidates, condition
 
     def worth(self) -> Array:
         """What each candidate would be worth: (N, Tp)."""
@@ -173,13 +173,14 @@ def roll(
         running = [episode for episode in episodes if not episode.over]
         if not running:
             break
-        looks = [episode.look() for episode in running]
-        chances = choose([c for c, _ in looks], [told for _, told in looks])
-        for episode, (candidates, told), probability in zip(running, looks, chances, strict=True):
+        moments = [episode.look() for episode in running]
+        chances = choose([c for c, _ in moments], [condition for _, condition in moments])
+        for episode, moment, probability in zip(running, moments, chances, strict=True):
+            candidates, condition = moment
             if len(candidates.ids) and rng.random() < keep:
                 worth = episode.worth()
                 if worth.any():
-                    samples.append(Sample(candidates=candidates, told=told, worth=worth))
+                    samples.append(Sample(candidates=candidates, condition=condition, worth=worth))
             episode.act(probability, how, rng)
     return samples
 

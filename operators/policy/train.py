@@ -1,7 +1,7 @@
 """Train the policy on roll-outs of itself: `python -m operators.policy.train --help`.
 
 Records procedural clips, then alternates: the policy, drawing its choices, follows targets through
-the clips; the network learns from what it was told and what each choice would have been worth. Only
+the clips; the network learns from its inputs and what each choice would have been worth. Only
 the first round, a sixth of the iterations, is driven by a teacher who knows the truth: a fresh
 network would show nothing but its own confusion. From then on every situation is one that the
 policy got itself into, looks it did not take included.
@@ -96,9 +96,9 @@ def network_choice(net: PolicyNet) -> Choose:
     """The network, where it is, as roll-outs use it: many moments at once."""
     device = next(net.parameters()).device
 
-    def choose(moments: Sequence[Objects], told: Sequence[Array]) -> Sequence[Array]:
+    def choose(moments: Sequence[Objects], conditions: Sequence[Array]) -> Sequence[Array]:
         net.eval()
-        given = batched(moments, told)
+        given = batched(moments, conditions)
         with torch.no_grad():
             answer = net(
                 *(moved(torch.from_numpy(np.asarray(given[name])), device) for name in INPUTS)

@@ -1,11 +1,11 @@
-"""Conditioning: what the network is told of who is meant."""
+"""Conditioning: how the target is encoded for the network."""
 
 import re
 
 import numpy as np
 import pytest
 
-from operators.policy.conditioning import CHANNELS, CONDITION, condition, place, unmet
+from operators.policy.conditioning import CHANNELS, CONDITION, encode_condition, encode_place, unmet
 from operators.policy.gaze_plan import PLACE
 from operators.policy.target import Choice, TargetSpec, TargetState, follow
 from tests.operators.policy.made_up import followed, tracks
@@ -46,13 +46,13 @@ def test_the_condition_tells_features_place_class_and_what_is_known() -> None:
     world = tracks(0, (1, 0, 960, 540, 0), channels=CHANNELS)
     spec = TargetSpec(box=(952, 532, 968, 548))
 
-    told = condition(followed(spec, world), spec, world)
+    condition = encode_condition(followed(spec, world), spec, world)
 
-    assert told.shape == (CONDITION,)
-    assert told[:CHANNELS].tolist() == [1.0] * CHANNELS
-    assert told[CHANNELS : CHANNELS + 2] == pytest.approx([0, 0])
-    assert told[CHANNELS + 4 : CHANNELS + 6].tolist() == [1, 0]  # a ball, no player
-    assert told[-4:].tolist() == [1, 0, 1, 0]
+    assert condition.shape == (CONDITION,)
+    assert condition[:CHANNELS].tolist() == [1.0] * CHANNELS
+    assert condition[CHANNELS : CHANNELS + 2] == pytest.approx([0, 0])
+    assert condition[CHANNELS + 4 : CHANNELS + 6].tolist() == [1, 0]  # a ball, no player
+    assert condition[-4:].tolist() == [1, 0, 1, 0]
 
 
 def test_the_place_is_offered_while_the_target_is_not_in_view_and_not_for_ever() -> None:
@@ -60,14 +60,14 @@ def test_the_place_is_offered_while_the_target_is_not_in_view_and_not_for_ever()
     seen = followed(BALL, here)
     lost = follow(seen, BALL, crowd[1], Choice())
 
-    assert place(seen, BALL, here, LOOKS, patience=3) is None
-    spot = place(lost, BALL, crowd[1], LOOKS, patience=3)
+    assert encode_place(seen, BALL, here, LOOKS, patience=3) is None
+    spot = encode_place(lost, BALL, crowd[1], LOOKS, patience=3)
     assert spot is not None
     assert spot.label[0, :2].tolist() == [1, 0]
     assert np.array_equal(spot.roi, LOOKS[None])
     assert spot.ids.tolist() == [PLACE]
     assert spot.path[0, :2].tolist() == [[98, 92, 114, 108], [101, 92, 117, 108]]
-    assert place(lost, BALL, crowd[5], LOOKS, patience=3) is None
+    assert encode_place(lost, BALL, crowd[5], LOOKS, patience=3) is None
 
 
 def test_a_class_has_a_place_once_one_of_it_was_seen() -> None:
@@ -75,12 +75,16 @@ def test_a_class_has_a_place_once_one_of_it_was_seen() -> None:
     here, gone = tracks(0, (1, 0, 100, 100, 0)), tracks(1, *CROWD)
     seen = follow(TargetState(), spec, here, sure)
 
-    assert place(follow(TargetState(), spec, gone, sure), spec, gone, LOOKS, patience=3) is None
-    assert place(follow(seen, spec, gone, sure), spec, gone, LOOKS, patience=3) is not None
+    assert (
+        encode_place(follow(TargetState(), spec, gone, sure), spec, gone, LOOKS, patience=3) is None
+    )
+    assert encode_place(follow(seen, spec, gone, sure), spec, gone, LOOKS, patience=3) is not None
 
 
 def test_no_prompt_no_place() -> None:
     world = tracks(0, *CROWD)
 
-    assert place(followed(TargetSpec(), world), TargetSpec(), world, LOOKS, patience=3) is None
-    assert not np.any(condition(TargetState(), TargetSpec(), world))
+    assert (
+        encode_place(followed(TargetSpec(), world), TargetSpec(), world, LOOKS, patience=3) is None
+    )
+    assert not np.any(encode_condition(TargetState(), TargetSpec(), world))

@@ -4,7 +4,7 @@ from functools import reduce
 
 import numpy as np
 
-from operators.policy.conditioning import place
+from operators.policy.conditioning import encode_place
 from operators.policy.gaze_plan import PLACE
 from operators.policy.holding import PEOPLE, able, holder_of
 from operators.policy.learned import Gaze, Rules, observe
@@ -51,7 +51,7 @@ def test_the_place_goes_with_whoever_holds_the_target_for_as_long_as_they_are_th
     frames = caught(90)
     target = after(*frames)
 
-    spot = place(target, BALL, frames[-1], LOOKS, patience=24)
+    spot = encode_place(target, BALL, frames[-1], LOOKS, patience=24)
 
     assert held(target, frames[-1]) == 0
     assert target.box.tolist() == [92 + 5 * 89, 92, 108 + 5 * 89, 108]

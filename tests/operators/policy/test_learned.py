@@ -1,4 +1,4 @@
-"""The learned policy: what a network is told, and what becomes of what it answers."""
+"""The learned policy: what a network is given, and what becomes of what it answers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from operators.policy.learned import SHIPPED, PolicyNetwork, loyal, pick
 from operators.policy.model import INPUTS, PolicyNet, example, export
 from operators.policy.policy import Policy, PolicySettings
 from operators.policy.target import TargetState
-from operators.policy.tokens import MOST_OBJECTS, batched, objects
+from operators.policy.tokens import MOST_OBJECTS, batched, encode_objects
 from pipeline import MessageError, RoiFeatures, Scanpath, Tracks, WeightsError
 from pipeline.codec import dumps, loads
 from pipeline.inference import Network
@@ -113,7 +113,7 @@ def test_an_ablation_does_not_see_what_it_is_not_told() -> None:
 
 
 def test_moments_are_padded_to_the_longest_and_marked() -> None:
-    few, many = (objects(world(0, n), np.ones((n, 4, ROI), np.float32)) for n in (2, 5))
+    few, many = (encode_objects(world(0, n), np.ones((n, 4, ROI), np.float32)) for n in (2, 5))
 
     given = batched([few, many], [np.zeros(CONDITION, np.float32)] * 2)
 
@@ -126,9 +126,9 @@ def test_moments_are_padded_to_the_longest_and_marked() -> None:
 def test_the_best_are_told_when_there_are_too_many() -> None:
     crowd = [(k, 1, 40.0 * k, 500, 0) for k in range(1, 31)]
 
-    told = objects(tracks(0, *crowd, channels=2), np.zeros((30, 4, ROI), np.float32))
+    kept = encode_objects(tracks(0, *crowd, channels=2), np.zeros((30, 4, ROI), np.float32))
 
-    assert len(told.ids) == MOST_OBJECTS
+    assert len(kept.ids) == MOST_OBJECTS
 
 
 def test_a_plan_names_tracks_with_their_chances(weights: Path) -> None:
@@ -166,7 +166,10 @@ def test_drawing_follows_the_chances_and_the_seed() -> None:
 
 def test_who_was_meant_stays_meant_unless_the_network_is_much_surer_of_another() -> None:
     world = tracks(0, (1, 1, 100, 100, 0), (2, 1, 300, 100, 0))
-    candidates, target = objects(world, np.zeros((2, 4, 5), np.float32)), TargetState(bound_id=1)
+    candidates, target = (
+        encode_objects(world, np.zeros((2, 4, 5), np.float32)),
+        TargetState(bound_id=1),
+    )
 
     def chosen(surer: float, *, loyalty: float = 30.0) -> list[int]:
         believed = np.array([[1.0], [surer]], np.float32) / (1 + surer)
@@ -178,7 +181,7 @@ def test_who_was_meant_stays_meant_unless_the_network_is_much_surer_of_another()
 
 
 def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
-    candidates = objects(tracks(0, (1, 1, 100, 100, 0)), np.zeros((1, 4, 5), np.float32))
+    candidates = encode_objects(tracks(0, (1, 1, 100, 100, 0)), np.zeros((1, 4, 5), np.float32))
     believed = np.ones((1, 3), np.float32)
 
     for target in (TargetState(), TargetState(bound_id=7)):
