@@ -14,7 +14,7 @@ KINDS = {"ball": "ball", "referee": "main referee", "player": "player"}
 PEOPLE = CLASS_OF_ROLE.keys() - {"ball"}
 STILL_PX = 1.5  # a frame, at 1920 pixels of width: what is slower lies still
 AROUND = 4  # frames before and after over which a ball's state is judged
-FREE, STILL, HELD = "free", "still", "held"
+FREE, STILL, CARRIED = "free", "still", "carried"
 Boxes = NDArray[np.float32]
 
 
@@ -26,7 +26,7 @@ class Target:
     id: int
     boxes: Boxes  # (F, 4), zeros where it is not in the picture
     visible: NDArray[np.float32]  # (F,) share, 0 where it is not in the picture
-    state: tuple[str, ...]  # F of free, still, held for a ball, else free
+    state: tuple[str, ...]  # F of free, still, carried for a ball, else free
 
     @property
     def there(self) -> NDArray[np.bool_]:
@@ -77,9 +77,9 @@ def _target(kind: str, object_id: int, truths: Sequence[Truth]) -> Target:
 
 
 def ball_states(boxes: Boxes, truths: Sequence[Truth]) -> tuple[str, ...]:
-    """free, still or held in each frame, by the truth.
+    """free, still or carried in each frame, by the truth.
 
-    Held: in most frames around, its centre lies in the upper three quarters of somebody's box,
+    Carried: in most frames around, its centre lies in the upper three quarters of a person's box,
     the same person's. Still: against the camera, known by the others' median motion, it moves by
     less than `STILL_PX` a frame. Free otherwise.
     """
@@ -94,7 +94,7 @@ def ball_states(boxes: Boxes, truths: Sequence[Truth]) -> tuple[str, ...]:
         near = np.array(carriers[around])
         known = near[near >= 0]
         if len(known) and np.bincount(known).max() > 0.6 * len(near):
-            states.append(HELD)
+            states.append(CARRIED)
         else:
             slow = speed[around][np.isfinite(speed[around])]
             states.append(STILL if len(slow) and np.median(slow) < STILL_PX else FREE)

@@ -192,12 +192,12 @@ class SoccerScene:
 
 
 def _ball_point(now: Moment) -> NDArray[np.float64]:
-    """Where the ball is; a held one is before its holder's chest."""
-    if now.holder < 0:
+    """Where the ball is; a held one is before its carrier's chest."""
+    if now.carrier < 0:
         return now.ball
-    turn = now.heading[now.holder]
+    turn = now.heading[now.carrier]
     reach = 0.3 * np.array([np.cos(turn), np.sin(turn)])
-    return np.array([*(now.people[now.holder] + reach), now.ball[2]])
+    return np.array([*(now.people[now.carrier] + reach), now.ball[2]])
 
 
 def _sharpen(image: Image, amount: float) -> None:

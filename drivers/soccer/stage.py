@@ -91,7 +91,7 @@ def actors_at(
         if not (-tall < x < view.size_px[0] + tall and -tall < y < view.size_px[1] + tall):
             continue
         turn = float(moment.heading[who] - bearings[who])
-        speed, holds = float(moment.speed[who]), bool(who == moment.holder)
+        speed, holds = float(moment.speed[who]), bool(who == moment.carrier)
         pose = pose_at(speed, holds, float(moment.phase[who]), turn)
         height = sprite_height(tall)
         shrink = tall / height

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.policy.carrier import carried_motion
 from operators.policy.gaze_plan import PLACE, row_of
-from operators.policy.holding import carried
 from operators.policy.motion import camera_motion
-from operators.policy.target import TargetSpec, TargetState, alike, held
+from operators.policy.target import TargetSpec, TargetState, alike, carrier_row
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, encode_boxes, encode_labels
 from pipeline import Tracks
 
@@ -68,21 +68,21 @@ def encode_place(
 ) -> Objects | None:
     """The prompted place as a candidate; None while its target is in view, and after `patience`.
 
-    The hands of whoever holds the target are looked at for longer. `looks` (To, D) is what the
+    The place at a carrier is a candidate for longer. `looks` (To, D) is what the
     ROI lately showed of the target.
     """
     unseen = tracks.header.seq - target.seen_seq
-    row, holder = row_of(tracks, target.bound_id), held(target, tracks)
+    row, carrier = row_of(tracks, target.bound_id), carrier_row(target, tracks)
     if not target.placed or (row >= 0 and tracks.visible[row, -1]):
         return None
-    if holder < 0 and unseen > patience:
+    if carrier < 0 and unseen > patience:
         return None
     observed, horizon = tracks.boxes.shape[1], tracks.predicted.shape[1]
     motion = camera_motion(tracks)
     moved = np.arange(1 - observed, 1, dtype=np.float32)[:, None] * motion
     moves = np.arange(1, horizon + 1, dtype=np.float32)[:, None] * motion
-    if holder >= 0:
-        moved, moves = carried(tracks, holder)
+    if carrier >= 0:
+        moved, moves = carried_motion(tracks, carrier)
     path = (target.box + np.tile(moves, 2)).astype(np.float32)
     past = encode_boxes((target.box + np.tile(moved, 2)).astype(np.float32), tracks.header.geometry)
     features = np.zeros(tracks.features.shape[2], np.float32)

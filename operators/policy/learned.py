@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from operators.policy.conditioning import CONDITION, encode_condition, encode_place, unlike
 from operators.policy.gaze_plan import GazePlan, field_centre, stay
 from operators.policy.memory import Memory, recall, refuted
-from operators.policy.target import Choice, TargetSpec, TargetState, follow, held
+from operators.policy.target import Choice, TargetSpec, TargetState, carrier_row, follow
 from operators.policy.tokens import (
     BOX,
     CLASSES,
@@ -128,7 +128,7 @@ def observe(
     looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
     candidates = encode_objects(tracks, looks[:-1])
     candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
-    if held(target, tracks) >= 0:  # where it was going before is nowhere
+    if carrier_row(target, tracks) >= 0:  # where it was going before is nowhere
         candidates = without(candidates, candidates.ids == target.bound_id)
     spot = encode_place(target, spec, tracks, looks[-1], patience=rules.patience)
     if spot is not None:

@@ -6,7 +6,7 @@ state that is replaced, never changed: the same tracks in, the same plans out.
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -14,9 +14,9 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from operators.policy.baselines import Turn, centred, round_robin
+from operators.policy.carrier import PEOPLE
 from operators.policy.conditioning import unknown, unmet
 from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
-from operators.policy.holding import PEOPLE
 from operators.policy.learned import (
     SHIPPED,
     Gaze,
@@ -43,6 +43,8 @@ log = logging.getLogger(__name__)
 class PolicySettings:
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
+    FORMER: ClassVar[Mapping[str, str]] = {"held_by": "expected carriers, its new name"}
+
     strategy: Literal["learned", "pursue", "round_robin", "centred"] = "pursue"
     weights: str = ""  # learned: an ONNX file of operators.policy.train; empty: the shipped one
     selection: Selection = "argmax"  # learned: the likeliest object, or one drawn by its chance
@@ -59,7 +61,7 @@ class PolicySettings:
     place_patience: int = 64  # learned: frames for which the last place stays worth a look
     observed: int = 4  # To, frames of looks that are remembered
     threads: int = 1
-    held_by: tuple[str, ...] = PEOPLE  # classes of who may hold a target that is out of sight
+    carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
 
     def __post_init__(self) -> None:
         for name in ("horizon", "dwell", "confirm", "observed", "threads"):
@@ -130,7 +132,7 @@ class Policy(Operator[PolicySettings, Scanpath]):
 
     def _look_for(self, s: PolicySettings) -> None:
         self._spec = TargetSpec(
-            object_id=s.target_id, box=s.prompt_box, label=s.target, held_by=s.held_by
+            object_id=s.target_id, box=s.prompt_box, label=s.target, carriers=s.carriers
         )
 
     def on_stream(self, header: Header) -> None:

@@ -5,7 +5,7 @@ The rules that keep a small ball (false locks lose it, not prediction):
 - A candidate must have been seen in `confirm` frames, and a rival must be better by a margin for
   `confirm` frames in succession, before the gaze changes. Moving candidates are preferred to still
   ones, and those outside people to those inside (see candidates.py).
-- A target unseen for a few frames that was last near somebody is held by them: look there.
+- A target unseen for a few frames that was last near a person is carried by them: look there.
 - Nobody near: look where it was foreseen last, and doubt more with every frame (the box grows);
   after `patience` frames visit the field window by window, nearest to the last place first.
 """
@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.candidates import Sightings, count, nearest, none_seen, worth
+from operators.policy.carrier import can_carry
 from operators.policy.gaze_plan import GazePlan, follow, future, name_of, of_class, row_of, stay
-from operators.policy.holding import able
 from operators.policy.search import search
 from operators.policy.target import BIND_IOU, GROWTH, TargetSpec
 from pipeline import Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
 MARGIN = 0.2  # by how much a rival must be better, in score
-COAST = 3  # frames a target may be unseen before somebody is believed to hold it
-HOLD_REACH = 3.0  # box sizes between a target and whoever may hold it
+COAST = 3  # frames a target may be unseen before a person near it counts as its carrier
+CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +36,7 @@ class Pursuit:
     target: str = ""  # class of what was locked
     seen_seq: int = -1  # when the target was last seen; -1: never
     box: NDArray[np.float32] = field(default_factory=lambda: np.zeros(4, np.float32))  # the last
-    holder: int = -1  # who was nearest when it was last seen
+    carrier_id: int = -1  # the person nearest to it when it was last seen
     rival: int = -1
     rival_frames: int = 0
     sightings: Sightings = field(default_factory=none_seen)
@@ -52,9 +52,9 @@ def pursue(
     if row < 0:
         return wait(tracks, now, spec, patience=patience, horizon=horizon), now
     now = noted(tracks, row, now, spec)
-    held = row_of(tracks, now.holder)
-    if tracks.header.seq - now.seen_seq > COAST and held >= 0:
-        return stay(future(tracks, held, horizon), horizon), now
+    carrier = row_of(tracks, now.carrier_id)
+    if tracks.header.seq - now.seen_seq > COAST and carrier >= 0:
+        return stay(future(tracks, carrier, horizon), horizon), now
     return follow(tracks, row, horizon), now
 
 
@@ -94,7 +94,7 @@ def regained(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> in
         fit &= away <= (1 + GROWTH * gone) * sizes(now.box[None])
         value = -away.astype(np.float32)
     else:
-        value = worth(tracks, able(tracks, spec.held_by, known))
+        value = worth(tracks, can_carry(tracks, spec.carriers, known))
     return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
 
 
@@ -103,7 +103,7 @@ def challenged(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> 
     fit = of_class(tracks, now.target or spec.label) & tracks.visible[:, -1]
     fit &= now.sightings.counts >= confirm
     own = row_of(tracks, now.locked)
-    value = worth(tracks, able(tracks, spec.held_by, now.target))
+    value = worth(tracks, can_carry(tracks, spec.carriers, now.target))
     best = int(np.where(fit, value, -np.inf).argmax())
     if not fit[best] or value[best] <= value[own] + MARGIN:
         return replace(now, rival=-1, rival_frames=0)
@@ -122,24 +122,24 @@ def noted(tracks: Tracks, row: int, now: Pursuit, spec: TargetSpec) -> Pursuit:
         return replace(
             now, box=box, seen_seq=now.seen_seq if now.seen_seq >= 0 else tracks.header.seq
         )
-    rows = np.flatnonzero(able(tracks, spec.held_by, target))
-    at, _ = nearest(box, tracks.boxes[rows, -1], HOLD_REACH * float(sizes(box[None])[0]))
+    rows = np.flatnonzero(can_carry(tracks, spec.carriers, target))
+    at, _ = nearest(box, tracks.boxes[rows, -1], CARRIER_REACH * float(sizes(box[None])[0]))
     return replace(
         now,
         target=target,
         box=box,
         seen_seq=tracks.header.seq,
-        holder=int(tracks.ids[rows[at]]) if at >= 0 else -1,
+        carrier_id=int(tracks.ids[rows[at]]) if at >= 0 else -1,
     )
 
 
 def wait(
     tracks: Tracks, now: Pursuit, spec: TargetSpec, *, patience: int, horizon: int
 ) -> GazePlan:
-    """Where to look while there is no target: with its holder, at its last place, all over."""
-    held = row_of(tracks, now.holder)
-    if held >= 0:
-        return stay(future(tracks, held, horizon), horizon)
+    """Where to look while there is no target: at its carrier, at its last place, all over."""
+    carrier = row_of(tracks, now.carrier_id)
+    if carrier >= 0:
+        return stay(future(tracks, carrier, horizon), horizon)
     header = tracks.header
     if now.seen_seq < 0 and spec.boxed:
         return stay(np.array(spec.box, np.float32), horizon)

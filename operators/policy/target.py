@@ -1,7 +1,7 @@
 """The target: what a prompt (a box, a track id, a class) asks for, followed through time.
 
 A target is bound to a track and follows it. When the track is gone its place moves with the camera,
-or with whoever holds the target (`holding.py`), until it is bound again: to who stands there, or to
+or with its carrier (`carrier.py`), until it is bound again: to the track that is there, or to
 what the policy itself chose.
 """
 
@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from operators.policy.carrier import PEOPLE, can_carry, carrier_of
 from operators.policy.gaze_plan import PLACE, name_of, of_class, row_of
-from operators.policy.holding import PEOPLE, able, holder_of
 from operators.policy.motion import camera_motion
 from operators.policy.tokens import Array
 from pipeline import Geometry, Tracks
@@ -22,8 +22,8 @@ BACK_IOU = 0.3
 ALIKE = 2.0  # what overlaps nothing binds to what is near, if their sides differ by less
 SURE = 0.5  # probability from which a choice binds the target
 GROWTH = 0.1  # box sizes by which the doubt grows with every frame
-GRIP = 2  # sightings in the same hands before they are believed to hold it
-PATIENCE = 250  # frames for which they are: ten seconds; a keeper may hold a ball for eight
+CARRIED_AFTER = 2  # sightings at the same person before that one counts as the carrier
+CARRIED_AT_MOST = 250  # frames without a sighting: ten seconds; a keeper may hold a ball for eight
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class TargetSpec:
     object_id: int = -1
     box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
     label: str = ""  # class name
-    held_by: tuple[str, ...] = PEOPLE  # classes of who may carry it about
+    carriers: tuple[str, ...] = PEOPLE  # classes that may carry it
 
     @property
     def one(self) -> bool:
@@ -61,14 +61,14 @@ class TargetState:
     seen_seq: int = -1  # when it was last seen, or asked for; -1: neither yet
     box: Array = field(default_factory=_nowhere)  # where it is believed to be, sensor pixels
     features: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (C,) when bound
-    holder: int = -1  # in whose hands it was last seen
-    grip: int = 0  # sightings there in succession
+    carrier_id: int = -1  # the person it was last seen at
+    carried_count: int = 0  # sightings there in succession
     offset: Array = field(default_factory=lambda: np.zeros(2, np.float32))  # from their middle, px
 
     @property
-    def gripped(self) -> bool:
-        """Whether it was last seen in somebody's hands for long enough."""
-        return self.holder >= 0 and self.grip >= GRIP
+    def is_carried(self) -> bool:
+        """Whether it was last seen at one person for long enough."""
+        return self.carrier_id >= 0 and self.carried_count >= CARRIED_AFTER
 
     @property
     def placed(self) -> bool:
@@ -92,7 +92,7 @@ def follow(before: TargetState, spec: TargetSpec, tracks: Tracks, chosen: Choice
     now = replace(before, asked_seq=asked_seq, at_seq=seq)
     if now.seen_seq < 0 and spec.boxed:
         now = replace(now, box=np.array(spec.box, np.float32), seen_seq=seq)
-        now = replace(_taken(now, spec, spec.label, tracks), grip=GRIP)
+        now = replace(_taken(now, spec, spec.label, tracks), carried_count=CARRIED_AFTER)
     elif now.placed:
         now = replace(now, box=_moved(now, tracks, frames))
     row = row_of(tracks, now.bound_id)
@@ -103,17 +103,17 @@ def follow(before: TargetState, spec: TargetSpec, tracks: Tracks, chosen: Choice
     return _bound(tracks, row, now, spec) if row >= 0 else now
 
 
-def held(target: TargetState, tracks: Tracks) -> int:
-    """Row of whoever holds a target that is out of sight, -1: nobody does."""
+def carrier_row(target: TargetState, tracks: Tracks) -> int:
+    """Row of the carrier of a target that is out of sight, -1: none."""
     row = row_of(tracks, target.bound_id)
     seen = row >= 0 and tracks.visible[row, -1]
-    late = tracks.header.seq - target.seen_seq > PATIENCE
-    return -1 if seen or late or not target.gripped else row_of(tracks, target.holder)
+    late = tracks.header.seq - target.seen_seq > CARRIED_AT_MOST
+    return -1 if seen or late or not target.is_carried else row_of(tracks, target.carrier_id)
 
 
 def _moved(now: TargetState, tracks: Tracks, frames: int) -> Array:
-    """The place `frames` later: at whoever holds it, else moved with the camera."""
-    row = held(now, tracks)
+    """The place `frames` later: at its carrier, else moved with the camera."""
+    row = carrier_row(now, tracks)
     if row < 0:
         return now.box + frames * np.tile(camera_motion(tracks), 2)
     middle = centres(tracks.boxes[row, -1]) + now.offset
@@ -121,12 +121,12 @@ def _moved(now: TargetState, tracks: Tracks, frames: int) -> Array:
 
 
 def _taken(now: TargetState, spec: TargetSpec, label: str, tracks: Tracks) -> TargetState:
-    """The target, seen at its box: in whose hands is it?"""
-    holder = holder_of(now.box, tracks, able(tracks, spec.held_by, label))
-    grip = now.grip + 1 if holder == now.holder else 1
-    row = row_of(tracks, holder)
+    """The target, seen at its box, with the person who may carry it."""
+    carrier_id = carrier_of(now.box, tracks, can_carry(tracks, spec.carriers, label))
+    carried_count = now.carried_count + 1 if carrier_id == now.carrier_id else 1
+    row = row_of(tracks, carrier_id)
     offset = centres(now.box) - centres(tracks.boxes[row, -1]) if row >= 0 else now.offset
-    return replace(now, holder=holder, grip=grip, offset=offset)
+    return replace(now, carrier_id=carrier_id, carried_count=carried_count, offset=offset)
 
 
 def _first(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
@@ -143,7 +143,7 @@ def _back(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
 
     A track that ends and begins again is another track; the two boxes tell that it is the same.
     """
-    if not spec.one or not len(tracks.ids) or now.gripped:
+    if not spec.one or not len(tracks.ids) or now.is_carried:
         return -1
     overlap = iou(tracks.boxes[:, -1], now.box[None])[:, 0]
     overlap[~(of_class(tracks, now.label) & tracks.visible[:, -1])] = 0
@@ -206,7 +206,7 @@ def _bound(tracks: Tracks, row: int, now: TargetState, spec: TargetSpec) -> Targ
     visible, label = bool(tracks.visible[row, -1]), now.label or name_of(tracks, row)
     if visible:
         now = _taken(replace(now, box=tracks.boxes[row, -1]), spec, label, tracks)
-    elif not now.gripped:  # else it is with them, not where it was going before they caught it
+    elif not now.is_carried:  # else it is with them, not where it was going before they caught it
         now = replace(now, box=tracks.boxes[row, -1])
     fresh = int(tracks.ids[row]) != now.bound_id
     first = fresh and not now.features.any()

@@ -17,7 +17,7 @@ from bench.tracking.evaluate import command
 from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
-from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
+from bench.tracking.targets import CARRIED, FREE, STILL, ball_states, starts, targets
 from drivers.source import Truth
 from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, RunError, SettingsError
@@ -80,7 +80,7 @@ def test_a_ball_is_still_free_or_held_by_what_the_truth_says() -> None:
     flying = [truth((900 + 12.0 * k, 300), *CROWD) for k in range(12)]
     carried = [truth((100 + 5.0 * k, 480), (100 + 5.0 * k, 500), *CROWD[1:]) for k in range(12)]
 
-    assert (states(lying), states(flying), states(carried)) == ({STILL}, {FREE}, {HELD})
+    assert (states(lying), states(flying), states(carried)) == ({STILL}, {FREE}, {CARRIED})
 
 
 def test_a_tracker_is_started_where_the_target_can_be_seen() -> None:

@@ -125,6 +125,11 @@ def test_a_prompt_box_that_is_no_box_is_refused():
         PolicySettings(prompt_box=(10.0, 10.0, 5.0, 20.0))
 
 
+def test_a_setting_by_its_former_name_is_refused_with_the_new_one():
+    with pytest.raises(SettingsError, match=r"Policy\.held_by: expected carriers, its new name"):
+        drive(Policy, [], {"held_by": ["player"]})
+
+
 object_ = st.tuples(
     st.integers(0, 1), st.floats(-50, 2000), st.floats(-50, 1100), st.floats(-30, 30)
 )

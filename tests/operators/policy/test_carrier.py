@@ -1,15 +1,22 @@
-"""A target in somebody's hands goes where they go."""
+"""A target moves with its carrier."""
 
 from functools import reduce
 
 import numpy as np
 
+from operators.policy.carrier import PEOPLE, can_carry, carrier_of
 from operators.policy.conditioning import encode_place
 from operators.policy.gaze_plan import PLACE
-from operators.policy.holding import PEOPLE, able, holder_of
 from operators.policy.learned import Gaze, Rules, observe
 from operators.policy.memory import blank
-from operators.policy.target import PATIENCE, Choice, TargetSpec, TargetState, follow, held
+from operators.policy.target import (
+    CARRIED_AT_MOST,
+    Choice,
+    TargetSpec,
+    TargetState,
+    carrier_row,
+    follow,
+)
 from pipeline import Tracks
 from tests.operators.policy.made_up import tracks
 
@@ -39,12 +46,14 @@ def caught(frames: int, y: float = 105.0) -> list[Tracks]:
 
 def test_what_is_in_the_upper_part_of_a_larger_person_is_in_their_hands() -> None:
     world = tracks(0, (7, 1, 100, 105, 0), (8, 1, 110, 85, 0), (9, 0, 100, 100, 0))
-    could = able(world, PEOPLE, "ball")
+    could = can_carry(world, PEOPLE, "ball")
 
-    assert holder_of(np.array([92, 92, 108, 108], np.float32), world, could) == 7
-    assert holder_of(np.array([92, 110, 108, 126], np.float32), world, could) == -1  # at their feet
-    assert holder_of(np.array([80, 85, 120, 125], np.float32), world, could) == -1  # as large
-    assert not able(world, PEOPLE, "player").any()
+    assert carrier_of(np.array([92, 92, 108, 108], np.float32), world, could) == 7
+    assert (
+        carrier_of(np.array([92, 110, 108, 126], np.float32), world, could) == -1
+    )  # at their feet
+    assert carrier_of(np.array([80, 85, 120, 125], np.float32), world, could) == -1  # as large
+    assert not can_carry(world, PEOPLE, "player").any()
 
 
 def test_the_place_goes_with_whoever_holds_the_target_for_as_long_as_they_are_there() -> None:
@@ -53,7 +62,7 @@ def test_the_place_goes_with_whoever_holds_the_target_for_as_long_as_they_are_th
 
     spot = encode_place(target, BALL, frames[-1], LOOKS, patience=24)
 
-    assert held(target, frames[-1]) == 0
+    assert carrier_row(target, frames[-1]) == 0
     assert target.box.tolist() == [92 + 5 * 89, 92, 108 + 5 * 89, 108]
     assert spot is not None
     assert spot.ids.tolist() == [PLACE]
@@ -64,7 +73,7 @@ def test_what_lies_at_somebodys_feet_stays_when_they_leave() -> None:
     frames = caught(10, y=85)
     target = after(*frames)
 
-    assert held(target, frames[-1]) == -1
+    assert carrier_row(target, frames[-1]) == -1
     assert target.box.tolist() == [102, 92, 118, 108]
 
 
@@ -74,21 +83,21 @@ def test_one_look_is_not_enough_but_a_prompt_is() -> None:
     passing += [tracks(2, someone(2), *CROWD)]
     prompted = [tracks(k, someone(k), *CROWD) for k in range(3)]
 
-    assert held(after(*passing), passing[-1]) == -1
-    assert held(after(*prompted, spec=SMALL), prompted[-1]) == 0
+    assert carrier_row(after(*passing), passing[-1]) == -1
+    assert carrier_row(after(*prompted, spec=SMALL), prompted[-1]) == 0
 
 
 def test_nobody_holds_what_is_seen() -> None:
     world = tracks(9, (1, 0, 145, 100, 5), someone(9), *CROWD)
 
-    assert held(after(*caught(9), world), world) == -1
+    assert carrier_row(after(*caught(9), world), world) == -1
 
 
 def test_nobody_holds_it_when_they_are_gone_and_who_is_back_holds_it_still() -> None:
     gone, back = tracks(9, *CROWD), tracks(10, someone(10), *CROWD)
 
-    assert held(after(*caught(9), gone), gone) == -1
-    assert held(after(*caught(9), gone, back), back) == 0
+    assert carrier_row(after(*caught(9), gone), gone) == -1
+    assert carrier_row(after(*caught(9), gone, back), back) == 0
     assert after(*caught(9), gone, back).box.tolist() == [142, 92, 158, 108]
 
 
@@ -101,10 +110,10 @@ def test_the_place_is_with_them_whatever_frames_are_left_out() -> None:
 
 
 def test_hands_that_may_hold_it_are_given_up_at_last() -> None:
-    frames = caught(PATIENCE + 5)
+    frames = caught(CARRIED_AT_MOST + 5)
 
-    assert held(after(*frames[:-3]), frames[-4]) == 0
-    assert held(after(*frames), frames[-1]) == -1
+    assert carrier_row(after(*frames[:-3]), frames[-4]) == 0
+    assert carrier_row(after(*frames), frames[-1]) == -1
 
 
 def test_what_was_foreseen_of_it_is_no_candidate_while_it_is_held() -> None:
@@ -117,10 +126,10 @@ def test_what_was_foreseen_of_it_is_no_candidate_while_it_is_held() -> None:
 
 
 def test_nobody_holds_it_when_no_class_may() -> None:
-    spec = TargetSpec(box=BALL.box, held_by=())
+    spec = TargetSpec(box=BALL.box, carriers=())
     frames = caught(10)
 
-    assert held(after(*frames, spec=spec), frames[-1]) == -1
+    assert carrier_row(after(*frames, spec=spec), frames[-1]) == -1
 
 
 def test_a_track_that_is_only_foreseen_does_not_take_the_target_out_of_their_hands() -> None:
