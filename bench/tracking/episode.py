@@ -119,10 +119,9 @@ class Gaze:
         self._held = self._on(target.boxes[start]) if loop.rules.aimed else self._middle
         self._planned_by_graph = how.strategy in PLANNED
         if self._planned_by_graph:
-            box = tuple(float(v) for v in target.boxes[start])
-            tour = how.strategy == "round_robin"
-            wish = {"strategy": "round_robin", "target": ""} if tour else {}
-            policy: dict[str, Any] = wish or {"prompt_box": box, "target": ""}
+            policy: dict[str, Any] = {"target": ""}
+            if how.strategy == "foveated":
+                policy["prompt_box"] = tuple(float(v) for v in target.boxes[start])
             header = loop.camera.header(start)
             loop.stages.begin(header, "roi_features", "policy", "dispatch", policy=policy)
 

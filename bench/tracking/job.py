@@ -36,9 +36,9 @@ def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, complaints:
     seen: Seen = {}
     looked: dict[Case, Gazes] = {}
     with _complaints_into(complaints, str(name)):
-        for changes, tracker in sorted({(case.changes, case.tracker) for case, _ in work}):
-            with Stages(Path(protocol.graph), changes, tracker) as stages:
-                for case, path in (w for w in work if w[0].changes == changes):
+        for parts in sorted({case.parts for case, _ in work}):
+            with Stages(Path(protocol.graph), *parts) as stages:
+                for case, path in (w for w in work if w[0].parts == parts):
                     loop = loop_of(clip, case, stages, seen)
                     gaze = looked.setdefault(same_gaze(case), {})
                     draft = Draft(path.with_suffix(".part"))

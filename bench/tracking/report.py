@@ -129,7 +129,7 @@ def paired(units: Sequence[Unit], cases: Sequence[Case], *, longest: int, seed: 
 def varies(case: Case, other: Case, first: Case) -> bool:
     """Whether `other` differs from `case` in one thing, in which `case` is as the `first` row."""
     ours, theirs, plain = (
-        (c.changes, c.replaced, c.rules.delay, c.rules.replan, c.rules.prediction)
+        ((c.changes, c.policy), c.replaced, c.rules.delay, c.rules.replan, c.rules.prediction)
         for c in (case, other, first)
     )
     differ = [k for k, value in enumerate(ours) if value != theirs[k]]

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from bench.tracking.budgets import TOLERANCE, Acquisition
+from bench.tracking.classes import planned
 from bench.tracking.clip import Clip
-from bench.tracking.follower import planned
 from bench.tracking.replaced import Replaced
 from drivers.simulated.readout import Readout, Window
 from pipeline import settings as checked
@@ -31,8 +31,10 @@ EMPTY: Window = (0, 0, 0, 0)
 class Stages:
     """The opened operators of a tracking graph, by node name; use as a context."""
 
-    def __init__(self, graph: Path, changes: Sequence[str] = (), tracker: str = "") -> None:
-        self.plan = planned(graph, changes, tracker)
+    def __init__(
+        self, graph: Path, changes: Sequence[str] = (), tracker: str = "", policy: str = ""
+    ) -> None:
+        self.plan = planned(graph, changes, tracker, policy)
         known = {node.name for node in self.plan.nodes}
         for name in NEEDED:
             if name not in known:

@@ -8,15 +8,13 @@ a ball that lies still at the corner flag stays below a detector's threshold, an
 prompt says where it is.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.carrier import carried_motion
 from operators.policy.gaze_plan import PLACE, row_of
 from operators.policy.motion import camera_motion
-from operators.policy.target import TargetSpec, TargetState, alike, carrier_row
+from operators.policy.target import TargetSpec, TargetState, alike, carrier_row, unknown_label
 from operators.policy.tokens import BOX, CLASSES, Array, Objects, encode_boxes, encode_labels
 from pipeline import Tracks
 
@@ -45,7 +43,7 @@ def encode_condition(target: TargetState, spec: TargetSpec, tracks: Tracks) -> A
 
 def unmet(target: TargetState, spec: TargetSpec, tracks: Tracks) -> str:
     """A sentence when no track is the target that was asked for, else empty."""
-    if sentence := unknown(spec.label, tracks.names):
+    if sentence := unknown_label(spec.label, tracks.names):
         return sentence
     seq = tracks.header.seq
     if not spec.one or target.bound_id >= 0 or seq - target.asked_seq < GRACE:
@@ -54,13 +52,6 @@ def unmet(target: TargetState, spec: TargetSpec, tracks: Tracks) -> str:
     if spec.boxed:
         return f"policy.prompt_box: expected a track at {spec.box}, none was there in {frames}"
     return f"policy.target_id: expected a track {spec.object_id}, none was there in {frames}"
-
-
-def unknown(target: str, names: Sequence[str]) -> str:
-    """A sentence when a class is none of those that the tracks have, as far as that is known."""
-    if not target or not names or target in names:
-        return ""
-    return f"policy.target: expected one of {', '.join(names)}, got {target}"
 
 
 def encode_place(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import Geometry, Scanpath, Tracks
+from pipeline import Geometry, Scanpath, SettingsError, Tracks
 
 PLACE = -1  # a choice that is no object
 
@@ -41,6 +41,12 @@ def stay(boxes: NDArray[np.float32], horizon: int) -> GazePlan:
 def no_proposal() -> GazePlan:
     """No proposal: the plan before stays in force."""
     return GazePlan(choice=np.zeros(0, np.int32), boxes=np.zeros((0, 4), np.float32))
+
+
+def check_horizon(frames: int) -> None:
+    """Raise `SettingsError` unless a plan can speak of so many frames."""
+    if frames < 1:
+        raise SettingsError(f"horizon: must be at least 1, got {frames}")
 
 
 def field_centre(geometry: Geometry) -> NDArray[np.float32]:

@@ -1,4 +1,6 @@
-"""Pursue one object: find it, stay with it, wait for it where it was lost, search for it.
+"""A policy that pursues one object: Tracks -> Scanpath.
+
+It finds the object, stays with it, waits where it was lost, and searches for it.
 
 The rules that keep a small ball (false locks lose it, not prediction):
 
@@ -10,17 +12,30 @@ The rules that keep a small ball (false locks lose it, not prediction):
   after `patience` frames visit the field window by window, nearest to the last place first.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.candidates import Sightings, count, nearest, none_seen, worth
-from operators.policy.carrier import can_carry
-from operators.policy.gaze_plan import GazePlan, follow, future, name_of, of_class, row_of, stay
+from operators.policy.carrier import PEOPLE, can_carry
+from operators.policy.former import FORMER
+from operators.policy.gaze_plan import (
+    GazePlan,
+    check_horizon,
+    follow,
+    future,
+    name_of,
+    of_class,
+    row_of,
+    scanpath,
+    stay,
+)
 from operators.policy.search import search
-from operators.policy.target import BIND_IOU, GROWTH, TargetSpec
-from pipeline import Tracks
+from operators.policy.target import BIND_IOU, GROWTH, TargetSpec, check_box, check_label
+from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
 MARGIN = 0.2  # by how much a rival must be better, in score
@@ -28,10 +43,44 @@ COAST = 3  # frames a target may be unseen before a person near it counts as its
 CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Pursuit:
-    """What a pursuer remembers."""
+@dataclass(frozen=True, kw_only=True)
+class PursuitPolicySettings:
+    """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
+    FORMER: ClassVar[Mapping[str, str]] = FORMER
+
+    target: str = ""  # class name (ball, referee, player …); empty: any
+    target_id: int = -1  # track id
+    prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
+    carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
+    horizon: int = 16  # Tp, frames planned
+    confirm: int = 3  # sightings before the gaze moves to a candidate
+    patience: int = 24  # frames to wait at the last place before searching
+
+    def __post_init__(self) -> None:
+        check_horizon(self.horizon)
+        if self.confirm < 1:
+            raise SettingsError(f"confirm: must be at least 1, got {self.confirm}")
+        if self.patience < 0:
+            raise SettingsError(f"patience: must be at least 0, got {self.patience}")
+        check_box("prompt_box", self.prompt_box)
+
+    @property
+    def spec(self) -> TargetSpec:
+        """The target."""
+        return TargetSpec(
+            object_id=self.target_id,
+            box=self.prompt_box,
+            label=self.target,
+            carriers=self.carriers,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PursuitState:
+    """What is remembered from frame to frame; it is replaced, never changed."""
+
+    spec: TargetSpec = field(default_factory=TargetSpec)  # the target that was asked for
     locked: int = -1  # track id
     target: str = ""  # class of what was locked
     seen_seq: int = -1  # when the target was last seen; -1: never
@@ -41,11 +90,62 @@ class Pursuit:
     rival_frames: int = 0
     sightings: Sightings = field(default_factory=none_seen)
 
+    def asked_for(self, spec: TargetSpec) -> "PursuitState":
+        """The state for this target: without the past of another."""
+        return self if spec == self.spec else PursuitState(spec=spec)
+
+
+class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
+    """Never silent: a frame without objects is answered with places to look at."""
+
+    tracks = Input(Tracks, keep="every")
+    features = Input(RoiFeatures, join=False)
+    live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box")
+
+    def open(self) -> None:
+        """Start without a past."""
+        self._state = PursuitState(spec=self.settings.spec)
+        self._names: Sequence[str] = ()  # of the classes that tracks have
+
+    def on_settings(self, settings: PursuitPolicySettings) -> None:
+        """Another target from the next plan on.
+
+        Raises `SettingsError` for a class that the tracks do not have.
+        """
+        if settings.target != self.settings.target:
+            check_label(settings.target, self._names)
+        self.settings = settings
+        self._state = self._state.asked_for(settings.spec)
+
+    def on_stream(self, header: Header) -> None:
+        """Ids of another stream are other objects."""
+        self._state = PursuitState(spec=self._state.spec)
+
+    def state(self) -> PursuitState:
+        """Everything remembered."""
+        return self._state
+
+    def restore(self, state: PursuitState) -> None:
+        """Go on where another instance stopped; after another target, if it had another."""
+        self._state = state.asked_for(self._state.spec)
+
+    def on_features(self, features: RoiFeatures) -> None:
+        """Nothing: the input is there so that one policy can take the place of another."""
+
+    def on_tracks(self, tracks: Tracks) -> Scanpath:
+        """Plan the frames after this one."""
+        s, self._names = self.settings, tracks.names
+        plan, self._state = pursue(
+            tracks, self._state, confirm=s.confirm, patience=s.patience, horizon=s.horizon
+        )
+        return scanpath(tracks, plan)
+
 
 def pursue(
-    tracks: Tracks, before: Pursuit, spec: TargetSpec, *, confirm: int, patience: int, horizon: int
-) -> tuple[GazePlan, Pursuit]:
+    tracks: Tracks, before: PursuitState, *, confirm: int, patience: int, horizon: int
+) -> tuple[GazePlan, PursuitState]:
     """The plan for the frames after these tracks, and what to remember."""
+    spec = before.spec
     now = replace(before, sightings=count(before.sightings, tracks))
     now = locked_on(tracks, now, spec, confirm)
     row = row_of(tracks, now.locked)
@@ -58,7 +158,7 @@ def pursue(
     return follow(tracks, row, horizon), now
 
 
-def locked_on(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> Pursuit:
+def locked_on(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> PursuitState:
     """Keep, gain or change the track that is the target."""
     if row_of(tracks, now.locked) >= 0:
         by_class = not spec.one
@@ -80,7 +180,7 @@ def first_lock(tracks: Tracks, spec: TargetSpec) -> int:
     return -1
 
 
-def regained(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> int:
+def regained(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> int:
     """Row of the best confirmed candidate, -1: none.
 
     One of many alike (asked for by id or by box) must be near where it was lost; the distance it
@@ -98,7 +198,7 @@ def regained(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> in
     return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
 
 
-def challenged(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> Pursuit:
+def challenged(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> PursuitState:
     """Change to a rival that has been clearly better for `confirm` frames in succession."""
     fit = of_class(tracks, now.target or spec.label) & tracks.visible[:, -1]
     fit &= now.sightings.counts >= confirm
@@ -114,7 +214,7 @@ def challenged(tracks: Tracks, now: Pursuit, spec: TargetSpec, confirm: int) -> 
     return replace(now, locked=rival, rival=-1, rival_frames=0)
 
 
-def noted(tracks: Tracks, row: int, now: Pursuit, spec: TargetSpec) -> Pursuit:
+def noted(tracks: Tracks, row: int, now: PursuitState, spec: TargetSpec) -> PursuitState:
     """Remember where the target is, what it is and who is beside it."""
     box, target = tracks.boxes[row, -1], name_of(tracks, row)
     if not tracks.visible[row, -1]:
@@ -134,7 +234,7 @@ def noted(tracks: Tracks, row: int, now: Pursuit, spec: TargetSpec) -> Pursuit:
 
 
 def wait(
-    tracks: Tracks, now: Pursuit, spec: TargetSpec, *, patience: int, horizon: int
+    tracks: Tracks, now: PursuitState, spec: TargetSpec, *, patience: int, horizon: int
 ) -> GazePlan:
     """Where to look while there is no target: at its carrier, at its last place, all over."""
     carrier = row_of(tracks, now.carrier_id)

@@ -14,9 +14,18 @@ import numpy as np
 from drivers.source import CLASS_OF_ROLE
 from operators.dispatch import plan_windows
 from operators.policy.data import Recording
+from operators.policy.decision import (
+    PolicyState,
+    Rules,
+    Selection,
+    decide,
+    loyal,
+    observe,
+    pick,
+    without_candidates,
+)
 from operators.policy.gaze_plan import GazePlan
-from operators.policy.learned import Gaze, Rules, Selection, decide, loyal, nothing, observe, pick
-from operators.policy.memory import blank, remember
+from operators.policy.memory import remember
 from operators.policy.target import TargetSpec
 from operators.policy.tokens import Array, Objects
 from operators.policy.utility import gains
@@ -76,9 +85,9 @@ class Episode:
         first = self.truth[task.start]
         if task.prompt == "box":
             left, top, right, bottom = (float(side) for side in first)
-            self._spec = TargetSpec(box=(left, top, right, bottom))
+            spec = TargetSpec(box=(left, top, right, bottom))
         else:
-            self._spec = TargetSpec(label=CLASS_OF_ROLE[self.label])
+            spec = TargetSpec(label=CLASS_OF_ROLE[self.label])
         field = recording.geometry
         middle = np.array([field.width_px / 2, field.height_px / 2], np.float32)
         self._window = roi_window(
@@ -86,7 +95,7 @@ class Episode:
         )
         self._commanded: dict[int, Window] = {}
         self._planned = -task.replan
-        self._memory, self._gaze = blank(), Gaze()
+        self._state = PolicyState(spec=spec)
         self.frame = task.start
         self.shown: list[float] = []  # share of the target that the ROI showed, frame by frame
 
@@ -103,12 +112,11 @@ class Episode:
             window = np.array(self._window, np.float32)
             self.shown.append(float(covered(self.truth[self.frame][None], window)[0]))
         self._tracks = moment.tracks
-        self._gaze, self._candidates, condition = observe(
-            self._gaze, self._spec, moment.tracks, self._memory, self._rules
-        )
+        self._state, self._candidates, condition = observe(self._state, moment.tracks, self._rules)
         # in the loop too the plan is made before this frame's ROI has been encoded
         seen = within(moment.seen, moment.tracks, self._window)
-        self._memory = remember(self._memory, seen, moment.tracks.boxes.shape[1])
+        memory = remember(self._state.memory, seen, moment.tracks.boxes.shape[1])
+        self._state = replace(self._state, memory=memory)
         return self._candidates, condition
 
     def worth(self) -> Array:
@@ -122,14 +130,14 @@ class Episode:
         """Look where the policy says, and go on to the next frame."""
         if len(self._candidates.ids):
             probability = loyal(
-                probability, self._candidates, self._gaze.target, self._rules.loyalty
+                probability, self._candidates, self._state.target, self._rules.loyalty
             )
             picked = pick(probability, how, rng)
-            plan, self._gaze = decide(
-                self._gaze, self._tracks, self._candidates, probability, picked
+            plan, self._state = decide(
+                self._state, self._tracks, self._candidates, probability, picked
             )
         else:
-            plan = nothing(self._gaze, self._tracks, self._tracks.predicted.shape[1])
+            plan = without_candidates(self._state, self._tracks, self._tracks.predicted.shape[1])
         self._dispatch(plan)
         self.frame += 1
 

@@ -5,6 +5,7 @@ or with its carrier (`carrier.py`), until it is bound again: to the track that i
 what the policy itself chose.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from operators.policy.carrier import PEOPLE, can_carry, carrier_of
 from operators.policy.gaze_plan import PLACE, name_of, of_class, row_of
 from operators.policy.motion import camera_motion
 from operators.policy.tokens import Array
-from pipeline import Geometry, Tracks
+from pipeline import Geometry, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
 BIND_IOU = 0.1
@@ -109,6 +110,26 @@ def carrier_row(target: TargetState, tracks: Tracks) -> int:
     seen = row >= 0 and tracks.visible[row, -1]
     late = tracks.header.seq - target.seen_seq > CARRIED_AT_MOST
     return -1 if seen or late or not target.is_carried else row_of(tracks, target.carrier_id)
+
+
+def check_box(name: str, box: tuple[float, float, float, float]) -> None:
+    """Raise `SettingsError` unless these are left, top, right and bottom of a box, or all 0."""
+    left, top, right, bottom = box
+    if any(box) and not (left < right and top < bottom):
+        raise SettingsError(f"{name}: expected left, top, right, bottom, got {box}")
+
+
+def check_label(label: str, names: Sequence[str]) -> None:
+    """Raise `SettingsError` for a class that is none of those that the tracks have."""
+    if sentence := unknown_label(label, names):
+        raise SettingsError(sentence)
+
+
+def unknown_label(label: str, names: Sequence[str]) -> str:
+    """A sentence when a class is none of those that the tracks have, as far as that is known."""
+    if not label or not names or label in names:
+        return ""
+    return f"policy.target: expected one of {', '.join(names)}, got {label}"
 
 
 def _moved(now: TargetState, tracks: Tracks, frames: int) -> Array:

@@ -26,8 +26,9 @@ from torch import Tensor
 from tqdm import tqdm
 
 from operators.policy.data import TRAIN_SEEDS, VALIDATION_SEEDS, Recording, made_with, record
-from operators.policy.learned import Rules, Selection, softmax
+from operators.policy.decision import Rules, Selection
 from operators.policy.model import INPUTS, PARTS, PolicyNet, export
+from operators.policy.network import softmax
 from operators.policy.pool import Pool
 from operators.policy.rollout import Choose, Episode, Late, roll, tasks, teacher
 from operators.policy.tokens import Array, Objects, batched

@@ -60,12 +60,14 @@ def test_a_unit_is_another_once_the_code_of_a_part_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code, graph = tmp_path / "seer.py", tmp_path / "tracking.yaml"
-    graph.write_text(GRAPH.read_text().replace("operators.policy:Policy", "seer:Policy"))
+    graph.write_text(
+        GRAPH.read_text().replace("operators.policy:LearnedPolicy", "seer:LearnedPolicy")
+    )
     monkeypatch.syspath_prepend(str(tmp_path))
-    code.write_text("from operators.policy import Policy\n")
+    code.write_text("from operators.policy import LearnedPolicy\n")
     before, plain = keyed(graph), keyed(graph, "spatial")
 
-    code.write_text("from operators.policy import Policy  # and more\n")
+    code.write_text("from operators.policy import LearnedPolicy  # and more\n")
 
     assert keyed(graph) != before
     assert keyed(graph, "spatial") == plain
@@ -178,7 +180,7 @@ def test_what_another_detector_saw_is_not_taken_for_what_this_one_sees() -> None
     seen: Seen = {}
     found = []
     for more in ("saliency.confidence=0.25", "saliency.confidence=0.999"):
-        with Stages(GRAPH, ("policy.strategy=pursue", more)) as stages:
+        with Stages(GRAPH, (more,), policy="pursuit") as stages:
             found.append(loop_of(clip, case, stages, seen).tracks[-1])
 
     assert [bool(len(tracks.ids)) for tracks in found] == [True, False]

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.tracking.classes import planned
 from pipeline.boxes import covered, iou
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -93,8 +94,8 @@ def test_pursuit_keeps_the_ball_in_view_without_the_learned_policy(
 ) -> None:
     found = []
     for seed in MORE_SEEDS:
-        told = (f"capture.seed={seed}", "policy.strategy=pursue", *changes)
-        with InlineRunner(load(GRAPH, Overlay(changes=told, clock="lockstep"))) as runner:
+        plan = planned(GRAPH, (f"capture.seed={seed}", *changes), policy="pursuit")
+        with InlineRunner(plan) as runner:
             for _ in runner.run(FRAMES):
                 pass
             found.append(runner.report()["roi_coverage"]["ball"])

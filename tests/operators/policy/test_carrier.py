@@ -6,9 +6,8 @@ import numpy as np
 
 from operators.policy.carrier import PEOPLE, can_carry, carrier_of
 from operators.policy.conditioning import encode_place
+from operators.policy.decision import PolicyState, Rules, observe
 from operators.policy.gaze_plan import PLACE
-from operators.policy.learned import Gaze, Rules, observe
-from operators.policy.memory import blank
 from operators.policy.target import (
     CARRIED_AT_MOST,
     Choice,
@@ -118,9 +117,9 @@ def test_hands_that_may_hold_it_are_given_up_at_last() -> None:
 
 def test_what_was_foreseen_of_it_is_no_candidate_while_it_is_held() -> None:
     coasting = tracks(3, (1, 0, 195, 100, 30), someone(3), *CROWD, unseen=(1,))
-    gaze = Gaze(target=after(*caught(3)))
+    state = PolicyState(spec=BALL, target=after(*caught(3)))
 
-    _, candidates, _ = observe(gaze, BALL, coasting, blank(8), Rules(roi_channels=5))
+    _, candidates, _ = observe(state, coasting, Rules(roi_channels=5))
 
     assert candidates.ids.tolist() == [7, *(row[0] for row in CROWD), PLACE]
 

@@ -12,9 +12,10 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
 from operators.policy.conditioning import CHANNELS, CONDITION
-from operators.policy.learned import SHIPPED, PolicyNetwork, loyal, pick
+from operators.policy.decision import loyal, pick
+from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.model import INPUTS, PolicyNet, example, export
-from operators.policy.policy import Policy, PolicySettings
+from operators.policy.network import SHIPPED, PolicyNetwork
 from operators.policy.target import TargetState
 from operators.policy.tokens import MOST_OBJECTS, batched, encode_objects
 from pipeline import MessageError, RoiFeatures, Scanpath, Tracks, WeightsError
@@ -132,7 +133,7 @@ def test_the_best_are_told_when_there_are_too_many() -> None:
 
 
 def test_a_plan_names_tracks_with_their_chances(weights: Path) -> None:
-    (path,) = drive(Policy, [world(3)], {"strategy": "learned", "weights": str(weights)})
+    (path,) = drive(LearnedPolicy, [world(3)], {"weights": str(weights)})
 
     assert path.first_seq == 4
     assert path.probability.shape == (16, 6)
@@ -144,9 +145,9 @@ def test_a_plan_names_tracks_with_their_chances(weights: Path) -> None:
 
 
 def test_what_is_left_of_the_chances_is_the_places(weights: Path) -> None:
-    values = {"strategy": "learned", "weights": str(weights), "prompt_box": (1500, 900, 1520, 920)}
+    values = {"weights": str(weights), "prompt_box": (1500, 900, 1520, 920)}
 
-    (path,) = drive(Policy, [world(0)], values)
+    (path,) = drive(LearnedPolicy, [world(0)], values)
 
     assert (path.probability.sum(1) < 1).all()
     places = path.boxes[path.choice == -1]
@@ -189,7 +190,7 @@ def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
 
 
 def test_what_two_looks_found_to_be_nothing_is_no_candidate(weights: Path) -> None:
-    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
     subject.open()
     before = subject.on_tracks(world(0))
     for seq in (0, 1):
@@ -212,10 +213,8 @@ def look(seq: int, *ids: int, genuine: float = 1.0, channels: int = ROI) -> RoiF
 
 
 def test_a_successor_goes_on_alike(weights: Path) -> None:
-    values = PolicySettings(
-        strategy="learned", weights=str(weights), prompt_box=(390, 290, 420, 320)
-    )
-    old, successor = Policy(values), Policy(values)
+    values = LearnedPolicySettings(weights=str(weights), prompt_box=(390, 290, 420, 320))
+    old, successor = LearnedPolicy(values), LearnedPolicy(values)
     old.open()
     successor.open()
 
@@ -229,40 +228,38 @@ def test_a_successor_goes_on_alike(weights: Path) -> None:
 
 
 def test_another_target_takes_effect_with_the_next_plan(weights: Path) -> None:
-    subject = Policy(PolicySettings(strategy="learned", weights=str(weights), target_id=1))
+    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights), target_id=1))
     subject.open()
     subject.on_tracks(world(0))
-    assert subject.state().gaze.target.bound_id == 1
+    assert subject.state().target.bound_id == 1
 
-    subject.on_settings(PolicySettings(strategy="learned", weights=str(weights), target_id=4))
+    subject.on_settings(LearnedPolicySettings(weights=str(weights), target_id=4))
 
     subject.on_tracks(world(1))
-    assert subject.state().gaze.target.bound_id == 4
+    assert subject.state().target.bound_id == 4
 
 
 def test_what_is_no_other_target_leaves_the_prompt_where_it_is(weights: Path) -> None:
-    settings = PolicySettings(
-        strategy="learned", weights=str(weights), prompt_box=(390, 290, 420, 320)
-    )
-    subject = Policy(settings)
+    settings = LearnedPolicySettings(weights=str(weights), prompt_box=(390, 290, 420, 320))
+    subject = LearnedPolicy(settings)
     subject.open()
     subject.on_tracks(world(0))
-    target = subject.state().gaze.target
+    target = subject.state().target
 
     subject.on_settings(replace(settings, least_genuine=0.5))
 
     assert target.bound_id == 1
-    assert subject.state().gaze.target is target
+    assert subject.state().target is target
 
 
 def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None:
-    values = {"strategy": "learned", "weights": str(weights), "place_patience": 1}
+    values = {"weights": str(weights), "place_patience": 1}
     prompted = values | {"prompt_box": (100, 100, 120, 120)}
 
     empty = [world(k, 0) for k in range(4)]
 
-    assert drive(Policy, empty, prompted)[-1].boxes[0].tolist() == [100, 100, 120, 120]
-    assert drive(Policy, empty, values)[-1].choice.tolist() == [-1] * 16
+    assert drive(LearnedPolicy, empty, prompted)[-1].boxes[0].tolist() == [100, 100, 120, 120]
+    assert drive(LearnedPolicy, empty, values)[-1].choice.tolist() == [-1] * 16
 
 
 @pytest.mark.parametrize("field", ["features", "boxes", "predicted"])
@@ -273,7 +270,7 @@ def test_tracks_that_are_no_numbers_leave_the_last_plan_in_force_and_are_told_on
     for bad in frames[1:3]:
         getattr(bad, field)[2, 1, 0] = np.nan
 
-    paths = drive(Policy, frames, {"strategy": "learned", "weights": str(weights)})
+    paths = drive(LearnedPolicy, frames, {"weights": str(weights)})
 
     assert [len(path.choice) for path in paths] == [16, 0, 0, 16]
     assert caplog.messages == ["policy.tracks: expected finite numbers in frame 1, got others"]
@@ -282,7 +279,7 @@ def test_tracks_that_are_no_numbers_leave_the_last_plan_in_force_and_are_told_on
 def test_looks_that_are_no_numbers_are_forgotten_and_told_once(
     weights: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
     subject.open()
     for seq in (0, 1):
         bad = look(seq, 1, 2)
@@ -297,9 +294,9 @@ def test_looks_that_are_no_numbers_are_forgotten_and_told_once(
 def test_a_prompt_that_nothing_answers_to_is_told_once(
     weights: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    values = {"strategy": "learned", "weights": str(weights), "target_id": 77}
+    values = {"weights": str(weights), "target_id": 77}
 
-    drive(Policy, [world(k) for k in range(20)], values)
+    drive(LearnedPolicy, [world(k) for k in range(20)], values)
 
     assert caplog.messages == [
         "policy.target_id: expected a track 77, none was there in frames 0 to 8"
@@ -307,7 +304,7 @@ def test_a_prompt_that_nothing_answers_to_is_told_once(
 
 
 def test_tracks_that_the_network_does_not_know_are_refused(weights: Path) -> None:
-    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
     subject.open()
 
     with pytest.raises(MessageError, match="expects 4 frames of 64 features and 16 foreseen, got"):
@@ -335,11 +332,11 @@ def test_weights_for_another_history_or_horizon_are_refused_before_the_first_fra
         with pytest.raises(
             WeightsError, match=rf"{path.name}: expected horizon \d+ and observed 4"
         ):
-            drive(Policy, [], {"strategy": "learned", "weights": str(path), **settings})
+            drive(LearnedPolicy, [], {"weights": str(path), **settings})
 
 
 def test_without_weights_of_its_own_and_none_shipped_it_says_so() -> None:
     if SHIPPED.exists():
         pytest.skip("there are shipped weights")
     with pytest.raises(WeightsError, match=r"policy\.weights: policy\.onnx is not there"):
-        drive(Policy, [], {"strategy": "learned"})
+        drive(LearnedPolicy, [])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from operators.policy.data import Recording, arrays
-from operators.policy.learned import Rules
+from operators.policy.decision import Rules
 from operators.policy.rollout import Episode, Late, Task, roll, tasks, teacher, within
 from operators.policy.utility import gains
 from pipeline import Geometry, Percept, RoiFeatures, Tracks

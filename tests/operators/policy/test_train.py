@@ -15,8 +15,8 @@ from click.testing import CliRunner
 from operators.policy import pool
 from operators.policy import train as training
 from operators.policy.data import Recording
-from operators.policy.learned import PolicyNetwork
 from operators.policy.model import PolicyNet, export
+from operators.policy.network import PolicyNetwork
 from operators.policy.rollout import Late
 from operators.policy.train import (
     Clips,

@@ -1,0 +1,11 @@
+"""Settings that policies no longer have: what is said to a graph that still has them."""
+
+from collections.abc import Mapping
+
+CLASSES = ("LearnedPolicy", "PursuitPolicy", "RoundRobinPolicy", "CentredPolicy")
+_OPERATORS = f"operators.policy:{CLASSES[0]}, {', '.join(CLASSES[1:-1])} or {CLASSES[-1]}"
+NO_POLICY = f"there is no class Policy any more; name {_OPERATORS} as the operator"
+FORMER: Mapping[str, str] = {
+    "strategy": f"expected the strategy as the class of the node, operator: {_OPERATORS}",
+    "held_by": "expected carriers, its new name",
+}
