@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.sensor import DualStreamSensor
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.contract import Input, Output, Source
 from pipeline.errors import DriverError, SettingsError
 from pipeline.import_path import imported
-from pipeline.messages import Frame, Header, Message, Percept, RoiSchedule
+from pipeline.messages import Frame, Header, Message, RoiSchedule, Truth
 from pipeline.settings import build
 
 
@@ -49,7 +49,7 @@ class Capture(Source[CaptureSettings, Frame]):
     schedule = Input(RoiSchedule, command=True)
     context = Output(Frame)
     roi = Output(Frame)
-    truth = Output(Percept)  # boxes, ids, share visible as scores, labels as texts
+    truth = Output(Truth)
 
     _sensor: DualStreamSensor | None = None
 
@@ -70,7 +70,7 @@ class Capture(Source[CaptureSettings, Frame]):
             return None
         answers: dict[str, Message] = {"context": exposure.context, "roi": exposure.roi}
         if exposure.truth is not None:
-            answers["truth"] = told(exposure.truth, exposure.header)
+            answers["truth"] = truth_of(exposure.truth, exposure.header)
         return answers
 
     def summary(self) -> Mapping[str, Any]:
@@ -89,14 +89,14 @@ class Capture(Source[CaptureSettings, Frame]):
         return self._sensor
 
 
-def told(truth: Truth, header: Header) -> Percept:
+def truth_of(known: Annotations, header: Header) -> Truth:
     """What is really there, as a message."""
-    return Percept(
+    return Truth(
         header=header,
-        boxes=truth.boxes,
-        ids=truth.ids,
-        scores=truth.visible,
-        texts=truth.labels,
+        boxes=known.boxes,
+        ids=known.ids,
+        labels=known.labels,
+        visibility=known.visibility,
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Truth
+from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Annotations
 from pipeline.boxes import areas, centres
 from pipeline.errors import SettingsError
 
@@ -35,7 +35,7 @@ class Target:
 
 
 def targets(
-    truths: Sequence[Truth], kinds: Sequence[str], *, players: int, seed: int
+    truths: Sequence[Annotations], kinds: Sequence[str], *, players: int, seed: int
 ) -> list[Target]:
     """Ball, main referee and some players of a clip, drawn by the seed among those long in view."""
     found = []
@@ -65,18 +65,18 @@ def starts(target: Target, every: int) -> list[int]:
     return [k for k in frames if target.visible[k] >= LEAST_VISIBLE]
 
 
-def _target(kind: str, object_id: int, truths: Sequence[Truth]) -> Target:
+def _target(kind: str, object_id: int, truths: Sequence[Annotations]) -> Target:
     boxes = np.zeros((len(truths), 4), np.float32)
     visible = np.zeros(len(truths), np.float32)
     for k, truth in enumerate(truths):
         row = np.flatnonzero(truth.ids == object_id)
         if len(row) and areas(truth.boxes[row])[0] > 0:
-            boxes[k], visible[k] = truth.boxes[row[0]], truth.visible[row[0]]
+            boxes[k], visible[k] = truth.boxes[row[0]], truth.visibility[row[0]]
     state = ball_states(boxes, truths) if kind == "ball" else (FREE,) * len(truths)
     return Target(kind=kind, id=object_id, boxes=boxes, visible=visible, state=state)
 
 
-def ball_states(boxes: Boxes, truths: Sequence[Truth]) -> tuple[str, ...]:
+def ball_states(boxes: Boxes, truths: Sequence[Annotations]) -> tuple[str, ...]:
     """free, still or carried in each frame, by the truth.
 
     Carried: in most frames around, its centre lies in the upper three quarters of a person's box,
@@ -101,7 +101,9 @@ def ball_states(boxes: Boxes, truths: Sequence[Truth]) -> tuple[str, ...]:
     return tuple(states)
 
 
-def _speeds(boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Truth]) -> NDArray[np.float64]:
+def _speeds(
+    boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Annotations]
+) -> NDArray[np.float64]:
     """How far the ball went since the frame before, against the people's median: (F,), pixels."""
     speed = np.full(len(boxes), np.nan)
     middle = centres(boxes)
@@ -111,7 +113,7 @@ def _speeds(boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Truth]) -> N
     return speed
 
 
-def _camera(before: Truth, now: Truth) -> NDArray[np.float32]:
+def _camera(before: Annotations, now: Annotations) -> NDArray[np.float32]:
     """The median motion of all people in both frames: (2,)."""
     both, first, second = np.intersect1d(before.ids, now.ids, return_indices=True)
     if len(both) < 4:
@@ -120,7 +122,7 @@ def _camera(before: Truth, now: Truth) -> NDArray[np.float32]:
     return np.asarray(np.median(motion, axis=0), np.float32)
 
 
-def _carrier(ball: NDArray[np.float32], truth: Truth) -> int:
+def _carrier(ball: NDArray[np.float32], truth: Annotations) -> int:
     """Id of the person in whose upper three quarters the ball's centre lies, -1: nobody's."""
     x, y = centres(ball)
     for box, label, i in zip(truth.boxes, truth.labels, truth.ids, strict=True):

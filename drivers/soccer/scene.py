@@ -13,7 +13,7 @@ from drivers.soccer.play import Moment, moment
 from drivers.soccer.shadows import cast, contact, draw_light
 from drivers.soccer.skeleton import Pose
 from drivers.soccer.stage import BALL_ID, Actor, Cache, actors_at, truth_of
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.errors import SettingsError
 
 Image = NDArray[np.uint8]
@@ -92,7 +92,7 @@ class SoccerScene:
         self._add_grain(index)
         return self._buffer
 
-    def truth(self, index: int) -> Truth:
+    def truth(self, index: int) -> Annotations:
         """What is in frame `index`, exactly."""
         return truth_of(self._stage(index)[2], self.size_px)
 

@@ -19,7 +19,7 @@ from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.targets import CARRIED, FREE, STILL, ball_states, starts, targets
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, RunError, SettingsError
 from pipeline.messages import Frame, Tracks
@@ -52,18 +52,18 @@ def test_a_budget_that_cannot_be_met_is_refused(text: str) -> None:
         spent()
 
 
-def truth(ball: tuple[float, float], *people: tuple[float, float]) -> Truth:
+def truth(ball: tuple[float, float], *people: tuple[float, float]) -> Annotations:
     boxes = [(x - 8, y - 8, x + 8, y + 8) for x, y in (ball,)]
     boxes += [(x - 20, y - 60, x + 20, y + 60) for x, y in people]
-    return Truth(
+    return Annotations(
         boxes=np.array(boxes, np.float32),
         ids=np.arange(len(boxes), dtype=np.int32),
         labels=("ball", *["player"] * len(people)),
-        visible=np.ones(len(boxes), np.float32),
+        visibility=np.ones(len(boxes), np.float32),
     )
 
 
-def states(truths: list[Truth]) -> set[str]:
+def states(truths: list[Annotations]) -> set[str]:
     boxes = np.stack([t.boxes[0] for t in truths])
     return set(ball_states(boxes, truths))
 
@@ -84,11 +84,11 @@ def test_a_ball_is_still_free_or_held_by_what_the_truth_says() -> None:
 
 def test_a_tracker_is_started_where_the_target_can_be_seen() -> None:
     truths = [truth((900, 300), *CROWD) for _ in range(20)]
-    truths[8] = Truth(
+    truths[8] = Annotations(
         boxes=truths[8].boxes,
         ids=truths[8].ids,
         labels=truths[8].labels,
-        visible=np.full(5, 0.1, np.float32),
+        visibility=np.full(5, 0.1, np.float32),
     )
 
     (ball,) = targets(truths, ["ball"], players=1, seed=0)

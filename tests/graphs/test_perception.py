@@ -52,7 +52,7 @@ def run(seed: int, *changes: str) -> Shares:
     with InlineRunner(plan, watch=lambda name, message: heard.update({name: message})) as runner:
         for seq in runner.run(FRAMES):
             truth, window = heard["capture.truth"], np.array(heard["capture.roi"].window)
-            boxes = dict(zip(truth.texts, truth.boxes[:, None], strict=True))
+            boxes = dict(zip(truth.labels, truth.boxes[:, None], strict=True))
             if 10 <= seq < CHANGED and "ball" in boxes:
                 ball.append(float(covered(boxes["ball"], window)[0]))
             if seq == CHANGED:
