@@ -65,7 +65,7 @@ def run_time(
             _timed(stages, spent, "dispatch", scanpath=scanpath)
             whole = everything.context(frame)
             looks = _timed(stages, spent, "roi_features", roi=whole, tracks=tracks)
-            stages.tell("policy", features=looks)
+            stages.call("policy", features=looks)
             _timed(stages, spent, "tracker", context=context, roi=roi)
     spent[TOTAL] = [sum(each) for each in zip(*(spent[n] for n in PARTS_MS), strict=True)]
     return {
@@ -89,8 +89,8 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES, *, policy: str = ""
         networks = [Network(file) for file in networks_of(stages)]
         stages.begin(camera.header(0), *NEEDED)
         for frame in range(2):
-            small = stages.tell("downsample", frame=camera.context(frame))
-            tracks = stages.tell("association", detections=stages.tell("saliency", frame=small))
+            small = stages.call("downsample", frame=camera.context(frame))
+            tracks = stages.call("association", detections=stages.call("saliency", frame=small))
         for count in COUNTS:
             stages.begin(camera.header(0), "policy")
             spent: list[float] = []
@@ -98,9 +98,9 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES, *, policy: str = ""
                 crowd = altered(crowded(tracks, count), header=replace(tracks.header, seq=seq))
                 began_ns = time.perf_counter_ns()
                 whole = Frame(header=crowd.header, pixels=pictured.pixels, window=pictured.window)
-                looks = stages.tell("roi_features", roi=whole, tracks=crowd)
-                stages.tell("policy", features=looks)
-                stages.tell("policy", tracks=crowd)
+                looks = stages.call("roi_features", roi=whole, tracks=crowd)
+                stages.call("policy", features=looks)
+                stages.call("policy", tracks=crowd)
                 spent.append((time.perf_counter_ns() - began_ns) / 1e6)
             alone = [_alone_ms(networks, count) for _ in range(frames)]
             found[str(count)] = {**_spread(spent), "networks": round(statistics.median(alone), 2)}
@@ -138,7 +138,7 @@ def _sides(network: Network, first: int, others: int) -> dict[str, NDArray[np.ge
 
 def _timed(stages: Stages, spent: dict[str, list[float]], name: str, **messages: Any) -> Any:
     began_ns = time.perf_counter_ns()
-    answer = stages.tell(name, **messages)
+    answer = stages.call(name, **messages)
     spent.setdefault(name, []).append((time.perf_counter_ns() - began_ns) / 1e6)
     return answer
 

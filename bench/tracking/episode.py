@@ -88,7 +88,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
             context, roi = camera.expose(frame, frame - step + 1, window)
             if how.looks and not rules.context:
                 context = camera.nothing(frame)
-            percept: Percept = loop.stages.tell("tracker", context=context, roi=roi)
+            percept: Percept = loop.stages.call("tracker", context=context, roi=roi)
             box = percept.boxes[0] if len(percept.boxes) else box
             if how.looks:
                 shown = float(covered(target.boxes[frame][None], np.array(window, np.float32))[0])
@@ -142,11 +142,11 @@ class Gaze:
         tracks = replaced.tracks(self._loop.tracks[frame], frame)
         if not self._rules.prediction:
             tracks = still(tracks)
-        scanpath = stages.tell("policy", tracks=tracks)
+        scanpath = stages.call("policy", tracks=tracks)
         scanpath = replaced.scanpath(scanpath, tracks, self._target, frame)
-        schedule: RoiSchedule | None = stages.tell("dispatch", scanpath=scanpath)
-        looks = stages.tell("roi_features", roi=roi, tracks=tracks)
-        stages.tell("policy", features=looks)
+        schedule: RoiSchedule | None = stages.call("dispatch", scanpath=scanpath)
+        looks = stages.call("roi_features", roi=roi, tracks=tracks)
+        stages.call("policy", features=looks)
         if schedule is None or frame - self._planned < self._rules.replan:
             return
         self._planned = frame
