@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from numpy.typing import DTypeLike, NDArray
+
 from drivers.sensor import DualStreamSensor
 from drivers.source import Annotations
 from pipeline.contract import Input, Output, Source
@@ -65,7 +67,7 @@ class Capture(Source[CaptureSettings, Frame]):
 
     def produce(self) -> Mapping[str, Message] | None:
         """The next exposure, one message per stream."""
-        exposure = self._opened().read(self._loan)
+        exposure = self._opened().read(self._memory)
         if exposure is None:
             return None
         answers: dict[str, Message] = {"context": exposure.context, "roi": exposure.roi}
@@ -82,6 +84,9 @@ class Capture(Source[CaptureSettings, Frame]):
         if self._sensor is not None:
             self._sensor.stop()
             self._sensor.close()
+
+    def _memory(self, output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        return self.loan(shape, dtype, output)
 
     def _opened(self) -> DualStreamSensor:
         if self._sensor is None:

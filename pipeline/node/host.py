@@ -65,12 +65,11 @@ class Host:
         self.relay: Rests | None = None
         self.clocks = Clocks()
         self.inbox = Inbox(inputs, self.settle, lockstep=lockstep, age_ns=self._age_ns)
-        self.executor = Executor(name, operator)
+        self.executor = Executor(name, operator, memory=self._loan)
         self._arrived_wait_ns = self._waiter = 0
         self.answered = 0  # sets of joined inputs, by this instance
         self.corewait = CoreWait()
         self.stopping = threading.Event()
-        operator._loan = self._loan
 
     def settle(self, name: str, fate: str, ordinal: int) -> None:
         """Account for the end of a message on one of this node's edges."""

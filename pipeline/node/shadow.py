@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.bus.inbox import Inbox, Marks, Work
 from pipeline.bus.outport import Arrival
 from pipeline.bus.tape import EdgeCut
+from pipeline.contract import fresh_memory
 from pipeline.executor import carried
 from pipeline.messages import Message, altered
 from pipeline.node.host import Host
@@ -46,8 +47,7 @@ class Shadow:
         self._times_ms: list[float] = []
         self.frames = self.identical = 0
         self.differences: dict[str, Difference] = {}
-        self._loan = host.operator._loan
-        host.operator._loan = lambda _output, shape, dtype: np.empty(shape, dtype)
+        self._memory = host.executor.allocate_from(fresh_memory)
         self._ports = [port.shadow(self._deliver(name)) for name, port in host.ports.items()]
         for port, cut in zip(self._ports, (edges[name] for name in host.ports), strict=True):
             port.take_over(cut)
@@ -74,7 +74,7 @@ class Shadow:
 
     def end(self) -> dict[str, Any]:
         """Let go of everything; the figures."""
-        self._host.operator._loan = self._loan
+        self._host.executor.allocate_from(self._memory)
         for port in self._host.ports.values():
             port.also = None
         return {
