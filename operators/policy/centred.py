@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from operators.policy.former import FORMER
+from operators.policy.former import STRATEGY
 from operators.policy.gaze_plan import check_horizon, field_centre, scanpath, stay
 from pipeline import Input, Operator, RoiFeatures, Scanpath, Tracks
 
@@ -16,7 +16,7 @@ from pipeline import Input, Operator, RoiFeatures, Scanpath, Tracks
 class CentredPolicySettings:
     """What a graph may set."""
 
-    FORMER: ClassVar[Mapping[str, str]] = FORMER
+    FORMER: ClassVar[Mapping[str, str]] = STRATEGY
 
     horizon: int = 16  # Tp, frames planned
 

@@ -43,7 +43,7 @@ class Rules:
     patience: int = 64  # frames for which the place of a target out of sight stays a candidate
     least_genuine: float = 0.2
     roi_channels: int = 576
-    loyalty: float = 30.0  # how much likelier the target's own track is; 1: no more so
+    target_prior: float = 30.0  # how much likelier the target's own track is; 1: no more so
 
 
 def observe(
@@ -66,17 +66,17 @@ def observe(
     return replace(before, target=target), candidates, encode_condition(target, spec, tracks)
 
 
-def loyal(probability: Array, candidates: Objects, target: TargetState, loyalty: float) -> Array:
+def with_prior(probability: Array, candidates: Objects, target: TargetState, prior: float) -> Array:
     """The network's belief (N, Tp) times the target's own; each step's sum is 1 again.
 
     The target is followed by motion, the network knows it by its looks and its place. Among
     players of one team looks tell little: who was meant a moment ago is still meant, unless the
-    network is `loyalty` times surer of somebody else.
+    network is `prior` times surer of another.
     """
     own = candidates.ids == target.bound_id
     if target.bound_id < 0 or not own.any():
         return probability
-    raised = np.where(own[:, None], loyalty, np.float32(1)) * probability
+    raised = np.where(own[:, None], prior, np.float32(1)) * probability
     return np.asarray(raised / raised.sum(0, keepdims=True), np.float32)
 
 

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 CLASSES = ("LearnedPolicy", "PursuitPolicy", "RoundRobinPolicy", "CentredPolicy")
 _OPERATORS = f"operators.policy:{CLASSES[0]}, {', '.join(CLASSES[1:-1])} or {CLASSES[-1]}"
 NO_POLICY = f"there is no class Policy any more; name {_OPERATORS} as the operator"
-FORMER: Mapping[str, str] = {
-    "strategy": f"expected the strategy as the class of the node, operator: {_OPERATORS}",
-    "held_by": "expected carriers, its new name",
+STRATEGY: Mapping[str, str] = {
+    "strategy": f"expected the strategy as the class of the node, operator: {_OPERATORS}"
 }
+CARRIERS: Mapping[str, str] = {"held_by": "expected carriers, its new name"}
+PRIOR: Mapping[str, str] = {"loyalty": "expected target_prior, its new name"}

@@ -21,12 +21,12 @@ from operators.policy.decision import (
     Selection,
     decide,
     fault,
-    loyal,
     observe,
     pick,
+    with_prior,
     without_candidates,
 )
-from operators.policy.former import FORMER
+from operators.policy.former import CARRIERS, PRIOR, STRATEGY
 from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
@@ -41,12 +41,12 @@ log = logging.getLogger(__name__)
 class LearnedPolicySettings:
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
-    FORMER: ClassVar[Mapping[str, str]] = FORMER
+    FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR}
 
     weights: str = ""  # an ONNX file of operators.policy.train; empty: the shipped one
     selection: Selection = "argmax"  # the likeliest object, or one drawn by its probability
     seed: int = 0  # of what is drawn
-    loyalty: float = 30.0  # see `operators.policy.decision.loyal`; 1: the network alone
+    target_prior: float = 30.0  # see `decision.with_prior`; 1: the network alone
     least_genuine: float = 0.2  # below it an object that was looked at is believed false
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id
@@ -66,8 +66,10 @@ class LearnedPolicySettings:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
         if not 0 <= self.least_genuine <= 1:
             raise SettingsError(f"least_genuine: must be within 0..1, got {self.least_genuine}")
-        if not 1 <= self.loyalty < math.inf:
-            raise SettingsError(f"loyalty: must be at least 1 and finite, got {self.loyalty}")
+        if not 1 <= self.target_prior < math.inf:
+            raise SettingsError(
+                f"target_prior: must be at least 1 and finite, got {self.target_prior}"
+            )
         check_box("prompt_box", self.prompt_box)
 
     @property
@@ -149,13 +151,13 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
             patience=s.place_patience,
             least_genuine=s.least_genuine,
             roi_channels=network.roi_channels,
-            loyalty=s.loyalty,
+            target_prior=s.target_prior,
         )
         state, candidates, condition = observe(self._state, tracks, rules)
         self._warn_once("prompt", unmet(state.target, state.spec, tracks))
         if len(candidates.ids):
             believed = network(candidates, condition)
-            probability = loyal(believed, candidates, state.target, rules.loyalty)
+            probability = with_prior(believed, candidates, state.target, rules.target_prior)
             rng = np.random.default_rng([s.seed, tracks.header.seq])
             picked = pick(probability, s.selection, rng)
             plan, state = decide(state, tracks, candidates, probability, picked)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from operators.policy.candidates import Sightings, count, nearest, none_seen, worth
 from operators.policy.carrier import PEOPLE, can_carry
-from operators.policy.former import FORMER
+from operators.policy.former import CARRIERS, STRATEGY
 from operators.policy.gaze_plan import (
     GazePlan,
     check_horizon,
@@ -47,7 +47,7 @@ CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 class PursuitPolicySettings:
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
-    FORMER: ClassVar[Mapping[str, str]] = FORMER
+    FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS}
 
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id

@@ -19,9 +19,9 @@ from operators.policy.decision import (
     Rules,
     Selection,
     decide,
-    loyal,
     observe,
     pick,
+    with_prior,
     without_candidates,
 )
 from operators.policy.gaze_plan import GazePlan
@@ -129,8 +129,8 @@ class Episode:
     def act(self, probability: Array, how: Selection, rng: np.random.Generator) -> None:
         """Look where the policy says, and go on to the next frame."""
         if len(self._candidates.ids):
-            probability = loyal(
-                probability, self._candidates, self._state.target, self._rules.loyalty
+            probability = with_prior(
+                probability, self._candidates, self._state.target, self._rules.target_prior
             )
             picked = pick(probability, how, rng)
             plan, self._state = decide(

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.former import FORMER
+from operators.policy.former import STRATEGY
 from operators.policy.gaze_plan import (
     GazePlan,
     check_horizon,
@@ -25,7 +25,7 @@ from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsErr
 class RoundRobinPolicySettings:
     """What a graph may set."""
 
-    FORMER: ClassVar[Mapping[str, str]] = FORMER
+    FORMER: ClassVar[Mapping[str, str]] = STRATEGY
 
     target: str = ""  # class name (ball, referee, player …) that limits the round; empty: any
     dwell: int = 4  # frames per object

@@ -243,8 +243,8 @@ def recorded(settings: TrainSettings, say: Callable[[str], None]) -> tuple[Clips
             say=say,
         )
         recordings = [Recording(path) for path in paths]
-        # the network alone: what loyalty would save it from is what it has to learn
-        rules = Rules(roi_channels=recordings[0].sides["roi_channels"], loyalty=1)
+        # the network alone: what the prior would correct is what it has to learn
+        rules = Rules(roi_channels=recordings[0].sides["roi_channels"], target_prior=1)
         groups.append(Clips(recordings=recordings, rules=rules, settings=settings))
     return groups[0], groups[1]
 

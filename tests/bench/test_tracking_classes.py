@@ -81,7 +81,7 @@ def test_the_parts_of_an_evaluation_are_those_of_the_plan() -> None:
 
 
 def test_a_policy_that_is_asked_for_keeps_the_settings_that_both_classes_have() -> None:
-    changes = ("policy.horizon=8", "policy.loyalty=1", "policy.confirm=5")
+    changes = ("policy.horizon=8", "policy.target_prior=1", "policy.confirm=5")
 
     node = planned(GRAPH, changes, policy="pursuit").node("policy")
 

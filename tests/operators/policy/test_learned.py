@@ -12,7 +12,7 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
 from operators.policy.conditioning import CHANNELS, CONDITION
-from operators.policy.decision import loyal, pick
+from operators.policy.decision import pick, with_prior
 from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.model import INPUTS, PolicyNet, example, export
 from operators.policy.network import SHIPPED, PolicyNetwork
@@ -172,13 +172,13 @@ def test_who_was_meant_stays_meant_unless_the_network_is_much_surer_of_another()
         TargetState(bound_id=1),
     )
 
-    def chosen(surer: float, *, loyalty: float = 30.0) -> list[int]:
+    def chosen(surer: float, *, target_prior: float = 30.0) -> list[int]:
         believed = np.array([[1.0], [surer]], np.float32) / (1 + surer)
-        weighed = loyal(believed, candidates, target, loyalty)
+        weighed = with_prior(believed, candidates, target, target_prior)
         assert np.allclose(weighed.sum(0), 1)
         return candidates.ids[weighed.argmax(0)].tolist()
 
-    assert [chosen(29), chosen(31), chosen(2, loyalty=1)] == [[1], [2], [2]]
+    assert [chosen(29), chosen(31), chosen(2, target_prior=1)] == [[1], [2], [2]]
 
 
 def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
@@ -186,7 +186,7 @@ def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
     believed = np.ones((1, 3), np.float32)
 
     for target in (TargetState(), TargetState(bound_id=7)):
-        assert loyal(believed, candidates, target, 30) is believed
+        assert with_prior(believed, candidates, target, 30) is believed
 
 
 def test_what_two_looks_found_to_be_nothing_is_no_candidate(weights: Path) -> None:

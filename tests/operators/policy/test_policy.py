@@ -177,6 +177,8 @@ def test_every_policy_can_take_the_place_of_another_in_a_graph():
 def test_a_setting_by_its_former_name_is_refused_with_the_new_one():
     with pytest.raises(SettingsError, match=r"held_by: expected carriers, its new name"):
         drive(PursuitPolicy, [], {"held_by": ["player"]})
+    with pytest.raises(SettingsError, match=r"loyalty: expected target_prior, its new name"):
+        drive(LearnedPolicy, [], {"loyalty": 1})
 
 
 object_ = st.tuples(
