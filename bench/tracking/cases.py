@@ -67,7 +67,7 @@ def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case
         case = Case(
             strategy="foveated",
             budget=budget,
-            name=name + told(rule, late=late),
+            name=name + suffix(rule, late=late),
             rules=rule,
             replaced=parts,
             changes=options.changes,
@@ -87,7 +87,7 @@ def _plain(
         Case(
             strategy=strategy,
             budget=budget,
-            name=strategy + told(rule, late=False),
+            name=strategy + suffix(rule, late=False),
             rules=rule,
             changes=changes,
             policy=policy,
@@ -109,7 +109,7 @@ def rules_of(options: Options) -> list[Rules]:
     ]
 
 
-def told(rule: Rules, *, late: bool) -> str:
+def suffix(rule: Rules, *, late: bool) -> str:
     """What a row is called, after its strategy."""
     name = ""
     if late or rule.delay or rule.replan != 1:

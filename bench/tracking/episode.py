@@ -70,7 +70,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
     found = Outcome(start=start)
     if not exposed:
         return found
-    gaze = Repeated(looked, start) if looked else Gaze(loop, target, start)
+    path = RecordedRoiPath(looked, start) if looked else RoiPath(loop, target, start)
     box = target.boxes[exposed[0]]
     if not box.any():
         return found
@@ -84,7 +84,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
         kept = frame in exposed
         shown = float("nan")
         if kept:
-            window = gaze.window(frame)
+            window = path.window(frame)
             context, roi = camera.expose(frame, frame - step + 1, window)
             if how.looks and not rules.context:
                 context = camera.nothing(frame)
@@ -94,7 +94,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
                 shown = float(covered(target.boxes[frame][None], np.array(window, np.float32))[0])
                 found.windows.append(window)
                 box = loop.replaced.percept(box, target.boxes[frame], shown)
-            gaze.after(frame, roi)
+            path.after(frame, roi)
         if frame > start:
             known = bool(target.visible[frame] > 0)
             overlap = iou(box[None], target.boxes[frame][None])[0, 0] if known else np.nan
@@ -105,7 +105,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
     return found
 
 
-class Gaze:
+class RoiPath:
     """Where the ROI is in each frame of an episode, by strategy."""
 
     def __init__(self, loop: Loop, target: Target, start: int) -> None:
@@ -159,7 +159,7 @@ class Gaze:
         return roi_window(centres(np.asarray(box, np.float32)), self._geometry)
 
 
-class Repeated:
+class RecordedRoiPath:
     """Where the ROI was in each frame of an episode that has been run before."""
 
     def __init__(self, looked: Sequence[Window], start: int) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from bench.tracking.cases import ROI_ALONE, Case
 from bench.tracking.intervals import Block, add, block_of, difference, mean
-from bench.tracking.kept import Unit
+from bench.tracking.store import Unit
 from bench.tracking.targets import CARRIED
 from drivers.simulated.strategies import WITH_ROI
 

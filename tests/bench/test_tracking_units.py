@@ -11,9 +11,9 @@ from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, read
 from bench.tracking.episode import Rules
 from bench.tracking.job import Seen, loop_of
-from bench.tracking.kept import Draft, Unit, forget_damaged, units
 from bench.tracking.key import clip_key, key
 from bench.tracking.stages import Stages
+from bench.tracking.store import Draft, Unit, forget_damaged, units
 from bench.tracking.units import cut, measured
 from pipeline.errors import DriverError
 from tests.drivers.sequences import write_sequence
@@ -76,7 +76,7 @@ def test_a_unit_is_another_once_the_code_of_a_part_is(
 def test_an_unfinished_unit_keeps_what_it_has_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.tracking.kept.KEEP_S", 0.0)
+    monkeypatch.setattr("bench.tracking.store.KEEP_S", 0.0)
     Draft(tmp_path / "unit.part").add(3, {"start": 8, "iou": [0.5]})
 
     again = Draft(tmp_path / "unit.part")
