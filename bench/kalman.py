@@ -21,6 +21,7 @@ from drivers.soccernet import read_tracklets
 from operators.association import Association, AssociationSettings
 from pipeline import Detections
 from pipeline.errors import FoveaError
+from pipeline.executor import Executor
 from pipeline.testing import header
 
 AHEAD = (1, 4, 8, 13)  # frames
@@ -112,6 +113,7 @@ def associator_ms(objects: int, seed: int, frames: int = 200) -> dict[str, float
     at = rng.uniform((50, 50), (1870, 1030), (objects, 2))
     pace = rng.normal(size=(objects, 2)) * 3
     subject, spent = Association(AssociationSettings()), []
+    executor = Executor("association", subject)
     subject.open()
     for k in range(frames):
         corner = at + k * pace + rng.normal(size=at.shape)
@@ -125,7 +127,7 @@ def associator_ms(objects: int, seed: int, frames: int = 200) -> dict[str, float
             names=("ball", "player"),
         )
         start = time.perf_counter_ns()
-        subject.on_detections(detections)
+        executor.call({"detections": detections})
         spent.append((time.perf_counter_ns() - start) / 1e6)
     return {f"p{q}": round(float(np.percentile(spent, q)), 3) for q in (50, 99)}
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
-from pipeline import Frame, Input, Operator, Percept
+from pipeline import Frame, Input, Operator, Percept, Truth
 from pipeline.boxes import covered, iou
 from pipeline.console.changing import ask
 from pipeline.errors import RunError
@@ -52,7 +52,7 @@ class Watcher(Operator[WatcherSettings, None]):
     """Compares with any object of the class: the one overlapped most, else the one shown most."""
 
     percept = Input(Percept, keep="latest")
-    truth = Input(Percept, keep="latest")
+    truth = Input(Truth, keep="latest")
     roi = Input(Frame, keep="latest")
     live: ClassVar[tuple[str, ...]] = ("target", "span")
 
@@ -60,7 +60,7 @@ class Watcher(Operator[WatcherSettings, None]):
         """Nothing counted."""
         self._spans: dict[int, Sums] = {}
 
-    def on_percept_truth_roi(self, percept: Percept, truth: Percept, roi: Frame) -> None:
+    def on_percept_truth_roi(self, percept: Percept, truth: Truth, roi: Frame) -> None:
         """Count a frame."""
         s = self.settings
         sums = counted(self._spans.get(s.span, Sums(target=s.target)), percept, truth, roi)
@@ -97,10 +97,10 @@ def read(line: str) -> dict[int, Sums]:
     }
 
 
-def counted(sums: Sums, percept: Percept, truth: Percept, roi: Frame) -> Sums:
+def counted(sums: Sums, percept: Percept, truth: Truth, roi: Frame) -> Sums:
     """The sums with one more frame; the same where no object of the class can be seen."""
-    own = [CLASS_OF_ROLE.get(label, label) == sums.target for label in truth.texts]
-    rows = np.flatnonzero(np.array(own, np.bool_) & (truth.scores >= LEAST_VISIBLE))
+    own = [CLASS_OF_ROLE.get(label, label) == sums.target for label in truth.labels]
+    rows = np.flatnonzero(np.array(own, np.bool_) & (truth.visibility >= LEAST_VISIBLE))
     if not len(rows):
         return sums
     boxes: NDArray[np.float32] = truth.boxes[rows]

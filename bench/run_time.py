@@ -18,7 +18,8 @@ from bench.tracking.clip import HELD_OUT, ClipName, read
 from bench.tracking.options import GRAPH
 from bench.tracking.stages import NEEDED, Camera, Stages
 from drivers.simulated.readout import Window
-from operators.policy.learned import SHIPPED
+from operators.policy.learned import LearnedPolicySettings
+from operators.policy.network import SHIPPED
 from operators.roi_features.roi_features import weights_file
 from pipeline.boxes import centres, roi_window
 from pipeline.inference import Network
@@ -33,7 +34,9 @@ COUNTS = (1, 5, 10, 15, 20, 25)  # objects
 Figures = dict[str, dict[str, float]]
 
 
-def run_time(changes: Sequence[str], frames: int = FRAMES, *, tracker: str = "") -> Figures:
+def run_time(
+    changes: Sequence[str], frames: int = FRAMES, *, tracker: str = "", policy: str = ""
+) -> Figures:
     """Milliseconds per call of each part on one thread: p50 and p99; and how many objects.
 
     `TOTAL`: of the parts that the paper counts, frame by frame.
@@ -49,7 +52,7 @@ def run_time(changes: Sequence[str], frames: int = FRAMES, *, tracker: str = "")
     spent: dict[str, list[float]] = {}
     objects: list[float] = []
     cv2.setNumThreads(1)
-    with Stages(GRAPH, changes, tracker) as stages:
+    with Stages(GRAPH, changes, tracker, policy) as stages:
         aim: dict[str, Any] = {"prompt_box": box, "target": ""}
         stages.begin(camera.header(0), *NEEDED, policy=aim, tracker={"init_box": box})
         for frame in range(frames):
@@ -62,7 +65,7 @@ def run_time(changes: Sequence[str], frames: int = FRAMES, *, tracker: str = "")
             _timed(stages, spent, "dispatch", scanpath=scanpath)
             whole = everything.context(frame)
             looks = _timed(stages, spent, "roi_features", roi=whole, tracks=tracks)
-            stages.tell("policy", features=looks)
+            stages.call("policy", features=looks)
             _timed(stages, spent, "tracker", context=context, roi=roi)
     spent[TOTAL] = [sum(each) for each in zip(*(spent[n] for n in PARTS_MS), strict=True)]
     return {
@@ -71,7 +74,7 @@ def run_time(changes: Sequence[str], frames: int = FRAMES, *, tracker: str = "")
     }
 
 
-def by_objects(changes: Sequence[str], frames: int = FRAMES) -> Figures:
+def by_objects(changes: Sequence[str], frames: int = FRAMES, *, policy: str = "") -> Figures:
     """Milliseconds of encoder and policy together by the number of objects.
 
     p50 and p99 of the operators, cutting and packing included, and the p50 of the networks alone.
@@ -82,12 +85,12 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES) -> Figures:
     pictured = camera.context(0)
     cv2.setNumThreads(1)
     found: Figures = {}
-    with Stages(GRAPH, changes) as stages:
+    with Stages(GRAPH, changes, policy=policy) as stages:
         networks = [Network(file) for file in networks_of(stages)]
         stages.begin(camera.header(0), *NEEDED)
         for frame in range(2):
-            small = stages.tell("downsample", frame=camera.context(frame))
-            tracks = stages.tell("association", detections=stages.tell("saliency", frame=small))
+            small = stages.call("downsample", frame=camera.context(frame))
+            tracks = stages.call("association", detections=stages.call("saliency", frame=small))
         for count in COUNTS:
             stages.begin(camera.header(0), "policy")
             spent: list[float] = []
@@ -95,9 +98,9 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES) -> Figures:
                 crowd = altered(crowded(tracks, count), header=replace(tracks.header, seq=seq))
                 began_ns = time.perf_counter_ns()
                 whole = Frame(header=crowd.header, pixels=pictured.pixels, window=pictured.window)
-                looks = stages.tell("roi_features", roi=whole, tracks=crowd)
-                stages.tell("policy", features=looks)
-                stages.tell("policy", tracks=crowd)
+                looks = stages.call("roi_features", roi=whole, tracks=crowd)
+                stages.call("policy", features=looks)
+                stages.call("policy", tracks=crowd)
                 spent.append((time.perf_counter_ns() - began_ns) / 1e6)
             alone = [_alone_ms(networks, count) for _ in range(frames)]
             found[str(count)] = {**_spread(spent), "networks": round(statistics.median(alone), 2)}
@@ -108,7 +111,7 @@ def networks_of(stages: Stages) -> list[Path]:
     """The files of encoder and policy; of a policy that is none, the encoder's alone."""
     encoder, policy = stages.settings("roi_features"), stages.settings("policy")
     files = [weights_file(encoder.weights)]
-    if policy.strategy == "learned":
+    if isinstance(policy, LearnedPolicySettings):
         files.append(Path(policy.weights) if policy.weights else SHIPPED)
     return files
 
@@ -135,7 +138,7 @@ def _sides(network: Network, first: int, others: int) -> dict[str, NDArray[np.ge
 
 def _timed(stages: Stages, spent: dict[str, list[float]], name: str, **messages: Any) -> Any:
     began_ns = time.perf_counter_ns()
-    answer = stages.tell(name, **messages)
+    answer = stages.call(name, **messages)
     spent.setdefault(name, []).append((time.perf_counter_ns() - began_ns) / 1e6)
     return answer
 

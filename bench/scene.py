@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench.machine import facts
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
-from drivers.source import FrameSource, Truth
+from drivers.source import Annotations, FrameSource
 from pipeline.errors import FoveaError
 
 RATE_HZ = 25.0
@@ -48,15 +48,15 @@ def measure(source: FrameSource, frames: int) -> Samples:
     return found
 
 
-def ball_box(truth: Truth) -> NDArray[np.float32] | None:
+def ball_box(truth: Annotations) -> NDArray[np.float32] | None:
     """The box (4,) of the ball; None where it is not seen at all."""
-    for box, label, seen in zip(truth.boxes, truth.labels, truth.visible, strict=True):
+    for box, label, seen in zip(truth.boxes, truth.labels, truth.visibility, strict=True):
         if label == "ball" and seen > 0.3:
             return np.asarray(box)
     return None
 
 
-def _measure_people(found: Samples, truth: Truth) -> None:
+def _measure_people(found: Samples, truth: Annotations) -> None:
     people = [i for i, label in enumerate(truth.labels) if label != "ball"]
     found["people in view"].append(float(len(people)))
     for i in people:

@@ -19,11 +19,10 @@ import click
 from bench.machine import facts
 from bench.options import Bench
 from bench.run_time import by_objects, by_objects_markdown, markdown, run_time
-from bench.tracking.cases import policy_changes
 from bench.tracking.evaluate import asked, command, try_out
 from bench.tracking.options import make_folder, options_of, policy_files
 from bench.tracking.replaced import PARTS
-from operators.policy.learned import SHIPPED
+from operators.policy.network import SHIPPED
 from pipeline.errors import FoveaError
 
 TOGETHER = ("detections+association",)  # what the policy would know from perfect eyes
@@ -85,7 +84,7 @@ def studies(
     if ablations:
         wanted = ["--strategies", "foveated,centred,round_robin,full", "--sees", "roi"]
         whole = policies[0].rpartition("=")[2] if policies else str(SHIPPED)
-        rows = (f"whole={whole}", *ablations, "pursue=pursue")
+        rows = (f"whole={whole}", *ablations, "pursuit=pursuit")
         found["ablation"] = [*few, *wanted, *_policy(rows)]
     return found
 
@@ -118,16 +117,16 @@ def _policy(given: Sequence[str]) -> list[str]:
 
 def check(planned: Mapping[str, Sequence[str]]) -> None:
     """Refuse a study that cannot be measured now, not hours later when its turn comes."""
-    opened: set[tuple[str, ...]] = set()
+    opened: set[tuple[tuple[str, ...], str, str]] = set()
     for name, words in planned.items():
         try:
             with command.make_context(name, list(words)) as context:
                 cases, protocol, _ = asked(options_of(context.params))
-            fresh = [case for case in cases if case.changes not in opened]
+            fresh = [case for case in cases if case.parts not in opened]
             try_out(fresh, protocol)
         except FoveaError as error:
             raise click.UsageError(f"{name}: {error}") from error
-        opened |= {case.changes for case in fresh}
+        opened |= {case.parts for case in fresh}
 
 
 def together(out: Path) -> None:
@@ -180,9 +179,9 @@ def main(
         command.main([*words, *outputs], standalone_mode=False)
         together(out)
     if not only or "run-time" in only:
-        changes = policy_changes(policy_files(policy[:1]).popitem()[1])
-        parts = run_time(changes, tracker=tracker)
-        crowds = by_objects(changes)
+        own = policy_files(policy[:1]).popitem()[1]
+        parts = run_time((), tracker=tracker, policy=own)
+        crowds = by_objects((), policy=own)
         told = {**facts(), "ms": parts, "ms_by_objects": crowds}
         (out / "run-time.json").write_text(json.dumps(told, indent=1) + "\n")
         (out / "run-time.md").write_text(f"{markdown(parts)}\n{by_objects_markdown(crowds)}")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.pictures import read_picture
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.errors import DriverError
 
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
@@ -37,7 +37,7 @@ class ImageFolder:
             raise IndexError(f"no picture {index} in {len(self._files)}")
         return read_picture(self._files[index], self._buffer)
 
-    def truth(self, index: int) -> Truth | None:
+    def truth(self, index: int) -> Annotations | None:
         """Not known."""
         return None
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.sequence import NumberedPictures, Row, by_frame, no_objects, read_info, read_rows
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.errors import DriverError
 
 # column 8 of gt.txt, MOT16 paper, table 3; MOT15 writes -1 there and knows only pedestrians
@@ -47,7 +47,7 @@ class MotSequence:
         """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
         return self._pictures.picture(index)
 
-    def truth(self, index: int) -> Truth | None:
+    def truth(self, index: int) -> Annotations | None:
         """Everybody in frame `index`, with the share of each that is visible."""
         return None if self._truth is None else self._truth.get(index, no_objects())
 
@@ -61,7 +61,7 @@ class MotSequence:
         """Nothing is held open between pictures."""
 
 
-def _read_truth(path: Path) -> dict[int, Truth] | None:
+def _read_truth(path: Path) -> dict[int, Annotations] | None:
     if not path.is_file():
         return None
     rows: list[Row] = []

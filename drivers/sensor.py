@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.contract import Loan
 from pipeline.messages import Frame, Geometry, Header, RoiSchedule
 
@@ -50,7 +50,7 @@ class Exposure:
     header: Header
     context: Frame
     roi: Frame
-    truth: Truth | None = None
+    truth: Annotations | None = None
 
 
 class DualStreamSensor(Protocol):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.pictures import read_picture
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.errors import DriverError, SettingsError
 
 _SPAN = re.compile(r"([0-9]+)(?:-([0-9]+))?")
@@ -134,29 +134,29 @@ def read_rows(path: Path, *, columns: int) -> Iterator[Row]:
             yield _row(f"{path}:{number}", number, line.strip(), columns)
 
 
-def by_frame(rows: list[Row], labels: list[str], visible: list[float]) -> dict[int, Truth]:
-    """Truth per frame index from rows with their labels and visible shares."""
+def by_frame(rows: list[Row], labels: list[str], visible: list[float]) -> dict[int, Annotations]:
+    """The truth per frame index from rows with their labels and visible shares."""
     members: dict[int, list[int]] = {}
     for place, row in enumerate(rows):
         members.setdefault(row.index, []).append(place)
     return {
-        index: Truth(
+        index: Annotations(
             boxes=np.array([rows[p].box for p in places], np.float32),
             ids=np.array([rows[p].id for p in places], np.int32),
             labels=tuple(labels[p] for p in places),
-            visible=np.array([visible[p] for p in places], np.float32),
+            visibility=np.array([visible[p] for p in places], np.float32),
         )
         for index, places in members.items()
     }
 
 
-def no_objects() -> Truth:
+def no_objects() -> Annotations:
     """A frame known to be empty."""
-    return Truth(
+    return Annotations(
         boxes=np.zeros((0, 4), np.float32),
         ids=np.zeros(0, np.int32),
         labels=(),
-        visible=np.zeros(0, np.float32),
+        visibility=np.zeros(0, np.float32),
     )
 
 

@@ -19,7 +19,7 @@ from drivers.sequence import (
     read_ini,
     read_rows,
 )
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.errors import DriverError
 
 _KEY = re.compile(r"trackletID_(\d+)")
@@ -56,7 +56,7 @@ class SoccerNetSequence:
         """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
         return self._pictures.picture(index)
 
-    def truth(self, index: int) -> Truth | None:
+    def truth(self, index: int) -> Annotations | None:
         """Boxes of everybody in frame `index`; how visible they are is not known and reads 1."""
         return None if self._truth is None else self._truth.get(index, no_objects())
 
@@ -100,7 +100,7 @@ def parse_role(text: str) -> Tracklet:
     )
 
 
-def _read_truth(path: Path, tracklets: dict[int, Tracklet]) -> dict[int, Truth] | None:
+def _read_truth(path: Path, tracklets: dict[int, Tracklet]) -> dict[int, Annotations] | None:
     if not path.is_file():
         return None
     rows: list[Row] = list(read_rows(path, columns=6))

@@ -20,13 +20,13 @@ LEAST_VISIBLE = 0.25  # share; what is hidden more counts neither as found nor a
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Truth:
-    """What is really in one picture; n may be 0."""
+class Annotations:
+    """What is really in one picture; n may be 0. `pipeline.messages.Truth` tells it to a graph."""
 
     boxes: NDArray[np.float32]  # (n, 4) xyxy, full-resolution pixels
     ids: NDArray[np.int32]  # (n,), constant per object over the whole source
     labels: tuple[str, ...]  # n of: ball, player, goalkeeper, main referee, assistant referee, …
-    visible: NDArray[np.float32]  # (n,) share of the object that is not hidden, 0..1
+    visibility: NDArray[np.float32]  # (n,) share of the object that is not hidden, 0..1
 
 
 class FrameSource(Protocol):
@@ -47,7 +47,7 @@ class FrameSource(Protocol):
         """
         ...
 
-    def truth(self, index: int) -> Truth | None:
+    def truth(self, index: int) -> Annotations | None:
         """What is in frame `index`; None where the source does not know."""
         ...
 

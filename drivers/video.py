@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.errors import DriverError
 
 SKIP_FRAMES = 48  # up to so many frames ahead, skipping is cheaper than seeking to a key frame
@@ -53,7 +53,7 @@ class VideoFile:
         cv2.cvtColor(self._raw, cv2.COLOR_BGR2RGB, self._rgb)
         return self._rgb
 
-    def truth(self, index: int) -> Truth | None:
+    def truth(self, index: int) -> Annotations | None:
         """Not known."""
         return None
 

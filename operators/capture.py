@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from numpy.typing import DTypeLike, NDArray
+
 from drivers.sensor import DualStreamSensor
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.contract import Input, Output, Source
 from pipeline.errors import DriverError, SettingsError
 from pipeline.import_path import imported
-from pipeline.messages import Frame, Header, Message, Percept, RoiSchedule
+from pipeline.messages import Frame, Header, Message, RoiSchedule, Truth
 from pipeline.settings import build
 
 
@@ -49,7 +51,7 @@ class Capture(Source[CaptureSettings, Frame]):
     schedule = Input(RoiSchedule, command=True)
     context = Output(Frame)
     roi = Output(Frame)
-    truth = Output(Percept)  # boxes, ids, share visible as scores, labels as texts
+    truth = Output(Truth)
 
     _sensor: DualStreamSensor | None = None
 
@@ -65,12 +67,12 @@ class Capture(Source[CaptureSettings, Frame]):
 
     def produce(self) -> Mapping[str, Message] | None:
         """The next exposure, one message per stream."""
-        exposure = self._opened().read(self._loan)
+        exposure = self._opened().read(self._memory)
         if exposure is None:
             return None
         answers: dict[str, Message] = {"context": exposure.context, "roi": exposure.roi}
         if exposure.truth is not None:
-            answers["truth"] = told(exposure.truth, exposure.header)
+            answers["truth"] = truth_of(exposure.truth, exposure.header)
         return answers
 
     def summary(self) -> Mapping[str, Any]:
@@ -83,20 +85,23 @@ class Capture(Source[CaptureSettings, Frame]):
             self._sensor.stop()
             self._sensor.close()
 
+    def _memory(self, output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        return self.loan(shape, dtype, output)
+
     def _opened(self) -> DualStreamSensor:
         if self._sensor is None:
             raise DriverError(f"capture: {self.settings.sensor} is not open")
         return self._sensor
 
 
-def told(truth: Truth, header: Header) -> Percept:
+def truth_of(known: Annotations, header: Header) -> Truth:
     """What is really there, as a message."""
-    return Percept(
+    return Truth(
         header=header,
-        boxes=truth.boxes,
-        ids=truth.ids,
-        scores=truth.visible,
-        texts=truth.labels,
+        boxes=known.boxes,
+        ids=known.ids,
+        labels=known.labels,
+        visibility=known.visibility,
     )
 
 

@@ -1,4 +1,4 @@
-"""Compare what a consumer saw with the truth, where the source knows it: Percept, Percept -> IoU.
+"""Compare what a consumer saw with the truth, where the source knows it: Percept, Truth -> IoU.
 
 Which object of the truth counts:
 - with a `label`, one of that class, whatever is looked at: of several, the one overlapped most;
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pipeline.boxes import iou
 from pipeline.contract import Input, Operator
 from pipeline.errors import SettingsError
-from pipeline.messages import Header, Percept, Scanpath
+from pipeline.messages import Header, Percept, Scanpath, Truth
 
 NOBODY = -1
 SAME_IOU = 0.3  # from here on a box is on an object: what is beside it overlaps a little, too
@@ -48,7 +48,7 @@ class Score(Operator[ScoreSettings, None]):
 
     live = ("label", "least_visible")
     percept = Input(Percept, keep="latest")
-    truth = Input(Percept, keep="latest")
+    truth = Input(Truth, keep="latest")
     scanpath = Input(Scanpath, join=False, optional=True)
 
     _scanpath: Scanpath | None = None
@@ -66,13 +66,13 @@ class Score(Operator[ScoreSettings, None]):
         """Remember what the policy shows."""
         self._scanpath = scanpath
 
-    def on_percept_truth(self, percept: Percept, truth: Percept) -> None:
+    def on_percept_truth(self, percept: Percept, truth: Truth) -> None:
         """Count one frame in which the object can be seen."""
         overlap = np.zeros(len(truth.boxes), np.float32)
         if len(percept.boxes):
             overlap = iou(truth.boxes, percept.boxes[:1])[:, 0]
         row = self._row(percept, truth, overlap)
-        if row < 0 or truth.scores[row] < self.settings.least_visible:
+        if row < 0 or truth.visibility[row] < self.settings.least_visible:
             return
         value = float(overlap[row])
         self._recent += (RECENT if self._frames else 1.0) * (value - self._recent)
@@ -96,10 +96,10 @@ class Score(Operator[ScoreSettings, None]):
         self._rival_frames = 0
         self._scanpath = None
 
-    def _row(self, percept: Percept, truth: Percept, overlap: NDArray[np.float32]) -> int:
+    def _row(self, percept: Percept, truth: Truth, overlap: NDArray[np.float32]) -> int:
         """Which object to compare with: a row of the truth, -1: none."""
         if self.settings.label:
-            rows = np.flatnonzero(np.array(truth.texts) == self.settings.label)
+            rows = np.flatnonzero(np.array(truth.labels) == self.settings.label)
             return int(rows[overlap[rows].argmax()]) if len(rows) else -1
         if self._scanpath is not None:
             self._score_shown(foreseen(self._scanpath, percept.header.seq), truth)
@@ -108,7 +108,7 @@ class Score(Operator[ScoreSettings, None]):
         rows = np.flatnonzero(truth.ids == self._object)
         return int(rows[0]) if len(rows) else -1
 
-    def _score_shown(self, box: NDArray[np.float32], truth: Percept) -> None:
+    def _score_shown(self, box: NDArray[np.float32], truth: Truth) -> None:
         """Change to another object once the policy has shown it often enough."""
         found = on_object(iou(truth.boxes, box)[:, 0], truth) if len(box) else NOBODY
         if found == NOBODY:
@@ -119,7 +119,7 @@ class Score(Operator[ScoreSettings, None]):
         if self._object == NOBODY or self._rival_frames >= SETTLED:
             self._object = found
 
-    def _score_followed(self, own_id: int, truth: Percept, overlap: NDArray[np.float32]) -> None:
+    def _score_followed(self, own_id: int, truth: Truth, overlap: NDArray[np.float32]) -> None:
         """Change to another object where the consumer says that it follows another."""
         if self._object != NOBODY and own_id == self._followed_id:
             return
@@ -127,7 +127,7 @@ class Score(Operator[ScoreSettings, None]):
             self._object, self._followed_id = found, own_id
 
 
-def on_object(overlap: NDArray[np.float32], truth: Percept) -> int:
+def on_object(overlap: NDArray[np.float32], truth: Truth) -> int:
     """Id of the object that a box with these overlaps (n,) is on, `NOBODY` for none."""
     if not len(overlap) or overlap.max() < SAME_IOU:
         return NOBODY

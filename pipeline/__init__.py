@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         Scanpath,
         Span,
         Tracks,
+        Truth,
     )
 
 __all__ = [
@@ -55,6 +56,7 @@ __all__ = [
     "Source",
     "Span",
     "Tracks",
+    "Truth",
     "WeightsError",
 ]
 

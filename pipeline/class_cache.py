@@ -20,6 +20,6 @@ def adapter(cls: type[T]) -> TypeAdapter[T]:
     return _adapter(cls)
 
 
-@once
+@cached_by_class
 def _adapter(cls: type[Any]) -> TypeAdapter[Any]:
     return TypeAdapter(cls)

@@ -51,6 +51,11 @@ class Output:
     message: type[Message]
 
 
+def fresh_memory(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """Memory that no reader shares."""
+    return np.empty(shape, dtype)
+
+
 class Operator(Generic[S, Out]):
     """A part of a graph. `Out` is the message type its handlers answer with (or None: nothing).
 
@@ -66,7 +71,7 @@ class Operator(Generic[S, Out]):
 
     def __init__(self, settings: S, *, loan: Loan | None = None) -> None:
         self.settings = settings
-        self._loan = loan or (lambda _output, shape, dtype: np.empty(shape, dtype))
+        self._loan = loan or fresh_memory
 
     def open(self) -> None:
         """Acquire what the handlers need: models, files, devices."""
@@ -120,6 +125,14 @@ class Operator(Generic[S, Out]):
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike, output: str = "out") -> NDArray[Any]:
         """Memory of an output to write a big array into, so that sending it copies nothing."""
         return self._loan(output, shape, dtype)
+
+    def allocate_from(self, memory: Loan) -> Loan:
+        """Take the memory of outputs from here on from `memory`; returns what it came from before.
+
+        For what runs the operator, between two calls of handlers.
+        """
+        before, self._loan = self._loan, memory
+        return before
 
 
 class Source(Operator[S, Out]):

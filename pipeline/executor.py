@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from pipeline import codec
-from pipeline.contract import Operator, handler_of, joined, outputs_of
+from pipeline.contract import Loan, Operator, handler_of, joined, outputs_of
 from pipeline.errors import MessageError, RunError, SettingsError
 from pipeline.messages import Header, Message
 
@@ -18,10 +18,14 @@ M = TypeVar("M", bound=Message)
 
 
 class Executor:
-    """The handlers of one operator. `node` is what errors begin with."""
+    """The handlers of one operator. `node` is what errors begin with, `memory` what outputs use."""
 
-    def __init__(self, node: str, operator: Operator[Any, Any]) -> None:
+    def __init__(
+        self, node: str, operator: Operator[Any, Any], *, memory: Loan | None = None
+    ) -> None:
         self._node, self._operator = node, operator
+        if memory is not None:
+            self.allocate_from(memory)
         self._outputs = outputs_of(type(operator))
         self._together = frozenset(joined(type(operator)))
         self._nothing: Answers = dict.fromkeys(self._outputs)
@@ -32,6 +36,10 @@ class Executor:
     def single(self) -> bool:
         """Whether there is no named output."""
         return set(self._outputs) <= {"out"}
+
+    def allocate_from(self, memory: Loan) -> Loan:
+        """Hand out the memory of outputs from here; returns what it was handed out from before."""
+        return self._operator.allocate_from(memory)
 
     def is_side(self, names: tuple[str, ...]) -> bool:
         """Whether inputs are beside the joined set: their handler answers nothing."""

@@ -192,6 +192,16 @@ class Percept(Message):
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth(Message):
+    """What is really in a picture, from a source that knows it; for those who score."""
+
+    boxes: Boxes
+    ids: Ids  # constant per object over the whole stream
+    labels: tuple[str, ...]  # n, as the source calls them: ball, player, main referee, …
+    visibility: Scores  # share of each object that is not hidden, 0..1
+
+
 def stamped(header: Header, *, epoch: int, span: Span) -> Header:
     """The header that leaves a stage: the same exposure, one more span."""
     return altered(header, epoch=epoch, trace=(*header.trace, span))

@@ -34,10 +34,16 @@ class WrongSetting(SettingsError):
 
 
 def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
-    """An instance of the dataclass `cls`; raises `SettingsError` beginning with `where`."""
+    """An instance of the dataclass `cls`; raises `SettingsError` beginning with `where`.
+
+    A class attribute `FORMER` of `cls` has, by name, a sentence for each setting it no longer has.
+    """
     known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
+    former: Mapping[str, str] = getattr(cls, "FORMER", {})
     for name in values:
         if name not in known:
+            if name in former:
+                raise WrongSetting(f"{where}.{name}: {former[name]}", (name,))
             hint = suggest(str(name), known)
             raise WrongSetting(f"{where}.{shown_key(name)}: no such setting{hint}", (str(name),))
         check_plain(values[name], f"{where}.{name}", (name,))

@@ -22,6 +22,12 @@ class Case:
     replaced: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()  # of the graph, as --set takes them
     tracker: str = ""  # as --tracker takes it; empty: the class that the graph names
+    policy: str = ""  # a name of `POLICIES`, a file, or empty: the class that the graph names
+
+    @property
+    def parts(self) -> tuple[tuple[str, ...], str, str]:
+        """Changes, tracker and policy, as `planned` takes them."""
+        return self.changes, self.tracker, self.policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,10 +67,11 @@ def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case
         case = Case(
             strategy="foveated",
             budget=budget,
-            name=name + told(rule, late=late),
+            name=name + suffix(rule, late=late),
             rules=rule,
             replaced=parts,
-            changes=(*options.changes, *policy_changes(path)),
+            changes=options.changes,
+            policy=path,
         )
         found.append(case)
     return found
@@ -75,14 +82,15 @@ def _plain(
 ) -> list[Case]:
     """Of a strategy that no policy plans for: a row for each thing that its tracker sees."""
     sees = {rule.context for rule in rules} if strategy in WITH_ROI else {True}
-    changes = (*changes, *policy_changes("pursue"))  # whose horizon is for no other network
+    policy = "round_robin" if strategy == "round_robin" else "pursuit"  # they need no network
     return [
         Case(
             strategy=strategy,
             budget=budget,
-            name=strategy + told(rule, late=False),
+            name=strategy + suffix(rule, late=False),
             rules=rule,
             changes=changes,
+            policy=policy,
         )
         for rule in (
             Rules(context=context, longest=rules[0].longest)
@@ -101,17 +109,10 @@ def rules_of(options: Options) -> list[Rules]:
     ]
 
 
-def told(rule: Rules, *, late: bool) -> str:
+def suffix(rule: Rules, *, late: bool) -> str:
     """What a row is called, after its strategy."""
     name = ""
     if late or rule.delay or rule.replan != 1:
         name = f", delay {rule.delay}, Ta {rule.replan}"
     name += "" if rule.prediction else ", no prediction"
     return name + ("" if rule.context else ROI_ALONE)
-
-
-def policy_changes(path: str) -> tuple[str, ...]:
-    """Changes to the graph for a policy by file, for pursue, or for what the graph says ("")."""
-    if path == "pursue":
-        return ("policy.strategy=pursue",)
-    return (f"policy.weights={path}", "policy.strategy=learned") if path else ()

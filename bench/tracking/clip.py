@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from drivers.sequence import read_info
 from drivers.soccer import SoccerScene
 from drivers.soccernet import SoccerNetSequence
-from drivers.source import FrameSource, Truth
+from drivers.source import Annotations, FrameSource
 from pipeline.errors import DriverError, SettingsError
 
 HELD_OUT = 70_000  # first seed of the clips that nothing is trained or chosen on
@@ -36,7 +36,7 @@ class Clip:
     name: ClipName
     size_px: tuple[int, int]
     pictures: Sequence[NDArray[np.uint8]]  # F of (h, w, 3) RGB
-    truths: Sequence[Truth]
+    truths: Sequence[Annotations]
 
 
 def names(data: str, count: int) -> list[ClipName]:

@@ -70,7 +70,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
     found = Outcome(start=start)
     if not exposed:
         return found
-    gaze = Repeated(looked, start) if looked else Gaze(loop, target, start)
+    path = RecordedRoiPath(looked, start) if looked else RoiPath(loop, target, start)
     box = target.boxes[exposed[0]]
     if not box.any():
         return found
@@ -84,17 +84,17 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
         kept = frame in exposed
         shown = float("nan")
         if kept:
-            window = gaze.window(frame)
+            window = path.window(frame)
             context, roi = camera.expose(frame, frame - step + 1, window)
             if how.looks and not rules.context:
                 context = camera.nothing(frame)
-            percept: Percept = loop.stages.tell("tracker", context=context, roi=roi)
+            percept: Percept = loop.stages.call("tracker", context=context, roi=roi)
             box = percept.boxes[0] if len(percept.boxes) else box
             if how.looks:
                 shown = float(covered(target.boxes[frame][None], np.array(window, np.float32))[0])
                 found.windows.append(window)
                 box = loop.replaced.percept(box, target.boxes[frame], shown)
-            gaze.after(frame, roi)
+            path.after(frame, roi)
         if frame > start:
             known = bool(target.visible[frame] > 0)
             overlap = iou(box[None], target.boxes[frame][None])[0, 0] if known else np.nan
@@ -105,7 +105,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
     return found
 
 
-class Gaze:
+class RoiPath:
     """Where the ROI is in each frame of an episode, by strategy."""
 
     def __init__(self, loop: Loop, target: Target, start: int) -> None:
@@ -119,10 +119,9 @@ class Gaze:
         self._held = self._on(target.boxes[start]) if loop.rules.aimed else self._middle
         self._planned_by_graph = how.strategy in PLANNED
         if self._planned_by_graph:
-            box = tuple(float(v) for v in target.boxes[start])
-            tour = how.strategy == "round_robin"
-            wish = {"strategy": "round_robin", "target": ""} if tour else {}
-            policy: dict[str, Any] = wish or {"prompt_box": box, "target": ""}
+            policy: dict[str, Any] = {"target": ""}
+            if how.strategy == "foveated":
+                policy["prompt_box"] = tuple(float(v) for v in target.boxes[start])
             header = loop.camera.header(start)
             loop.stages.begin(header, "roi_features", "policy", "dispatch", policy=policy)
 
@@ -143,11 +142,11 @@ class Gaze:
         tracks = replaced.tracks(self._loop.tracks[frame], frame)
         if not self._rules.prediction:
             tracks = still(tracks)
-        scanpath = stages.tell("policy", tracks=tracks)
+        scanpath = stages.call("policy", tracks=tracks)
         scanpath = replaced.scanpath(scanpath, tracks, self._target, frame)
-        schedule: RoiSchedule | None = stages.tell("dispatch", scanpath=scanpath)
-        looks = stages.tell("roi_features", roi=roi, tracks=tracks)
-        stages.tell("policy", features=looks)
+        schedule: RoiSchedule | None = stages.call("dispatch", scanpath=scanpath)
+        looks = stages.call("roi_features", roi=roi, tracks=tracks)
+        stages.call("policy", features=looks)
         if schedule is None or frame - self._planned < self._rules.replan:
             return
         self._planned = frame
@@ -160,7 +159,7 @@ class Gaze:
         return roi_window(centres(np.asarray(box, np.float32)), self._geometry)
 
 
-class Repeated:
+class RecordedRoiPath:
     """Where the ROI was in each frame of an episode that has been run before."""
 
     def __init__(self, looked: Sequence[Window], start: int) -> None:

@@ -25,9 +25,9 @@ from bench.machine import facts
 from bench.tracking import report as reporting
 from bench.tracking.budgets import acquisition
 from bench.tracking.cases import Case, Protocol, cases
+from bench.tracking.classes import TRACKER, TRACKERS, check_prompted, planned
 from bench.tracking.clip import ClipName, frames_of, names, size_of
 from bench.tracking.episode import Rules
-from bench.tracking.follower import NODE, TRACKERS, planned
 from bench.tracking.options import ALL, GRAPH, WHOLE, Options, options_of
 from bench.tracking.replaced import PARTS
 from bench.tracking.stages import Stages
@@ -53,7 +53,7 @@ SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--tracker", default="", help=FOLLOWS)
 @click.option("--sees", default="each", type=click.Choice(["both", "roi", "each"]), help=SEES)
-@click.option("--policy", multiple=True, help="[NAME=]FILE.onnx, or pursue; more give more rows")
+@click.option("--policy", multiple=True, help="[NAME=]FILE.onnx, or pursuit; more give more rows")
 @click.option("--delay", default="0", help="frames by which plans come late, e.g. 0,2,13")
 @click.option("--replan", default="1", help="Ta: frames between plans, e.g. 1,4,8")
 @click.option("--prediction", default="kalman", type=click.Choice(["kalman", "hold", "both"]))
@@ -90,6 +90,7 @@ def evaluate(options: Options) -> None:
         "graph": Path(protocol.graph).name,
         "tracker": tracker_of(protocol, options),
         "changes": sorted({change for case in wanted for change in case.changes}),
+        "policies": sorted({case.policy for case in wanted if case.policy}),
         "weighting": "frames: every frame of every start with truth counts once",
         "longest": options.longest,
         "players": protocol.players,
@@ -124,9 +125,11 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
         acquisition(strategy, budget, size_px)  # refuses what cannot be read
     planned(Path(options.graph), options.changes, options.tracker)  # refuses no tracker
     wanted = cases(options)
+    for parts in {case.parts for case in wanted if case.strategy == "foveated"}:
+        check_prompted(planned(Path(options.graph), *parts))
     if late := max(options.delay):
-        for changes in {case.changes for case in wanted if case.rules.delay}:
-            stages = Stages(Path(options.graph), changes, options.tracker)
+        for parts in {case.parts for case in wanted if case.rules.delay}:
+            stages = Stages(Path(options.graph), *parts)
             _refuse_too_late(late, stages.settings("policy").horizon)
     protocol = Protocol(
         graph=options.graph,
@@ -144,14 +147,14 @@ def try_out(wanted: Sequence[Case], protocol: Protocol) -> None:
 
     Raises `FoveaError`.
     """
-    for changes, tracker in dict.fromkeys((case.changes, case.tracker) for case in wanted):
-        with Stages(Path(protocol.graph), changes, tracker):
+    for parts in dict.fromkeys(case.parts for case in wanted):
+        with Stages(Path(protocol.graph), *parts):
             pass
 
 
 def tracker_of(protocol: Protocol, options: Options) -> str:
     """The class that measured, and its weights where they were named."""
-    node = planned(Path(protocol.graph), options.changes, options.tracker).node(NODE)
+    node = planned(Path(protocol.graph), options.changes, options.tracker).node(TRACKER)
     weights = node.settings.get("weights", "")
     return f"{node.operator} {weights}".strip()
 

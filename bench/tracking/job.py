@@ -13,17 +13,17 @@ from bench.tracking.budgets import PLANNED, acquisition
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import Clip, ClipName, read
 from bench.tracking.episode import Loop, run
-from bench.tracking.kept import Draft, Unit
 from bench.tracking.key import contents
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
+from bench.tracking.store import Draft, Unit
 from bench.tracking.targets import Target, starts, targets
 from drivers.simulated.readout import Window
 from pipeline.messages import Geometry, Tracks
 
-EYES = ("downsample", "saliency", "association")  # what makes tracks of the context
+PERCEPTION = ("downsample", "saliency", "association")  # what makes tracks of the context
 Work = tuple[Case, Path]  # and where its unit will lie
-Gazes = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure
+Windows = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure
 Seen = dict[tuple[str, tuple[int, int], Geometry, bool], list[Tracks]]
 
 
@@ -34,20 +34,20 @@ def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, warnings_fi
     seed = protocol.seed + max(name.seed, 0)
     subjects = targets(clip.truths, protocol.kinds, players=protocol.players, seed=seed)
     seen: Seen = {}
-    looked: dict[Case, Gazes] = {}
+    looked: dict[Case, Windows] = {}
     with _warnings_into(warnings_file, str(name)):
-        for changes, tracker in sorted({(case.changes, case.tracker) for case, _ in work}):
-            with Stages(Path(protocol.graph), changes, tracker) as stages:
-                for case, path in (w for w in work if w[0].changes == changes):
+        for parts in sorted({case.parts for case, _ in work}):
+            with Stages(Path(protocol.graph), *parts) as stages:
+                for case, path in (w for w in work if w[0].parts == parts):
                     loop = loop_of(clip, case, stages, seen)
-                    gaze = looked.setdefault(same_gaze(case), {})
+                    windows = looked.setdefault(same_windows(case), {})
                     draft = Draft(path.with_suffix(".part"))
-                    done = [_followed(loop, t, protocol.every, gaze, draft) for t in subjects]
+                    done = [_followed(loop, t, protocol.every, windows, draft) for t in subjects]
                     told = {"clip": str(name), "case": case.name, "budget": case.budget}
                     draft.finish([unit | told for unit in done], path)
 
 
-def same_gaze(case: Case) -> Case:
+def same_windows(case: Case) -> Case:
     """What cases have in common whose ROI is at the same places."""
     return replace(case, name="", rules=replace(case.rules, context=True))
 
@@ -62,21 +62,21 @@ def loop_of(clip: Clip, case: Case, stages: Stages, seen: Seen) -> Loop:
         return loop
     # changes may be of any part; and tracks carry the geometry of the ROI, by which the graph
     # plans its windows
-    parts = contents(stages.plan, EYES)
+    parts = contents(stages.plan, PERCEPTION)
     context = (parts, how.sampling.context_px, how.geometry, "detections" in case.replaced)
     if context not in seen:
         seen[context] = watched(camera, stages, len(clip.truths), replaced)
     return replace(loop, tracks=seen[context])
 
 
-def _followed(loop: Loop, target: Target, every: int, gaze: Gazes, draft: Draft) -> Unit:
+def _followed(loop: Loop, target: Target, every: int, windows: Windows, draft: Draft) -> Unit:
     episodes = []
     for start in starts(target, every):
         if episode := draft.known(target.id, start):
             episodes.append(episode)
             continue
-        outcome = run(loop, target, start, gaze.get((target.id, start), ()))
-        gaze[target.id, start] = outcome.windows
+        outcome = run(loop, target, start, windows.get((target.id, start), ()))
+        windows[target.id, start] = outcome.windows
         if outcome.iou:
             episode = {
                 "start": start,

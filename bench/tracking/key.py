@@ -8,8 +8,8 @@ from pathlib import Path
 
 from bench.tracking.budgets import PLANNED
 from bench.tracking.cases import Case, Protocol
+from bench.tracking.classes import planned
 from bench.tracking.clip import ClipName, frames_of
-from bench.tracking.follower import planned
 from bench.tracking.stages import NEEDED
 from drivers.sequence import read_info
 from operators.training.identity import of_code, of_nodes
@@ -18,7 +18,7 @@ from pipeline.fleet.allow import file_digest
 from pipeline.graph.plan import Plan
 from pipeline.weights import MANIFEST
 
-TRACKING = ("budgets", "clip", "episode", "follower", "job", "replaced", "stages", "targets")
+TRACKING = ("budgets", "classes", "clip", "episode", "job", "replaced", "stages", "targets")
 CODE = (  # what figures come from, beside the operators that a case needs
     *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
     *(f"bench.tracking.{name}" for name in TRACKING),
@@ -31,9 +31,11 @@ def key(case: Case, protocol: Protocol) -> str:
     Other settings, networks or code make another key, as far as the case needs the parts: a
     strategy that plans nothing needs the tracker alone. Where files lie makes none.
     """
-    plan = planned(Path(protocol.graph), case.changes, case.tracker)
+    plan = planned(Path(protocol.graph), *case.parts)
     wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
-    plain = asdict(replace(case, changes=(), tracker=""))  # what they change the parts tell
+    plain = asdict(
+        replace(case, changes=(), tracker="", policy="")
+    )  # what they change the parts tell
     common = asdict(replace(protocol, graph=""))  # of the graph, its parts count
     known = file_digest(MANIFEST)  # what the tracker takes where the graph names no file
     parts = contents(plan, wanted)

@@ -41,7 +41,7 @@ class Options:
     changes: tuple[str, ...]
     tracker: str
     sees: str  # both, roi, each
-    policy: Mapping[str, str]  # file, pursue or nothing by name
+    policy: Mapping[str, str]  # file, pursuit or nothing by name
     delay: tuple[int, ...]
     replan: tuple[int, ...]
     prediction: str  # kalman, hold, both
@@ -113,13 +113,15 @@ def options_of(given: Mapping[str, Any]) -> Options:
 
 
 def policy_files(given: Sequence[str]) -> dict[str, str]:
-    """`--policy [NAME=]FILE|pursue` by name; nothing given is what the graph says."""
+    """`--policy [NAME=]FILE|pursuit` by name; nothing given is what the graph says."""
     found: dict[str, str] = {}
     given = _distinct(given)
     for text in given:
         name, equals, path = text.rpartition("=")
-        if path != "pursue" and not Path(path).is_file():
-            raise SettingsError(f"policy: expected an ONNX file or pursue, got {path}")
+        if path == "pursue":
+            raise SettingsError("policy: expected pursuit, its new name, got pursue")
+        if path != "pursuit" and not Path(path).is_file():
+            raise SettingsError(f"policy: expected an ONNX file or pursuit, got {path}")
         if not equals and len(given) > 1:
             name = Path(path).stem
         if name in found:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.tracking.targets import Target
-from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Truth
+from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Annotations
 from pipeline.boxes import centres, iou
 from pipeline.errors import SettingsError
 from pipeline.messages import Detections, Scanpath, Tracks, altered
@@ -22,7 +22,7 @@ class Replaced:
     """Which parts know the truth; all answers are untouched for the others."""
 
     parts: frozenset[str] = frozenset()
-    truths: Sequence[Truth] = field(default_factory=tuple)
+    truths: Sequence[Annotations] = field(default_factory=tuple)
 
     def __post_init__(self) -> None:
         for part in self.parts:
@@ -35,7 +35,7 @@ class Replaced:
             return found
         truth = self.truths[frame]
         known = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
-        rows = np.flatnonzero((truth.visible >= LEAST_VISIBLE) & known)
+        rows = np.flatnonzero((truth.visibility >= LEAST_VISIBLE) & known)
         names = [CLASS_OF_ROLE[truth.labels[k]] for k in rows]
         boxes = truth.boxes[rows]
         features = np.zeros((len(rows), found.features.shape[1]), np.float32)

@@ -8,8 +8,8 @@ from typing import Any
 
 from bench.tracking.cases import ROI_ALONE, Case
 from bench.tracking.intervals import Block, add, block_of, difference, mean
-from bench.tracking.kept import Unit
-from bench.tracking.targets import HELD
+from bench.tracking.store import Unit
+from bench.tracking.targets import CARRIED
 from drivers.simulated.strategies import WITH_ROI
 
 Row = dict[str, Any]
@@ -36,7 +36,7 @@ PAPER: Mapping[Key, float] = {
     ("player", "temporal", "1/8"): 0.402,
     ("player", "foveated", "1/8"): 0.513,
 }
-NOT_HELD = "ball, free or still"
+NOT_CARRIED = "ball, free or still"
 
 
 @dataclass(kw_only=True)
@@ -129,7 +129,7 @@ def paired(units: Sequence[Unit], cases: Sequence[Case], *, longest: int, seed: 
 def varies(case: Case, other: Case, first: Case) -> bool:
     """Whether `other` differs from `case` in one thing, in which `case` is as the `first` row."""
     ours, theirs, plain = (
-        (c.changes, c.replaced, c.rules.delay, c.rules.replan, c.rules.prediction)
+        ((c.changes, c.policy), c.replaced, c.rules.delay, c.rules.replan, c.rules.prediction)
         for c in (case, other, first)
     )
     differ = [k for k, value in enumerate(ours) if value != theirs[k]]
@@ -171,8 +171,8 @@ def split(
     ]
     found = {kind: [value for value, _ in frames]}
     if kind == "ball":
-        found[NOT_HELD] = [value for value, state in frames if state != HELD]
-        for name in ("free", "still", "held"):
+        found[NOT_CARRIED] = [value for value, state in frames if state != CARRIED]
+        for name in ("free", "still", "carried"):
             found[f"ball, {name}"] = [value for value, state in frames if state == name]
     return found
 
@@ -221,7 +221,7 @@ def plot(found: Sequence[Row], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    kinds = [k for k in (NOT_HELD, "referee", "player") if any(r["target"] == k for r in found)]
+    kinds = [k for k in (NOT_CARRIED, "referee", "player") if any(r["target"] == k for r in found)]
     if not kinds:
         return
     figure, axes = pyplot.subplots(1, len(kinds), figsize=(4.4 * len(kinds), 3.6), squeeze=False)

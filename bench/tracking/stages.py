@@ -1,4 +1,4 @@
-"""The operators of a graph, driven by hand: one process, no runner, any frame again and again.
+"""The operators of a graph without its runner: one process, any frame again and again.
 
 What the loop computes of the context does not depend on where the ROI is: it is computed once for a
 clip, and every episode adds policy, encoder and tracker only. That this is the loop itself is
@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from bench.tracking.budgets import TOLERANCE, Acquisition
+from bench.tracking.classes import planned
 from bench.tracking.clip import Clip
-from bench.tracking.follower import planned
 from bench.tracking.replaced import Replaced
 from drivers.simulated.readout import Readout, Window
 from pipeline import settings as checked
-from pipeline.contract import Operator, handler_of, settings_of
+from pipeline.contract import Operator, settings_of
 from pipeline.errors import GraphError, RunError
+from pipeline.executor import Executor, carried
 from pipeline.graph.plan import load_operator
 from pipeline.messages import Frame, Header, Message, Tracks
 
@@ -31,8 +32,10 @@ EMPTY: Window = (0, 0, 0, 0)
 class Stages:
     """The opened operators of a tracking graph, by node name; use as a context."""
 
-    def __init__(self, graph: Path, changes: Sequence[str] = (), tracker: str = "") -> None:
-        self.plan = planned(graph, changes, tracker)
+    def __init__(
+        self, graph: Path, changes: Sequence[str] = (), tracker: str = "", policy: str = ""
+    ) -> None:
+        self.plan = planned(graph, changes, tracker, policy)
         known = {node.name for node in self.plan.nodes}
         for name in NEEDED:
             if name not in known:
@@ -40,10 +43,12 @@ class Stages:
                     f"{graph}: tracking is evaluated on {', '.join(NEEDED)}; no {name}"
                 )
         self._parts: dict[str, Operator[Any, Any]] = {}
+        self._executors: dict[str, Executor] = {}
         for name in NEEDED:
             node = self.plan.node(name)
             cls = load_operator(node.operator)
             self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))
+            self._executors[name] = Executor(name, self._parts[name])
 
     def settings(self, name: str) -> Any:
         """What a stage is built with, defaults included."""
@@ -69,9 +74,15 @@ class Stages:
             part.on_settings(replace(part.settings, **settings.get(name, {})))
             part.on_stream(header)
 
-    def tell(self, name: str, **messages: Message) -> Any:
-        """Hand one set of messages to a stage: its answer, None for nothing."""
-        return handler_of(self._parts[name], tuple(messages))(**messages)
+    def call(self, name: str, **messages: Message) -> Any:
+        """Hand one set of messages to a stage: its answer, None for nothing.
+
+        As in a graph the stage cannot write into them, and a wrong answer raises `RunError` or
+        `MessageError`.
+        """
+        given = {key: carried(message, f"{name}.{key}") for key, message in messages.items()}
+        answer = self._executors[name].call(given).get("out")
+        return None if answer is None else carried(answer, f"{name}.out")
 
 
 class Camera:
@@ -163,7 +174,7 @@ def watched(camera: Camera, stages: Stages, frames: int, replaced: Replaced) -> 
     stages.begin(camera.header(0), "downsample", "saliency", "association")
     found = []
     for frame in range(frames):
-        small = stages.tell("downsample", frame=camera.context(frame))
-        detections = replaced.detections(stages.tell("saliency", frame=small), frame)
-        found.append(stages.tell("association", detections=detections))
+        small = stages.call("downsample", frame=camera.context(frame))
+        detections = replaced.detections(stages.call("saliency", frame=small), frame)
+        found.append(stages.call("association", detections=detections))
     return found

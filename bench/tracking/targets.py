@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Truth
+from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Annotations
 from pipeline.boxes import areas, centres
 from pipeline.errors import SettingsError
 
@@ -14,7 +14,7 @@ KINDS = {"ball": "ball", "referee": "main referee", "player": "player"}
 PEOPLE = CLASS_OF_ROLE.keys() - {"ball"}
 STILL_PX = 1.5  # a frame, at 1920 pixels of width: what is slower lies still
 AROUND = 4  # frames before and after over which a ball's state is judged
-FREE, STILL, HELD = "free", "still", "held"
+FREE, STILL, CARRIED = "free", "still", "carried"
 Boxes = NDArray[np.float32]
 
 
@@ -26,7 +26,7 @@ class Target:
     id: int
     boxes: Boxes  # (F, 4), zeros where it is not in the picture
     visible: NDArray[np.float32]  # (F,) share, 0 where it is not in the picture
-    state: tuple[str, ...]  # F of free, still, held for a ball, else free
+    state: tuple[str, ...]  # F of free, still, carried for a ball, else free
 
     @property
     def there(self) -> NDArray[np.bool_]:
@@ -35,7 +35,7 @@ class Target:
 
 
 def targets(
-    truths: Sequence[Truth], kinds: Sequence[str], *, players: int, seed: int
+    truths: Sequence[Annotations], kinds: Sequence[str], *, players: int, seed: int
 ) -> list[Target]:
     """Ball, main referee and some players of a clip, drawn by the seed among those long in view."""
     found = []
@@ -65,21 +65,21 @@ def starts(target: Target, every: int) -> list[int]:
     return [k for k in frames if target.visible[k] >= LEAST_VISIBLE]
 
 
-def _target(kind: str, object_id: int, truths: Sequence[Truth]) -> Target:
+def _target(kind: str, object_id: int, truths: Sequence[Annotations]) -> Target:
     boxes = np.zeros((len(truths), 4), np.float32)
     visible = np.zeros(len(truths), np.float32)
     for k, truth in enumerate(truths):
         row = np.flatnonzero(truth.ids == object_id)
         if len(row) and areas(truth.boxes[row])[0] > 0:
-            boxes[k], visible[k] = truth.boxes[row[0]], truth.visible[row[0]]
+            boxes[k], visible[k] = truth.boxes[row[0]], truth.visibility[row[0]]
     state = ball_states(boxes, truths) if kind == "ball" else (FREE,) * len(truths)
     return Target(kind=kind, id=object_id, boxes=boxes, visible=visible, state=state)
 
 
-def ball_states(boxes: Boxes, truths: Sequence[Truth]) -> tuple[str, ...]:
-    """free, still or held in each frame, by the truth.
+def ball_states(boxes: Boxes, truths: Sequence[Annotations]) -> tuple[str, ...]:
+    """free, still or carried in each frame, by the truth.
 
-    Held: in most frames around, its centre lies in the upper three quarters of somebody's box,
+    Carried: in most frames around, its centre lies in the upper three quarters of a person's box,
     the same person's. Still: against the camera, known by the others' median motion, it moves by
     less than `STILL_PX` a frame. Free otherwise.
     """
@@ -94,14 +94,16 @@ def ball_states(boxes: Boxes, truths: Sequence[Truth]) -> tuple[str, ...]:
         near = np.array(carriers[around])
         known = near[near >= 0]
         if len(known) and np.bincount(known).max() > 0.6 * len(near):
-            states.append(HELD)
+            states.append(CARRIED)
         else:
             slow = speed[around][np.isfinite(speed[around])]
             states.append(STILL if len(slow) and np.median(slow) < STILL_PX else FREE)
     return tuple(states)
 
 
-def _speeds(boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Truth]) -> NDArray[np.float64]:
+def _speeds(
+    boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Annotations]
+) -> NDArray[np.float64]:
     """How far the ball went since the frame before, against the people's median: (F,), pixels."""
     speed = np.full(len(boxes), np.nan)
     middle = centres(boxes)
@@ -111,7 +113,7 @@ def _speeds(boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Truth]) -> N
     return speed
 
 
-def _camera(before: Truth, now: Truth) -> NDArray[np.float32]:
+def _camera(before: Annotations, now: Annotations) -> NDArray[np.float32]:
     """The median motion of all people in both frames: (2,)."""
     both, first, second = np.intersect1d(before.ids, now.ids, return_indices=True)
     if len(both) < 4:
@@ -120,7 +122,7 @@ def _camera(before: Truth, now: Truth) -> NDArray[np.float32]:
     return np.asarray(np.median(motion, axis=0), np.float32)
 
 
-def _carrier(ball: NDArray[np.float32], truth: Truth) -> int:
+def _carrier(ball: NDArray[np.float32], truth: Annotations) -> int:
     """Id of the person in whose upper three quarters the ball's centre lies, -1: nobody's."""
     x, y = centres(ball)
     for box, label, i in zip(truth.boxes, truth.labels, truth.ids, strict=True):

@@ -11,9 +11,9 @@ from tqdm import tqdm
 from bench.tracking.budgets import PLANNED
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName
-from bench.tracking.job import Work, follow, same_gaze
-from bench.tracking.kept import Unit, forget_damaged, units
+from bench.tracking.job import Work, follow, same_windows
 from bench.tracking.key import clip_key, key
+from bench.tracking.store import Unit, forget_damaged, units
 from operators.training.workers import pool_of
 
 LOOK_S = 1.0  # between looks at what is done
@@ -84,7 +84,7 @@ def _parts(work: Sequence[Work], count: int) -> list[tuple[Work, ...]]:
     """
     groups: dict[Case, list[Work]] = {}
     for each in sorted(work, key=lambda w: (w[0].budget, "detections" in w[0].replaced)):
-        groups.setdefault(same_gaze(each[0]), []).append(each)
+        groups.setdefault(same_windows(each[0]), []).append(each)
     costs = [COST.get(case.strategy, 1.0) + len(same) - 1 for case, same in groups.items()]
     parts: list[list[Work]] = [[] for _ in range(count)]
     before = 0.0

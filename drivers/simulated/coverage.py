@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.boxes import centres, covered
 
 
@@ -17,7 +17,7 @@ class Coverage:
         self._sums: dict[str, float] = {}
         self._frames: dict[str, int] = {}
 
-    def add(self, truth: Truth, window: tuple[int, int, int, int]) -> None:
+    def add(self, truth: Annotations, window: tuple[int, int, int, int]) -> None:
         """Account for one exposure."""
         shares = covered(truth.boxes, np.array(window, np.float32))
         labels = np.array(truth.labels)
@@ -38,10 +38,10 @@ class Coverage:
         return {label: self._frames[label] for label in sorted(self._frames)}
 
 
-def where(truth: Truth, label: str) -> NDArray[np.float32] | None:
+def where(truth: Annotations, label: str) -> NDArray[np.float32] | None:
     """Centre (x, y) of the most visible object of a label, None when there is none."""
     found = [i for i, name in enumerate(truth.labels) if name == label]
     if not found:
         return None
-    best = max(found, key=lambda i: float(truth.visible[i]))
+    best = max(found, key=lambda i: float(truth.visibility[i]))
     return np.asarray(centres(truth.boxes[best]), np.float32)

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.source import FrameSource, Truth
+from drivers.source import Annotations, FrameSource
 
 WORLD_NICENESS = 5
 
@@ -27,7 +27,7 @@ class Ready:
 
     seq: int  # the exposure it was asked for
     pixels: NDArray[np.uint8]  # (h, w, 3) RGB, valid until the next `ask`
-    truth: Truth | None  # of the last frame
+    truth: Annotations | None  # of the last frame
     ready_ns: int
     cost_ns: int  # time the source took
 

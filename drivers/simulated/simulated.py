@@ -22,7 +22,7 @@ from drivers.simulated.prefetch import Ready
 from drivers.simulated.readout import Readout
 from drivers.simulated.scenes import open_recording, open_scene, scene_path, shown_by
 from drivers.simulated.settings import RATES_HZ, SimulatedSensorSettings
-from drivers.source import FrameSource, Truth
+from drivers.source import Annotations, FrameSource
 from pipeline.boxes import roi_window
 from pipeline.contract import Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
@@ -233,7 +233,7 @@ class SimulatedSensor:
             truth=ready.truth,
         )
 
-    def _aim(self, seq: int, truth: Truth | None) -> Commanded:
+    def _aim(self, seq: int, truth: Annotations | None) -> Commanded:
         """Where the ROI looks in frame `seq`; what nothing covers holds the last window."""
         settings, geometry = self._settings, self._geometry
         found = Commanded(self._window, -1, "ok")

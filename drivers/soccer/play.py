@@ -54,7 +54,7 @@ class Moment:
     heading: Metres  # (25,) radians, 0 along x
     speed: Metres  # (25,) m/s
     phase: Metres  # (25,) cycles of the legs, mod 1
-    holder: int  # who has the ball in his hands; -1: nobody
+    carrier: int  # who has the ball in his hands; -1: nobody
     focus: Metres  # (2,) metres, where the camera should look
 
 
@@ -256,7 +256,7 @@ def moment(seed: int, time_s: float, lag_s: float) -> Moment:
     i = min(int(at), len(paths.ball) - 2)
     f = at - i
     leg = next((g for g in legs(seed, chunk) if time_s < g.end_s), legs(seed, chunk)[-1])
-    holder = KEEPERS[0 if leg.start_m[0] < PITCH_M[0] / 2 else 1] if leg.kind == "held" else -1
+    carrier = KEEPERS[0 if leg.start_m[0] < PITCH_M[0] / 2 else 1] if leg.kind == "held" else -1
     return Moment(
         ball=ball_points(seed, np.array([time_s]))[0],
         ball_kind=leg.kind,
@@ -264,6 +264,6 @@ def moment(seed: int, time_s: float, lag_s: float) -> Moment:
         heading=paths.heading[i if f < 0.5 else i + 1],
         speed=_between(paths.speed, i, f),
         phase=_between(paths.phase, i, f) % 1.0,
-        holder=holder,
+        carrier=carrier,
         focus=_between(paths.focus, i, f),
     )

@@ -13,7 +13,7 @@ from drivers.soccer.play import Moment, moment
 from drivers.soccer.shadows import cast, contact, draw_light
 from drivers.soccer.skeleton import Pose
 from drivers.soccer.stage import BALL_ID, Actor, Cache, actors_at, truth_of
-from drivers.source import Truth
+from drivers.source import Annotations
 from pipeline.errors import SettingsError
 
 Image = NDArray[np.uint8]
@@ -92,7 +92,7 @@ class SoccerScene:
         self._add_grain(index)
         return self._buffer
 
-    def truth(self, index: int) -> Truth:
+    def truth(self, index: int) -> Annotations:
         """What is in frame `index`, exactly."""
         return truth_of(self._stage(index)[2], self.size_px)
 
@@ -192,12 +192,12 @@ class SoccerScene:
 
 
 def _ball_point(now: Moment) -> NDArray[np.float64]:
-    """Where the ball is; a held one is before its holder's chest."""
-    if now.holder < 0:
+    """Where the ball is; a held one is before its carrier's chest."""
+    if now.carrier < 0:
         return now.ball
-    turn = now.heading[now.holder]
+    turn = now.heading[now.carrier]
     reach = 0.3 * np.array([np.cos(turn), np.sin(turn)])
-    return np.array([*(now.people[now.holder] + reach), now.ball[2]])
+    return np.array([*(now.people[now.carrier] + reach), now.ball[2]])
 
 
 def _sharpen(image: Image, amount: float) -> None:

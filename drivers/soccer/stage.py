@@ -13,7 +13,7 @@ from drivers.soccer.camera import View
 from drivers.soccer.figures import Sprite
 from drivers.soccer.play import LABELS, Moment
 from drivers.soccer.skeleton import Pose, pose_at
-from drivers.source import Truth
+from drivers.source import Annotations
 
 Image = NDArray[np.uint8]
 Sprites = Callable[[int, Pose, int], Sprite]
@@ -91,7 +91,7 @@ def actors_at(
         if not (-tall < x < view.size_px[0] + tall and -tall < y < view.size_px[1] + tall):
             continue
         turn = float(moment.heading[who] - bearings[who])
-        speed, holds = float(moment.speed[who]), bool(who == moment.holder)
+        speed, holds = float(moment.speed[who]), bool(who == moment.carrier)
         pose = pose_at(speed, holds, float(moment.phase[who]), turn)
         height = sprite_height(tall)
         shrink = tall / height
@@ -115,7 +115,7 @@ def actors_at(
     return made
 
 
-def truth_of(actors: list[Actor], size_px: tuple[int, int]) -> Truth:
+def truth_of(actors: list[Actor], size_px: tuple[int, int]) -> Annotations:
     """Clipped boxes and visible shares of actors given in the order of drawing."""
     w, h = size_px
     rows: list[tuple[list[float], int, str, float]] = []
@@ -142,9 +142,9 @@ def truth_of(actors: list[Actor], size_px: tuple[int, int]) -> Truth:
                 mask[iy0 - top : iy1 - top, ix0 - left : ix1 - left] &= hides < other.solid
         rows.append((clipped, actor.id, actor.label, float(mask.sum()) / whole))
     rows.sort(key=lambda row: row[1])
-    return Truth(
+    return Annotations(
         boxes=np.array([r[0] for r in rows], np.float32).reshape(-1, 4),
         ids=np.array([r[1] for r in rows], np.int32),
         labels=tuple(r[2] for r in rows),
-        visible=np.array([r[3] for r in rows], np.float32),
+        visibility=np.array([r[3] for r in rows], np.float32),
     )

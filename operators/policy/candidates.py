@@ -52,16 +52,16 @@ def mobility(tracks: Tracks) -> NDArray[np.float32]:
     return np.asarray(np.minimum(brisk, 1), np.float32)
 
 
-def worth(tracks: Tracks, holders: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """How good a candidate each track is: (n,). Score, more if it moves, less inside a holder.
+def worth(tracks: Tracks, carriers: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """How good a candidate each track is: (n,). Score, more if it moves, less inside a carrier.
 
-    False balls are boots and socks (inside somebody) and marks on the ground (still), see
+    False balls are boots and socks (inside a person) and marks on the ground (still), see
     `INSIDE_MALUS` and `MOVING_BONUS`.
     """
     boxes = tracks.boxes[:, -1]
-    shared = intersections(boxes, boxes[holders])
+    shared = intersections(boxes, boxes[carriers])
     inside = (shared > 0.8 * areas(boxes)[:, None]).any(axis=1)
-    malus = np.where(inside & ~holders, INSIDE_MALUS, 0)
+    malus = np.where(inside & ~carriers, INSIDE_MALUS, 0)
     return (tracks.scores + MOVING_BONUS * mobility(tracks) - malus).astype(np.float32)
 
 

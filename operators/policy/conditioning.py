@@ -1,23 +1,21 @@
-"""What the network is told of who is meant: the condition, and the prompted place as a candidate.
+"""Encode the target for the network: the condition, and the prompted place as a candidate.
 
-The paper conditions on the features at the target's first place and on its box. We tell the box
-where the target was last believed to be (`prompt.py`).
+The paper conditions on the features at the target's first place and on its box. Here it is the box
+where the target was last believed to be (`target.py`).
 
 The place itself is a candidate too while its target is not in view. That is ours, not the paper's:
 a ball that lies still at the corner flag stays below a detector's threshold, and nothing but the
 prompt says where it is.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.holding import carried
+from operators.policy.carrier import carried_motion
+from operators.policy.gaze_plan import PLACE, row_of
 from operators.policy.motion import camera_motion
-from operators.policy.plan import PLACE, row_of
-from operators.policy.prompt import Prompt, Wish, alike, held
-from operators.policy.tokens import BOX, CLASSES, Array, Objects, one_hot, tell
+from operators.policy.target import TargetSpec, TargetState, alike, carrier_row, unknown_label
+from operators.policy.tokens import BOX, CLASSES, Array, Objects, encode_boxes, encode_labels
 from pipeline import Tracks
 
 CHANNELS = 64  # of the detector's feature map
@@ -25,87 +23,82 @@ CONDITION = CHANNELS + BOX + CLASSES + 4
 GRACE = 8  # frames a prompt may wait for its track before that is worth a word
 
 
-def condition(prompt: Prompt, wish: Wish, tracks: Tracks) -> Array:
+def encode_condition(target: TargetState, spec: TargetSpec, tracks: Tracks) -> Array:
     """The condition (CONDITION,): features, box, class, and what is known of the target."""
-    told = np.zeros(CONDITION, np.float32)
-    told[: min(len(prompt.features), CHANNELS)] = prompt.features[:CHANNELS]
-    if prompt.placed:
-        told[CHANNELS : CHANNELS + BOX] = tell(prompt.box, tracks.header.geometry)
-    told[CHANNELS + BOX : -4] = one_hot(tracks.names, [prompt.label or wish.target])[0]
-    row = row_of(tracks, prompt.bound_id)
-    unseen = tracks.header.seq - prompt.seen_seq if prompt.seen_seq >= 0 else 0
-    told[-4:] = (
-        wish.one,
-        bool(wish.target),
+    encoded = np.zeros(CONDITION, np.float32)
+    encoded[: min(len(target.features), CHANNELS)] = target.features[:CHANNELS]
+    if target.placed:
+        encoded[CHANNELS : CHANNELS + BOX] = encode_boxes(target.box, tracks.header.geometry)
+    encoded[CHANNELS + BOX : -4] = encode_labels(tracks.names, [target.label or spec.label])[0]
+    row = row_of(tracks, target.bound_id)
+    unseen = tracks.header.seq - target.seen_seq if target.seen_seq >= 0 else 0
+    encoded[-4:] = (
+        spec.one,
+        bool(spec.label),
         row >= 0 and tracks.visible[row, -1],
         min(unseen / 16, 2),
     )
-    return told
+    return encoded
 
 
-def unmet(prompt: Prompt, wish: Wish, tracks: Tracks) -> str:
-    """A sentence when nothing answers to the prompt, else empty."""
-    if sentence := unknown(wish.target, tracks.names):
+def unmet(target: TargetState, spec: TargetSpec, tracks: Tracks) -> str:
+    """A sentence when no track is the target that was asked for, else empty."""
+    if sentence := unknown_label(spec.label, tracks.names):
         return sentence
     seq = tracks.header.seq
-    if not wish.one or prompt.bound_id >= 0 or seq - prompt.asked_seq < GRACE:
+    if not spec.one or target.bound_id >= 0 or seq - target.asked_seq < GRACE:
         return ""
-    frames = f"frames {prompt.asked_seq} to {seq}"
-    if wish.boxed:
-        return f"policy.prompt_box: expected a track at {wish.box}, none was there in {frames}"
-    return f"policy.target_id: expected a track {wish.object_id}, none was there in {frames}"
+    frames = f"frames {target.asked_seq} to {seq}"
+    if spec.boxed:
+        return f"policy.prompt_box: expected a track at {spec.box}, none was there in {frames}"
+    return f"policy.target_id: expected a track {spec.object_id}, none was there in {frames}"
 
 
-def unknown(target: str, names: Sequence[str]) -> str:
-    """A sentence when a class is none of those that the tracks have, as far as they tell."""
-    if not target or not names or target in names:
-        return ""
-    return f"policy.target: expected one of {', '.join(names)}, got {target}"
-
-
-def place(
-    prompt: Prompt, wish: Wish, tracks: Tracks, looks: Array, *, patience: int
+def encode_place(
+    target: TargetState, spec: TargetSpec, tracks: Tracks, looks: Array, *, patience: int
 ) -> Objects | None:
     """The prompted place as a candidate; None while its target is in view, and after `patience`.
 
-    The hands of whoever holds the target are looked at for longer. `looks` (To, D) is what the
+    The place at a carrier is a candidate for longer. `looks` (To, D) is what the
     ROI lately showed of the target.
     """
-    unseen = tracks.header.seq - prompt.seen_seq
-    row, holder = row_of(tracks, prompt.bound_id), held(prompt, tracks)
-    if not prompt.placed or (row >= 0 and tracks.visible[row, -1]):
+    unseen = tracks.header.seq - target.seen_seq
+    row, carrier = row_of(tracks, target.bound_id), carrier_row(target, tracks)
+    if not target.placed or (row >= 0 and tracks.visible[row, -1]):
         return None
-    if holder < 0 and unseen > patience:
+    if carrier < 0 and unseen > patience:
         return None
     observed, horizon = tracks.boxes.shape[1], tracks.predicted.shape[1]
     motion = camera_motion(tracks)
     moved = np.arange(1 - observed, 1, dtype=np.float32)[:, None] * motion
     moves = np.arange(1, horizon + 1, dtype=np.float32)[:, None] * motion
-    if holder >= 0:
-        moved, moves = carried(tracks, holder)
-    path = (prompt.box + np.tile(moves, 2)).astype(np.float32)
-    past = tell((prompt.box + np.tile(moved, 2)).astype(np.float32), tracks.header.geometry)
+    if carrier >= 0:
+        moved, moves = carried_motion(tracks, carrier)
+    path = (target.box + np.tile(moves, 2)).astype(np.float32)
+    past = encode_boxes((target.box + np.tile(moved, 2)).astype(np.float32), tracks.header.geometry)
     features = np.zeros(tracks.features.shape[2], np.float32)
-    features[: len(prompt.features)] = prompt.features
+    features[: len(target.features)] = target.features
     return Objects(
         ids=np.array([PLACE], np.int32),
         roi=looks[None],
         context=np.broadcast_to(features, (1, observed, len(features))).copy(),
         boxes=np.concatenate([past, np.zeros((observed, 1), np.float32)], 1)[None],
-        predicted=tell(path, tracks.header.geometry)[None],
-        label=one_hot(tracks.names, [prompt.label or wish.target]),
+        predicted=encode_boxes(path, tracks.header.geometry)[None],
+        label=encode_labels(tracks.names, [target.label or spec.label]),
         place=np.ones(1, np.float32),
         path=path[None],
     )
 
 
-def unlike(prompt: Prompt, wish: Wish, tracks: Tracks, ids: NDArray[np.int32]) -> NDArray[np.bool_]:
+def unlike(
+    target: TargetState, spec: TargetSpec, tracks: Tracks, ids: NDArray[np.int32]
+) -> NDArray[np.bool_]:
     """Which candidates (n,) cannot be what is in the box: of another size.
 
     Nothing else is known of a box before it is bound; then looks, class and motion are.
     """
     refused = np.zeros(len(ids), np.bool_)
-    if wish.boxed and prompt.bound_id < 0 and prompt.placed:
-        other = tracks.ids[~alike(tracks.boxes[:, -1], prompt.box)]
+    if spec.boxed and target.bound_id < 0 and target.placed:
+        other = tracks.ids[~alike(tracks.boxes[:, -1], target.box)]
         refused = np.isin(ids, other)
     return refused

@@ -20,7 +20,7 @@ from operators.training import arrays as files
 from operators.training.arrays import Arrays
 from operators.training.identity import Identity, of_code, of_plan
 from operators.training.workers import pool_of
-from pipeline import Geometry, Percept, RoiFeatures, Tracks
+from pipeline import Geometry, RoiFeatures, Tracks, Truth
 from pipeline.errors import DriverError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -38,7 +38,7 @@ class Moment:
 
     tracks: Tracks
     seen: RoiFeatures  # of every track, as if the ROI had shown all of them
-    truth: Percept
+    truth: Truth
 
 
 class Recording:
@@ -105,12 +105,12 @@ class Recording:
                 features=a["roi"][rows][shown].astype(np.float32),
                 genuine=a["genuine"][rows][shown],
             ),
-            truth=Percept(
+            truth=Truth(
                 header=header,
                 boxes=a["truth_boxes"][known],
                 ids=a["truth_ids"][known],
-                scores=a["truth_visible"][known],
-                texts=tuple(a["truth_labels"][known].tolist()),
+                labels=tuple(a["truth_labels"][known].tolist()),
+                visibility=a["truth_visible"][known],
             ),
         )
 
@@ -182,7 +182,7 @@ def _record(path: Path, frames: int, changes: tuple[str, ...], made: Identity) -
 def arrays(heard: list[dict[str, Any]]) -> Arrays:
     """The messages of all frames, one after the other; features in half precision."""
     tracks: list[Tracks] = [h["association.out"] for h in heard]
-    truths: list[Percept] = [h["capture.truth"] for h in heard]
+    truths: list[Truth] = [h["capture.truth"] for h in heard]
     appearance = [aligned(t.ids, h["roi_features.out"]) for t, h in zip(tracks, heard, strict=True)]
     geometry = tracks[0].header.geometry
     channels = max(roi.shape[1] for roi, _, _ in appearance)
@@ -208,8 +208,8 @@ def arrays(heard: list[dict[str, Any]]) -> Arrays:
         "truth_first": np.cumsum([0, *(len(t.ids) for t in truths)]),
         "truth_ids": np.concatenate([t.ids for t in truths]),
         "truth_boxes": np.concatenate([t.boxes for t in truths]),
-        "truth_visible": np.concatenate([t.scores for t in truths]),
-        "truth_labels": np.array([label for t in truths for label in t.texts]),
+        "truth_visible": np.concatenate([t.visibility for t in truths]),
+        "truth_labels": np.array([label for t in truths for label in t.labels]),
     }
 
 

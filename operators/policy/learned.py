@@ -1,190 +1,173 @@
-"""The learned policy: tracks, looks and a prompt -> a plan (paper, section 3.5).
+"""A policy that was trained: Tracks (and what the ROI showed of them) -> Scanpath.
 
-`observe` and `decide` are the same for the live graph and for training's roll-outs; only who
-computes the probabilities between them differs.
+Answers every frame k with a plan for k+1 … k+Tp: a network chooses among the tracks and the place
+of the target.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from operators.policy.conditioning import CONDITION, condition, place, unlike
-from operators.policy.memory import Memory, recall, refuted
-from operators.policy.plan import Plan, field_centre, stay
-from operators.policy.prompt import Choice, Prompt, Wish, follow, held
-from operators.policy.tokens import BOX, CLASSES, Array, Objects, batched, joined, objects, without
-from pipeline import Tracks
-from pipeline.errors import MessageError, WeightsError
-from pipeline.inference import Network
+from operators.policy.carrier import PEOPLE
+from operators.policy.conditioning import unmet
+from operators.policy.decision import (
+    PolicyState,
+    Rules,
+    Selection,
+    decide,
+    fault,
+    observe,
+    pick,
+    with_prior,
+    without_candidates,
+)
+from operators.policy.former import CARRIERS, PRIOR, STRATEGY
+from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
+from operators.policy.memory import fault as fault_of_looks
+from operators.policy.memory import remember
+from operators.policy.network import SHIPPED, PolicyNetwork
+from operators.policy.target import TargetSpec, check_box, check_label
+from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
-SHIPPED = Path(__file__).with_name("policy.onnx")
-Selection = Literal["argmax", "sample"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Gaze:
-    """What the learned policy remembers beside its looks."""
-
-    prompt: Prompt = field(default_factory=Prompt)
-    first_seq: int = 0  # the frame that row 0 of the last choice speaks of
-    choice: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))  # (Tp,)
-    chance: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (Tp,)
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rules:
-    """What a graph sets of it."""
+class LearnedPolicySettings:
+    """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
-    patience: int = 64  # frames for which the place of a target out of sight stays a candidate
-    least_genuine: float = 0.2
-    roi_channels: int = 576
-    loyalty: float = 30.0  # how much likelier the object is that the prompt follows; 1: no more so
+    FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR}
 
+    weights: str = ""  # an ONNX file of operators.policy.train; empty: the shipped one
+    selection: Selection = "argmax"  # the likeliest object, or one drawn by its probability
+    seed: int = 0  # of what is drawn
+    target_prior: float = 30.0  # see `decision.with_prior`; 1: the network alone
+    least_genuine: float = 0.2  # below it an object that was looked at is believed false
+    target: str = ""  # class name (ball, referee, player …); empty: any
+    target_id: int = -1  # track id
+    prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
+    carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
+    horizon: int = 16  # Tp, frames planned
+    observed: int = 4  # To, frames of looks that are remembered
+    place_patience: int = 64  # frames for which the last place stays worth a look
+    threads: int = 1
 
-class Chooser:
-    """The network of one ONNX file; raises `WeightsError` when it is none of ours."""
-
-    def __init__(self, path: Path, *, threads: int = 1) -> None:
-        if path == SHIPPED and not path.is_file():
-            raise WeightsError(f"policy.weights: {path.name} is not there; train one, or name one")
-        self.path, self._network = path, Network(path, threads=threads)
-        given = self._network.inputs
-        told = {f.name for f in fields(Objects)} - {"ids", "path"} | {"condition", "mask"}
-        if set(given) != told or set(self._network.outputs) != {"logits"}:
-            raise WeightsError(
-                f"{path}: expected a policy's inputs {', '.join(sorted(told))} and the output "
-                f"logits, got {', '.join(given)} and {', '.join(self._network.outputs)}"
+    def __post_init__(self) -> None:
+        for name in ("horizon", "observed", "threads"):
+            if getattr(self, name) < 1:
+                raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
+        for name in ("place_patience", "seed"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
+        if not 0 <= self.least_genuine <= 1:
+            raise SettingsError(f"least_genuine: must be within 0..1, got {self.least_genuine}")
+        if not 1 <= self.target_prior < math.inf:
+            raise SettingsError(
+                f"target_prior: must be at least 1 and finite, got {self.target_prior}"
             )
-        self.roi_channels, self._context = _last(given["roi"]), _last(given["context"])
-        self.observed, self.horizon = _last(given["boxes"][:-1]), _last(given["predicted"][:-1])
-        for name, sides in {
-            "roi": [self.observed, self.roi_channels],
-            "context": [self.observed, self._context],
-            "boxes": [self.observed, BOX + 1],
-            "predicted": [self.horizon, BOX],
-            "label": [CLASSES],
-            "condition": [CONDITION],
-        }.items():
-            got = list(given[name])[-len(sides) :]
-            if got != sides:
-                raise WeightsError(f"{path}: expected {name} of {sides}, got {got}")
+        check_box("prompt_box", self.prompt_box)
 
-    def suits(self, *, horizon: int, observed: int) -> None:
-        """Raise `WeightsError` unless the network was trained for these settings."""
-        if (self.horizon, self.observed) != (horizon, observed):
-            raise WeightsError(
-                f"{self.path}: expected horizon {horizon} and observed {observed} as policy's "
-                f"settings say, got {self.horizon} and {self.observed}"
-            )
-
-    def check(self, tracks: Tracks) -> None:
-        """Raise `MessageError` unless the tracks are what the network was trained on."""
-        expected = (self.observed, self._context, self.horizon)
-        got = (*tracks.features.shape[1:], tracks.predicted.shape[1])
-        if len(tracks.ids) and expected != got:
-            raise MessageError(
-                f"policy.tracks: {self.path.name} expects {expected[0]} frames of {expected[1]} "
-                f"features and {expected[2]} foreseen, got {got[0]} of {got[1]} and {got[2]}"
-            )
-
-    def __call__(self, candidates: Objects, told: Array) -> Array:
-        """Probability of each of N candidates at each step: (N, Tp)."""
-        logits = self._network(batched([candidates], [told]))["logits"][0]
-        return softmax(logits)
+    @property
+    def spec(self) -> TargetSpec:
+        """The target."""
+        return TargetSpec(
+            object_id=self.target_id,
+            box=self.prompt_box,
+            label=self.target,
+            carriers=self.carriers,
+        )
 
 
-def _last(sides: Sequence[object]) -> int:
-    """The last side, 0 where it is open."""
-    side = sides[-1] if sides else 0
-    return side if isinstance(side, int) else 0
+class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
+    """Never silent: a frame without objects is answered with places to look at.
 
-
-def softmax(logits: Array) -> Array:
-    """Over the candidates: (..., N, Tp) -> the same, each step's sum 1."""
-    raised = np.exp(logits - logits.max(-2, keepdims=True, initial=-np.inf))
-    return np.asarray(raised / raised.sum(-2, keepdims=True), np.float32)
-
-
-def observe(
-    before: Gaze, wish: Wish, tracks: Tracks, memory: Memory, rules: Rules
-) -> tuple[Gaze, Objects, Array]:
-    """Take in one frame: what to remember, the candidates, the condition."""
-    seq, observed = tracks.header.seq, tracks.boxes.shape[1]
-    prompt = follow(before.prompt, wish, tracks, chosen_for(before, seq))
-    ids = np.append(tracks.ids, np.int32(prompt.bound_id))
-    looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
-    candidates = objects(tracks, looks[:-1])
-    candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
-    if held(prompt, tracks) >= 0:  # where it was going before is nowhere
-        candidates = without(candidates, candidates.ids == prompt.bound_id)
-    spot = place(prompt, wish, tracks, looks[-1], patience=rules.patience)
-    if spot is not None:
-        candidates = joined(candidates, spot)
-        candidates = without(candidates, unlike(prompt, wish, tracks, candidates.ids))
-    return replace(before, prompt=prompt), candidates, condition(prompt, wish, tracks)
-
-
-def loyal(probability: Array, candidates: Objects, prompt: Prompt, loyalty: float) -> Array:
-    """The network's belief (N, Tp) times the prompt's; each step's sum is 1 again.
-
-    The prompt follows its target by motion, the network knows it by its looks and its place. Among
-    players of one team looks tell little: who was meant a moment ago is still meant, unless the
-    network is `loyalty` times surer of somebody else.
+    Only what is no number is answered with no proposal, so that the last plan stays in force.
     """
-    own = candidates.ids == prompt.bound_id
-    if prompt.bound_id < 0 or not own.any():
-        return probability
-    raised = np.where(own[:, None], loyalty, np.float32(1)) * probability
-    return np.asarray(raised / raised.sum(0, keepdims=True), np.float32)
 
+    tracks = Input(Tracks, keep="every")
+    features = Input(RoiFeatures, join=False)
+    live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
 
-def fault(tracks: Tracks) -> str:
-    """A sentence when the tracks hold something that is no number, else empty."""
-    if all(np.isfinite(a).all() for a in (tracks.features, tracks.boxes, tracks.predicted)):
-        return ""
-    return f"policy.tracks: expected finite numbers in frame {tracks.header.seq}, got others"
+    def open(self) -> None:
+        """Start without a past; raises `WeightsError` when no network fits the settings."""
+        s = self.settings
+        self._network = PolicyNetwork(Path(s.weights) if s.weights else SHIPPED, threads=s.threads)
+        self._network.suits(horizon=s.horizon, observed=s.observed)
+        self._state = PolicyState(spec=s.spec)
+        self._warned: set[str] = set()
+        self._names: Sequence[str] = ()  # of the classes that tracks have
 
+    def on_settings(self, settings: LearnedPolicySettings) -> None:
+        """Another target from the next plan on; the looks at all objects stay known.
 
-def chosen_for(gaze: Gaze, seq: int) -> Choice:
-    """What the last plan had chosen for frame `seq`; nothing past its end."""
-    row = seq - gaze.first_seq
-    if not 0 <= row < len(gaze.choice):
-        return Choice()
-    return Choice(object_id=int(gaze.choice[row]), probability=float(gaze.chance[row]))
+        Raises `SettingsError` for a class that the tracks do not have.
+        """
+        if settings.target != self.settings.target:
+            check_label(settings.target, self._names)
+        self.settings, before = settings, self._state
+        self._state = before.asked_for(settings.spec)
+        if self._state is not before:
+            self._warned.discard("prompt")
 
+    def on_stream(self, header: Header) -> None:
+        """Ids of another stream are other objects."""
+        self._state = PolicyState(spec=self._state.spec)
 
-def decide(
-    before: Gaze, tracks: Tracks, candidates: Objects, probability: Array, picked: NDArray[np.intp]
-) -> tuple[Plan, Gaze]:
-    """The plan that looks at candidate `picked[t]` (Tp,) at step t, and what to remember of it."""
-    steps = np.arange(len(picked))
-    choice = candidates.ids[picked]
-    over = np.zeros((len(picked), len(tracks.ids)), np.float32)
-    track, candidate = np.nonzero(tracks.ids[:, None] == candidates.ids)
-    over[:, track] = probability[candidate].T
-    plan = Plan(choice=choice, boxes=candidates.path[picked, steps], probability=over)
-    return plan, replace(
-        before,
-        first_seq=tracks.header.seq + 1,
-        choice=choice,
-        chance=probability[picked, steps],
-    )
+    def state(self) -> PolicyState:
+        """Everything remembered."""
+        return self._state
 
+    def restore(self, state: PolicyState) -> None:
+        """Go on where another instance stopped; after another target, if it had another."""
+        self._state = state.asked_for(self._state.spec)
 
-def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArray[np.intp]:
-    """One candidate for each step: (N, Tp) -> (Tp,)."""
-    if how == "argmax":
-        return np.asarray(probability.argmax(0))
-    reached = probability.cumsum(0) >= rng.random(probability.shape[1]) * probability.sum(0)
-    return np.asarray(reached.argmax(0))
+    def on_features(self, features: RoiFeatures) -> None:
+        """Keep the looks of the last frames."""
+        wrong = fault_of_looks(features)
+        self._warn_once("looks", wrong)
+        if not wrong:
+            memory = remember(self._state.memory, features, self.settings.observed)
+            self._state = replace(self._state, memory=memory)
 
+    def on_tracks(self, tracks: Tracks) -> Scanpath:
+        """Plan the frames after this one."""
+        self._names = tracks.names
+        return scanpath(tracks, self._plan(tracks))
 
-def nothing(gaze: Gaze, tracks: Tracks, horizon: int) -> Plan:
-    """Without candidates: where the target was last believed to be, or the middle of the field."""
-    if gaze.prompt.placed:
-        return stay(gaze.prompt.box, horizon)
-    return stay(field_centre(tracks.header.geometry), horizon)
+    def _plan(self, tracks: Tracks) -> GazePlan:
+        """What the network chooses."""
+        s, network = self.settings, self._network
+        network.check(tracks)
+        wrong = fault(tracks)
+        self._warn_once("tracks", wrong)
+        if wrong:
+            return no_proposal()
+        rules = Rules(
+            patience=s.place_patience,
+            least_genuine=s.least_genuine,
+            roi_channels=network.roi_channels,
+            target_prior=s.target_prior,
+        )
+        state, candidates, condition = observe(self._state, tracks, rules)
+        self._warn_once("prompt", unmet(state.target, state.spec, tracks))
+        if len(candidates.ids):
+            believed = network(candidates, condition)
+            probability = with_prior(believed, candidates, state.target, rules.target_prior)
+            rng = np.random.default_rng([s.seed, tracks.header.seq])
+            picked = pick(probability, s.selection, rng)
+            plan, state = decide(state, tracks, candidates, probability, picked)
+        else:
+            plan = without_candidates(state, tracks, network.horizon)
+        self._state = state
+        return plan
+
+    def _warn_once(self, about: str, sentence: str) -> None:
+        """Log a sentence once, until there is none any more."""
+        if sentence and about not in self._warned:
+            log.warning(sentence)
+        (self._warned.add if sentence else self._warned.discard)(about)

@@ -52,23 +52,25 @@ class Layer(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.before = nn.LayerNorm(EMBEDDED)
-        self.asked = nn.Linear(EMBEDDED, 3 * EMBEDDED)
-        self.told = nn.Linear(EMBEDDED, EMBEDDED)
+        self.query_key_value = nn.Linear(EMBEDDED, 3 * EMBEDDED)
+        self.project = nn.Linear(EMBEDDED, EMBEDDED)
         self.after = nn.LayerNorm(EMBEDDED)
-        self.think = nn.Sequential(
+        self.feed_forward = nn.Sequential(
             nn.Linear(EMBEDDED, FEED_FORWARD), nn.ReLU(), nn.Linear(FEED_FORWARD, EMBEDDED)
         )
 
     def forward(self, tokens: Tensor, there: Tensor) -> Tensor:
         """(B, N, E), of which (B, N) are there -> (B, N, E)."""
         b, n, _ = tokens.shape
-        asked = self.asked(self.before(tokens)).reshape(b, n, 3, HEADS, EMBEDDED // HEADS)
-        query, key, value = asked.permute(2, 0, 3, 1, 4).unbind(0)  # (B, heads, N, E / heads)
+        projected = self.query_key_value(self.before(tokens)).reshape(
+            b, n, 3, HEADS, EMBEDDED // HEADS
+        )
+        query, key, value = projected.permute(2, 0, 3, 1, 4).unbind(0)  # (B, heads, N, E / heads)
         likeness = query @ key.transpose(2, 3) * (EMBEDDED // HEADS) ** -0.5
         likeness = likeness.masked_fill(~there[:, None, None], NEVER)
-        heard = (likeness.softmax(-1) @ value).transpose(1, 2).reshape(b, n, EMBEDDED)
-        tokens = tokens + self.told(heard)
-        return tokens + self.think(self.after(tokens))
+        attended = (likeness.softmax(-1) @ value).transpose(1, 2).reshape(b, n, EMBEDDED)
+        tokens = tokens + self.project(attended)
+        return tokens + self.feed_forward(self.after(tokens))
 
 
 class PolicyNet(nn.Module):
@@ -123,11 +125,13 @@ class PolicyNet(nn.Module):
             "detection": self.detection(torch.cat([boxes.flatten(2), label, place[..., None]], -1)),
             "motion": self.motion(predicted.flatten(2)),
         }
-        told = [
+        normalised = [
             self.norms[name](part) * float(name == "detection" or name in self.use)
             for name, part in parts.items()
         ]
-        tokens = torch.cat([self.embed(torch.cat(told, -1)), self.condition(condition)[:, None]], 1)
+        tokens = torch.cat(
+            [self.embed(torch.cat(normalised, -1)), self.condition(condition)[:, None]], 1
+        )
         there = torch.cat([mask, torch.ones_like(mask[:, :1])], 1)
         for layer in self.layers:
             tokens = layer(tokens, there)

@@ -27,7 +27,7 @@ class Pool:
         chunks: dict[str, list[NDArray[Any]]] = {name: [] for name in (*INPUTS, "worth")}
         for start in range(0, len(samples), 512):
             rows = slice(start, start + 512)
-            given = padded(parts[rows], [s.told for s in samples[rows]])
+            given = padded(parts[rows], [s.condition for s in samples[rows]])
             worth = np.zeros(
                 (len(parts[rows]), MOST_OBJECTS, samples[0].worth.shape[1]), np.float32
             )
@@ -53,9 +53,9 @@ class Pool:
         return found | {name: found[name].float() for name in FEATURES}
 
 
-def padded(moments: Sequence[Objects], told: Sequence[Array]) -> dict[str, NDArray[Any]]:
+def padded(moments: Sequence[Objects], conditions: Sequence[Array]) -> dict[str, NDArray[Any]]:
     """As `batched`, always `MOST_OBJECTS` wide."""
-    given: dict[str, NDArray[Any]] = dict(batched(moments, told))
+    given: dict[str, NDArray[Any]] = dict(batched(moments, conditions))
     for name, values in given.items():
         if name != "condition":
             more = MOST_OBJECTS - values.shape[1]

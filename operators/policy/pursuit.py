@@ -1,109 +1,209 @@
-"""Pursue one object: find it, stay with it, wait for it where it was lost, search for it.
+"""A policy that pursues one object: Tracks -> Scanpath.
+
+It finds the object, stays with it, waits where it was lost, and searches for it.
 
 The rules that keep a small ball (false locks lose it, not prediction):
 
 - A candidate must have been seen in `confirm` frames, and a rival must be better by a margin for
   `confirm` frames in succession, before the gaze changes. Moving candidates are preferred to still
   ones, and those outside people to those inside (see candidates.py).
-- A target unseen for a few frames that was last near somebody is held by them: look there.
+- A target unseen for a few frames that was last near a person is carried by them: look there.
 - Nobody near: look where it was foreseen last, and doubt more with every frame (the box grows);
   after `patience` frames visit the field window by window, nearest to the last place first.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.candidates import Sightings, count, nearest, none_seen, worth
-from operators.policy.holding import able
-from operators.policy.plan import Plan, follow, future, name_of, of_class, row_of, stay
-from operators.policy.prompt import BIND_IOU, GROWTH, Wish
+from operators.policy.carrier import PEOPLE, can_carry
+from operators.policy.former import CARRIERS, STRATEGY
+from operators.policy.gaze_plan import (
+    GazePlan,
+    check_horizon,
+    follow,
+    future,
+    name_of,
+    of_class,
+    row_of,
+    scanpath,
+    stay,
+)
 from operators.policy.search import search
-from pipeline import Tracks
+from operators.policy.target import BIND_IOU, GROWTH, TargetSpec, check_box, check_label
+from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
 MARGIN = 0.2  # by how much a rival must be better, in score
-COAST = 3  # frames a target may be unseen before somebody is believed to hold it
-HOLD_REACH = 3.0  # box sizes between a target and whoever may hold it
+COAST = 3  # frames a target may be unseen before a person near it counts as its carrier
+CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
+
+
+@dataclass(frozen=True, kw_only=True)
+class PursuitPolicySettings:
+    """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
+
+    FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS}
+
+    target: str = ""  # class name (ball, referee, player …); empty: any
+    target_id: int = -1  # track id
+    prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
+    carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
+    horizon: int = 16  # Tp, frames planned
+    confirm: int = 3  # sightings before the gaze moves to a candidate
+    patience: int = 24  # frames to wait at the last place before searching
+
+    def __post_init__(self) -> None:
+        check_horizon(self.horizon)
+        if self.confirm < 1:
+            raise SettingsError(f"confirm: must be at least 1, got {self.confirm}")
+        if self.patience < 0:
+            raise SettingsError(f"patience: must be at least 0, got {self.patience}")
+        check_box("prompt_box", self.prompt_box)
+
+    @property
+    def spec(self) -> TargetSpec:
+        """The target."""
+        return TargetSpec(
+            object_id=self.target_id,
+            box=self.prompt_box,
+            label=self.target,
+            carriers=self.carriers,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Pursuit:
-    """What a pursuer remembers."""
+class PursuitState:
+    """What is remembered from frame to frame; it is replaced, never changed."""
 
+    spec: TargetSpec = field(default_factory=TargetSpec)  # the target that was asked for
     locked: int = -1  # track id
     target: str = ""  # class of what was locked
     seen_seq: int = -1  # when the target was last seen; -1: never
     box: NDArray[np.float32] = field(default_factory=lambda: np.zeros(4, np.float32))  # the last
-    holder: int = -1  # who was nearest when it was last seen
+    carrier_id: int = -1  # the person nearest to it when it was last seen
     rival: int = -1
     rival_frames: int = 0
     sightings: Sightings = field(default_factory=none_seen)
 
+    def asked_for(self, spec: TargetSpec) -> "PursuitState":
+        """The state for this target: without the past of another."""
+        return self if spec == self.spec else PursuitState(spec=spec)
+
+
+class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
+    """Never silent: a frame without objects is answered with places to look at."""
+
+    tracks = Input(Tracks, keep="every")
+    features = Input(RoiFeatures, join=False)
+    live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box")
+
+    def open(self) -> None:
+        """Start without a past."""
+        self._state = PursuitState(spec=self.settings.spec)
+        self._names: Sequence[str] = ()  # of the classes that tracks have
+
+    def on_settings(self, settings: PursuitPolicySettings) -> None:
+        """Another target from the next plan on.
+
+        Raises `SettingsError` for a class that the tracks do not have.
+        """
+        if settings.target != self.settings.target:
+            check_label(settings.target, self._names)
+        self.settings = settings
+        self._state = self._state.asked_for(settings.spec)
+
+    def on_stream(self, header: Header) -> None:
+        """Ids of another stream are other objects."""
+        self._state = PursuitState(spec=self._state.spec)
+
+    def state(self) -> PursuitState:
+        """Everything remembered."""
+        return self._state
+
+    def restore(self, state: PursuitState) -> None:
+        """Go on where another instance stopped; after another target, if it had another."""
+        self._state = state.asked_for(self._state.spec)
+
+    def on_features(self, features: RoiFeatures) -> None:
+        """Nothing: the input is there so that one policy can take the place of another."""
+
+    def on_tracks(self, tracks: Tracks) -> Scanpath:
+        """Plan the frames after this one."""
+        s, self._names = self.settings, tracks.names
+        plan, self._state = pursue(
+            tracks, self._state, confirm=s.confirm, patience=s.patience, horizon=s.horizon
+        )
+        return scanpath(tracks, plan)
+
 
 def pursue(
-    tracks: Tracks, before: Pursuit, wish: Wish, *, confirm: int, patience: int, horizon: int
-) -> tuple[Plan, Pursuit]:
+    tracks: Tracks, before: PursuitState, *, confirm: int, patience: int, horizon: int
+) -> tuple[GazePlan, PursuitState]:
     """The plan for the frames after these tracks, and what to remember."""
+    spec = before.spec
     now = replace(before, sightings=count(before.sightings, tracks))
-    now = locked_on(tracks, now, wish, confirm)
+    now = locked_on(tracks, now, spec, confirm)
     row = row_of(tracks, now.locked)
     if row < 0:
-        return wait(tracks, now, wish, patience=patience, horizon=horizon), now
-    now = noted(tracks, row, now, wish)
-    held = row_of(tracks, now.holder)
-    if tracks.header.seq - now.seen_seq > COAST and held >= 0:
-        return stay(future(tracks, held, horizon), horizon), now
+        return wait(tracks, now, spec, patience=patience, horizon=horizon), now
+    now = noted(tracks, row, now, spec)
+    carrier = row_of(tracks, now.carrier_id)
+    if tracks.header.seq - now.seen_seq > COAST and carrier >= 0:
+        return stay(future(tracks, carrier, horizon), horizon), now
     return follow(tracks, row, horizon), now
 
 
-def locked_on(tracks: Tracks, now: Pursuit, wish: Wish, confirm: int) -> Pursuit:
+def locked_on(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> PursuitState:
     """Keep, gain or change the track that is the target."""
     if row_of(tracks, now.locked) >= 0:
-        by_class = not wish.one
-        return challenged(tracks, now, wish, confirm) if by_class else now
-    row = first_lock(tracks, wish) if now.seen_seq < 0 else -1
-    if row < 0 and (now.seen_seq >= 0 or not wish.one):
-        row = regained(tracks, now, wish, confirm)
+        by_class = not spec.one
+        return challenged(tracks, now, spec, confirm) if by_class else now
+    row = first_lock(tracks, spec) if now.seen_seq < 0 else -1
+    if row < 0 and (now.seen_seq >= 0 or not spec.one):
+        row = regained(tracks, now, spec, confirm)
     locked = int(tracks.ids[row]) if row >= 0 else -1
     return replace(now, locked=locked, rival=-1, rival_frames=0)
 
 
-def first_lock(tracks: Tracks, wish: Wish) -> int:
+def first_lock(tracks: Tracks, spec: TargetSpec) -> int:
     """Row of the object asked for by id or by box, -1 when it is not there."""
-    if wish.object_id >= 0:
-        return row_of(tracks, wish.object_id)
-    if wish.boxed and len(tracks.ids):
-        overlap = iou(tracks.boxes[:, -1], np.array([wish.box], np.float32))[:, 0]
+    if spec.object_id >= 0:
+        return row_of(tracks, spec.object_id)
+    if spec.boxed and len(tracks.ids):
+        overlap = iou(tracks.boxes[:, -1], np.array([spec.box], np.float32))[:, 0]
         return int(overlap.argmax()) if overlap.max() >= BIND_IOU else -1
     return -1
 
 
-def regained(tracks: Tracks, now: Pursuit, wish: Wish, confirm: int) -> int:
+def regained(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> int:
     """Row of the best confirmed candidate, -1: none.
 
     One of many alike (asked for by id or by box) must be near where it was lost; the distance it
     may have gone grows with time. A class may turn up anywhere.
     """
-    known = now.target if now.target else wish.target
+    known = now.target if now.target else spec.label
     fit = of_class(tracks, known) & (now.sightings.counts >= confirm) & tracks.visible[:, -1]
-    if wish.one:
+    if spec.one:
         gone = tracks.header.seq - now.seen_seq
         away = np.linalg.norm(centres(tracks.boxes[:, -1]) - centres(now.box), axis=1)
         fit &= away <= (1 + GROWTH * gone) * sizes(now.box[None])
         value = -away.astype(np.float32)
     else:
-        value = worth(tracks, able(tracks, wish.held_by, known))
+        value = worth(tracks, can_carry(tracks, spec.carriers, known))
     return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
 
 
-def challenged(tracks: Tracks, now: Pursuit, wish: Wish, confirm: int) -> Pursuit:
+def challenged(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> PursuitState:
     """Change to a rival that has been clearly better for `confirm` frames in succession."""
-    fit = of_class(tracks, now.target or wish.target) & tracks.visible[:, -1]
+    fit = of_class(tracks, now.target or spec.label) & tracks.visible[:, -1]
     fit &= now.sightings.counts >= confirm
     own = row_of(tracks, now.locked)
-    value = worth(tracks, able(tracks, wish.held_by, now.target))
+    value = worth(tracks, can_carry(tracks, spec.carriers, now.target))
     best = int(np.where(fit, value, -np.inf).argmax())
     if not fit[best] or value[best] <= value[own] + MARGIN:
         return replace(now, rival=-1, rival_frames=0)
@@ -114,7 +214,7 @@ def challenged(tracks: Tracks, now: Pursuit, wish: Wish, confirm: int) -> Pursui
     return replace(now, locked=rival, rival=-1, rival_frames=0)
 
 
-def noted(tracks: Tracks, row: int, now: Pursuit, wish: Wish) -> Pursuit:
+def noted(tracks: Tracks, row: int, now: PursuitState, spec: TargetSpec) -> PursuitState:
     """Remember where the target is, what it is and who is beside it."""
     box, target = tracks.boxes[row, -1], name_of(tracks, row)
     if not tracks.visible[row, -1]:
@@ -122,25 +222,27 @@ def noted(tracks: Tracks, row: int, now: Pursuit, wish: Wish) -> Pursuit:
         return replace(
             now, box=box, seen_seq=now.seen_seq if now.seen_seq >= 0 else tracks.header.seq
         )
-    rows = np.flatnonzero(able(tracks, wish.held_by, target))
-    at, _ = nearest(box, tracks.boxes[rows, -1], HOLD_REACH * float(sizes(box[None])[0]))
+    rows = np.flatnonzero(can_carry(tracks, spec.carriers, target))
+    at, _ = nearest(box, tracks.boxes[rows, -1], CARRIER_REACH * float(sizes(box[None])[0]))
     return replace(
         now,
         target=target,
         box=box,
         seen_seq=tracks.header.seq,
-        holder=int(tracks.ids[rows[at]]) if at >= 0 else -1,
+        carrier_id=int(tracks.ids[rows[at]]) if at >= 0 else -1,
     )
 
 
-def wait(tracks: Tracks, now: Pursuit, wish: Wish, *, patience: int, horizon: int) -> Plan:
-    """Where to look while there is no target: with its holder, at its last place, all over."""
-    held = row_of(tracks, now.holder)
-    if held >= 0:
-        return stay(future(tracks, held, horizon), horizon)
+def wait(
+    tracks: Tracks, now: PursuitState, spec: TargetSpec, *, patience: int, horizon: int
+) -> GazePlan:
+    """Where to look while there is no target: at its carrier, at its last place, all over."""
+    carrier = row_of(tracks, now.carrier_id)
+    if carrier >= 0:
+        return stay(future(tracks, carrier, horizon), horizon)
     header = tracks.header
-    if now.seen_seq < 0 and wish.boxed:
-        return stay(np.array(wish.box, np.float32), horizon)
+    if now.seen_seq < 0 and spec.boxed:
+        return stay(np.array(spec.box, np.float32), horizon)
     frames = header.seq + 1 + np.arange(horizon) - now.seen_seq
     if now.seen_seq < 0:
         return stay(search(header.geometry, None, header.seq + 1 + np.arange(horizon)), horizon)

@@ -1,4 +1,4 @@
-"""The policy in its own loop on recorded clips: what it was told, and what each choice was worth.
+"""The policy in its own loop on recorded clips: its inputs, and what each choice was worth.
 
 A recording holds everything that does not depend on where the ROI looked; a roll-out adds what
 does: the looks. It is the loop itself, without pictures: the same observing, deciding and
@@ -14,10 +14,19 @@ import numpy as np
 from drivers.source import CLASS_OF_ROLE
 from operators.dispatch import plan_windows
 from operators.policy.data import Recording
-from operators.policy.learned import Gaze, Rules, Selection, decide, loyal, nothing, observe, pick
-from operators.policy.memory import blank, remember
-from operators.policy.plan import Plan
-from operators.policy.prompt import Wish
+from operators.policy.decision import (
+    PolicyState,
+    Rules,
+    Selection,
+    decide,
+    observe,
+    pick,
+    with_prior,
+    without_candidates,
+)
+from operators.policy.gaze_plan import GazePlan
+from operators.policy.memory import remember
+from operators.policy.target import TargetSpec
 from operators.policy.tokens import Array, Objects
 from operators.policy.utility import gains
 from pipeline import RoiFeatures, Tracks
@@ -62,7 +71,7 @@ class Sample:
     """One moment of an episode."""
 
     candidates: Objects
-    told: Array  # (CONDITION,)
+    condition: Array  # (CONDITION,)
     worth: Array  # (N, Tp)
 
 
@@ -76,9 +85,9 @@ class Episode:
         first = self.truth[task.start]
         if task.prompt == "box":
             left, top, right, bottom = (float(side) for side in first)
-            self._wish = Wish(box=(left, top, right, bottom))
+            spec = TargetSpec(box=(left, top, right, bottom))
         else:
-            self._wish = Wish(target=CLASS_OF_ROLE[self.label])
+            spec = TargetSpec(label=CLASS_OF_ROLE[self.label])
         field = recording.geometry
         middle = np.array([field.width_px / 2, field.height_px / 2], np.float32)
         self._window = roi_window(
@@ -86,7 +95,7 @@ class Episode:
         )
         self._commanded: dict[int, Window] = {}
         self._planned = -task.replan
-        self._memory, self._gaze = blank(), Gaze()
+        self._state = PolicyState(spec=spec)
         self.frame = task.start
         self.shown: list[float] = []  # share of the target that the ROI showed, frame by frame
 
@@ -96,20 +105,19 @@ class Episode:
         return self.frame + 1 >= len(self.recording)
 
     def look(self) -> tuple[Objects, Array]:
-        """What the policy is told in this frame."""
+        """Return the candidates and the condition of this frame."""
         moment = self.recording.moment(self.frame)
         self._window = self._commanded.pop(self.frame, self._window)
         if self.visible[self.frame] > 0:
             window = np.array(self._window, np.float32)
             self.shown.append(float(covered(self.truth[self.frame][None], window)[0]))
         self._tracks = moment.tracks
-        self._gaze, self._candidates, told = observe(
-            self._gaze, self._wish, moment.tracks, self._memory, self._rules
-        )
+        self._state, self._candidates, condition = observe(self._state, moment.tracks, self._rules)
         # in the loop too the plan is made before this frame's ROI has been encoded
         seen = within(moment.seen, moment.tracks, self._window)
-        self._memory = remember(self._memory, seen, moment.tracks.boxes.shape[1])
-        return self._candidates, told
+        memory = remember(self._state.memory, seen, moment.tracks.boxes.shape[1])
+        self._state = replace(self._state, memory=memory)
+        return self._candidates, condition
 
     def worth(self) -> Array:
         """What each candidate would be worth: (N, Tp)."""
@@ -121,19 +129,19 @@ class Episode:
     def act(self, probability: Array, how: Selection, rng: np.random.Generator) -> None:
         """Look where the policy says, and go on to the next frame."""
         if len(self._candidates.ids):
-            probability = loyal(
-                probability, self._candidates, self._gaze.prompt, self._rules.loyalty
+            probability = with_prior(
+                probability, self._candidates, self._state.target, self._rules.target_prior
             )
             picked = pick(probability, how, rng)
-            plan, self._gaze = decide(
-                self._gaze, self._tracks, self._candidates, probability, picked
+            plan, self._state = decide(
+                self._state, self._tracks, self._candidates, probability, picked
             )
         else:
-            plan = nothing(self._gaze, self._tracks, self._tracks.predicted.shape[1])
+            plan = without_candidates(self._state, self._tracks, self._tracks.predicted.shape[1])
         self._dispatch(plan)
         self.frame += 1
 
-    def _dispatch(self, plan: Plan) -> None:
+    def _dispatch(self, plan: GazePlan) -> None:
         if self.frame - self._planned < self.task.replan:
             return
         self._planned = self.frame
@@ -173,13 +181,14 @@ def roll(
         running = [episode for episode in episodes if not episode.over]
         if not running:
             break
-        looks = [episode.look() for episode in running]
-        chances = choose([c for c, _ in looks], [told for _, told in looks])
-        for episode, (candidates, told), probability in zip(running, looks, chances, strict=True):
+        moments = [episode.look() for episode in running]
+        chances = choose([c for c, _ in moments], [condition for _, condition in moments])
+        for episode, moment, probability in zip(running, moments, chances, strict=True):
+            candidates, condition = moment
             if len(candidates.ids) and rng.random() < keep:
                 worth = episode.worth()
                 if worth.any():
-                    samples.append(Sample(candidates=candidates, told=told, worth=worth))
+                    samples.append(Sample(candidates=candidates, condition=condition, worth=worth))
             episode.act(probability, how, rng)
     return samples
 

@@ -1,4 +1,4 @@
-"""What the network is told of each object: Tracks and what the ROI showed of them -> arrays.
+"""Encode objects as network inputs: Tracks and what the ROI showed of them -> arrays.
 
 Paper, section 3.5 and supplement "Scanpath Selection Policy": per object its appearance in the ROI
 and in the context over the last To frames, its class, its boxes and when it was visible over them,
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pipeline import Geometry, Tracks
 
 MOST_OBJECTS = 25
-BOX = 4  # numbers that tell one box
-CLASSES = 8  # of a detector that can be told apart
+BOX = 4  # numbers of one encoded box
+CLASSES = 8  # of a detector that have a place of their own
 Array = NDArray[np.float32]
 
 
@@ -26,15 +26,15 @@ class Objects:
     ids: NDArray[np.int32]  # (N,) track ids, PLACE for the prompted place
     roi: Array  # (N, To, D) features of the ROI encoder, where the ROI showed the object
     context: Array  # (N, To, C) features of the detector's map
-    boxes: Array  # (N, To, 5) told boxes and whether seen
-    predicted: Array  # (N, Tp, 4) told boxes
+    boxes: Array  # (N, To, 5) encoded boxes and whether seen
+    predicted: Array  # (N, Tp, 4) encoded boxes
     label: Array  # (N, CLASSES) 1 at its class
     place: Array  # (N,) 1: the prompted place, no track
     path: Array  # (N, Tp, 4) foreseen boxes, sensor pixels
 
 
-def tell(boxes: Array, geometry: Geometry) -> Array:
-    """Boxes as the network likes them: (..., 4) sensor pixels -> (..., 4).
+def encode_boxes(boxes: Array, geometry: Geometry) -> Array:
+    """Encode boxes for the network: (..., 4) sensor pixels -> (..., 4).
 
     Centre -1..1 across the field, and the logarithm of the sides' share of it, about -1..1.
     """
@@ -44,20 +44,20 @@ def tell(boxes: Array, geometry: Geometry) -> Array:
     return np.concatenate([centre, np.log(sides) / 3 + 1], -1).astype(np.float32)
 
 
-def one_hot(names: tuple[str, ...], wanted: Sequence[str]) -> Array:
+def encode_labels(names: tuple[str, ...], wanted: Sequence[str]) -> Array:
     """1 at the place of each class in the detector's `names`: (n, CLASSES); 0 for others.
 
-    >>> one_hot(("ball", "player"), ["player", "dog"])[:, :3].tolist()
+    >>> encode_labels(("ball", "player"), ["player", "dog"])[:, :3].tolist()
     [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
     """
-    told = np.zeros((len(wanted), CLASSES), np.float32)
+    encoded = np.zeros((len(wanted), CLASSES), np.float32)
     for row, name in enumerate(wanted):
         if name in names[:CLASSES]:
-            told[row, names.index(name)] = 1
-    return told
+            encoded[row, names.index(name)] = 1
+    return encoded
 
 
-def objects(tracks: Tracks, roi: Array) -> Objects:
+def encode_objects(tracks: Tracks, roi: Array) -> Objects:
     """All tracks as candidates, at most `MOST_OBJECTS` by score; `roi` is (n, To, D)."""
     rows: slice | NDArray[np.intp] = slice(None)  # copies nothing
     if len(tracks.ids) > MOST_OBJECTS:
@@ -68,8 +68,8 @@ def objects(tracks: Tracks, roi: Array) -> Objects:
         ids=tracks.ids[rows],
         roi=roi[rows],
         context=tracks.features[rows],
-        boxes=np.concatenate([tell(tracks.boxes[rows], geometry), seen], -1),
-        predicted=tell(tracks.predicted[rows], geometry),
+        boxes=np.concatenate([encode_boxes(tracks.boxes[rows], geometry), seen], -1),
+        predicted=encode_boxes(tracks.predicted[rows], geometry),
         label=(tracks.labels[rows, None] == np.arange(CLASSES)).astype(np.float32),
         place=np.zeros(min(len(tracks.ids), MOST_OBJECTS), np.float32),
         path=tracks.predicted[rows],

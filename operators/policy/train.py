@@ -1,7 +1,7 @@
 """Train the policy on roll-outs of itself: `python -m operators.policy.train --help`.
 
 Records procedural clips, then alternates: the policy, drawing its choices, follows targets through
-the clips; the network learns from what it was told and what each choice would have been worth. Only
+the clips; the network learns from its inputs and what each choice would have been worth. Only
 the first round, a sixth of the iterations, is driven by a teacher who knows the truth: a fresh
 network would show nothing but its own confusion. From then on every situation is one that the
 policy got itself into, looks it did not take included.
@@ -26,8 +26,9 @@ from torch import Tensor
 from tqdm import tqdm
 
 from operators.policy.data import TRAIN_SEEDS, VALIDATION_SEEDS, Recording, made_with, record
-from operators.policy.learned import Rules, Selection, softmax
+from operators.policy.decision import Rules, Selection
 from operators.policy.model import INPUTS, PARTS, PolicyNet, export
+from operators.policy.network import softmax
 from operators.policy.pool import Pool
 from operators.policy.rollout import Choose, Episode, Late, roll, tasks, teacher
 from operators.policy.tokens import Array, Objects, batched
@@ -92,13 +93,13 @@ def loss_of(
     return settings.imitation * (imitation * counts).sum() / steps - utility, utility
 
 
-def chooser(net: PolicyNet) -> Choose:
+def network_choice(net: PolicyNet) -> Choose:
     """The network, where it is, as roll-outs use it: many moments at once."""
     device = next(net.parameters()).device
 
-    def choose(moments: Sequence[Objects], told: Sequence[Array]) -> Sequence[Array]:
+    def choose(moments: Sequence[Objects], conditions: Sequence[Array]) -> Sequence[Array]:
         net.eval()
-        given = batched(moments, told)
+        given = batched(moments, conditions)
         with torch.no_grad():
             answer = net(
                 *(moved(torch.from_numpy(np.asarray(given[name])), device) for name in INPUTS)
@@ -149,7 +150,7 @@ def round_of(run: Run, clips: Clips, number: int) -> Pool:
     s = run.settings
     rng = np.random.default_rng([s.seed, number])
     episodes = clips.episodes(s.episodes, seed=1000 * s.seed + number)
-    choose = chooser(run.roller) if number else teacher(episodes, 0.2, rng)
+    choose = network_choice(run.roller) if number else teacher(episodes, 0.2, rng)
     how: Selection = "sample" if number else "argmax"
     samples = roll(episodes, choose, frames=s.length, how=how, rng=rng)
     if not samples:
@@ -164,7 +165,7 @@ def coverage(net: PolicyNet, clips: Clips, *, count: int, seed: int) -> dict[str
     """Share of the target that the ROI shows when the policy is in charge, by label."""
     episodes = clips.episodes(count, seed=seed, plain=True)
     rng = np.random.default_rng(seed)
-    roll(episodes, chooser(net), frames=clips.settings.length, how="argmax", rng=rng, keep=0)
+    roll(episodes, network_choice(net), frames=clips.settings.length, how="argmax", rng=rng, keep=0)
     shown: dict[str, list[float]] = {}
     for episode in episodes:
         shown.setdefault(episode.label, []).extend(episode.shown[1:])
@@ -242,8 +243,8 @@ def recorded(settings: TrainSettings, say: Callable[[str], None]) -> tuple[Clips
             say=say,
         )
         recordings = [Recording(path) for path in paths]
-        # the network alone: what loyalty would save it from is what it has to learn
-        rules = Rules(roi_channels=recordings[0].sides["roi_channels"], loyalty=1)
+        # the network alone: what the prior would correct is what it has to learn
+        rules = Rules(roi_channels=recordings[0].sides["roi_channels"], target_prior=1)
         groups.append(Clips(recordings=recordings, rules=rules, settings=settings))
     return groups[0], groups[1]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from drivers.soccer import SoccerScene
-from drivers.source import CLASS_OF_ROLE, FrameSource, Truth
+from drivers.source import CLASS_OF_ROLE, Annotations, FrameSource
 from operators.roi_features.crops import cut, to_squares
 from operators.roi_features.model import CLASSES
 from operators.training.arrays import outdated, read, write
@@ -111,11 +111,11 @@ def moment(source: FrameSource, index: int, scene: int, rng: np.random.Generator
 
 
 def chosen(
-    truth: Truth, rng: np.random.Generator, most: int
+    truth: Annotations, rng: np.random.Generator, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows of at most so many people, officials first, and of the ball, of what can be seen."""
     seen = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
-    seen &= truth.visible >= LEAST_SEEN
+    seen &= truth.visibility >= LEAST_SEEN
     ball = np.array([label == "ball" for label in truth.labels], np.bool_)
     people = rng.permutation(np.flatnonzero(seen & ~ball))
     official = np.array(
@@ -135,7 +135,9 @@ def disturbed(boxes: Boxes, rng: np.random.Generator) -> Boxes:
     )
 
 
-def false_candidates(picture: Picture, truth: Truth, count: int, rng: np.random.Generator) -> Boxes:
+def false_candidates(
+    picture: Picture, truth: Annotations, count: int, rng: np.random.Generator
+) -> Boxes:
     """Boxes (count, 4) of what is nothing: no ball in them, and nobody as a whole."""
     height, width = picture.shape[:2]
     found: list[NDArray[np.float64]] = []
@@ -183,7 +185,7 @@ def outstanding(picture: Picture, rng: np.random.Generator) -> NDArray[np.float6
     return np.stack([columns[drawn], rows[drawn]], 1).astype(np.float64)
 
 
-def free(box: NDArray[np.float64], truth: Truth, small: bool) -> bool:
+def free(box: NDArray[np.float64], truth: Annotations, small: bool) -> bool:
     """Whether a box holds no ball, and if it is large no person."""
     if not len(truth.boxes):
         return True

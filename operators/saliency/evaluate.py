@@ -26,6 +26,7 @@ from operators.training.command_line import count, in_a_sentence
 from operators.training.onnx_files import describe
 from pipeline import Detections, Frame, SettingsError
 from pipeline.boxes import centres, iou
+from pipeline.executor import Executor
 from pipeline.testing import header
 
 LEAST_IOU = 0.5
@@ -84,15 +85,16 @@ def collect(
     `side_share`: side of the pictures it gets over that of the examples: a leaner context.
     """
     operator = Saliency(settings)
+    executor = Executor("saliency", operator)
     operator.open()
     marks: dict[str, list[tuple[NDArray[np.float32], NDArray[np.bool_]]]] = {}
     present = dict.fromkeys((*NAMES, f"{BALL} centre"), 0)
     for seq, item in enumerate(examples):
         height_px, width_px = item.picture.shape[:2]
         seen = shrunk(item.picture, side_share)
-        found = operator.on_frame(
-            Frame(header=header(seq), pixels=seen, window=(0, 0, width_px, height_px))
-        )
+        frame = Frame(header=header(seq), pixels=seen, window=(0, 0, width_px, height_px))
+        found = executor.call({"frame": frame})["out"]
+        assert isinstance(found, Detections)
         for key in present:
             scores, hits = _mark(found, item, key)
             marks.setdefault(key, []).append((scores, hits))

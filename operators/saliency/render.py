@@ -42,7 +42,7 @@ def example(source: FrameSource, index: int) -> Example:
         picture=np.asarray(picture, np.uint8),
         boxes=truth.boxes[known] * scale,
         labels=np.array(labels, np.int64),
-        ignored=truth.visible[known] < LEAST_VISIBLE,
+        ignored=truth.visibility[known] < LEAST_VISIBLE,
     )
 
 

@@ -62,8 +62,8 @@ class TrackerState:
     """What a successor needs to go on with the same object."""
 
     box: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4), np.float32))
-    object_id: int = NOBODY  # the track that the policy calls it; NOBODY: the box was told
-    told: bool = False  # the box was told: the policy's choice does not count
+    object_id: int = NOBODY  # the track that the policy calls it; NOBODY: the box was given
+    prompted: bool = False  # the box was given: the policy's choice does not count
     begun: bool = False  # the method has seen the object
     missed_frames: int = 0  # in succession, in which the method did not find it
     apart_frames: int = 0  # in succession, in which the policy's object was elsewhere
@@ -80,7 +80,7 @@ class Proposal:
 
 
 class Following:
-    """One object at a time: started on what is told or shown, followed, let go of."""
+    """One object at a time: started on what is given or shown, followed, let go of."""
 
     def __init__(self, method: Method, rules: Rules) -> None:
         self.rules, self._method = rules, method
@@ -102,7 +102,7 @@ class Following:
         return TrackerState(
             box=self._box,
             object_id=self._id,
-            told=self._told,
+            prompted=self._prompted,
             begun=self._begun,
             missed_frames=self._missed,
             apart_frames=self._apart,
@@ -112,7 +112,7 @@ class Following:
 
     def restore(self, state: TrackerState) -> None:
         """Go on where another instance stopped; one of another method learns the object anew."""
-        self._box, self._id, self._told = state.box, state.object_id, state.told
+        self._box, self._id, self._prompted = state.box, state.object_id, state.prompted
         self._missed, self._apart = state.missed_frames, state.apart_frames
         self._hidden = state.hidden_frames
         self._begun = state.begun and self._method.resume(state.memory)
@@ -123,7 +123,7 @@ class Following:
 
     def take(self, box: Box) -> None:
         """Follow what is in this box from the next frame on, whatever the policy shows."""
-        self.restore(TrackerState(box=box[None].copy(), told=True))
+        self.restore(TrackerState(box=box[None].copy(), prompted=True))
 
     def step(self, streams: Streams, shown: Proposal | None) -> float:
         """Go on by one frame; returns the method's score, 1 at a start, 0 without an object."""
@@ -149,7 +149,7 @@ class Following:
 
     def _compare(self, streams: Streams, shown: Proposal | None) -> None:
         """Count the frames in which the policy shows something else; silence counts nothing."""
-        if shown is None or self._told:
+        if shown is None or self._prompted:
             return
         if shown.object_id == NOBODY:
             seen = shows(streams.roi, self._box[0])

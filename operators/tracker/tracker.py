@@ -3,7 +3,7 @@
 The consumer of the paper's tracking task. It follows what the policy shows: it starts on the object
 that a scanpath chose, is bound anew when the policy chooses another object or has been beside this
 one for some frames, and answers without a box while it has lost it: an empty `Percept` says *lost*,
-or that there was nothing to follow yet. `follow` and `reset` tell it otherwise.
+or that there was nothing to follow yet. `follow` and `reset` override it.
 
 A graph names one class for each method: `CorrelationTracker`, `VitTracker`, `MixFormerTracker`.
 """
@@ -48,7 +48,7 @@ S = TypeVar("S", bound=TrackerSettings)
 class Tracker(Operator[S, Percept]):
     """One box per frame, or none: nothing to follow yet, or lost.
 
-    The box told by `init_box` or `follow` is kept until it is lost, or until `reset`; after that,
+    The box given by `init_box` or `follow` is kept until it is lost, or until `reset`; after that,
     and without it, the policy's object is followed. An object that is not found keeps its place
     for less than `lost_after` frames. Each method's class says what `method` is.
     """
@@ -88,7 +88,7 @@ class Tracker(Operator[S, Percept]):
         return {"following": list(box)}
 
     def do_reset(self) -> dict[str, int]:
-        """Let go of the object, a told one too; start again on what the policy shows."""
+        """Forget the object, a given one too; start again on what the policy shows."""
         forgotten = len(self._following.box)
         self._following.forget()
         return {"forgotten": forgotten}

@@ -7,6 +7,7 @@ from typing import Any
 import click
 import msgspec
 
+from pipeline.class_cache import adapter
 from pipeline.console.arguments import BUDGET_MS, FRAMES, FRAMES_OR_NONE, named_value
 from pipeline.console.watching import find
 from pipeline.errors import GraphError, RunError, SettingsError
@@ -14,7 +15,6 @@ from pipeline.fleet.remote import is_deployed, swap_there
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.node.operator_state import lost_words
-from pipeline.once import adapter
 from pipeline.run.bus_client import client_session
 from pipeline.run.control_server import COMMAND, Order
 from pipeline.run.rundir import running

@@ -13,9 +13,9 @@ from pydantic import ValidationError
 
 from pipeline import codec
 from pipeline.bus import envelope
+from pipeline.class_cache import adapter
 from pipeline.errors import MessageError, RunError
 from pipeline.graph.plan import Plan
-from pipeline.once import adapter
 from pipeline.run.swap import SwapOrder
 
 MOST_BYTES = 1 << 20  # of one question; a graph is a few kilobytes

@@ -65,12 +65,11 @@ class OperatorRunner:
         self.handover: Standby | None = None
         self.clocks = Clocks()
         self.inbox = Inbox(inputs, self.acknowledge, lockstep=lockstep, age_ns=self._age_ns)
-        self.executor = Executor(name, operator)
+        self.executor = Executor(name, operator, memory=self._loan)
         self._arrived_delay_ns = self._waiter = 0
         self.answered = 0  # sets of joined inputs, by this instance
         self.scheduling_delay = SchedulingDelay()
         self.stopping = threading.Event()
-        operator._loan = self._loan
 
     def acknowledge(self, name: str, outcome: str, ordinal: int) -> None:
         """Account for the end of a message on one of this node's edges."""

@@ -24,6 +24,7 @@ from typing import Any, NoReturn
 from pipeline import settings as checked
 from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import Session
+from pipeline.class_cache import adapter
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, Plan, load_operator
@@ -34,7 +35,6 @@ from pipeline.node.operator_runner import OperatorRunner
 from pipeline.node.port_contract import check_fit
 from pipeline.node.source import SourceRunner
 from pipeline.node.wiring import ASIDE, Assignment, Wiring
-from pipeline.once import adapter
 from pipeline.private_folder import PrivateFolder
 from pipeline.text import error_text, said_by
 

@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.bus.envelope_buffer import EdgeCut
 from pipeline.bus.inbox import Inbox, InboxPosition, Work
 from pipeline.bus.outport import Arrival
+from pipeline.contract import fresh_memory
 from pipeline.executor import carried
 from pipeline.messages import Message, altered
 from pipeline.node.operator_runner import OperatorRunner
@@ -51,8 +52,7 @@ class Shadow:
         self._times_ms: list[float] = []
         self.frames = self.identical = 0
         self.differences: dict[str, Difference] = {}
-        self._loan = runner.operator._loan
-        runner.operator._loan = lambda _output, shape, dtype: np.empty(shape, dtype)
+        self._memory = runner.executor.allocate_from(fresh_memory)
         self._ports = [port.shadow(self._deliver(name)) for name, port in runner.ports.items()]
         for port, cut in zip(self._ports, (edges[name] for name in runner.ports), strict=True):
             port.take_over(cut)
@@ -79,7 +79,7 @@ class Shadow:
 
     def end(self) -> dict[str, Any]:
         """Let go of everything; the figures."""
-        self._runner.operator._loan = self._loan
+        self._runner.executor.allocate_from(self._memory)
         for port in self._runner.ports.values():
             port.also = None
         return {

@@ -16,8 +16,8 @@ from typing import Any
 
 import psutil
 
+from pipeline.class_cache import adapter
 from pipeline.node.wiring import ASIDE, Assignment
-from pipeline.once import adapter
 from pipeline.run.channel import Channel, Exchange
 from pipeline.run.descendants import TAG_VARIABLE, end_group, end_tagged, new_tag
 

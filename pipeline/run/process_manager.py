@@ -11,11 +11,11 @@ from pathlib import Path
 
 from pipeline.bus.ledger import EdgeAccount, Ledger
 from pipeline.bus.network import Network
+from pipeline.class_cache import adapter
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan, is_source
 from pipeline.node.port_contract import contract_of
 from pipeline.node.wiring import Assignment
-from pipeline.once import adapter
 from pipeline.run.channel import Exchange
 from pipeline.run.health import HealthMonitor
 from pipeline.run.managed_process import ManagedProcess

@@ -11,10 +11,10 @@ from typing import Any
 import msgspec
 from pydantic import ValidationError
 
+from pipeline.class_cache import adapter
 from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan, sources
 from pipeline.graph.ports import check_ports
-from pipeline.once import adapter
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation, log
 from pipeline.run.process_handle import ProcessHandle

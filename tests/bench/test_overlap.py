@@ -21,7 +21,7 @@ from bench.overlap import (
     written,
 )
 from bench.soak import faded
-from pipeline import Frame, Percept
+from pipeline import Frame, Percept, Truth
 from pipeline.errors import RunError
 from pipeline.graph.loader import load
 from pipeline.run.supervisor import MOST_HEADLINE
@@ -33,13 +33,22 @@ BALL, FIRST, SECOND = (100, 100, 120, 120), (300, 100, 340, 200), (900, 100, 940
 ROI = (0, 0, 480, 270)
 
 
-def seen(*boxes: tuple[int, ...], texts: tuple[str, ...] = (), visible: float = 1.0) -> Percept:
+def seen(*boxes: tuple[int, ...]) -> Percept:
     return Percept(
         header=header(0),
         boxes=np.array(boxes, np.float32).reshape(-1, 4),
         ids=np.arange(len(boxes), dtype=np.int32),
-        scores=np.full(len(boxes), visible, np.float32),
-        texts=texts,
+        scores=np.ones(len(boxes), np.float32),
+    )
+
+
+def real(*boxes: tuple[int, ...], labels: tuple[str, ...], visible: float = 1.0) -> Truth:
+    return Truth(
+        header=header(0),
+        boxes=np.array(boxes, np.float32).reshape(-1, 4),
+        ids=np.arange(len(boxes), dtype=np.int32),
+        labels=labels,
+        visibility=np.full(len(boxes), visible, np.float32),
     )
 
 
@@ -48,7 +57,7 @@ def roi() -> Frame:
 
 
 def test_a_frame_without_an_answer_counts_as_nothing_found() -> None:
-    truth = seen(BALL, FIRST, texts=("ball", "main referee"))
+    truth = real(BALL, FIRST, labels=("ball", "main referee"))
     sums = Sums(target="ball")
 
     for box in (BALL, None):
@@ -58,7 +67,7 @@ def test_a_frame_without_an_answer_counts_as_nothing_found() -> None:
 
 
 def test_any_object_of_the_class_will_do() -> None:
-    truth = seen(FIRST, SECOND, texts=("main referee", "assistant referee"))
+    truth = real(FIRST, SECOND, labels=("main referee", "assistant referee"))
     nothing = Sums(target="referee")
 
     assert counted(nothing, seen(SECOND), truth, roi()).iou == 1.0
@@ -67,7 +76,7 @@ def test_any_object_of_the_class_will_do() -> None:
 
 
 def test_what_cannot_be_seen_does_not_count() -> None:
-    truth = seen(BALL, texts=("ball",), visible=0.1)
+    truth = real(BALL, labels=("ball",), visible=0.1)
 
     assert counted(Sums(target="ball"), seen(BALL), truth, roi()).frames == 0
     assert counted(Sums(target="referee"), seen(BALL), truth, roi()).frames == 0
@@ -78,7 +87,7 @@ def test_the_watcher_tells_the_last_two_spans_each_with_its_own_target() -> None
     subject.open()
     for span, target in enumerate(("ball", "referee", "ball")):
         subject.on_settings(WatcherSettings(span=span, target=target))
-        subject.on_percept_truth_roi(seen(BALL), seen(BALL, texts=("ball",)), roi())
+        subject.on_percept_truth_roi(seen(BALL), real(BALL, labels=("ball",)), roi())
 
     told = read(subject.headline())
 

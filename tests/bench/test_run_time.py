@@ -19,7 +19,7 @@ from bench.tracking.stages import Stages
 
 
 def test_every_part_is_timed_with_all_objects_described() -> None:
-    table = run_time(("policy.strategy=pursue",), frames=4)
+    table = run_time((), frames=4, policy="pursuit")
 
     assert table["objects"]["p50"] > 5
     total = table[TOTAL]
@@ -34,8 +34,8 @@ def test_the_networks_that_are_timed_alone_are_those_of_the_graph(tmp_path: Path
     own = tmp_path / "policy.onnx"
 
     shipped, given, none = (
-        networks_of(Stages(GRAPH, changes))
-        for changes in ((), (f"policy.weights={own}",), ("policy.strategy=pursue",))
+        networks_of(Stages(GRAPH, changes, policy=policy))
+        for changes, policy in (((), ""), ((f"policy.weights={own}",), ""), ((), "pursuit"))
     )
 
     assert [file.name for file in shipped] == ["roi_encoder.onnx", "policy.onnx"]

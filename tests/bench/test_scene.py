@@ -5,7 +5,7 @@ import pytest
 
 from bench.scene import ball_box, measure, summary, table
 from drivers.soccer import SoccerScene
-from drivers.source import Truth
+from drivers.source import Annotations
 
 
 class Pitch:
@@ -21,13 +21,13 @@ class Pitch:
         image[y : y + 10, x : x + 10] = 220
         return image
 
-    def truth(self, index: int) -> Truth:
+    def truth(self, index: int) -> Annotations:
         x, y = 50 + 3 * index, 50 + 4 * index
-        return Truth(
+        return Annotations(
             boxes=np.array([[x, y, x + 10, y + 10], [20, 30, 40, 90]], np.float32),
             ids=np.array([1, 2], np.int32),
             labels=("ball", "player"),
-            visible=np.ones(2, np.float32),
+            visibility=np.ones(2, np.float32),
         )
 
     def close(self) -> None:
@@ -45,8 +45,8 @@ def test_sizes_speed_and_contrast_are_measured_as_they_are() -> None:
 
 def test_a_hidden_ball_is_not_measured() -> None:
     seen = Pitch().truth(0)
-    hidden = Truth(
-        boxes=seen.boxes, ids=seen.ids, labels=seen.labels, visible=np.zeros(2, np.float32)
+    hidden = Annotations(
+        boxes=seen.boxes, ids=seen.ids, labels=seen.labels, visibility=np.zeros(2, np.float32)
     )
 
     assert ball_box(seen) is not None

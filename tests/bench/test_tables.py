@@ -11,7 +11,7 @@ from bench.tracking.cases import ROI_ALONE
 from bench.tracking.evaluate import asked, command
 from bench.tracking.options import options_of
 from bench.tracking.replaced import PARTS
-from operators.policy.learned import SHIPPED
+from operators.policy.network import SHIPPED
 from tests.drivers.sequences import write_sequence
 
 CLIPS = {"budgets": 30, "late": 6, "late-hold": 6, "far": 2, "far-hold": 2}
@@ -39,7 +39,7 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
     assert len(rows["late-hold"]) == delays * replans
     assert len(rows["far"]) == 2 * (replans + 1) * budgets  # Ta 180 too, as the paper has it
     assert {f"foveated + true {part}" for part in PARTS} < set(rows["limits"])
-    assert {"foveated whole", "foveated no-roi", "foveated pursue"} < set(rows["ablation"])
+    assert {"foveated whole", "foveated no-roi", "foveated pursuit"} < set(rows["ablation"])
 
 
 @pytest.mark.parametrize("quick", [False, True])
@@ -69,8 +69,8 @@ def test_a_study_that_lacks_what_it_needs_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--ablation", "x=/nowhere.onnx"], "ablation: policy: expected an ONNX file or pursue"),
-        (["--far", "/nowhere.onnx"], "far: policy: expected an ONNX file or pursue"),
+        (["--ablation", "x=/nowhere.onnx"], "ablation: policy: expected an ONNX file or pursuit"),
+        (["--far", "/nowhere.onnx"], "far: policy: expected an ONNX file or pursuit"),
         (["--far", str(SHIPPED)], f"far: {SHIPPED}: expected horizon 200"),
         (["--soccernet", "/nowhere"], "soccernet: /nowhere: expected a folder of SoccerNet"),
         (["--clips", "0"], "budgets: clips: must be at least 1, got 0"),

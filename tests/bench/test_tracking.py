@@ -11,18 +11,17 @@ import pytest
 from click.testing import CliRunner
 
 from bench.tracking.budgets import acquisition, parsed
+from bench.tracking.classes import planned
 from bench.tracking.clip import Clip, ClipName, names, read
 from bench.tracking.episode import Loop, Rules, run
 from bench.tracking.evaluate import command
 from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
-from bench.tracking.targets import FREE, HELD, STILL, ball_states, starts, targets
-from drivers.source import Truth
+from bench.tracking.targets import CARRIED, FREE, STILL, ball_states, starts, targets
+from drivers.source import Annotations
 from pipeline.boxes import centres, iou
 from pipeline.errors import DriverError, RunError, SettingsError
-from pipeline.graph.loader import load
-from pipeline.graph.overlay import Overlay
 from pipeline.messages import Frame, Tracks
 from pipeline.run.inline import InlineRunner
 from tests.drivers.sequences import write_sequence
@@ -53,18 +52,18 @@ def test_a_budget_that_cannot_be_met_is_refused(text: str) -> None:
         spent()
 
 
-def truth(ball: tuple[float, float], *people: tuple[float, float]) -> Truth:
+def truth(ball: tuple[float, float], *people: tuple[float, float]) -> Annotations:
     boxes = [(x - 8, y - 8, x + 8, y + 8) for x, y in (ball,)]
     boxes += [(x - 20, y - 60, x + 20, y + 60) for x, y in people]
-    return Truth(
+    return Annotations(
         boxes=np.array(boxes, np.float32),
         ids=np.arange(len(boxes), dtype=np.int32),
         labels=("ball", *["player"] * len(people)),
-        visible=np.ones(len(boxes), np.float32),
+        visibility=np.ones(len(boxes), np.float32),
     )
 
 
-def states(truths: list[Truth]) -> set[str]:
+def states(truths: list[Annotations]) -> set[str]:
     boxes = np.stack([t.boxes[0] for t in truths])
     return set(ball_states(boxes, truths))
 
@@ -80,16 +79,16 @@ def test_a_ball_is_still_free_or_held_by_what_the_truth_says() -> None:
     flying = [truth((900 + 12.0 * k, 300), *CROWD) for k in range(12)]
     carried = [truth((100 + 5.0 * k, 480), (100 + 5.0 * k, 500), *CROWD[1:]) for k in range(12)]
 
-    assert (states(lying), states(flying), states(carried)) == ({STILL}, {FREE}, {HELD})
+    assert (states(lying), states(flying), states(carried)) == ({STILL}, {FREE}, {CARRIED})
 
 
 def test_a_tracker_is_started_where_the_target_can_be_seen() -> None:
     truths = [truth((900, 300), *CROWD) for _ in range(20)]
-    truths[8] = Truth(
+    truths[8] = Annotations(
         boxes=truths[8].boxes,
         ids=truths[8].ids,
         labels=truths[8].labels,
-        visible=np.full(5, 0.1, np.float32),
+        visibility=np.full(5, 0.1, np.float32),
     )
 
     (ball,) = targets(truths, ["ball"], players=1, seed=0)
@@ -145,7 +144,7 @@ def loop(camera: Camera, stages: Stages, tracks: Sequence[Tracks] = (), **rules:
 def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     box = [float(v) for v in ball.boxes[0]]
-    aim = ("policy.strategy=pursue", "policy.target=''", f"policy.prompt_box={box}")
+    aim = ("policy.target=''", f"policy.prompt_box={box}")
     sensor = ("capture.options.seed=70003", "capture.options.rate_hz=25")
     looked: list[tuple[int, ...]] = []
 
@@ -153,12 +152,12 @@ def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
         if output == "capture.roi" and isinstance(message, Frame):
             looked.append(message.window)
 
-    plan = load(GRAPH, Overlay(changes=(*aim, *sensor), clock="lockstep"))
+    plan = planned(GRAPH, (*aim, *sensor), policy="pursuit")
     with InlineRunner(plan, watch=note) as runner:
         list(runner.run(14))
 
     camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
-    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
+    with Stages(GRAPH, policy="pursuit") as stages:
         tracks = watched(camera, stages, 14, Replaced())
         outcome = run(loop(camera, stages, tracks, aimed=False), ball, 0)
 
@@ -170,7 +169,7 @@ def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
 def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     means = {}
-    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
+    with Stages(GRAPH, policy="pursuit") as stages:
         for strategy in ("full", "oracle", "spatial"):
             camera = Camera(clip, acquisition(strategy, Fraction(1, 16), clip.size_px))
             outcome = run(loop(camera, stages), ball, 0)
@@ -185,7 +184,7 @@ def test_a_perfect_tracker_is_as_good_as_what_the_roi_shows(clip: Clip) -> None:
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
     known = Replaced(parts=frozenset({"tracker"}), truths=clip.truths)
 
-    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
+    with Stages(GRAPH, policy="pursuit") as stages:
         outcome = run(replace(loop(camera, stages), replaced=known), ball, 0)
 
     assert np.nanmin(outcome.iou) == pytest.approx(1)
@@ -200,7 +199,7 @@ def test_a_tracker_that_sees_the_roi_alone_holds_its_box_while_the_target_is_out
     aside = max(players, key=lambda t: abs(float(centres(t.boxes[0])[0]) - HD[0] / 2))
     camera = Camera(clip, acquisition("centred", Fraction(1, 16), clip.size_px))
 
-    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
+    with Stages(GRAPH, policy="pursuit") as stages:
         alone, both = (
             run(loop(camera, stages, context=context), aside, 0) for context in (False, True)
         )
@@ -226,7 +225,7 @@ def test_what_the_sensor_reads_of_an_episode_is_counted(clip: Clip, strategy: st
     how = acquisition(strategy, Fraction(1, 8), clip.size_px)
     camera = Camera(clip, how)
 
-    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
+    with Stages(GRAPH, policy="pursuit") as stages:
         tracks = watched(camera, stages, 14, Replaced())
         both, alone = (
             run(loop(camera, stages, tracks, context=context), ball, 2) for context in (True, False)
@@ -242,7 +241,7 @@ def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip) -> No
     camera = Camera(clip, replace(quarter, budget=Fraction(1, 8)))
 
     with (
-        Stages(GRAPH, ("policy.strategy=pursue",)) as stages,
+        Stages(GRAPH, policy="pursuit") as stages,
         pytest.raises(RunError, match=r"oracle read 0\.25\d* of the pixels, expected 0\.125"),
     ):
         run(loop(camera, stages), ball, 0)
@@ -251,7 +250,7 @@ def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip) -> No
 def test_where_the_roi_was_can_be_told_again(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
-    with Stages(GRAPH, ("policy.strategy=pursue",)) as stages:
+    with Stages(GRAPH, policy="pursuit") as stages:
         first = run(loop(camera, stages), ball, 2)
         again = run(loop(camera, stages), ball, 2, first.windows)
 
@@ -277,7 +276,7 @@ def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Pa
     words = [
         *("--data", "procedural:70003", "--clips", "1", "--frames", "1-20", "--jobs", "1"),
         *("--strategies", "centred,temporal,foveated", "--budgets", "1/4,1/8", "--targets", "ball"),
-        *("--tracker", "correlation", "--policy", "pursue", "--report", str(tmp_path / "r.json")),
+        *("--tracker", "correlation", "--policy", "pursuit", "--report", str(tmp_path / "r.json")),
         *("--plot", str(tmp_path / "plot.png"), "--markdown", str(tmp_path / "table.md")),
     ]
     first = CliRunner().invoke(command, words, catch_exceptions=False)

@@ -25,7 +25,7 @@ def read(*words: str) -> Options:
     [
         (["--strategies", "magic"], "strategies: expected foveated, centred"),
         (["--targets", "coach"], "targets: expected ball"),
-        (["--policy", "none.onnx"], "policy: expected an ONNX file or pursue, got none.onnx"),
+        (["--policy", "none.onnx"], "policy: expected an ONNX file or pursuit, got none.onnx"),
         (["--clips", "0"], "clips: must be at least 1, got 0"),
         (["--clips", "-3"], "clips: must be at least 1, got -3"),
         (["--jobs", "0"], "jobs: must be at least 1, got 0"),
@@ -113,7 +113,7 @@ def test_what_is_named_twice_counts_once() -> None:
             "--targets",
             "ball,ball",
         ),
-        *("--delay", "0,0", "--replan", "4,1,4", "--policy", "pursue", "--policy", "pursue"),
+        *("--delay", "0,0", "--replan", "4,1,4", "--policy", "pursuit", "--policy", "pursuit"),
         *("--replace", "association+detections", "--replace", "detections+association"),
     )
 
@@ -121,7 +121,7 @@ def test_what_is_named_twice_counts_once() -> None:
     assert found.budgets == (Fraction(1, 8),)
     assert found.targets == ("ball",)
     assert (found.delay, found.replan) == ((0,), (4, 1))
-    assert found.policy == {"": "pursue"}
+    assert found.policy == {"": "pursuit"}
     assert found.replace == (("detections", "association"),)
 
 
@@ -130,8 +130,8 @@ def test_options_are_read_as_they_are_meant() -> None:
     assert read().strategies == ALL
     assert read("--frames", "251-375").frames == (251, 375)
     assert read("--budget", "1/4").budgets == read("--budgets", "1/4").budgets == (Fraction(1, 4),)
-    policies = read("--policy", "a=pursue", "--policy", "b=pursue").policy
-    assert policies == {"a": "pursue", "b": "pursue"}
+    policies = read("--policy", "a=pursuit", "--policy", "b=pursuit").policy
+    assert policies == {"a": "pursuit", "b": "pursuit"}
 
 
 def test_policies_of_one_name_are_not_taken_for_one(tmp_path: Path) -> None:

@@ -11,9 +11,9 @@ from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, read
 from bench.tracking.episode import Rules
 from bench.tracking.job import Seen, loop_of
-from bench.tracking.kept import Draft, Unit, forget_damaged, units
 from bench.tracking.key import clip_key, key
 from bench.tracking.stages import Stages
+from bench.tracking.store import Draft, Unit, forget_damaged, units
 from bench.tracking.units import cut, measured
 from pipeline.errors import DriverError
 from tests.drivers.sequences import write_sequence
@@ -60,12 +60,14 @@ def test_a_unit_is_another_once_the_code_of_a_part_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code, graph = tmp_path / "seer.py", tmp_path / "tracking.yaml"
-    graph.write_text(GRAPH.read_text().replace("operators.policy:Policy", "seer:Policy"))
+    graph.write_text(
+        GRAPH.read_text().replace("operators.policy:LearnedPolicy", "seer:LearnedPolicy")
+    )
     monkeypatch.syspath_prepend(str(tmp_path))
-    code.write_text("from operators.policy import Policy\n")
+    code.write_text("from operators.policy import LearnedPolicy\n")
     before, plain = keyed(graph), keyed(graph, "spatial")
 
-    code.write_text("from operators.policy import Policy  # and more\n")
+    code.write_text("from operators.policy import LearnedPolicy  # and more\n")
 
     assert keyed(graph) != before
     assert keyed(graph, "spatial") == plain
@@ -74,7 +76,7 @@ def test_a_unit_is_another_once_the_code_of_a_part_is(
 def test_an_unfinished_unit_keeps_what_it_has_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("bench.tracking.kept.KEEP_S", 0.0)
+    monkeypatch.setattr("bench.tracking.store.KEEP_S", 0.0)
     Draft(tmp_path / "unit.part").add(3, {"start": 8, "iou": [0.5]})
 
     again = Draft(tmp_path / "unit.part")
@@ -178,7 +180,7 @@ def test_what_another_detector_saw_is_not_taken_for_what_this_one_sees() -> None
     seen: Seen = {}
     found = []
     for more in ("saliency.confidence=0.25", "saliency.confidence=0.999"):
-        with Stages(GRAPH, ("policy.strategy=pursue", more)) as stages:
+        with Stages(GRAPH, (more,), policy="pursuit") as stages:
             found.append(loop_of(clip, case, stages, seen).tracks[-1])
 
     assert [bool(len(tracks.ids)) for tracks in found] == [True, False]

@@ -6,7 +6,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.source import Truth
+from drivers.source import Annotations
 
 SIDE_PX = 8
 SPEED_PX = 5  # per frame
@@ -45,12 +45,12 @@ class MovingSquare:
         self._buffer[top:bottom, left:right] = 255
         return self._buffer
 
-    def truth(self, index: int) -> Truth | None:
-        return Truth(
+    def truth(self, index: int) -> Annotations | None:
+        return Annotations(
             boxes=self.box(index)[None],
             ids=np.array([1], np.int32),
             labels=("ball",),
-            visible=np.ones(1, np.float32),
+            visibility=np.ones(1, np.float32),
         )
 
     def box(self, index: int) -> NDArray[np.float32]:

@@ -18,7 +18,7 @@ def test_ignored_rows_are_left_out_and_visibility_is_kept(tmp_path: Path) -> Non
     assert first is not None
     assert second is not None
     assert (first.ids.tolist(), first.labels) == ([1], ("pedestrian",))
-    assert first.visible.tolist() == [0.5]
+    assert first.visibility.tolist() == [0.5]
     assert second.labels == ("car",)
     assert second.boxes.tolist() == [[1.5, 2, 4.5, 6]]
 
@@ -29,7 +29,7 @@ def test_the_ten_columns_of_mot15_read_as_pedestrians(tmp_path: Path) -> None:
     truth = sequence.truth(0)
     assert truth is not None
     assert truth.labels == ("pedestrian",)
-    assert truth.visible.tolist() == [1]
+    assert truth.visibility.tolist() == [1]
 
 
 def test_detections_are_given_per_frame_with_confidence(tmp_path: Path) -> None:

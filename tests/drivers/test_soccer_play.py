@@ -82,8 +82,8 @@ def test_a_keeper_who_holds_the_ball_has_it_at_his_chest() -> None:
         first = legs(9, chunk)[0]
         if first.kind == "held":
             now = moment(9, first.start_s + 1.0, 0.5)
-            assert now.holder in (20, 21)
-            assert np.linalg.norm(now.people[now.holder] - now.ball[:2]) < 0.8
+            assert now.carrier in (20, 21)
+            assert np.linalg.norm(now.people[now.carrier] - now.ball[:2]) < 0.8
             assert now.ball[2] > 1
             held += 1
 

@@ -58,7 +58,7 @@ def test_truth_does_not_depend_on_whether_the_picture_was_drawn(scene: SoccerSce
     seen, unseen = scene.truth(77), fresh.truth(77)
 
     np.testing.assert_array_equal(seen.boxes, unseen.boxes)
-    np.testing.assert_array_equal(seen.visible, unseen.visible)
+    np.testing.assert_array_equal(seen.visibility, unseen.visibility)
 
 
 @settings(max_examples=12, deadline=None)
@@ -66,11 +66,11 @@ def test_truth_does_not_depend_on_whether_the_picture_was_drawn(scene: SoccerSce
 def test_boxes_lie_in_the_picture_and_are_not_empty(scene: SoccerScene, index: int) -> None:
     truth = scene.truth(index)
 
-    assert len(truth.boxes) == len(truth.ids) == len(truth.labels) == len(truth.visible)
+    assert len(truth.boxes) == len(truth.ids) == len(truth.labels) == len(truth.visibility)
     assert (truth.boxes[:, :2] >= 0).all()
     assert (truth.boxes[:, 2:] <= np.array(SMALL)).all()
     assert (truth.boxes[:, 2:] > truth.boxes[:, :2]).all()
-    assert ((truth.visible >= 0) & (truth.visible <= 1)).all()
+    assert ((truth.visibility >= 0) & (truth.visibility <= 1)).all()
     assert set(truth.labels) <= LABELS
     assert len(set(truth.ids.tolist())) == len(truth.ids)
 
@@ -104,7 +104,7 @@ def test_the_ball_is_drawn_just_where_its_box_says() -> None:
         if "ball" not in truth.labels:
             continue
         which = truth.labels.index("ball")
-        if truth.visible[which] < 0.9:
+        if truth.visibility[which] < 0.9:
             continue
         x0, y0, x1, y1 = truth.boxes[which].astype(int)
 

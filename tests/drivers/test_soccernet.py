@@ -35,7 +35,7 @@ def test_truth_is_told_per_frame_by_role(tmp_path: Path) -> None:
     assert first.labels == ("ball", "player")
     assert first.ids.tolist() == [2, 1]
     assert first.boxes.tolist() == [[10, 20, 15, 26], [0, 0, 9, 20]]
-    assert first.visible.tolist() == [1, 1]
+    assert first.visibility.tolist() == [1, 1]
     assert second.boxes.shape == (0, 4)
 
 

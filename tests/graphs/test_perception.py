@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bench.tracking.classes import planned
 from pipeline.boxes import covered, iou
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -51,7 +52,7 @@ def run(seed: int, *changes: str) -> Shares:
     with InlineRunner(plan, watch=lambda name, message: heard.update({name: message})) as runner:
         for seq in runner.run(FRAMES):
             truth, window = heard["capture.truth"], np.array(heard["capture.roi"].window)
-            boxes = dict(zip(truth.texts, truth.boxes[:, None], strict=True))
+            boxes = dict(zip(truth.labels, truth.boxes[:, None], strict=True))
             if 10 <= seq < CHANGED and "ball" in boxes:
                 ball.append(float(covered(boxes["ball"], window)[0]))
             if seq == CHANGED:
@@ -93,8 +94,8 @@ def test_pursuit_keeps_the_ball_in_view_without_the_learned_policy(
 ) -> None:
     found = []
     for seed in MORE_SEEDS:
-        told = (f"capture.seed={seed}", "policy.strategy=pursue", *changes)
-        with InlineRunner(load(GRAPH, Overlay(changes=told, clock="lockstep"))) as runner:
+        plan = planned(GRAPH, (f"capture.seed={seed}", *changes), policy="pursuit")
+        with InlineRunner(plan) as runner:
             for _ in runner.run(FRAMES):
                 pass
             found.append(runner.report()["roi_coverage"]["ball"])

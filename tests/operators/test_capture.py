@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from operators.capture import Capture, CaptureSettings
+from pipeline.codec import dumps, loads
 from pipeline.contract import inputs_of, outputs_of
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
-from pipeline.messages import Frame, Percept
+from pipeline.messages import Frame, Truth
 from pipeline.settings import build
 from tests.drivers.contract import command, refuse
 from tests.drivers.moving_square import MovingSquare
@@ -33,7 +34,7 @@ def produced(subject: Capture) -> tuple[Frame, Frame]:
 
 
 def test_it_has_two_streams_and_the_truth_and_takes_sensor_commands() -> None:
-    assert outputs_of(Capture) == {"context": Frame, "roi": Frame, "truth": Percept}
+    assert outputs_of(Capture) == {"context": Frame, "roi": Frame, "truth": Truth}
     assert inputs_of(Capture)["schedule"].command
 
 
@@ -137,6 +138,9 @@ def test_a_source_that_knows_the_truth_tells_it_beside_the_pictures() -> None:
 
     assert frames is not None
     truth = frames["truth"]
-    assert isinstance(truth, Percept)
+    assert isinstance(truth, Truth)
     assert truth.header is frames["context"].header
-    assert len(truth.boxes) == len(truth.ids) == len(truth.scores) == len(truth.texts) > 0
+    assert len(truth.boxes) == len(truth.ids) == len(truth.labels) == len(truth.visibility) > 0
+    again = loads(Truth, dumps(truth))
+    assert again.labels == truth.labels
+    assert np.array_equal(again.visibility, truth.visibility)

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 
 from operators.score import SETTLED, Score, ScoreSettings
-from pipeline import Percept, Scanpath, SettingsError
+from pipeline import Percept, Scanpath, SettingsError, Truth
 from pipeline.testing import header
 
 BALL, REFEREE = (100.0, 100.0, 120.0, 120.0), (300.0, 100.0, 340.0, 200.0)
 
 
-def truth(seq: int, *, visible: float = 1.0) -> Percept:
-    return Percept(
+def truth(seq: int, *, visible: float = 1.0) -> Truth:
+    return Truth(
         header=header(seq),
         boxes=np.array([BALL, REFEREE], np.float32),
         ids=np.array([7, 9], np.int32),
-        scores=np.array([visible, 1.0], np.float32),
-        texts=("ball", "main referee"),
+        labels=("ball", "main referee"),
+        visibility=np.array([visible, 1.0], np.float32),
     )
 
 
@@ -50,7 +50,7 @@ def watched(
     return subject
 
 
-def scored(*pairs: tuple[Percept, Percept], **settings: object) -> Score:
+def scored(*pairs: tuple[Percept, Truth], **settings: object) -> Score:
     subject = Score(ScoreSettings(**settings))  # type: ignore[arg-type]
     subject.open()
     for seen, real in pairs:
@@ -84,12 +84,12 @@ def test_a_class_can_be_asked_for_whoever_is_followed() -> None:
 
 
 def test_of_several_alike_the_one_that_is_followed_counts() -> None:
-    both = Percept(
+    both = Truth(
         header=header(0),
         boxes=np.array([BALL, REFEREE], np.float32),
         ids=np.array([7, 9], np.int32),
-        scores=np.ones(2, np.float32),
-        texts=("referee", "referee"),
+        labels=("referee", "referee"),
+        visibility=np.ones(2, np.float32),
     )
 
     assert scored((percept(0, REFEREE), both), label="referee").summary()["iou"]["mean"] == 1.0

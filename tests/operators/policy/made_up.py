@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from operators.policy.prompt import Choice, Prompt, Wish, follow
+from operators.policy.target import Choice, TargetSpec, TargetState, follow
 from pipeline import Tracks
 from pipeline.testing import header
 
@@ -39,9 +39,9 @@ def tracks(
     )
 
 
-def followed(wish: Wish, *frames: Tracks, chosen: Choice | None = None) -> Prompt:
-    """What became of a wish after these frames, for each of which the same was chosen."""
-    prompt = Prompt()
+def followed(spec: TargetSpec, *frames: Tracks, chosen: Choice | None = None) -> TargetState:
+    """What became of a target after these frames, for each of which the same was chosen."""
+    target = TargetState()
     for world in frames:
-        prompt = follow(prompt, wish, world, chosen or Choice())
-    return prompt
+        target = follow(target, spec, world, chosen or Choice())
+    return target

@@ -1,58 +1,58 @@
-"""Conditioning: what the network is told of who is meant."""
+"""Conditioning: how the target is encoded for the network."""
 
 import re
 
 import numpy as np
 import pytest
 
-from operators.policy.conditioning import CHANNELS, CONDITION, condition, place, unmet
-from operators.policy.plan import PLACE
-from operators.policy.prompt import Choice, Prompt, Wish, follow
+from operators.policy.conditioning import CHANNELS, CONDITION, encode_condition, encode_place, unmet
+from operators.policy.gaze_plan import PLACE
+from operators.policy.target import Choice, TargetSpec, TargetState, follow
 from tests.operators.policy.made_up import followed, tracks
 
-BALL = Wish(box=(92, 92, 108, 108))
+BALL = TargetSpec(box=(92, 92, 108, 108))
 LOOKS = np.full((4, 5), 7, np.float32)
 CROWD = [(k, 1, 300.0 + 100 * k, 500.0, 3.0) for k in (2, 3, 4, 5)]
 
 
 @pytest.mark.parametrize(
-    ("wish", "said"),
+    ("spec", "said"),
     [
         (
-            Wish(object_id=9),
+            TargetSpec(object_id=9),
             "policy.target_id: expected a track 9, none was there in frames 0 to 8",
         ),
         (BALL, r"policy.prompt_box: expected a track at \(92, .*, none was there in frames 0 to 8"),
     ],
 )
 def test_a_prompt_that_nothing_answers_to_is_worth_a_word_after_some_frames(
-    wish: Wish, said: str
+    spec: TargetSpec, said: str
 ) -> None:
     frames = [tracks(k, *CROWD) for k in range(9)]
 
-    assert re.fullmatch(said, unmet(followed(wish, *frames), wish, frames[8]))
-    assert not unmet(followed(wish, *frames[:3]), wish, frames[2])
+    assert re.fullmatch(said, unmet(followed(spec, *frames), spec, frames[8]))
+    assert not unmet(followed(spec, *frames[:3]), spec, frames[2])
 
 
 def test_a_class_that_the_detector_does_not_know_is_worth_a_word() -> None:
     world = tracks(0, *CROWD)
 
     said = "policy.target: expected one of ball, player, got dog"
-    assert unmet(Prompt(), Wish(target="dog"), world) == said
-    assert not unmet(Prompt(), Wish(target="ball"), world)
+    assert unmet(TargetState(), TargetSpec(label="dog"), world) == said
+    assert not unmet(TargetState(), TargetSpec(label="ball"), world)
 
 
 def test_the_condition_tells_features_place_class_and_what_is_known() -> None:
     world = tracks(0, (1, 0, 960, 540, 0), channels=CHANNELS)
-    wish = Wish(box=(952, 532, 968, 548))
+    spec = TargetSpec(box=(952, 532, 968, 548))
 
-    told = condition(followed(wish, world), wish, world)
+    condition = encode_condition(followed(spec, world), spec, world)
 
-    assert told.shape == (CONDITION,)
-    assert told[:CHANNELS].tolist() == [1.0] * CHANNELS
-    assert told[CHANNELS : CHANNELS + 2] == pytest.approx([0, 0])
-    assert told[CHANNELS + 4 : CHANNELS + 6].tolist() == [1, 0]  # a ball, no player
-    assert told[-4:].tolist() == [1, 0, 1, 0]
+    assert condition.shape == (CONDITION,)
+    assert condition[:CHANNELS].tolist() == [1.0] * CHANNELS
+    assert condition[CHANNELS : CHANNELS + 2] == pytest.approx([0, 0])
+    assert condition[CHANNELS + 4 : CHANNELS + 6].tolist() == [1, 0]  # a ball, no player
+    assert condition[-4:].tolist() == [1, 0, 1, 0]
 
 
 def test_the_place_is_offered_while_the_target_is_not_in_view_and_not_for_ever() -> None:
@@ -60,27 +60,31 @@ def test_the_place_is_offered_while_the_target_is_not_in_view_and_not_for_ever()
     seen = followed(BALL, here)
     lost = follow(seen, BALL, crowd[1], Choice())
 
-    assert place(seen, BALL, here, LOOKS, patience=3) is None
-    spot = place(lost, BALL, crowd[1], LOOKS, patience=3)
+    assert encode_place(seen, BALL, here, LOOKS, patience=3) is None
+    spot = encode_place(lost, BALL, crowd[1], LOOKS, patience=3)
     assert spot is not None
     assert spot.label[0, :2].tolist() == [1, 0]
     assert np.array_equal(spot.roi, LOOKS[None])
     assert spot.ids.tolist() == [PLACE]
     assert spot.path[0, :2].tolist() == [[98, 92, 114, 108], [101, 92, 117, 108]]
-    assert place(lost, BALL, crowd[5], LOOKS, patience=3) is None
+    assert encode_place(lost, BALL, crowd[5], LOOKS, patience=3) is None
 
 
 def test_a_class_has_a_place_once_one_of_it_was_seen() -> None:
-    wish, sure = Wish(target="ball"), Choice(object_id=1, probability=0.9)
+    spec, sure = TargetSpec(label="ball"), Choice(object_id=1, probability=0.9)
     here, gone = tracks(0, (1, 0, 100, 100, 0)), tracks(1, *CROWD)
-    seen = follow(Prompt(), wish, here, sure)
+    seen = follow(TargetState(), spec, here, sure)
 
-    assert place(follow(Prompt(), wish, gone, sure), wish, gone, LOOKS, patience=3) is None
-    assert place(follow(seen, wish, gone, sure), wish, gone, LOOKS, patience=3) is not None
+    assert (
+        encode_place(follow(TargetState(), spec, gone, sure), spec, gone, LOOKS, patience=3) is None
+    )
+    assert encode_place(follow(seen, spec, gone, sure), spec, gone, LOOKS, patience=3) is not None
 
 
 def test_no_prompt_no_place() -> None:
     world = tracks(0, *CROWD)
 
-    assert place(followed(Wish(), world), Wish(), world, LOOKS, patience=3) is None
-    assert not np.any(condition(Prompt(), Wish(), world))
+    assert (
+        encode_place(followed(TargetSpec(), world), TargetSpec(), world, LOOKS, patience=3) is None
+    )
+    assert not np.any(encode_condition(TargetState(), TargetSpec(), world))

@@ -1,4 +1,4 @@
-"""The learned policy: what a network is told, and what becomes of what it answers."""
+"""The learned policy: what a network is given, and what becomes of what it answers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +12,12 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
 from operators.policy.conditioning import CHANNELS, CONDITION
-from operators.policy.learned import SHIPPED, Chooser, loyal, pick
+from operators.policy.decision import pick, with_prior
+from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.model import INPUTS, PolicyNet, example, export
-from operators.policy.policy import Policy, PolicySettings
-from operators.policy.prompt import Prompt
-from operators.policy.tokens import MOST_OBJECTS, batched, objects
+from operators.policy.network import SHIPPED, PolicyNetwork
+from operators.policy.target import TargetState
+from operators.policy.tokens import MOST_OBJECTS, batched, encode_objects
 from pipeline import MessageError, RoiFeatures, Scanpath, Tracks, WeightsError
 from pipeline.codec import dumps, loads
 from pipeline.inference import Network
@@ -113,7 +114,7 @@ def test_an_ablation_does_not_see_what_it_is_not_told() -> None:
 
 
 def test_moments_are_padded_to_the_longest_and_marked() -> None:
-    few, many = (objects(world(0, n), np.ones((n, 4, ROI), np.float32)) for n in (2, 5))
+    few, many = (encode_objects(world(0, n), np.ones((n, 4, ROI), np.float32)) for n in (2, 5))
 
     given = batched([few, many], [np.zeros(CONDITION, np.float32)] * 2)
 
@@ -126,13 +127,13 @@ def test_moments_are_padded_to_the_longest_and_marked() -> None:
 def test_the_best_are_told_when_there_are_too_many() -> None:
     crowd = [(k, 1, 40.0 * k, 500, 0) for k in range(1, 31)]
 
-    told = objects(tracks(0, *crowd, channels=2), np.zeros((30, 4, ROI), np.float32))
+    kept = encode_objects(tracks(0, *crowd, channels=2), np.zeros((30, 4, ROI), np.float32))
 
-    assert len(told.ids) == MOST_OBJECTS
+    assert len(kept.ids) == MOST_OBJECTS
 
 
 def test_a_plan_names_tracks_with_their_chances(weights: Path) -> None:
-    (path,) = drive(Policy, [world(3)], {"strategy": "learned", "weights": str(weights)})
+    (path,) = drive(LearnedPolicy, [world(3)], {"weights": str(weights)})
 
     assert path.first_seq == 4
     assert path.probability.shape == (16, 6)
@@ -144,9 +145,9 @@ def test_a_plan_names_tracks_with_their_chances(weights: Path) -> None:
 
 
 def test_what_is_left_of_the_chances_is_the_places(weights: Path) -> None:
-    values = {"strategy": "learned", "weights": str(weights), "prompt_box": (1500, 900, 1520, 920)}
+    values = {"weights": str(weights), "prompt_box": (1500, 900, 1520, 920)}
 
-    (path,) = drive(Policy, [world(0)], values)
+    (path,) = drive(LearnedPolicy, [world(0)], values)
 
     assert (path.probability.sum(1) < 1).all()
     places = path.boxes[path.choice == -1]
@@ -166,27 +167,30 @@ def test_drawing_follows_the_chances_and_the_seed() -> None:
 
 def test_who_was_meant_stays_meant_unless_the_network_is_much_surer_of_another() -> None:
     world = tracks(0, (1, 1, 100, 100, 0), (2, 1, 300, 100, 0))
-    candidates, prompt = objects(world, np.zeros((2, 4, 5), np.float32)), Prompt(bound_id=1)
+    candidates, target = (
+        encode_objects(world, np.zeros((2, 4, 5), np.float32)),
+        TargetState(bound_id=1),
+    )
 
-    def chosen(surer: float, *, loyalty: float = 30.0) -> list[int]:
+    def chosen(surer: float, *, target_prior: float = 30.0) -> list[int]:
         believed = np.array([[1.0], [surer]], np.float32) / (1 + surer)
-        weighed = loyal(believed, candidates, prompt, loyalty)
+        weighed = with_prior(believed, candidates, target, target_prior)
         assert np.allclose(weighed.sum(0), 1)
         return candidates.ids[weighed.argmax(0)].tolist()
 
-    assert [chosen(29), chosen(31), chosen(2, loyalty=1)] == [[1], [2], [2]]
+    assert [chosen(29), chosen(31), chosen(2, target_prior=1)] == [[1], [2], [2]]
 
 
 def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
-    candidates = objects(tracks(0, (1, 1, 100, 100, 0)), np.zeros((1, 4, 5), np.float32))
+    candidates = encode_objects(tracks(0, (1, 1, 100, 100, 0)), np.zeros((1, 4, 5), np.float32))
     believed = np.ones((1, 3), np.float32)
 
-    for prompt in (Prompt(), Prompt(bound_id=7)):
-        assert loyal(believed, candidates, prompt, 30) is believed
+    for target in (TargetState(), TargetState(bound_id=7)):
+        assert with_prior(believed, candidates, target, 30) is believed
 
 
 def test_what_two_looks_found_to_be_nothing_is_no_candidate(weights: Path) -> None:
-    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
     subject.open()
     before = subject.on_tracks(world(0))
     for seq in (0, 1):
@@ -209,10 +213,8 @@ def look(seq: int, *ids: int, genuine: float = 1.0, channels: int = ROI) -> RoiF
 
 
 def test_a_successor_goes_on_alike(weights: Path) -> None:
-    values = PolicySettings(
-        strategy="learned", weights=str(weights), prompt_box=(390, 290, 420, 320)
-    )
-    old, successor = Policy(values), Policy(values)
+    values = LearnedPolicySettings(weights=str(weights), prompt_box=(390, 290, 420, 320))
+    old, successor = LearnedPolicy(values), LearnedPolicy(values)
     old.open()
     successor.open()
 
@@ -226,40 +228,38 @@ def test_a_successor_goes_on_alike(weights: Path) -> None:
 
 
 def test_another_target_takes_effect_with_the_next_plan(weights: Path) -> None:
-    subject = Policy(PolicySettings(strategy="learned", weights=str(weights), target_id=1))
+    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights), target_id=1))
     subject.open()
     subject.on_tracks(world(0))
-    assert subject.state().gaze.prompt.bound_id == 1
+    assert subject.state().target.bound_id == 1
 
-    subject.on_settings(PolicySettings(strategy="learned", weights=str(weights), target_id=4))
+    subject.on_settings(LearnedPolicySettings(weights=str(weights), target_id=4))
 
     subject.on_tracks(world(1))
-    assert subject.state().gaze.prompt.bound_id == 4
+    assert subject.state().target.bound_id == 4
 
 
 def test_what_is_no_other_target_leaves_the_prompt_where_it_is(weights: Path) -> None:
-    settings = PolicySettings(
-        strategy="learned", weights=str(weights), prompt_box=(390, 290, 420, 320)
-    )
-    subject = Policy(settings)
+    settings = LearnedPolicySettings(weights=str(weights), prompt_box=(390, 290, 420, 320))
+    subject = LearnedPolicy(settings)
     subject.open()
     subject.on_tracks(world(0))
-    prompt = subject.state().gaze.prompt
+    target = subject.state().target
 
     subject.on_settings(replace(settings, least_genuine=0.5))
 
-    assert prompt.bound_id == 1
-    assert subject.state().gaze.prompt is prompt
+    assert target.bound_id == 1
+    assert subject.state().target is target
 
 
 def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None:
-    values = {"strategy": "learned", "weights": str(weights), "place_patience": 1}
+    values = {"weights": str(weights), "place_patience": 1}
     prompted = values | {"prompt_box": (100, 100, 120, 120)}
 
     empty = [world(k, 0) for k in range(4)]
 
-    assert drive(Policy, empty, prompted)[-1].boxes[0].tolist() == [100, 100, 120, 120]
-    assert drive(Policy, empty, values)[-1].choice.tolist() == [-1] * 16
+    assert drive(LearnedPolicy, empty, prompted)[-1].boxes[0].tolist() == [100, 100, 120, 120]
+    assert drive(LearnedPolicy, empty, values)[-1].choice.tolist() == [-1] * 16
 
 
 @pytest.mark.parametrize("field", ["features", "boxes", "predicted"])
@@ -270,7 +270,7 @@ def test_tracks_that_are_no_numbers_leave_the_last_plan_in_force_and_are_told_on
     for bad in frames[1:3]:
         getattr(bad, field)[2, 1, 0] = np.nan
 
-    paths = drive(Policy, frames, {"strategy": "learned", "weights": str(weights)})
+    paths = drive(LearnedPolicy, frames, {"weights": str(weights)})
 
     assert [len(path.choice) for path in paths] == [16, 0, 0, 16]
     assert caplog.messages == ["policy.tracks: expected finite numbers in frame 1, got others"]
@@ -279,7 +279,7 @@ def test_tracks_that_are_no_numbers_leave_the_last_plan_in_force_and_are_told_on
 def test_looks_that_are_no_numbers_are_forgotten_and_told_once(
     weights: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
     subject.open()
     for seq in (0, 1):
         bad = look(seq, 1, 2)
@@ -294,9 +294,9 @@ def test_looks_that_are_no_numbers_are_forgotten_and_told_once(
 def test_a_prompt_that_nothing_answers_to_is_told_once(
     weights: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    values = {"strategy": "learned", "weights": str(weights), "target_id": 77}
+    values = {"weights": str(weights), "target_id": 77}
 
-    drive(Policy, [world(k) for k in range(20)], values)
+    drive(LearnedPolicy, [world(k) for k in range(20)], values)
 
     assert caplog.messages == [
         "policy.target_id: expected a track 77, none was there in frames 0 to 8"
@@ -304,7 +304,7 @@ def test_a_prompt_that_nothing_answers_to_is_told_once(
 
 
 def test_tracks_that_the_network_does_not_know_are_refused(weights: Path) -> None:
-    subject = Policy(PolicySettings(strategy="learned", weights=str(weights)))
+    subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
     subject.open()
 
     with pytest.raises(MessageError, match="expects 4 frames of 64 features and 16 foreseen, got"):
@@ -318,9 +318,9 @@ def test_weights_that_are_no_policy_are_refused(tmp_path: Path) -> None:
     mean_encoder(tmp_path / "other.onnx", batch="n", side_px=8, as_map=False)
 
     with pytest.raises(WeightsError, match=r"other\.onnx: expected a policy's inputs"):
-        Chooser(tmp_path / "other.onnx")
+        PolicyNetwork(tmp_path / "other.onnx")
     with pytest.raises(WeightsError, match=r"none\.onnx: no such weights"):
-        Chooser(tmp_path / "none.onnx")
+        PolicyNetwork(tmp_path / "none.onnx")
 
 
 def test_weights_for_another_history_or_horizon_are_refused_before_the_first_frame(
@@ -332,11 +332,11 @@ def test_weights_for_another_history_or_horizon_are_refused_before_the_first_fra
         with pytest.raises(
             WeightsError, match=rf"{path.name}: expected horizon \d+ and observed 4"
         ):
-            drive(Policy, [], {"strategy": "learned", "weights": str(path), **settings})
+            drive(LearnedPolicy, [], {"weights": str(path), **settings})
 
 
 def test_without_weights_of_its_own_and_none_shipped_it_says_so() -> None:
     if SHIPPED.exists():
         pytest.skip("there are shipped weights")
     with pytest.raises(WeightsError, match=r"policy\.weights: policy\.onnx is not there"):
-        drive(Policy, [], {"strategy": "learned"})
+        drive(LearnedPolicy, [])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from operators.policy import Policy
+from operators.policy import PursuitPolicy
 from pipeline import Scanpath, Tracks
 from pipeline.testing import drive
 from tests.operators.policy.made_up import tracks
@@ -15,7 +15,7 @@ def first_choices(paths: list[Scanpath]) -> list[int]:
 
 
 def pursue(*frames: Tracks, **values: object) -> list[Scanpath]:
-    return drive(Policy, frames, values)
+    return drive(PursuitPolicy, frames, values)
 
 
 def test_a_candidate_is_followed_once_it_was_seen_in_three_frames():

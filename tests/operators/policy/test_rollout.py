@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from operators.policy.data import Recording, arrays
-from operators.policy.learned import Rules
+from operators.policy.decision import Rules
 from operators.policy.rollout import Episode, Late, Task, roll, tasks, teacher, within
 from operators.policy.utility import gains
-from pipeline import Geometry, Percept, RoiFeatures, Tracks
+from pipeline import Geometry, RoiFeatures, Tracks, Truth
 from pipeline.boxes import centres, roi_window
 from pipeline.messages import altered
 from pipeline.testing import header
@@ -31,12 +31,12 @@ def recording(folder: Path, frames: int = 40) -> Recording:
     heard = []
     for seq in range(frames):
         seen = world(seq)
-        truth = Percept(
+        truth = Truth(
             header=seen.header,
             boxes=seen.boxes[:, -1],
             ids=seen.ids + 100,
-            scores=np.ones(4, np.float32),
-            texts=("ball", "player", "player", "main referee"),
+            labels=("ball", "player", "player", "main referee"),
+            visibility=np.ones(4, np.float32),
         )
         looks = RoiFeatures(
             header=seen.header,
@@ -59,7 +59,7 @@ def test_a_recording_gives_back_what_was_heard(tmp_path: Path) -> None:
     assert np.array_equal(moment.tracks.boxes, wanted.boxes)
     assert np.array_equal(moment.tracks.features, wanted.features)
     assert moment.seen.features[:, 0].tolist() == [1, 2, 3, 4]
-    assert moment.truth.texts == ("ball", "player", "player", "main referee")
+    assert moment.truth.labels == ("ball", "player", "player", "main referee")
     boxes, visible = clip.path_of(101)
     assert np.array_equal(boxes[7], wanted.boxes[0, -1])
     assert visible.all()

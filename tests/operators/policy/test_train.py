@@ -15,8 +15,8 @@ from click.testing import CliRunner
 from operators.policy import pool
 from operators.policy import train as training
 from operators.policy.data import Recording
-from operators.policy.learned import Chooser
 from operators.policy.model import PolicyNet, export
+from operators.policy.network import PolicyNetwork
 from operators.policy.rollout import Late
 from operators.policy.train import (
     Clips,
@@ -100,7 +100,7 @@ def test_it_learns_and_writes_what_it_learned(tmp_path: Path) -> None:
 
     rows = np.loadtxt(tmp_path / "out" / "log.csv", delimiter=",", skiprows=1)
     assert rows[-1, 3] > rows[0, 3]  # expected utility
-    assert Chooser(tmp_path / "policy.onnx").roi_channels == ROI
+    assert PolicyNetwork(tmp_path / "policy.onnx").roi_channels == ROI
     assert (tmp_path / "out" / "training.png").exists()
     assert "coverage" in said[-1]
 
@@ -269,7 +269,7 @@ def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
     net = train(settings(tmp_path, iterations=18), say=lambda _: None)
 
     assert {p.device.type for p in net.parameters()} == {"cpu"}
-    assert Chooser(tmp_path / "policy.onnx").roi_channels == ROI
+    assert PolicyNetwork(tmp_path / "policy.onnx").roi_channels == ROI
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the train extra")
 from drivers.soccer import SoccerScene
-from drivers.source import Truth
+from drivers.source import Annotations
 from operators.roi_features.data import (
     BACKGROUND,
     CROP_PX,
@@ -28,13 +28,13 @@ from pipeline.boxes import intersections, iou
 SIZE_PX = (960, 540)
 
 
-def truth_of(*objects: tuple[str, float, tuple[float, float, float, float]]) -> Truth:
+def truth_of(*objects: tuple[str, float, tuple[float, float, float, float]]) -> Annotations:
     """Objects 1, 2, …: label, visible share, box."""
-    return Truth(
+    return Annotations(
         boxes=np.array([o[2] for o in objects], np.float32).reshape(-1, 4),
         ids=np.arange(1, len(objects) + 1, dtype=np.int32),
         labels=tuple(o[0] for o in objects),
-        visible=np.array([o[1] for o in objects], np.float32),
+        visibility=np.array([o[1] for o in objects], np.float32),
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from drivers.soccer import SoccerScene
-from drivers.source import Truth
+from drivers.source import Annotations
 from operators.saliency import Saliency
 from pipeline import Detections, Frame
 from pipeline.boxes import iou
@@ -19,7 +19,7 @@ MOMENTS = (0, 120, 240, 360)
 # Recall of players in four pictures of a seed, over seeds 70001 to 70011: mean .955, standard
 # deviation .041; the same with two threads, within .013 with noise of a grey level
 LEAST_RECALL = 0.86  # below .955 - 3 * .041 / sqrt(2)
-Answer = tuple[Detections, Truth]
+Answer = tuple[Detections, Annotations]
 
 
 def looked(seed: int, *, threads: int = 1, noise: int = 0) -> list[Answer]:

@@ -1,20 +1,20 @@
-"""A prompt: who is meant, and where they are believed to be."""
+"""A target: who is meant, and where they are believed to be."""
 
 import pytest
 
 from operators.policy.motion import camera_motion
-from operators.policy.prompt import Choice, Prompt, Wish, follow
+from operators.policy.target import Choice, TargetSpec, TargetState, follow
 from tests.operators.policy.made_up import followed, tracks
 
-BALL = Wish(box=(92, 92, 108, 108))
+BALL = TargetSpec(box=(92, 92, 108, 108))
 CROWD = [(k, 1, 300.0 + 100 * k, 500.0, 3.0) for k in (2, 3, 4, 5)]
 
 
 def test_a_box_binds_to_the_track_it_overlaps_and_goes_with_it() -> None:
-    prompt = followed(BALL, *(tracks(k, (1, 0, 100 + 4 * k, 100, 4), *CROWD) for k in range(5)))
+    target = followed(BALL, *(tracks(k, (1, 0, 100 + 4 * k, 100, 4), *CROWD) for k in range(5)))
 
-    assert (prompt.bound_id, prompt.label, prompt.seen_seq) == (1, "ball", 4)
-    assert prompt.box.tolist() == [108, 92, 124, 108]
+    assert (target.bound_id, target.label, target.seen_seq) == (1, "ball", 4)
+    assert target.box.tolist() == [108, 92, 124, 108]
 
 
 def test_a_box_binds_late_when_its_object_is_found_late() -> None:
@@ -32,21 +32,21 @@ def test_a_box_binds_late_when_its_object_is_found_late() -> None:
 def test_a_box_that_overlaps_nothing_binds_to_what_is_near_and_alike(
     track: tuple[int, int, float, float, float], bound: int
 ) -> None:
-    assert followed(Wish(box=(92, 92, 106, 106)), tracks(0, track)).bound_id == bound
+    assert followed(TargetSpec(box=(92, 92, 106, 106)), tracks(0, track)).bound_id == bound
 
 
 def test_without_a_track_the_place_moves_with_the_camera() -> None:
-    prompt = followed(BALL, *(tracks(k, *CROWD) for k in range(3)))
+    target = followed(BALL, *(tracks(k, *CROWD) for k in range(3)))
 
     assert camera_motion(tracks(0, *CROWD)).tolist() == [3, 0]
-    assert prompt.box.tolist() == [98, 92, 114, 108]
-    assert prompt.seen_seq == 0
+    assert target.box.tolist() == [98, 92, 114, 108]
+    assert target.seen_seq == 0
 
 
 def test_the_place_moves_for_every_frame_that_was_left_out() -> None:
-    prompt = followed(BALL, *(tracks(k, *CROWD) for k in (0, 1, 4)))
+    target = followed(BALL, *(tracks(k, *CROWD) for k in (0, 1, 4)))
 
-    assert prompt.box.tolist() == [104, 92, 120, 108]
+    assert target.box.tolist() == [104, 92, 120, 108]
 
 
 def test_a_lost_target_is_bound_again_to_a_sure_choice_near_by_of_its_class() -> None:
@@ -54,9 +54,9 @@ def test_a_lost_target_is_bound_again_to_a_sure_choice_near_by_of_its_class() ->
     again = tracks(1, (8, 0, 130, 100, 0), (9, 1, 100, 100, 0), (10, 0, 900, 100, 0))
 
     def bound_to(object_id: int, probability: float) -> int:
-        prompt = followed(BALL, bound)
+        target = followed(BALL, bound)
         choice = Choice(object_id=object_id, probability=probability)
-        return follow(prompt, BALL, again, choice).bound_id
+        return follow(target, BALL, again, choice).bound_id
 
     assert bound_to(8, 0.9) == 8
     assert bound_to(8, 0.3) == 1  # not sure
@@ -68,8 +68,8 @@ def test_a_box_that_was_never_bound_is_not_bound_to_a_choice_of_another_size() -
     world = tracks(1, (8, 0, 150, 100, 0), (9, 1, 150, 100, 0))
 
     def bound_to(object_id: int) -> int:
-        prompt = followed(BALL, tracks(0, *CROWD))
-        return follow(prompt, BALL, world, Choice(object_id=object_id, probability=0.9)).bound_id
+        target = followed(BALL, tracks(0, *CROWD))
+        return follow(target, BALL, world, Choice(object_id=object_id, probability=0.9)).bound_id
 
     assert bound_to(9) == -1
     assert bound_to(8) == 8
@@ -77,38 +77,38 @@ def test_a_box_that_was_never_bound_is_not_bound_to_a_choice_of_another_size() -
 
 def test_a_class_is_whoever_of_it_the_policy_is_sure_of() -> None:
     world = tracks(1, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0), (3, 0, 900, 100, 0))
-    wish = Wish(target="ball")
+    spec = TargetSpec(label="ball")
 
-    first = follow(Prompt(), wish, world, Choice(object_id=3, probability=0.8))
-    other = follow(first, wish, world, Choice(object_id=1, probability=0.8))
+    first = follow(TargetState(), spec, world, Choice(object_id=3, probability=0.8))
+    other = follow(first, spec, world, Choice(object_id=1, probability=0.8))
 
     assert (first.bound_id, other.bound_id) == (3, 1)
-    assert follow(Prompt(), wish, world, Choice(object_id=2, probability=0.8)).bound_id == -1
+    assert follow(TargetState(), spec, world, Choice(object_id=2, probability=0.8)).bound_id == -1
 
 
 def test_an_id_is_that_track() -> None:
     world = tracks(0, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0))
 
-    assert followed(Wish(object_id=2), world).bound_id == 2
-    assert followed(Wish(object_id=5), world).bound_id == -1
+    assert followed(TargetSpec(object_id=2), world).bound_id == 2
+    assert followed(TargetSpec(object_id=5), world).bound_id == -1
 
 
 def test_an_id_goes_before_a_box_and_without_its_track_nothing_else_is_taken_for_it() -> None:
     world = tracks(0, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0))
-    wish = Wish(object_id=5, box=BALL.box)
+    spec = TargetSpec(object_id=5, box=BALL.box)
 
-    prompt = followed(wish, world, world, chosen=Choice(object_id=1, probability=0.9))
+    target = followed(spec, world, world, chosen=Choice(object_id=1, probability=0.9))
 
-    assert prompt.bound_id == -1
-    assert not prompt.placed
+    assert target.bound_id == -1
+    assert not target.placed
 
 
 def test_who_stands_where_a_track_ended_is_who_it_was() -> None:
     bound = [tracks(k, (1, 1, 100, 100, 0), *CROWD) for k in range(2)]
-    wish = Wish(box=(80, 80, 120, 120))
+    spec = TargetSpec(box=(80, 80, 120, 120))
 
     def bound_to(*here: tuple[int, int, float, float, float], unseen: tuple[int, ...] = ()) -> int:
-        return followed(wish, *bound, tracks(2, *here, *CROWD, unseen=unseen)).bound_id
+        return followed(spec, *bound, tracks(2, *here, *CROWD, unseen=unseen)).bound_id
 
     assert bound_to((8, 1, 110, 100, 0)) == 8
     assert bound_to((1, 1, 100, 100, 0), (8, 1, 100, 100, 0)) == 1  # it has not ended

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import Geometry, Scanpath, Tracks
+from pipeline import Geometry, Scanpath, SettingsError, Tracks
 
 PLACE = -1  # a choice that is no object
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
+class GazePlan:
     """One row per frame after the tracks' own."""
 
     choice: NDArray[np.int32]  # (Tp,), track id or PLACE
@@ -26,21 +26,27 @@ def future(tracks: Tracks, row: int, horizon: int) -> NDArray[np.float32]:
     return path[np.minimum(np.arange(horizon), len(path) - 1)]
 
 
-def follow(tracks: Tracks, row: int, horizon: int) -> Plan:
+def follow(tracks: Tracks, row: int, horizon: int) -> GazePlan:
     """Look at one object all the time."""
     choice = np.full(horizon, tracks.ids[row], np.int32)
-    return Plan(choice=choice, boxes=future(tracks, row, horizon))
+    return GazePlan(choice=choice, boxes=future(tracks, row, horizon))
 
 
-def stay(boxes: NDArray[np.float32], horizon: int) -> Plan:
+def stay(boxes: NDArray[np.float32], horizon: int) -> GazePlan:
     """Look at places: one box (4,) for all frames, or (Tp, 4)."""
     places = np.broadcast_to(boxes, (horizon, 4)).astype(np.float32)
-    return Plan(choice=np.full(horizon, PLACE, np.int32), boxes=places)
+    return GazePlan(choice=np.full(horizon, PLACE, np.int32), boxes=places)
 
 
-def no_proposal() -> Plan:
+def no_proposal() -> GazePlan:
     """No proposal: the plan before stays in force."""
-    return Plan(choice=np.zeros(0, np.int32), boxes=np.zeros((0, 4), np.float32))
+    return GazePlan(choice=np.zeros(0, np.int32), boxes=np.zeros((0, 4), np.float32))
+
+
+def check_horizon(frames: int) -> None:
+    """Raise `SettingsError` unless a plan can speak of so many frames."""
+    if frames < 1:
+        raise SettingsError(f"horizon: must be at least 1, got {frames}")
 
 
 def field_centre(geometry: Geometry) -> NDArray[np.float32]:
@@ -70,7 +76,7 @@ def name_of(tracks: Tracks, row: int) -> str:
     return tracks.names[label] if 0 <= label < len(tracks.names) else ""
 
 
-def scanpath(tracks: Tracks, plan: Plan) -> Scanpath:
+def scanpath(tracks: Tracks, plan: GazePlan) -> Scanpath:
     """The message."""
     probability = plan.probability
     if probability is None:

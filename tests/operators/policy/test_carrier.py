@@ -1,21 +1,27 @@
-"""A target in somebody's hands goes where they go."""
+"""A target moves with its carrier."""
 
 from functools import reduce
 
 import numpy as np
 
-from operators.policy.conditioning import place
-from operators.policy.holding import PEOPLE, able, holder_of
-from operators.policy.learned import Gaze, Rules, observe
-from operators.policy.memory import blank
-from operators.policy.plan import PLACE
-from operators.policy.prompt import PATIENCE, Choice, Prompt, Wish, follow, held
+from operators.policy.carrier import PEOPLE, can_carry, carrier_of
+from operators.policy.conditioning import encode_place
+from operators.policy.decision import PolicyState, Rules, observe
+from operators.policy.gaze_plan import PLACE
+from operators.policy.target import (
+    CARRIED_AT_MOST,
+    Choice,
+    TargetSpec,
+    TargetState,
+    carrier_row,
+    follow,
+)
 from pipeline import Tracks
 from tests.operators.policy.made_up import tracks
 
 LOOKS = np.zeros((4, 5), np.float32)
-BALL = Wish(box=(92, 92, 108, 108))
-SMALL = Wish(box=(94, 94, 106, 106))  # too small to be taken for who holds it
+BALL = TargetSpec(box=(92, 92, 108, 108))
+SMALL = TargetSpec(box=(94, 94, 106, 106))  # too small to be taken for who holds it
 CROWD = [(k, 1, 300.0 + 100 * k, 500.0, 0.0) for k in (12, 13, 14, 15)]
 
 
@@ -25,8 +31,10 @@ def someone(
     return (7, 1, 100 + frame * speed, y, speed)
 
 
-def after(*frames: Tracks, wish: Wish = BALL) -> Prompt:
-    return reduce(lambda prompt, world: follow(prompt, wish, world, Choice()), frames, Prompt())
+def after(*frames: Tracks, spec: TargetSpec = BALL) -> TargetState:
+    return reduce(
+        lambda target, world: follow(target, spec, world, Choice()), frames, TargetState()
+    )
 
 
 def caught(frames: int, y: float = 105.0) -> list[Tracks]:
@@ -37,22 +45,24 @@ def caught(frames: int, y: float = 105.0) -> list[Tracks]:
 
 def test_what_is_in_the_upper_part_of_a_larger_person_is_in_their_hands() -> None:
     world = tracks(0, (7, 1, 100, 105, 0), (8, 1, 110, 85, 0), (9, 0, 100, 100, 0))
-    could = able(world, PEOPLE, "ball")
+    could = can_carry(world, PEOPLE, "ball")
 
-    assert holder_of(np.array([92, 92, 108, 108], np.float32), world, could) == 7
-    assert holder_of(np.array([92, 110, 108, 126], np.float32), world, could) == -1  # at their feet
-    assert holder_of(np.array([80, 85, 120, 125], np.float32), world, could) == -1  # as large
-    assert not able(world, PEOPLE, "player").any()
+    assert carrier_of(np.array([92, 92, 108, 108], np.float32), world, could) == 7
+    assert (
+        carrier_of(np.array([92, 110, 108, 126], np.float32), world, could) == -1
+    )  # at their feet
+    assert carrier_of(np.array([80, 85, 120, 125], np.float32), world, could) == -1  # as large
+    assert not can_carry(world, PEOPLE, "player").any()
 
 
 def test_the_place_goes_with_whoever_holds_the_target_for_as_long_as_they_are_there() -> None:
     frames = caught(90)
-    prompt = after(*frames)
+    target = after(*frames)
 
-    spot = place(prompt, BALL, frames[-1], LOOKS, patience=24)
+    spot = encode_place(target, BALL, frames[-1], LOOKS, patience=24)
 
-    assert held(prompt, frames[-1]) == 0
-    assert prompt.box.tolist() == [92 + 5 * 89, 92, 108 + 5 * 89, 108]
+    assert carrier_row(target, frames[-1]) == 0
+    assert target.box.tolist() == [92 + 5 * 89, 92, 108 + 5 * 89, 108]
     assert spot is not None
     assert spot.ids.tolist() == [PLACE]
     assert spot.path[0, :2].tolist() == [[542, 92, 558, 108], [547, 92, 563, 108]]
@@ -60,10 +70,10 @@ def test_the_place_goes_with_whoever_holds_the_target_for_as_long_as_they_are_th
 
 def test_what_lies_at_somebodys_feet_stays_when_they_leave() -> None:
     frames = caught(10, y=85)
-    prompt = after(*frames)
+    target = after(*frames)
 
-    assert held(prompt, frames[-1]) == -1
-    assert prompt.box.tolist() == [102, 92, 118, 108]
+    assert carrier_row(target, frames[-1]) == -1
+    assert target.box.tolist() == [102, 92, 118, 108]
 
 
 def test_one_look_is_not_enough_but_a_prompt_is() -> None:
@@ -72,21 +82,21 @@ def test_one_look_is_not_enough_but_a_prompt_is() -> None:
     passing += [tracks(2, someone(2), *CROWD)]
     prompted = [tracks(k, someone(k), *CROWD) for k in range(3)]
 
-    assert held(after(*passing), passing[-1]) == -1
-    assert held(after(*prompted, wish=SMALL), prompted[-1]) == 0
+    assert carrier_row(after(*passing), passing[-1]) == -1
+    assert carrier_row(after(*prompted, spec=SMALL), prompted[-1]) == 0
 
 
 def test_nobody_holds_what_is_seen() -> None:
     world = tracks(9, (1, 0, 145, 100, 5), someone(9), *CROWD)
 
-    assert held(after(*caught(9), world), world) == -1
+    assert carrier_row(after(*caught(9), world), world) == -1
 
 
 def test_nobody_holds_it_when_they_are_gone_and_who_is_back_holds_it_still() -> None:
     gone, back = tracks(9, *CROWD), tracks(10, someone(10), *CROWD)
 
-    assert held(after(*caught(9), gone), gone) == -1
-    assert held(after(*caught(9), gone, back), back) == 0
+    assert carrier_row(after(*caught(9), gone), gone) == -1
+    assert carrier_row(after(*caught(9), gone, back), back) == 0
     assert after(*caught(9), gone, back).box.tolist() == [142, 92, 158, 108]
 
 
@@ -99,26 +109,26 @@ def test_the_place_is_with_them_whatever_frames_are_left_out() -> None:
 
 
 def test_hands_that_may_hold_it_are_given_up_at_last() -> None:
-    frames = caught(PATIENCE + 5)
+    frames = caught(CARRIED_AT_MOST + 5)
 
-    assert held(after(*frames[:-3]), frames[-4]) == 0
-    assert held(after(*frames), frames[-1]) == -1
+    assert carrier_row(after(*frames[:-3]), frames[-4]) == 0
+    assert carrier_row(after(*frames), frames[-1]) == -1
 
 
 def test_what_was_foreseen_of_it_is_no_candidate_while_it_is_held() -> None:
     coasting = tracks(3, (1, 0, 195, 100, 30), someone(3), *CROWD, unseen=(1,))
-    gaze = Gaze(prompt=after(*caught(3)))
+    state = PolicyState(spec=BALL, target=after(*caught(3)))
 
-    _, candidates, _ = observe(gaze, BALL, coasting, blank(8), Rules(roi_channels=5))
+    _, candidates, _ = observe(state, coasting, Rules(roi_channels=5))
 
     assert candidates.ids.tolist() == [7, *(row[0] for row in CROWD), PLACE]
 
 
 def test_nobody_holds_it_when_no_class_may() -> None:
-    wish = Wish(box=BALL.box, held_by=())
+    spec = TargetSpec(box=BALL.box, carriers=())
     frames = caught(10)
 
-    assert held(after(*frames, wish=wish), frames[-1]) == -1
+    assert carrier_row(after(*frames, spec=spec), frames[-1]) == -1
 
 
 def test_a_track_that_is_only_foreseen_does_not_take_the_target_out_of_their_hands() -> None:
@@ -127,7 +137,7 @@ def test_a_track_that_is_only_foreseen_does_not_take_the_target_out_of_their_han
         tracks(k, (1, 0, 105 + 30 * k, 100, 30), someone(k), *CROWD, unseen=(1,))
         for k in range(3, 6)
     ]
-    prompt = after(*seen, *coasting)
+    target = after(*seen, *coasting)
 
-    assert prompt.bound_id == 1
-    assert prompt.box.tolist() == [117, 92, 133, 108]
+    assert target.bound_id == 1
+    assert target.box.tolist() == [117, 92, 133, 108]

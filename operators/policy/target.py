@@ -1,39 +1,40 @@
-"""Who is meant: a prompt (a box, a track id, a class) followed through time.
+"""The target: what a prompt (a box, a track id, a class) asks for, followed through time.
 
-A prompt is bound to a track and follows it. When the track is gone its place moves with the camera,
-or with whoever holds the target (`holding.py`), until it is bound again: to who stands there, or to
+A target is bound to a track and follows it. When the track is gone its place moves with the camera,
+or with its carrier (`carrier.py`), until it is bound again: to the track that is there, or to
 what the policy itself chose.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.holding import PEOPLE, able, holder_of
+from operators.policy.carrier import PEOPLE, can_carry, carrier_of
+from operators.policy.gaze_plan import PLACE, name_of, of_class, row_of
 from operators.policy.motion import camera_motion
-from operators.policy.plan import PLACE, name_of, of_class, row_of
 from operators.policy.tokens import Array
-from pipeline import Geometry, Tracks
+from pipeline import Geometry, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
 BIND_IOU = 0.1
 BACK_IOU = 0.3
 ALIKE = 2.0  # what overlaps nothing binds to what is near, if their sides differ by less
-SURE = 0.5  # probability from which a choice binds the prompt
+SURE = 0.5  # probability from which a choice binds the target
 GROWTH = 0.1  # box sizes by which the doubt grows with every frame
-GRIP = 2  # sightings in the same hands before they are believed to hold it
-PATIENCE = 250  # frames for which they are: ten seconds; a keeper may hold a ball for eight
+CARRIED_AFTER = 2  # sightings at the same person before that one counts as the carrier
+CARRIED_AT_MOST = 250  # frames without a sighting: ten seconds; a keeper may hold a ball for eight
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wish:
+class TargetSpec:
     """What was asked for: an id, else whoever is in a box, else a class; nothing: anybody."""
 
     object_id: int = -1
     box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
-    target: str = ""  # class name
-    held_by: tuple[str, ...] = PEOPLE  # classes of who may carry it about
+    label: str = ""  # class name
+    carriers: tuple[str, ...] = PEOPLE  # classes that may carry it
 
     @property
     def one(self) -> bool:
@@ -51,8 +52,8 @@ def _nowhere() -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Prompt:
-    """A wish and what became of it."""
+class TargetState:
+    """What became of the target that was asked for."""
 
     bound_id: int = -1  # the track that is believed to be the target
     label: str = ""  # its class, once known
@@ -61,14 +62,14 @@ class Prompt:
     seen_seq: int = -1  # when it was last seen, or asked for; -1: neither yet
     box: Array = field(default_factory=_nowhere)  # where it is believed to be, sensor pixels
     features: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (C,) when bound
-    holder: int = -1  # in whose hands it was last seen
-    grip: int = 0  # sightings there in succession
+    carrier_id: int = -1  # the person it was last seen at
+    carried_count: int = 0  # sightings there in succession
     offset: Array = field(default_factory=lambda: np.zeros(2, np.float32))  # from their middle, px
 
     @property
-    def gripped(self) -> bool:
-        """Whether it was last seen in somebody's hands for long enough."""
-        return self.holder >= 0 and self.grip >= GRIP
+    def is_carried(self) -> bool:
+        """Whether it was last seen at one person for long enough."""
+        return self.carrier_id >= 0 and self.carried_count >= CARRIED_AFTER
 
     @property
     def placed(self) -> bool:
@@ -84,66 +85,86 @@ class Choice:
     probability: float = 0.0
 
 
-def follow(before: Prompt, wish: Wish, tracks: Tracks, chosen: Choice) -> Prompt:
-    """The prompt after one more frame, for which the policy had chosen `chosen`."""
+def follow(before: TargetState, spec: TargetSpec, tracks: Tracks, chosen: Choice) -> TargetState:
+    """The target after one more frame, for which the policy had chosen `chosen`."""
     seq = tracks.header.seq
     frames = seq - before.at_seq if before.at_seq >= 0 else 1
     asked_seq = before.asked_seq if before.asked_seq >= 0 else seq
     now = replace(before, asked_seq=asked_seq, at_seq=seq)
-    if now.seen_seq < 0 and wish.boxed:
-        now = replace(now, box=np.array(wish.box, np.float32), seen_seq=seq)
-        now = replace(_taken(now, wish, wish.target, tracks), grip=GRIP)
+    if now.seen_seq < 0 and spec.boxed:
+        now = replace(now, box=np.array(spec.box, np.float32), seen_seq=seq)
+        now = replace(_taken(now, spec, spec.label, tracks), carried_count=CARRIED_AFTER)
     elif now.placed:
         now = replace(now, box=_moved(now, tracks, frames))
     row = row_of(tracks, now.bound_id)
-    if row < 0 or (not wish.one and chosen.probability >= SURE):
-        found = _first(tracks, wish, now) if now.bound_id < 0 else _back(tracks, wish, now)
-        found = found if found >= 0 else _again(tracks, wish, now, chosen)
+    if row < 0 or (not spec.one and chosen.probability >= SURE):
+        found = _first(tracks, spec, now) if now.bound_id < 0 else _back(tracks, spec, now)
+        found = found if found >= 0 else _again(tracks, spec, now, chosen)
         row = found if found >= 0 else row
-    return _bound(tracks, row, now, wish) if row >= 0 else now
+    return _bound(tracks, row, now, spec) if row >= 0 else now
 
 
-def held(prompt: Prompt, tracks: Tracks) -> int:
-    """Row of whoever holds a target that is out of sight, -1: nobody does."""
-    row = row_of(tracks, prompt.bound_id)
+def carrier_row(target: TargetState, tracks: Tracks) -> int:
+    """Row of the carrier of a target that is out of sight, -1: none."""
+    row = row_of(tracks, target.bound_id)
     seen = row >= 0 and tracks.visible[row, -1]
-    late = tracks.header.seq - prompt.seen_seq > PATIENCE
-    return -1 if seen or late or not prompt.gripped else row_of(tracks, prompt.holder)
+    late = tracks.header.seq - target.seen_seq > CARRIED_AT_MOST
+    return -1 if seen or late or not target.is_carried else row_of(tracks, target.carrier_id)
 
 
-def _moved(now: Prompt, tracks: Tracks, frames: int) -> Array:
-    """The place `frames` later: at whoever holds it, else moved with the camera."""
-    row = held(now, tracks)
+def check_box(name: str, box: tuple[float, float, float, float]) -> None:
+    """Raise `SettingsError` unless these are left, top, right and bottom of a box, or all 0."""
+    left, top, right, bottom = box
+    if any(box) and not (left < right and top < bottom):
+        raise SettingsError(f"{name}: expected left, top, right, bottom, got {box}")
+
+
+def check_label(label: str, names: Sequence[str]) -> None:
+    """Raise `SettingsError` for a class that is none of those that the tracks have."""
+    if sentence := unknown_label(label, names):
+        raise SettingsError(sentence)
+
+
+def unknown_label(label: str, names: Sequence[str]) -> str:
+    """A sentence when a class is none of those that the tracks have, as far as that is known."""
+    if not label or not names or label in names:
+        return ""
+    return f"policy.target: expected one of {', '.join(names)}, got {label}"
+
+
+def _moved(now: TargetState, tracks: Tracks, frames: int) -> Array:
+    """The place `frames` later: at its carrier, else moved with the camera."""
+    row = carrier_row(now, tracks)
     if row < 0:
         return now.box + frames * np.tile(camera_motion(tracks), 2)
     middle = centres(tracks.boxes[row, -1]) + now.offset
     return from_centres(middle, now.box[2:] - now.box[:2])
 
 
-def _taken(now: Prompt, wish: Wish, label: str, tracks: Tracks) -> Prompt:
-    """The prompt, seen at its box: in whose hands is it?"""
-    holder = holder_of(now.box, tracks, able(tracks, wish.held_by, label))
-    grip = now.grip + 1 if holder == now.holder else 1
-    row = row_of(tracks, holder)
+def _taken(now: TargetState, spec: TargetSpec, label: str, tracks: Tracks) -> TargetState:
+    """The target, seen at its box, with the person who may carry it."""
+    carrier_id = carrier_of(now.box, tracks, can_carry(tracks, spec.carriers, label))
+    carried_count = now.carried_count + 1 if carrier_id == now.carrier_id else 1
+    row = row_of(tracks, carrier_id)
     offset = centres(now.box) - centres(tracks.boxes[row, -1]) if row >= 0 else now.offset
-    return replace(now, holder=holder, grip=grip, offset=offset)
+    return replace(now, carrier_id=carrier_id, carried_count=carried_count, offset=offset)
 
 
-def _first(tracks: Tracks, wish: Wish, now: Prompt) -> int:
+def _first(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
     """Row of what was asked for by id or box, -1: not there."""
-    if wish.object_id >= 0:
-        return row_of(tracks, wish.object_id)
-    if not wish.one or not len(tracks.ids):
+    if spec.object_id >= 0:
+        return row_of(tracks, spec.object_id)
+    if not spec.one or not len(tracks.ids):
         return -1
     return in_box(tracks.boxes[:, -1], now.box)
 
 
-def _back(tracks: Tracks, wish: Wish, now: Prompt) -> int:
+def _back(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
     """Row of whoever of its class is where the target has to be by now, -1: nobody, or not sure.
 
     A track that ends and begins again is another track; the two boxes tell that it is the same.
     """
-    if not wish.one or not len(tracks.ids) or now.gripped:
+    if not spec.one or not len(tracks.ids) or now.is_carried:
         return -1
     overlap = iou(tracks.boxes[:, -1], now.box[None])[:, 0]
     overlap[~(of_class(tracks, now.label) & tracks.visible[:, -1])] = 0
@@ -170,20 +191,20 @@ def alike(boxes: Array, box: Array) -> NDArray[np.bool_]:
     return np.asarray(np.maximum(others / size, size / others) <= ALIKE)
 
 
-def _again(tracks: Tracks, wish: Wish, now: Prompt, chosen: Choice) -> int:
+def _again(tracks: Tracks, spec: TargetSpec, now: TargetState, chosen: Choice) -> int:
     """Row of the policy's own choice where it may be the target, -1: it may not."""
     row = row_of(tracks, chosen.object_id)
     if row < 0 or chosen.probability < SURE or not tracks.visible[row, -1]:
         return -1
-    wanted = now.label or wish.target
+    wanted = now.label or spec.label
     if wanted and name_of(tracks, row) != wanted:
         return -1
     if now.bound_id < 0 and now.placed and not alike(tracks.boxes[row, -1][None], now.box)[0]:
         return -1  # of a box that was never bound nothing is known but its size
-    return row if not wish.one or _near(tracks, row, now) else -1
+    return row if not spec.one or _near(tracks, row, now) else -1
 
 
-def _near(tracks: Tracks, row: int, now: Prompt) -> bool:
+def _near(tracks: Tracks, row: int, now: TargetState) -> bool:
     """Whether the target may have gone there since it was seen; nothing is near nowhere."""
     if not now.placed:
         return False
@@ -201,12 +222,12 @@ def _reach(geometry: Geometry) -> float:
     return 0.25 * geometry.roi_width_px
 
 
-def _bound(tracks: Tracks, row: int, now: Prompt, wish: Wish) -> Prompt:
-    """The prompt, with its target at `row`."""
+def _bound(tracks: Tracks, row: int, now: TargetState, spec: TargetSpec) -> TargetState:
+    """The target, bound to the track at `row`."""
     visible, label = bool(tracks.visible[row, -1]), now.label or name_of(tracks, row)
     if visible:
-        now = _taken(replace(now, box=tracks.boxes[row, -1]), wish, label, tracks)
-    elif not now.gripped:  # else it is with them, not where it was going before they caught it
+        now = _taken(replace(now, box=tracks.boxes[row, -1]), spec, label, tracks)
+    elif not now.is_carried:  # else it is with them, not where it was going before they caught it
         now = replace(now, box=tracks.boxes[row, -1])
     fresh = int(tracks.ids[row]) != now.bound_id
     first = fresh and not now.features.any()

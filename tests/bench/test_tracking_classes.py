@@ -6,11 +6,11 @@ import pytest
 from click.testing import CliRunner
 
 from bench.tracking.cases import Case, Protocol, cases
+from bench.tracking.classes import TRACKERS, planned
 from bench.tracking.episode import Rules
 from bench.tracking.evaluate import command
-from bench.tracking.follower import TRACKERS, planned
 from bench.tracking.key import key
-from bench.tracking.options import GRAPH
+from bench.tracking.options import GRAPH, policy_files
 from bench.tracking.stages import Stages
 from pipeline.contract import Operator
 from pipeline.errors import SettingsError
@@ -34,12 +34,12 @@ def test_without_a_word_the_graphs_own_class_measures_with_the_graphs_settings()
 def test_a_named_class_takes_its_place_with_weights_and_settings_of_its_own(name: str) -> None:
     word = name if name == "correlation" else f"{name}=mine.onnx"
 
-    plan = planned(GRAPH, ("tracker.lost_after=9", "policy.strategy=pursue"), word)
+    plan = planned(GRAPH, ("tracker.lost_after=9", "policy.horizon=8"), word)
 
     own = {} if name == "correlation" else {"weights": "mine.onnx"}
     assert plan.node("tracker").operator == TRACKERS[name]
     assert plan.node("tracker").settings == {"lost_after": 9, **own}
-    assert plan.node("policy").settings["strategy"] == "pursue"
+    assert plan.node("policy").settings["horizon"] == 8
     assert issubclass(load_operator(TRACKERS[name]), Operator)
 
 
@@ -76,5 +76,40 @@ def test_every_row_is_measured_by_the_tracker_that_was_asked_for() -> None:
 
 
 def test_the_parts_of_an_evaluation_are_those_of_the_plan() -> None:
-    with Stages(GRAPH, ("policy.strategy=pursue",), "correlation") as stages:
+    with Stages(GRAPH, (), "correlation", "pursuit") as stages:
         assert type(stages.settings("tracker")).__name__ == "CorrelationSettings"
+
+
+def test_a_policy_that_is_asked_for_keeps_the_settings_that_both_classes_have() -> None:
+    changes = ("policy.horizon=8", "policy.target_prior=1", "policy.confirm=5")
+
+    node = planned(GRAPH, changes, policy="pursuit").node("policy")
+
+    assert node.operator == "operators.policy:PursuitPolicy"
+    assert node.settings == {"target": "ball", "horizon": 8, "confirm": 5}
+    assert planned(GRAPH, (), policy="own.onnx").node("policy").settings["weights"] == "own.onnx"
+
+
+def test_settings_of_no_policy_that_is_asked_for_are_refused() -> None:
+    with pytest.raises(SettingsError, match=r"policy\.dwell: no such setting"):
+        planned(GRAPH, ("policy.dwell=3",), policy="pursuit")
+    with pytest.raises(SettingsError, match=r"policy\.observed: .* got 'x'"):
+        planned(GRAPH, ("policy.observed=x",), policy="pursuit")
+
+
+def test_a_foveated_row_needs_a_policy_that_can_be_given_its_target(tmp_path: Path) -> None:
+    graph = tmp_path / "centred.yaml"
+    text = GRAPH.read_text().replace("policy:LearnedPolicy", "policy:CentredPolicy")
+    graph.write_text(text.replace("    settings: {target: ball}\n", ""))
+    words = ["--data", "procedural", "--graph", str(graph), "--strategies", "foveated"]
+
+    result = CliRunner().invoke(command, words)
+
+    said = "policy.operator: expected a class with a setting prompt_box, got operators.policy:Cen"
+    assert result.exit_code == 2
+    assert said in result.output
+
+
+def test_pursue_is_refused_by_its_new_name() -> None:
+    with pytest.raises(SettingsError, match="policy: expected pursuit, its new name, got pursue"):
+        policy_files(("pursue",))

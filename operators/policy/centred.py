@@ -1,0 +1,38 @@
+"""A policy that looks at the middle of the field, whatever is there: Tracks -> Scanpath.
+
+A baseline of the paper.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from operators.policy.former import STRATEGY
+from operators.policy.gaze_plan import check_horizon, field_centre, scanpath, stay
+from pipeline import Input, Operator, RoiFeatures, Scanpath, Tracks
+
+
+@dataclass(frozen=True, kw_only=True)
+class CentredPolicySettings:
+    """What a graph may set."""
+
+    FORMER: ClassVar[Mapping[str, str]] = STRATEGY
+
+    horizon: int = 16  # Tp, frames planned
+
+    def __post_init__(self) -> None:
+        check_horizon(self.horizon)
+
+
+class CentredPolicy(Operator[CentredPolicySettings, Scanpath]):
+    """Answers every frame with the same place."""
+
+    tracks = Input(Tracks, keep="every")
+    features = Input(RoiFeatures, join=False)
+
+    def on_features(self, features: RoiFeatures) -> None:
+        """Nothing: the input is there so that one policy can take the place of another."""
+
+    def on_tracks(self, tracks: Tracks) -> Scanpath:
+        """Plan the frames after this one."""
+        return scanpath(tracks, stay(field_centre(tracks.header.geometry), self.settings.horizon))

@@ -1,0 +1,132 @@
+"""What the learned policy decides: tracks, looks and a prompt -> a plan (paper, section 3.5).
+
+`observe` and `decide` are the same for the live graph and for training's roll-outs; they differ in
+how many moments the network judges at once.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.conditioning import encode_condition, encode_place, unlike
+from operators.policy.gaze_plan import GazePlan, field_centre, stay
+from operators.policy.memory import Memory, blank, recall, refuted
+from operators.policy.target import Choice, TargetSpec, TargetState, carrier_row, follow
+from operators.policy.tokens import Array, Objects, encode_objects, joined, without
+from pipeline import Tracks
+
+Selection = Literal["argmax", "sample"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PolicyState:
+    """What the learned policy remembers from frame to frame; it is replaced, never changed."""
+
+    spec: TargetSpec = field(default_factory=TargetSpec)  # the target that was asked for
+    target: TargetState = field(default_factory=TargetState)
+    memory: Memory = field(default_factory=blank)
+    first_seq: int = 0  # the frame that row 0 of the last choice speaks of
+    choice: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))  # (Tp,)
+    probability: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (Tp,)
+
+    def asked_for(self, spec: TargetSpec) -> "PolicyState":
+        """The state for this target: without the past of another, but with all looks."""
+        return self if spec == self.spec else PolicyState(spec=spec, memory=self.memory)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """What a graph sets of it."""
+
+    patience: int = 64  # frames for which the place of a target out of sight stays a candidate
+    least_genuine: float = 0.2
+    roi_channels: int = 576
+    target_prior: float = 30.0  # how much likelier the target's own track is; 1: no more so
+
+
+def observe(
+    before: PolicyState, tracks: Tracks, rules: Rules
+) -> tuple[PolicyState, Objects, Array]:
+    """Take in one frame: what to remember, the candidates, the condition."""
+    seq, observed = tracks.header.seq, tracks.boxes.shape[1]
+    spec, memory = before.spec, before.memory
+    target = follow(before.target, spec, tracks, chosen_for(before, seq))
+    ids = np.append(tracks.ids, np.int32(target.bound_id))
+    looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
+    candidates = encode_objects(tracks, looks[:-1])
+    candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
+    if carrier_row(target, tracks) >= 0:  # where it was going before is nowhere
+        candidates = without(candidates, candidates.ids == target.bound_id)
+    spot = encode_place(target, spec, tracks, looks[-1], patience=rules.patience)
+    if spot is not None:
+        candidates = joined(candidates, spot)
+        candidates = without(candidates, unlike(target, spec, tracks, candidates.ids))
+    return replace(before, target=target), candidates, encode_condition(target, spec, tracks)
+
+
+def with_prior(probability: Array, candidates: Objects, target: TargetState, prior: float) -> Array:
+    """The network's belief (N, Tp) times the target's own; each step's sum is 1 again.
+
+    The target is followed by motion, the network knows it by its looks and its place. Among
+    players of one team looks tell little: who was meant a moment ago is still meant, unless the
+    network is `prior` times surer of another.
+    """
+    own = candidates.ids == target.bound_id
+    if target.bound_id < 0 or not own.any():
+        return probability
+    raised = np.where(own[:, None], prior, np.float32(1)) * probability
+    return np.asarray(raised / raised.sum(0, keepdims=True), np.float32)
+
+
+def fault(tracks: Tracks) -> str:
+    """A sentence when the tracks hold something that is no number, else empty."""
+    if all(np.isfinite(a).all() for a in (tracks.features, tracks.boxes, tracks.predicted)):
+        return ""
+    return f"policy.tracks: expected finite numbers in frame {tracks.header.seq}, got others"
+
+
+def chosen_for(state: PolicyState, seq: int) -> Choice:
+    """What the last plan had chosen for frame `seq`; nothing past its end."""
+    row = seq - state.first_seq
+    if not 0 <= row < len(state.choice):
+        return Choice()
+    return Choice(object_id=int(state.choice[row]), probability=float(state.probability[row]))
+
+
+def decide(
+    before: PolicyState,
+    tracks: Tracks,
+    candidates: Objects,
+    probability: Array,
+    picked: NDArray[np.intp],
+) -> tuple[GazePlan, PolicyState]:
+    """The plan that looks at candidate `picked[t]` (Tp,) at step t, and what to remember of it."""
+    steps = np.arange(len(picked))
+    choice = candidates.ids[picked]
+    over = np.zeros((len(picked), len(tracks.ids)), np.float32)
+    track, candidate = np.nonzero(tracks.ids[:, None] == candidates.ids)
+    over[:, track] = probability[candidate].T
+    plan = GazePlan(choice=choice, boxes=candidates.path[picked, steps], probability=over)
+    return plan, replace(
+        before,
+        first_seq=tracks.header.seq + 1,
+        choice=choice,
+        probability=probability[picked, steps],
+    )
+
+
+def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArray[np.intp]:
+    """One candidate for each step: (N, Tp) -> (Tp,)."""
+    if how == "argmax":
+        return np.asarray(probability.argmax(0))
+    reached = probability.cumsum(0) >= rng.random(probability.shape[1]) * probability.sum(0)
+    return np.asarray(reached.argmax(0))
+
+
+def without_candidates(state: PolicyState, tracks: Tracks, horizon: int) -> GazePlan:
+    """Without candidates: where the target was last believed to be, or the middle of the field."""
+    if state.target.placed:
+        return stay(state.target.box, horizon)
+    return stay(field_centre(tracks.header.geometry), horizon)

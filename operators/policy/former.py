@@ -1,0 +1,12 @@
+"""Settings that policies no longer have: what is said to a graph that still has them."""
+
+from collections.abc import Mapping
+
+CLASSES = ("LearnedPolicy", "PursuitPolicy", "RoundRobinPolicy", "CentredPolicy")
+_OPERATORS = f"operators.policy:{CLASSES[0]}, {', '.join(CLASSES[1:-1])} or {CLASSES[-1]}"
+NO_POLICY = f"there is no class Policy any more; name {_OPERATORS} as the operator"
+STRATEGY: Mapping[str, str] = {
+    "strategy": f"expected the strategy as the class of the node, operator: {_OPERATORS}"
+}
+CARRIERS: Mapping[str, str] = {"held_by": "expected carriers, its new name"}
+PRIOR: Mapping[str, str] = {"loyalty": "expected target_prior, its new name"}

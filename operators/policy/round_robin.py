@@ -1,0 +1,120 @@
+"""A policy that looks at each object in turn: Tracks -> Scanpath. A baseline of the paper."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.former import STRATEGY
+from operators.policy.gaze_plan import (
+    GazePlan,
+    check_horizon,
+    field_centre,
+    future,
+    of_class,
+    scanpath,
+    stay,
+)
+from operators.policy.target import check_label
+from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoundRobinPolicySettings:
+    """What a graph may set."""
+
+    FORMER: ClassVar[Mapping[str, str]] = STRATEGY
+
+    target: str = ""  # class name (ball, referee, player …) that limits the round; empty: any
+    dwell: int = 4  # frames per object
+    horizon: int = 16  # Tp, frames planned
+
+    def __post_init__(self) -> None:
+        check_horizon(self.horizon)
+        if self.dwell < 1:
+            raise SettingsError(f"dwell: must be at least 1, got {self.dwell}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoundRobinState:
+    """The object whose turn it is, and since which frame."""
+
+    object_id: int = -1
+    since_seq: int = -1
+
+
+class RoundRobinPolicy(Operator[RoundRobinPolicySettings, Scanpath]):
+    """Answers a frame without objects with the middle of the field."""
+
+    tracks = Input(Tracks, keep="every")
+    features = Input(RoiFeatures, join=False)
+    live: ClassVar[tuple[str, ...]] = ("target",)
+
+    def open(self) -> None:
+        """Begin a round."""
+        self._state = RoundRobinState()
+        self._names: Sequence[str] = ()  # of the classes that tracks have
+
+    def on_settings(self, settings: RoundRobinPolicySettings) -> None:
+        """Another class from the next plan on; raises `SettingsError` where tracks have none."""
+        if settings.target != self.settings.target:
+            check_label(settings.target, self._names)
+        self.settings = settings
+
+    def on_stream(self, header: Header) -> None:
+        """Ids of another stream are other objects."""
+        self._state = RoundRobinState()
+
+    def state(self) -> RoundRobinState:
+        """The turn."""
+        return self._state
+
+    def restore(self, state: RoundRobinState) -> None:
+        """Go on with the round of another instance."""
+        self._state = state
+
+    def on_features(self, features: RoiFeatures) -> None:
+        """Nothing: the input is there so that one policy can take the place of another."""
+
+    def on_tracks(self, tracks: Tracks) -> Scanpath:
+        """Plan the frames after this one."""
+        s, self._names = self.settings, tracks.names
+        plan, self._state = round_robin(
+            tracks, self._state, target=s.target, dwell=s.dwell, horizon=s.horizon
+        )
+        return scanpath(tracks, plan)
+
+
+def round_robin(
+    tracks: Tracks, turn: RoundRobinState, *, target: str, dwell: int, horizon: int
+) -> tuple[GazePlan, RoundRobinState]:
+    """Each object in turn, by id, `dwell` frames each; `target` limits the round to one class.
+
+    The turn passes to the next higher id, so that objects may come and go without disturbing the
+    round. Without objects it is the middle of the field.
+    """
+    rows = np.flatnonzero(of_class(tracks, target))
+    if not len(rows):
+        return stay(field_centre(tracks.header.geometry), horizon), RoundRobinState()
+    ids = tracks.ids[rows]
+    now = tracks.header.seq + 1
+    if turn.object_id < 0:
+        turn = RoundRobinState(object_id=int(ids[0]), since_seq=now)
+    elif turn.object_id not in ids or now - turn.since_seq >= dwell:
+        turn = RoundRobinState(object_id=int(ids[after(ids, turn.object_id)]), since_seq=now)
+    first = int(np.flatnonzero(ids == turn.object_id)[0])
+    frames = np.arange(horizon)
+    places = (first + (now - turn.since_seq + frames) // dwell) % len(rows)
+    boxes = np.stack([future(tracks, int(row), horizon) for row in rows])
+    return GazePlan(choice=ids[places], boxes=boxes[places, frames]), turn
+
+
+def after(ids: NDArray[np.int32], last: int) -> int:
+    """Index of the next higher id than `last`, or 0 at the end of the round; ids ascending.
+
+    >>> after(np.array([2, 5, 9], np.int32), 5), after(np.array([2, 5, 9], np.int32), 9)
+    (2, 0)
+    """
+    return int(np.searchsorted(ids, last, side="right")) % len(ids)
