@@ -1,9 +1,9 @@
 """Whether a supervisor grows with what it lives through: `python -m bench.endure --kills 300`.
 
-Runs a small graph of toys in real time, kills one of its nodes and swaps another, again and again,
-and records the supervisor's memory, open files and threads, and the files of the run, every 50
-events. With `--json FILE` the figures are written with machine and commit, again after every look.
-What the supervisor keeps of its processes fills up for the first twelve minutes.
+Runs a small graph of sample operators in real time, kills one of its nodes and swaps another, again
+and again, and records the supervisor's memory, open files and threads, and the files of the run,
+every 50 events. With `--json FILE` the figures are written with machine and commit, again after
+every look. The samples of the processes' memory fill for the first twelve minutes.
 """
 
 import json
@@ -37,15 +37,15 @@ GRAPH = """\
 name: endure-{token}
 nodes:
   metronome:
-    operator: bench.toys:Metronome
+    operator: bench.samples:Metronome
   first:
-    operator: bench.toys:Forward
+    operator: bench.samples:Forward
     inputs: {{frame: {{from: metronome, depth: 60}}}}
   second:
-    operator: bench.toys:Forward
+    operator: bench.samples:Forward
     inputs: {{frame: {{from: first, depth: 60}}}}
   sink:
-    operator: bench.toys:Sink
+    operator: bench.samples:Sink
     inputs: {{frame: {{from: second, depth: 60}}}}
 """
 KILLED, SWAPPED, LAST = "second", "first", "sink"
@@ -60,7 +60,7 @@ PROBATION = 2  # frames
 @JSON
 def main(kills: int, swaps: int, path: Path | None) -> None:
     """Kill one node and swap another so many times, in turn."""
-    plan = toy_plan()
+    plan = sample_plan()
     events = schedule(kills, swaps)
     looks: list[dict[str, float]] = []
     refused: list[str] = []
@@ -93,8 +93,8 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
     _write(path, result)
 
 
-def toy_plan() -> Plan:
-    """A graph of four toys under a name of its own."""
+def sample_plan() -> Plan:
+    """A graph of four samples under a name of its own."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "graph.yaml"
         file.write_text(GRAPH.format(token=secrets.token_hex(3)))

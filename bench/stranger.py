@@ -38,9 +38,9 @@ KILL_S = 2.0
 GRAPH = """\
 name: stranger-{token}
 nodes:
-  eye: {{operator: "bench.toys:Metronome", settings: {{rate_hz: 100, side_px: 256}}}}
-  work: {{operator: "bench.toys:Forward", inputs: {{frame: eye}}}}
-  check: {{operator: "bench.toys:Inspector", inputs: {{frame: work}}}}
+  eye: {{operator: "bench.samples:Metronome", settings: {{rate_hz: 100, side_px: 256}}}}
+  work: {{operator: "bench.samples:Forward", inputs: {{frame: eye}}}}
+  check: {{operator: "bench.samples:Inspector", inputs: {{frame: work}}}}
 """
 
 

@@ -6,19 +6,19 @@ from typing import Any
 
 from pipeline.graph.plan import Plan
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import handled, plan_of, wait_for
+from tests.sample_graphs import handled, plan_of, wait_for
 
 UNRULY = """\
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     settings: {rate_hz: 20, side_px: 60}
   unruly:
-    operator: tests.sick_toys:Unruly
+    operator: tests.faulty_samples:Unruly
     restart: {backoff_s: 0.01}
     inputs: {frame: {from: ticker.context, depth: 60}}
   after:
-    operator: tests.toys:Count
+    operator: tests.samples:Count
     inputs: {frame: {from: unruly, depth: 60}}
 """
 
@@ -33,7 +33,7 @@ def unruly_file(tmp_path: Path, *, text: str = UNRULY, **settings: Any) -> Path:
     """Likewise, as a file for the command line."""
     if settings:
         words = ", ".join(f"{name}: {value}" for name, value in settings.items())
-        operator = "    operator: tests.sick_toys:Unruly\n"
+        operator = "    operator: tests.faulty_samples:Unruly\n"
         text = text.replace(operator, f"{operator}    settings: {{{words}}}\n")
     path = tmp_path / "graph.yaml"
     path.write_text(f"name: unruly-{secrets.token_hex(3)}\n{text}")

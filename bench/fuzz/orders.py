@@ -29,10 +29,10 @@ from pipeline.run.supervisor import Supervisor
 GRAPH = """\
 name: fuzz-orders
 nodes:
-  metronome: {operator: bench.toys:Metronome, settings: {rate_hz: 100, side_px: 16}}
-  forward: {operator: bench.toys:Forward, inputs: {frame: metronome}}
-  sink: {operator: bench.toys:Sink, inputs: {frame: forward}}
-  spare: {operator: bench.toys:Sink, inputs: {frame: metronome}}
+  metronome: {operator: bench.samples:Metronome, settings: {rate_hz: 100, side_px: 16}}
+  forward: {operator: bench.samples:Forward, inputs: {frame: metronome}}
+  sink: {operator: bench.samples:Sink, inputs: {frame: forward}}
+  spare: {operator: bench.samples:Sink, inputs: {frame: metronome}}
 """
 ROUND = 1000  # orders to one run of the graph
 ANSWER_S = 120.0

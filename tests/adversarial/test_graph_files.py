@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from bench.fuzz.graphs import fuzz_graphs
-from tests.toy_graphs import CHAIN, LOOP
+from tests.sample_graphs import CHAIN, LOOP
 
 MANY = 10_000
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from bench.bus import CONTESTANTS, ROOT, is_installed, read_sizes, run_to_end, schedule
 from bench.bus_figures import summarise, table
-from tests.toy_graphs import ended, until
+from tests.sample_graphs import ended, until
 
 MS = 1_000_000
 

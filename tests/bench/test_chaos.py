@@ -11,7 +11,7 @@ from bench.chaos import main
 from bench.grounds import OneHost, ThreeHosts
 from bench.netns import permitted
 from tests.pipeline.fleet.agents import TRIO
-from tests.toy_graphs import LOOP
+from tests.sample_graphs import LOOP
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ def test_what_is_left_when_the_plans_are_taken_out_are_the_looks() -> None:
 
 def test_a_graph_without_tracks_is_refused_in_one_sentence(tmp_path: Path) -> None:
     graph = tmp_path / "graph.yaml"
-    graph.write_text("name: x\nnodes:\n  policy:\n    operator: tests.toys:Ticker\n")
+    graph.write_text("name: x\nnodes:\n  policy:\n    operator: tests.samples:Ticker\n")
 
     done = CliRunner().invoke(main, [str(graph)])
 

@@ -12,7 +12,7 @@ from bench import crash, kalman, loop, scene, soak
 @pytest.mark.parametrize("bench", [crash, loop, soak])
 def test_a_wrong_setting_is_one_sentence_and_exit_status_1(bench: object, tmp_path: Path) -> None:
     graph = tmp_path / "graph.yaml"
-    graph.write_text("name: x\nnodes:\n  ticker:\n    operator: tests.toys:Ticker\n")
+    graph.write_text("name: x\nnodes:\n  ticker:\n    operator: tests.samples:Ticker\n")
 
     done = CliRunner().invoke(bench.main, [str(graph), "--set", "ticker.rate=3"])  # type: ignore[attr-defined]
 

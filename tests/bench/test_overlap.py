@@ -26,7 +26,7 @@ from pipeline.errors import RunError
 from pipeline.graph.loader import load
 from pipeline.run.supervisor import MOST_HEADLINE
 from pipeline.testing import header
-from tests.toy_graphs import LOOP
+from tests.sample_graphs import LOOP
 
 ROOT = Path(__file__).resolve().parents[2]
 BALL, FIRST, SECOND = (100, 100, 120, 120), (300, 100, 340, 200), (900, 100, 940, 200)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from drivers.simulated.pace import Pace
 from drivers.simulated.playback import Playback, Timing
 from tests.drivers.moving_square import MovingSquare
-from tests.toy_graphs import until
+from tests.sample_graphs import until
 
 
 def play(source: MovingSquare, timing: Timing, *, reader_s: float = 0.0) -> list[tuple[int, int]]:

@@ -15,8 +15,8 @@ from pipeline.console.running import status_line
 from pipeline.graph.loader import load
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
+from tests.sample_graphs import handled, wait_for
 from tests.shared_data import Footage
-from tests.toy_graphs import handled, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 GRAPH = ROOT / "graphs" / "tracking.yaml"

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from pipeline.cli import commands
-from tests.toy_graphs import LOOP, until
+from tests.sample_graphs import LOOP, until
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
 

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 from pipeline import GraphError
 from pipeline.graph.plan import Plan
 from pipeline.naming import LONGEST_NAME, check_name, is_name
-from tests.toy_graphs import CHAIN, plan_of
+from tests.sample_graphs import CHAIN, plan_of
 
 NO_NAMES = (
     *["", ".", "..", "/etc", "../../x", "a/b", "a.b", "**", "a*", "$x", "#", "a?b", "a b", "-a"],

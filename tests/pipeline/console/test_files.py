@@ -15,7 +15,7 @@ from rerun.chunk import RrdReader
 from pipeline import SettingsError
 from pipeline.console.files import try_recording, try_report, write_report
 from tests.pipeline.run.namespaces import with_small_mounts
-from tests.toy_graphs import CHAIN
+from tests.sample_graphs import CHAIN
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
 VIEWER = """\

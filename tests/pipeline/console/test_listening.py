@@ -22,7 +22,7 @@ from pipeline.run.rundir import folder_of
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from pipeline.testing import header
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     CHAIN,
     assert_accounts_add_up,
     beside,
@@ -37,10 +37,10 @@ FOVEA = (sys.executable, "-m", "pipeline.cli")
 UNREAD = """\
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     settings: {rate_hz: 60, side_px: 300}
   glance:
-    operator: tests.toys:Pass
+    operator: tests.samples:Pass
     inputs: {frame: ticker.roi}
 """
 

@@ -40,7 +40,7 @@ from pipeline.run.memory_folder import MEMORY, path_of
 from pipeline.run.rundir import memory_of, running
 from pipeline.run.supervisor import Supervisor
 from tests.pipeline.run.namespaces import with_small_mounts
-from tests.toy_graphs import CHAIN, KILLED, LOOP, ended, go, handled, plan_of, until, wait_for
+from tests.sample_graphs import CHAIN, KILLED, LOOP, ended, go, handled, plan_of, until, wait_for
 
 
 def verdicts(findings: list[Finding]) -> dict[str, str]:

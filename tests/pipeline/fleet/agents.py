@@ -13,31 +13,31 @@ from pipeline.fleet.deploy import Fleet, read_hosts
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
 
-TOYS = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")
-ALLOWED = {f"tests.toys:{name}": ANY for name in TOYS}
+SAMPLES = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")
+ALLOWED = {f"tests.samples:{name}": ANY for name in SAMPLES}
 TRIO = """
 name: trio
 hosts: [sensor, compute, viewer]
 nodes:
   capture:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     host: sensor
     inputs: {schedule: steer}
     settings: {rate_hz: 30}
   work:
-    operator: tests.toys:Pass
+    operator: tests.samples:Pass
     host: compute
     inputs: {frame: capture.context}
   pair:
-    operator: tests.toys:Pair
+    operator: tests.samples:Pair
     host: compute
     inputs: {left: work, right: capture.roi}
   steer:
-    operator: tests.toys:Steer
+    operator: tests.samples:Steer
     host: compute
     inputs: {percept: pair}
   count:
-    operator: tests.toys:Count
+    operator: tests.samples:Count
     host: viewer
     inputs: {frame: capture.context}
 """

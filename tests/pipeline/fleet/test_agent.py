@@ -46,7 +46,7 @@ from tests.pipeline.fleet.agents import (
     state_of,
 )
 from tests.pipeline.run.bad_link import BadLink
-from tests.toy_graphs import until
+from tests.sample_graphs import until
 
 LABELS = ("sensor", "compute", "viewer")
 
@@ -85,7 +85,7 @@ def test_a_graph_goes_up_runs_over_its_hosts_and_comes_down(fleet: Fleet, tmp_pa
 @pytest.mark.parametrize(
     ("node", "changes", "said"),
     [
-        ("steer", {"operator": "tests.toys:Nosy"}, r"compute: steer\.operator: .* allow list"),
+        ("steer", {"operator": "tests.samples:Nosy"}, r"compute: steer\.operator: .* allow list"),
         ("capture", {"settings": {"rate_hz": "often"}}, r"sensor: capture\.rate_hz: input should"),
         (
             "count",
@@ -151,10 +151,10 @@ def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path)
     assert tell_node("trio", "work", "recall", {}).refused == ""
     assert set(read_interface(ask_node("trio", "count", SCHEMA, b"")).inputs) == {"frame"}
 
-    done = tell("trio", SwapOrder(node="work", operator="tests.toys:PassEvery", probation=5))
+    done = tell("trio", SwapOrder(node="work", operator="tests.samples:PassEvery", probation=5))
     assert done["proven_frames"] >= 5
     assert "not on the allow list" in refusal(
-        partial(tell, "trio", SwapOrder(node="work", operator="tests.toys:Nosy"))
+        partial(tell, "trio", SwapOrder(node="work", operator="tests.samples:Nosy"))
     )
     assert "no path from outside" in refusal(
         partial(tell, "trio", SwapOrder(node="work", changes={"hold": "~/x"}))

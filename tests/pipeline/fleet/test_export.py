@@ -244,7 +244,11 @@ def test_credentials_and_agent_files_allow_what_the_graph_has_on_that_host_and_n
     assert len(lines) == 4
     host = read(folder / "host.compute" / "agent.yaml")
     assert host.endpoint == "tls/10.0.0.2:7000"
-    assert set(host.file.operators) == {"tests.toys:Pass", "tests.toys:Pair", "tests.toys:Steer"}
+    assert set(host.file.operators) == {
+        "tests.samples:Pass",
+        "tests.samples:Pair",
+        "tests.samples:Steer",
+    }
     assert set(host.file.operators) < set(ALLOWED)
     assert host.identities == ("user.alice", "host.sensor", "host.viewer")
     assert host.credentials is not None

@@ -17,7 +17,7 @@ from pipeline.bus.network import LEASE_MS
 from pipeline.fleet import secure
 from pipeline.fleet.names import user_identity
 from tests.pipeline.fleet.agents import TRIO
-from tests.toy_graphs import until
+from tests.sample_graphs import until
 
 pytestmark = pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here")
 AHEAD_S = 1000
@@ -196,10 +196,14 @@ SEEN = (("sensor", "capture.schedule"), ("compute", "work.frame"), ("viewer", "c
 def test_what_a_host_refuses_starts_nothing_anywhere(world: World, tmp_path: Path) -> None:
     other = world.graph.with_name("other.yaml")
     other.write_text(
-        TRIO.replace("name: trio", "name: other").replace("tests.toys:Steer", "tests.toys:Nosy")
+        TRIO.replace("name: trio", "name: other").replace(
+            "tests.samples:Steer", "tests.samples:Nosy"
+        )
     )
 
-    with pytest.raises(RunError, match=r"compute: steer\.operator: tests\.toys:Nosy is not on the"):
+    with pytest.raises(
+        RunError, match=r"compute: steer\.operator: tests\.samples:Nosy is not on the"
+    ):
         deploy(world, other)
     with pytest.raises(RunError, match="runs already; take it down first"):
         world.up()

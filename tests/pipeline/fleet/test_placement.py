@@ -111,7 +111,7 @@ def evil(plan: Plan, node: str, **changes: Any) -> Plan:
     ("changes", "said"),
     [
         ({"operator": "os:system"}, "os:system is not on the allow list"),
-        ({"operator": "tests.toys:Nosy"}, "not on the allow list"),
+        ({"operator": "tests.samples:Nosy"}, "not on the allow list"),
         ({"settings": {"sleep_s": "/etc/shadow"}}, "expected no path from outside"),
         ({"settings": {"sleep_s": {"deep": ["../x"]}}}, "expected no path from outside"),
         ({"settings": {"sleep_s": "subprocess:run"}}, "subprocess:run is not on the allow list"),
@@ -195,7 +195,7 @@ def test_an_input_without_a_writer_is_refused(tmp_path: Path) -> None:
 
 
 def test_code_that_is_not_what_was_allowed_is_refused(tmp_path: Path) -> None:
-    path = "tests.toys:Pass"
+    path = "tests.samples:Pass"
     Allowed({path: code_digest(path)}, {}, tmp_path).check_code(path, "work")
 
     with pytest.raises(SettingsError, match=r"expected code with sha256 00000000"):
@@ -294,7 +294,7 @@ def test_a_host_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Pat
 
 
 def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) -> None:
-    text = TRIO + "  near:\n    operator: tests.toys:Count\n    host: sensor\n"
+    text = TRIO + "  near:\n    operator: tests.samples:Count\n    host: sensor\n"
     text += "    inputs: {frame: capture.context}\n"
     sensor, viewer = (plan_for(plan_of(tmp_path, text), name) for name in ("sensor", "viewer"))
     old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))

@@ -17,17 +17,17 @@ from pipeline.fleet.deploy import Fleet, Hosts, down, forget, remember, remember
 from pipeline.fleet.fleet_status import fleet_log
 from tests.pipeline.fleet.agents import Running, fleet_of, plan_of
 
-ALLOWED = {"tests.toys:Ticker": ANY, "tests.toys:Model": ANY}
+ALLOWED = {"tests.samples:Ticker": ANY, "tests.samples:Model": ANY}
 OLD, NEW = b"an old model", b"a newer model"
 PAIR = """
 name: remote
 hosts: [eye, brain]
 nodes:
   capture:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     host: eye
   look:
-    operator: tests.toys:Model
+    operator: tests.samples:Model
     host: brain
     inputs: {frame: capture.context}
 """

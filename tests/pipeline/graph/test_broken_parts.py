@@ -16,7 +16,7 @@ from pipeline.graph.plan import load_operator
 from pipeline.import_path import imported
 from pipeline.settings import build
 from tests.broken_parts import CLASSES, HEAD, MODULES
-from tests.toy_graphs import CHAIN
+from tests.sample_graphs import CHAIN
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
 EXTRA = "  extra:\n    operator: {}\n    settings: {{}}\n"
@@ -160,7 +160,7 @@ def test_looking_without_imports_imports_nothing_and_names_all_that_would_be(
         ("frame: ticker.roi", "frame: tiker.roi", "no node tiker, did you mean 'ticker'"),
         ("  glance:", "  ../glance:", "expected up to 32 letters"),
         ("depth: 60", "depth: 0", "expected 1 to 64"),
-        ("operator: tests.toys:Count", "operator: 5", "expected an import path"),
+        ("operator: tests.samples:Count", "operator: 5", "expected an import path"),
         ("name: toy", "nam: toy", "did you mean 'name'"),
     ],
 )

@@ -29,7 +29,7 @@ YAML_NAMES = [*(json.dumps(n) for n in NO_NAMES if n.isprintable()), "null", "5"
     [
         ("name: toy", 1),
         ("  work:\n", 8),
-        ("    operator: tests.toys:Pass\n", 10),
+        ("    operator: tests.samples:Pass\n", 10),
         ("inputs: {frame", 10),
     ],
     ids=["graph", "node", "group", "input"],
@@ -148,7 +148,7 @@ def test_what_a_schema_says_of_nodes_and_edges_is_what_the_loader_says(
     document = plain(YamlFile(write(folder, GOOD)).document)
     document["nodes"]["pair"]["inputs"]["right"] = {"from": "ticker.roi", **edge}
     document["nodes"]["extra"] = {
-        "operator": "tests.toys:Count", "inputs": {"frame": "ticker.roi"}, **node
+        "operator": "tests.samples:Count", "inputs": {"frame": "ticker.roi"}, **node
     }  # fmt: skip
     path = write(folder, json.dumps(document))
 

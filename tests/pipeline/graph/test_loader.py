@@ -19,19 +19,19 @@ name: toy
 clock: realtime
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     inputs: {schedule: steer}
     settings: {rate_hz: 50}
   work:
-    operator: tests.toys:Pass
+    operator: tests.samples:Pass
     inputs: {frame: ticker.context}
   pair:
-    operator: tests.toys:Pair
+    operator: tests.samples:Pair
     inputs:
       left: work
       right: {from: ticker.roi, keep: every, depth: 3}
   steer:
-    operator: tests.toys:Steer
+    operator: tests.samples:Steer
     inputs: {percept: pair}
 """
 
@@ -66,8 +66,8 @@ def test_a_good_graph_becomes_a_plan(tmp_path: Path) -> None:
         ("{rate_hz: 50}", "{rate_hz: fast}", 7, "ticker.rate_hz"),
         ("{rate_hz: 50}", "{rate_hz: -1}", 7, "must be positive, got -1"),
         ("{rate_hz: 50}", "{rate: 50}", 7, "did you mean 'rate_hz'"),
-        ("tests.toys:Pass", "tests.toys:Past", 9, "cannot be imported"),
-        ("tests.toys:Pass", "json:dumps", 9, "expected an Operator"),
+        ("tests.samples:Pass", "tests.samples:Past", 9, "cannot be imported"),
+        ("tests.samples:Pass", "json:dumps", 9, "expected an Operator"),
         ("percept: pair", "percept: work", 18, "expected Percept, got Frame"),
         ("left: work", "left: 3", 14, "expected node or node.output"),
         ("keep: every", "keep: evry", 15, "did you mean every"),
@@ -77,7 +77,7 @@ def test_a_good_graph_becomes_a_plan(tmp_path: Path) -> None:
         ("clock: realtime", "clok: realtime", 2, "did you mean 'clock'"),
         ("schedule: steer", "schedule: {from: steer, keep: every}", 6, "always latest"),
         (
-            "    operator: tests.toys:Steer",
+            "    operator: tests.samples:Steer",
             "    operator: 7",
             17,
             "expected an import path module:Class",
@@ -99,8 +99,8 @@ def test_a_wrong_graph_is_refused_with_its_line(
 
 
 def test_a_loop_without_a_sensor_command_is_refused(tmp_path: Path) -> None:
-    text = GOOD + "  echo:\n    operator: tests.toys:PassEvery\n    inputs: {frame: mirror}\n"
-    text += "  mirror:\n    operator: tests.toys:PassEvery\n    inputs: {frame: echo}\n"
+    text = GOOD + "  echo:\n    operator: tests.samples:PassEvery\n    inputs: {frame: mirror}\n"
+    text += "  mirror:\n    operator: tests.samples:PassEvery\n    inputs: {frame: echo}\n"
 
     with pytest.raises(GraphError, match="echo, mirror wait for one another"):
         load(write(tmp_path, text))
@@ -134,7 +134,7 @@ def test_a_source_file_is_laid_over_the_node_that_makes_frames(tmp_path: Path) -
 
 
 def test_a_manual_node_starts_only_when_wanted(tmp_path: Path) -> None:
-    text = GOOD + "  count:\n    operator: tests.toys:Count\n    manual: true\n"
+    text = GOOD + "  count:\n    operator: tests.samples:Count\n    manual: true\n"
     path = write(tmp_path, text + "    inputs: {frame: ticker.roi}\n")
 
     assert len(load(path).nodes) == 4

@@ -16,7 +16,7 @@ from pipeline.graph.editing import with_nodes
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay, read_change, read_value
 from pipeline.graph.yaml_reader import MOST_BYTES, YamlMapping, read_file, read_text
-from tests.toy_graphs import CHAIN, plan_of
+from tests.sample_graphs import CHAIN, plan_of
 
 LAUGHS = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{n}: &{n} [{', '.join([f'*{p}'] * 9)}]\n" for p, n in zip("abcdefgh", "bcdefghi", strict=True)
@@ -144,7 +144,7 @@ def test_anchors_aliases_and_merges_are_copied_so_that_a_change_of_one_leaves_th
     tmp_path: Path,
 ) -> None:
     text = CHAIN.replace("settings: {rate_hz: 20", "settings: &fast {rate_hz: 20")
-    text += "  late:\n    operator: tests.toys:Ticker\n    settings: {<<: *fast, length: 9}\n"
+    text += "  late:\n    operator: tests.samples:Ticker\n    settings: {<<: *fast, length: 9}\n"
     path = write(tmp_path, f"\ufeffname: toy\n{text}")
 
     plan = load(path, Overlay(changes=("late.side_px=7",)))

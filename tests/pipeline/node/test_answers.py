@@ -17,8 +17,8 @@ from pipeline.node.health import Health
 from pipeline.node.interface import SCHEMA, interface, read_interface
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import header
-from tests.toy_graphs import LOOP, go, handled, plan_of, send_signal, until, wait_for
-from tests.toys import Pass, WorkSettings
+from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, until, wait_for
+from tests.samples import Pass, WorkSettings
 
 
 def work(*seqs: int) -> Pass:

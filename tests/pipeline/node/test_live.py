@@ -14,8 +14,8 @@ from pipeline.contract import live_of
 from pipeline.node.live import Live, kept, read_answer, write_question
 from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import LOOP, go, handled, plan_of, send_signal, wait_for
-from tests.toys import Pass, WorkSettings
+from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, wait_for
+from tests.samples import Pass, WorkSettings
 
 
 def work(file: Path | None = None) -> tuple[Pass, Live]:

@@ -20,7 +20,7 @@ from pipeline.node.operator_runner import DELAY_EVERY, MOST_ASKED, OperatorRunne
 from pipeline.run.memory_folder import MemoryFolder
 from pipeline.testing import header
 from tests.pipeline.bus.test_outport import STEM, Wire
-from tests.toys import WorkSettings
+from tests.samples import WorkSettings
 
 
 class Look(Operator[WorkSettings, None]):

@@ -12,8 +12,16 @@ from pipeline import Operator, RunError
 from pipeline.codec import dumps
 from pipeline.node.operator_state import UndeclaredState, restore
 from pipeline.testing import header
-from tests.state_toys import Counted, Counter, Forgetful, Refusing, Unnamed, Unresolved, Unrestored
-from tests.toys import WorkSettings
+from tests.samples import WorkSettings
+from tests.stateful_samples import (
+    Counted,
+    Counter,
+    Forgetful,
+    Refusing,
+    Unnamed,
+    Unresolved,
+    Unrestored,
+)
 
 
 @dataclass

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.bus.session import Sender, Session
 from tests.pipeline.run.bad_link import BadLink
-from tests.toy_graphs import until
+from tests.sample_graphs import until
 
 PICTURE = bytes(1_000_000)
 

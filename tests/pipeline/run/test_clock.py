@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.toy_graphs import LOOP
+from tests.sample_graphs import LOOP
 
 ROOT = Path(__file__).resolve().parents[3]
 ASKED_FOR_FILES = {  # a file's age is by that clock, and so is a certificate's
@@ -21,7 +21,7 @@ import signal, sys, time
 from pathlib import Path
 from pipeline.console.graph_client import fleet_health
 from pipeline.graph.loader import load
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     assert_accounts_add_up, go, handled, send_signal, wait_for, wait_for_progress,
 )
 

@@ -13,7 +13,7 @@ from pipeline.run.descendants import TAG_VARIABLE, end_tagged, new_tag, tagged
 from pipeline.run.leftovers import cleanup
 from pipeline.run.rundir import running
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     KILLED,
     assert_accounts_add_up,
     ended,
@@ -70,7 +70,7 @@ def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_ne
     note = tmp_path / "pids"
     plan = unruly_plan(tmp_path, kind=kind, note=note, once=tmp_path / "once")
     graph, settings = tmp_path / "graph.yaml", f"{{kind: {kind}, note: {note}}}"
-    operator = "    operator: tests.sick_toys:Unruly\n"
+    operator = "    operator: tests.faulty_samples:Unruly\n"
     graph.write_text(graph.read_text().replace(operator, f"{operator}    settings: {settings}\n"))
     with subprocess.Popen([sys.executable, "-c", KILLED, str(graph)]) as supervisor:
         pids = noted(note, count)

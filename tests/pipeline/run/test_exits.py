@@ -7,7 +7,7 @@ import pytest
 from pipeline.errors import RunError
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import assert_accounts_add_up, go, handled, wait_for
+from tests.sample_graphs import assert_accounts_add_up, go, handled, wait_for
 from tests.unruly_graphs import UNRULY, recovers, unruly_plan
 
 KINDS = {
@@ -56,7 +56,7 @@ def test_a_source_that_may_not_restart_and_leaves_is_the_reason_for_the_end(
     tmp_path: Path,
 ) -> None:
     text = UNRULY.replace("  ticker:\n", "  ticker:\n    restart: never\n")
-    text = text.replace("tests.toys:Ticker", "tests.sick_toys:Deserter")
+    text = text.replace("tests.samples:Ticker", "tests.faulty_samples:Deserter")
 
     report = go(unruly_plan(tmp_path, text=text), 0)
 

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.run.memory_folder import MEMORY
 from tests.pipeline.run.namespaces import with_small_mounts
-from tests.toy_graphs import LOOP
+from tests.sample_graphs import LOOP
 
 WRITER = """
 import os, sys
@@ -27,7 +27,7 @@ from pathlib import Path
 from pipeline.console.graph_client import tell
 from pipeline.console.changing import ask
 from pipeline.graph.loader import load
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     assert_accounts_add_up, go, handled, send_signal, wait_for, wait_for_progress,
 )
 

@@ -32,16 +32,16 @@ from pipeline.node.source import SourceRunner
 from pipeline.run.inline import InlineRunner
 from pipeline.testing import drive, header, picture
 from tests.pipeline.bus.test_outport import Wire
-from tests.toy_graphs import go, plan_of
-from tests.toys import Pair
-from tests.wrong_toys import Beside, Wrong, WrongSettings, percept
+from tests.sample_graphs import go, plan_of
+from tests.samples import Pair
+from tests.wrong_samples import Beside, Wrong, WrongSettings, percept
 
 READER = """\
 nodes:
   maker:
-    operator: tests.wrong_toys:Maker
+    operator: tests.wrong_samples:Maker
   wrong:
-    operator: tests.wrong_toys:{cls}
+    operator: tests.wrong_samples:{cls}
     inputs: {{frame: maker.left}}
     settings: {{answer: {answer}}}
     restart: {{policy: never}}
@@ -49,12 +49,12 @@ nodes:
 MAKER = """\
 nodes:
   wrong:
-    operator: tests.wrong_toys:Maker
+    operator: tests.wrong_samples:Maker
     {inputs}
     settings: {{answer: {answer}}}
     restart: {{policy: never}}
   work:
-    operator: tests.toys:Pass
+    operator: tests.samples:Pass
     inputs: {{frame: wrong.left}}
 """
 COMMANDED = "a command"
@@ -118,7 +118,7 @@ def frame(seq: int = 0) -> Frame:
 @contextmanager
 def runner_of(folder: Path, cls: str, answer: str) -> Iterator[OperatorRunner]:
     """The runner of an operator, without a graph around it."""
-    operator: type[Operator[Any, Any]] = load_operator(f"tests.wrong_toys:{cls}")
+    operator: type[Operator[Any, Any]] = load_operator(f"tests.wrong_samples:{cls}")
     subject = operator(WrongSettings(answer=answer))
     subject.open()
     ledger, receiver = private_ledger(1, 1), LocalReceiver(folder / "wrong.recv")
@@ -172,7 +172,7 @@ def by_a_shadow(folder: Path, cls: str, answer: str) -> None:
 
 
 def by_drive(_folder: Path, cls: str, answer: str) -> None:
-    operator: type[Any] = load_operator(f"tests.wrong_toys:{cls}")
+    operator: type[Any] = load_operator(f"tests.wrong_samples:{cls}")
     named = operator if cls in ("Misnamed", "Deaf") else type("wrong", (operator,), {})
     drive(named, [{inputs: frame() for inputs in inputs_of(operator)}], {"answer": answer})
 

@@ -21,7 +21,7 @@ from pipeline.run.memory_folder import MemoryFolder, abandoned, path_of
 from pipeline.run.run_folder import RunFolder
 from pipeline.run.rundir import base, folder_of, noted, running
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import CHAIN, plan_of
+from tests.sample_graphs import CHAIN, plan_of
 
 NO_RUN_NAMES = ["", ".", "..", "../x", "/etc", "a/b", "a@b@c", "@", "a@", "@b", "a b", "x" * 33]
 

@@ -16,7 +16,7 @@ from pipeline.run.inline import InlineRunner
 from pipeline.run.memory_folder import path_of
 from pipeline.run.rundir import base, running
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     CHAIN,
     KILLED,
     LOOP,
@@ -107,10 +107,10 @@ def test_a_reader_that_stands_still_on_a_lossless_edge_loses_nothing(tmp_path: P
 
 
 def test_a_writer_waits_for_a_stopped_lossless_reader(tmp_path: Path) -> None:
-    text = CHAIN + "  relay:\n    operator: tests.toys:PassEvery\n"
+    text = CHAIN + "  relay:\n    operator: tests.samples:PassEvery\n"
     text += "    inputs: {frame: {from: ticker.context, depth: 60}}\n"
     text += (
-        "  last:\n    operator: tests.toys:Count\n    inputs: {frame: {from: relay, depth: 2}}\n"
+        "  last:\n    operator: tests.samples:Count\n    inputs: {frame: {from: relay, depth: 2}}\n"
     )
 
     def freeze(supervisor: Supervisor) -> None:
@@ -280,7 +280,9 @@ def test_a_source_that_breaks_ends_the_run_with_its_sentence(
 
 
 def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
-    text = LOOP.replace("    operator: tests.toys:Pair\n", "    operator: tests.toys:PairEvery\n")
+    text = LOOP.replace(
+        "    operator: tests.samples:Pair\n", "    operator: tests.samples:PairEvery\n"
+    )
     text = text.replace("    inputs: {frame: ticker.context}\n",
                         "    inputs: {frame: {from: ticker.context, keep: every}}\n"
                         "    stall_s: 0.5\n")  # fmt: skip
@@ -296,7 +298,7 @@ def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
     assert report["restarts"] == {"work": 1}
     assert (
         "time.sleep" in (base() / plan.name / "work.log").read_text()
-        or "toys.py" in (base() / plan.name / "work.log").read_text()
+        or "samples.py" in (base() / plan.name / "work.log").read_text()
     )
 
 
@@ -307,13 +309,13 @@ def test_what_two_lossless_ways_lost_on_one_of_them_is_not_waited_for_on_the_oth
         CHAIN.partition("  count:")[0]
         + """\
   work:
-    operator: tests.toys:PassEvery
+    operator: tests.samples:PassEvery
     inputs: {frame: {from: ticker.context, depth: 4}}
   relay:
-    operator: tests.toys:PassEvery
+    operator: tests.samples:PassEvery
     inputs: {frame: {from: work, depth: 4}}
   pair:
-    operator: tests.toys:PairEvery
+    operator: tests.samples:PairEvery
     inputs: {left: {from: relay, depth: 4}, right: {from: ticker.roi, depth: 4}}
 """
     )

@@ -15,7 +15,7 @@ from pipeline.run.memory_folder import path_of
 from pipeline.run.process_handle import NodeProcess, spawn
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import LOOP, plan_of
+from tests.sample_graphs import LOOP, plan_of
 from tests.unruly_graphs import name_of, unruly_file
 
 

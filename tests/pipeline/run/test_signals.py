@@ -16,19 +16,19 @@ import pytest
 from bench.leftovers import leftover_files
 from pipeline.run.memory_folder import path_of
 from pipeline.run.rundir import base, running
-from tests.toy_graphs import LOOP, ended, until
+from tests.sample_graphs import LOOP, ended, until
 from tests.unruly_graphs import UNRULY, name_of, unruly_file
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 LIMIT_S = 60  # drain and stop take 10 s; the machine may be busy with other things
 SLOW = LOOP.replace(
-    "    operator: tests.toys:Pass\n",
-    "    operator: tests.sick_toys:Sick\n    settings: {open_s: 600}\n    start_s: 600\n",
+    "    operator: tests.samples:Pass\n",
+    "    operator: tests.faulty_samples:Sick\n    settings: {open_s: 600}\n    start_s: 600\n",
 )
 CRASHING = UNRULY.replace("backoff_s: 0.01", "backoff_s: 0.01, most: 10000").replace(
-    "    operator: tests.sick_toys:Unruly\n",
-    "    operator: tests.sick_toys:Unruly\n    settings: {kind: exit_in_open}\n",
+    "    operator: tests.faulty_samples:Unruly\n",
+    "    operator: tests.faulty_samples:Unruly\n    settings: {kind: exit_in_open}\n",
 )
 
 
@@ -110,7 +110,7 @@ def test_a_signal_ends_a_graph_in_whatever_state_it_is(
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_second_signal_waits_for_nothing_and_leaves_nothing(tmp_path: Path, count: int) -> None:
-    text = LOOP.replace("tests.toys:Pair", "tests.sick_toys:Clinging")
+    text = LOOP.replace("tests.samples:Pair", "tests.faulty_samples:Clinging")
     graph, report = written(tmp_path, text), tmp_path / "report.json"
     name = name_of(graph)
     with fovea("run", str(graph), "--report", str(report)) as process:

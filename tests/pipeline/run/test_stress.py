@@ -14,7 +14,7 @@ from pipeline import RunError
 from pipeline.node.health import FROZEN_S
 from pipeline.run.rundir import base, running
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     CHAIN,
     KILLED,
     LOOP,
@@ -32,16 +32,16 @@ from tests.toy_graphs import (
 SICK = """\
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     settings: {rate_hz: 20, side_px: 60}
   sick:
-    operator: tests.sick_toys:Sick
+    operator: tests.faulty_samples:Sick
     inputs: {frame: {from: ticker.context, depth: 30}}
   after:
-    operator: tests.toys:Count
+    operator: tests.samples:Count
     inputs: {frame: sick}
   beside:
-    operator: tests.toys:Count
+    operator: tests.samples:Count
     inputs: {frame: {from: ticker.roi, depth: 60}}
 """
 
@@ -91,7 +91,7 @@ def test_a_locked_operator_is_killed_and_its_log_says_where_it_stood(
     log = (base() / plan.name / "sick.log").read_text()
     assert_accounts_add_up(report)
     assert report["restarts"] == {"sick": 1}
-    assert 'sick_toys.py", line' in log
+    assert 'faulty_samples.py", line' in log
     assert "in on_frame" in log
     assert edge(report, "sick.frame")["lost_in_crash"] >= 1  # the one it hung over
 

@@ -21,7 +21,7 @@ from pipeline.run.report import Report
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     KILLED,
     LOOP,
     LOSSLESS,
@@ -41,13 +41,13 @@ from tests.toy_graphs import (
 TALLY = """\
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     settings: {rate_hz: 20, side_px: 120}
   work:
-    operator: tests.toys:Tally
+    operator: tests.samples:Tally
     inputs: {frame: {from: ticker.context, depth: 60}}
   recall:
-    operator: tests.toys:Recall
+    operator: tests.samples:Recall
     inputs: {percept: {from: work, depth: 60}}
 """
 Results = list[dict[str, Any]]
@@ -171,7 +171,7 @@ def test_a_part_that_dies_while_its_successor_gets_ready_is_started_again(
 ) -> None:
     results: Results = []
     slow = SwapOrder(
-        node="work", operator="tests.sick_toys:Sick", changes={"open_s": 1000.0}, defaults=True
+        node="work", operator="tests.faulty_samples:Sick", changes={"open_s": 1000.0}, defaults=True
     )
 
     def during(supervisor: Supervisor) -> None:
@@ -217,13 +217,15 @@ def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
 def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> None:
     results: Results = []
     refusals = {
-        "has no attribute 'Pass2'": {"operator": "tests.toys:Pass2"},
-        "work.inputs.frame: tests.toys:Steer has no such input; there is percept": {
-            "operator": "tests.toys:Steer"
+        "has no attribute 'Pass2'": {"operator": "tests.samples:Pass2"},
+        "work.inputs.frame: tests.samples:Steer has no such input; there is percept": {
+            "operator": "tests.samples:Steer"
         },
-        "work: expected Frame, tests.toys:Tally sends Percept": {"operator": "tests.toys:Tally"},
-        "expected an operator that answers frames, tests.toys:Ticker makes them": {
-            "operator": "tests.toys:Ticker", "defaults": True
+        "work: expected Frame, tests.samples:Tally sends Percept": {
+            "operator": "tests.samples:Tally"
+        },
+        "expected an operator that answers frames, tests.samples:Ticker makes them": {
+            "operator": "tests.samples:Ticker", "defaults": True
         },
         "work.every: must be at least 1, got 0": {"changes": {"every": 0}},
         "work.evry: no such setting, did you mean 'every'?": {"changes": {"evry": 1}},

@@ -9,7 +9,7 @@ import pytest
 from pipeline.run.descendants import tagged
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
-from tests.toy_graphs import assert_accounts_add_up, ended, go, handled, until, wait_for
+from tests.sample_graphs import assert_accounts_add_up, ended, go, handled, until, wait_for
 from tests.unruly_graphs import unruly_plan
 
 

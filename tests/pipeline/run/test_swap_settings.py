@@ -12,7 +12,7 @@ from pipeline.console.operating import tell
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from tests.pipeline.run.test_swap import order
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     LOSSLESS,
     account_of,
     beside,
@@ -25,7 +25,7 @@ from tests.toy_graphs import (
 
 GLANCE = """\
   glance:
-    operator: tests.toys:Pass
+    operator: tests.samples:Pass
     inputs: {frame: ticker.roi}
 """
 Results = list[dict[str, Any]]

@@ -8,15 +8,15 @@ import pytest
 from pipeline.console.operating import swap_lines
 from pipeline.run.swap import SwapOrder
 from tests.pipeline.run.test_swap import Results, swapping
-from tests.toy_graphs import assert_accounts_add_up, go, plan_of
+from tests.sample_graphs import assert_accounts_add_up, go, plan_of
 
 GRAPH = """\
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     settings: {{rate_hz: 60, side_px: 40}}
   work:
-    operator: tests.state_toys:{cls}
+    operator: tests.stateful_samples:{cls}
     inputs: {{frame: {{from: ticker.context, depth: 60}}}}
 """
 
@@ -39,7 +39,7 @@ def test_state_that_is_not_declared_is_told_where_it_is_lost(
 
 def test_declared_state_and_another_operator_are_no_reason_to_warn(tmp_path: Path) -> None:
     plan, results = plan_of(tmp_path, GRAPH.format(cls="Forgetful")), Results()
-    other = SwapOrder(node="work", operator="tests.state_toys:Counter", probation=5)
+    other = SwapOrder(node="work", operator="tests.stateful_samples:Counter", probation=5)
 
     go(plan, 0, swapping(results, other, SwapOrder(node="work", probation=5)))
 

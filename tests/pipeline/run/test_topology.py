@@ -12,7 +12,7 @@ from pipeline.console.operating import replan
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.run.supervisor import Supervisor
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     LOSSLESS,
     assert_accounts_add_up,
     edge,
@@ -26,7 +26,7 @@ from tests.toy_graphs import (
 SECOND = """\
 nodes:
   second:
-    operator: tests.toys:Count
+    operator: tests.samples:Count
     inputs: {frame: {from: work, depth: 60}}
 """
 Order = Callable[..., dict[str, Any]]

@@ -9,7 +9,7 @@ import pytest
 from pipeline.run.process_handle import NodeProcess
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.warm_spare import WarmSpare
-from tests.toy_graphs import (
+from tests.sample_graphs import (
     LOOP,
     assert_accounts_add_up,
     go,
@@ -30,7 +30,7 @@ def test_no_process_to_stand_by_is_no_error_and_not_asked_for_again_at_once() ->
 
     spare = WarmSpare(refuse)
     for _ in range(3):
-        spare.keep(["tests.toys"])
+        spare.keep(["tests.samples"])
 
     assert spare.take() is None
     assert len(asked) == 1

@@ -17,7 +17,7 @@ from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
 from pipeline.text import harmless, plain
-from tests.toy_graphs import assert_accounts_add_up, go, handled, wait_for
+from tests.sample_graphs import assert_accounts_add_up, go, handled, wait_for
 from tests.unruly_graphs import name_of, recovers, unruly_file, unruly_plan
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")

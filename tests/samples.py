@@ -97,7 +97,7 @@ class Ticker(Source[TickerSettings, Mapping[str, Message]]):
 
 @dataclass(frozen=True, kw_only=True)
 class WorkSettings:
-    """How a toy misbehaves."""
+    """How a sample misbehaves."""
 
     sleep_s: float = 0.0
     crash_at: int = -1

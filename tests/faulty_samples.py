@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import Frame, Input, Message, Operator
-from tests.toys import Pair, Ticker
+from tests.samples import Pair, Ticker
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pipeline import Frame, Input, Operator
-from tests.toys import WorkSettings
+from tests.samples import WorkSettings
 
 if TYPE_CHECKING:
-    from tests.toys import TallyState as Elsewhere
+    from tests.samples import TallyState as Elsewhere
 
 
 @dataclass(frozen=True, kw_only=True)

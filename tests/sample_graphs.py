@@ -1,4 +1,4 @@
-"""Small graphs of the toys, and how a test runs one and waits for what shall happen in it."""
+"""Small graphs of the samples, and how a test runs one and waits for what shall happen in it."""
 
 import os
 import secrets
@@ -22,41 +22,41 @@ from pipeline.run.supervisor import Supervisor
 LOOP = """\
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     inputs: {schedule: steer}
     settings: {rate_hz: 60, side_px: 120}
   work:
-    operator: tests.toys:Pass
+    operator: tests.samples:Pass
     inputs: {frame: ticker.context}
   pair:
-    operator: tests.toys:Pair
+    operator: tests.samples:Pair
     inputs: {left: work, right: ticker.roi}
   steer:
-    operator: tests.toys:Steer
+    operator: tests.samples:Steer
     inputs: {percept: pair}
 """
 CHAIN = """\
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     settings: {rate_hz: 20, side_px: 120}
   count:
-    operator: tests.toys:Count
+    operator: tests.samples:Count
     inputs: {frame: {from: ticker.roi, depth: 60}}
   glance:
-    operator: tests.toys:Pass
+    operator: tests.samples:Pass
     inputs: {frame: ticker.roi}
 """
 LOSSLESS = """\
 nodes:
   ticker:
-    operator: tests.toys:Ticker
+    operator: tests.samples:Ticker
     settings: {rate_hz: 20, side_px: 120}
   work:
-    operator: tests.toys:PassEvery
+    operator: tests.samples:PassEvery
     inputs: {frame: {from: ticker.context, depth: 60}}
   count:
-    operator: tests.toys:Count
+    operator: tests.samples:Count
     inputs: {frame: {from: work, depth: 60}}
 """
 KILLED = """
