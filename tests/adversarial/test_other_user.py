@@ -12,8 +12,8 @@ from tests.pipeline.run.namespaces import with_small_mounts
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 def test_what_another_user_tries_comes_to_nothing(tmp_path: Path) -> None:
-    told = tmp_path / "stranger.json"
-    words = ("-m", "bench.stranger", "--minutes", "0.1", "--json", str(told))
+    told = tmp_path / "other_user.json"
+    words = ("-m", "bench.other_user", "--minutes", "0.1", "--json", str(told))
 
     done = with_small_mounts({MEMORY: "256m"}, *words, timeout_s=200)
 

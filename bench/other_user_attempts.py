@@ -1,4 +1,4 @@
-"""What another user of the machine tries: `python -m bench.stranger_acts UID VICTIM_UID SECONDS`.
+"""What another user tries: `python -m bench.other_user_attempts UID VICTIM_UID SECONDS`.
 
 Started by root, it becomes the user UID before it does anything, and then tries again and again to
 enter, read, alter, replace, connect to, stop and precede whatever user VICTIM_UID has of fovea. It
@@ -28,7 +28,7 @@ LISTENING = "0A"  # the state of a TCP socket as the kernel lists it
 libc = ctypes.CDLL(None, use_errno=True)
 
 
-class Stranger:
+class OtherUser:
     """One user's attempts against another one."""
 
     def __init__(self, victim: int) -> None:
@@ -204,10 +204,10 @@ def main(words: list[str]) -> None:
     if os.geteuid() == 0:
         become(user)
     assert os.geteuid() == user != victim
-    stranger, end_s = Stranger(victim), time.monotonic() + seconds
+    other_user, end_s = OtherUser(victim), time.monotonic() + seconds
     while time.monotonic() < end_s:
-        stranger.round()
-    print(json.dumps(stranger.told()), flush=True)
+        other_user.round()
+    print(json.dumps(other_user.told()), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""What another user of this machine gets: `python -m bench.stranger [--minutes 10] [--json FILE]`.
+"""What another user of this machine gets: `python -m bench.other_user --minutes 10 --json FILE`.
 
 A graph runs and starts anew again and again, and its nodes are killed, so that there is always
-something that a stranger could make first. Beside it another user tries everything that
-`bench.stranger_acts` knows. Every picture is compared byte by byte. Decoys, a folder and a file
-open to everybody, show that the acts would succeed where they can. Needs root, to become two users.
+something to make first. Beside it another user tries everything that
+`bench.other_user_attempts` knows. Every picture is compared byte by byte. Decoys, a folder and a
+file open to everybody, show that the acts would succeed where they can. Needs root, to become two
+users.
 """
 
 import contextlib
@@ -24,7 +25,7 @@ from rich.progress import Progress
 from bench.leftovers import Traces, unbalanced
 from bench.machine import facts
 from bench.options import JSON, Bench
-from bench.stranger_acts import DECOY
+from bench.other_user_attempts import DECOY
 from pipeline.errors import RunError
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
@@ -36,7 +37,7 @@ NOBODY = 65534
 ROUND_S = 6.0  # one life of the graph
 KILL_S = 2.0
 GRAPH = """\
-name: stranger-{token}
+name: other_user-{token}
 nodes:
   eye: {{operator: "bench.samples:Metronome", settings: {{rate_hz: 100, side_px: 256}}}}
   work: {{operator: "bench.samples:Forward", inputs: {{frame: eye}}}}
@@ -50,7 +51,12 @@ nodes:
 def main(minutes: float, path: Path | None) -> None:
     """Let another user try for so long."""
     with Progress(console=Console(stderr=True)) as progress:
-        result = {"bench": "stranger", **facts(), "minutes": minutes, **measure(minutes, progress)}
+        result = {
+            "bench": "other_user",
+            **facts(),
+            "minutes": minutes,
+            **measure(minutes, progress),
+        }
     click.echo(json.dumps({k: v for k, v in result.items() if k not in ("libraries", "machine")}))
     if path:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,17 +66,17 @@ def main(minutes: float, path: Path | None) -> None:
 
 
 def measure(minutes: float, progress: Progress) -> dict[str, Any]:
-    """What the stranger tried and got, and what became of the graph meanwhile."""
+    """What the other user tried and got, and what became of the graph meanwhile."""
     if os.geteuid() != 0:
         raise RunError("expected to run as root, which can become another user")
     found: dict[str, Any] = {"runs": 0, "pictures": 0, "torn": 0, "crashes": 0, "left": []}
     task = progress.add_task("another user tries", total=minutes * 60)
-    with _decoys(), _stranger(minutes * 60) as stranger:
+    with _decoys(), _other_user(minutes * 60) as other_user:
         began_s = time.monotonic()
         while (elapsed_s := time.monotonic() - began_s) < minutes * 60:
             _one_life(found)
             progress.update(task, completed=elapsed_s)
-        said = stranger.communicate()[0].splitlines()
+        said = other_user.communicate()[0].splitlines()
     return {**found, **json.loads(said[-1])}
 
 
@@ -104,11 +110,13 @@ def _one_life(found: dict[str, Any]) -> None:
 
 
 @contextlib.contextmanager
-def _stranger(seconds: float) -> Iterator["subprocess.Popen[str]"]:
+def _other_user(seconds: float) -> Iterator["subprocess.Popen[str]"]:
     """The other user; it gives up root's rights before it does anything."""
     words = [str(NOBODY), str(os.geteuid()), str(seconds)]
     process = subprocess.Popen(
-        [sys.executable, "-m", "bench.stranger_acts", *words], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "bench.other_user_attempts", *words],
+        stdout=subprocess.PIPE,
+        text=True,
     )
     try:
         yield process
