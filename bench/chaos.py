@@ -153,11 +153,11 @@ def main(
     with TemporaryDirectory() as folder, _ground(plan, graph, Path(folder)) as ground:
         ground.run_for(WARM_S)
         stuck = _strike_for(ground, minutes * 60, seed, faults)
-        aftermath = ground.end()
+        leftovers = ground.end()
     result = {
         "bench": "chaos", **facts(), "graph": str(graph), "minutes": minutes, "seed": seed,
         "recovery": {kind: summary([f for f in faults if f.kind == kind]) for kind in ground.kinds},
-        "stuck": stuck, **aftermath, "faults": [asdict(f) for f in faults],
+        "stuck": stuck, **leftovers, "faults": [asdict(f) for f in faults],
     }  # fmt: skip
     Console().print(_table(result))
     if path:

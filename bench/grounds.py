@@ -1,6 +1,6 @@
 """Where `bench.chaos` does its harm: a graph on this host, or one over three hosts.
 
-Both tell of their processes what a judge of recovery has to know, and after the end what is left.
+Both tell of their processes what a check of recovery needs, and after the end what is left.
 """
 
 import json

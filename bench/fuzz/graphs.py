@@ -32,9 +32,9 @@ def fuzz_graphs(
         overlay = Overlay(changes=(change,) if change else ())
         act = partial(load, path, overlay)
         watch.on = True
-        tally.judge(data, act, lambda said: f"{path}" in said or said.startswith("--set"))
+        tally.check(data, act, lambda said: f"{path}" in said or said.startswith("--set"))
         if no_import or number % 10 == 0:
-            tally.judge(data, lambda: list(survey(path)), lambda said: f"{path}:" in said)
+            tally.check(data, lambda: list(survey(path)), lambda said: f"{path}:" in said)
         watch.on = False
     path.unlink(missing_ok=True)
     left = {found.name for found in folder.rglob("*")}

@@ -87,10 +87,10 @@ def _to_node(count: int, rng: random.Random, tally: Tally) -> None:
     for number in range(count):
         if number % 2:
             data = _packed({"gain": 2.0}, rng)
-            tally.judge(data, partial(_answered, live, data))
+            tally.check(data, partial(_answered, live, data))
         else:
             data = _packed(order, rng)
-            tally.judge(data, partial(_told, operator, data))
+            tally.check(data, partial(_told, operator, data))
 
 
 def _told(operator: Operator[Any, Any], data: bytes) -> None:
@@ -115,8 +115,8 @@ def _to_graph(plan: Plan, count: int, rng: random.Random, tally: Tally) -> None:
         supervisor.start()
         for _ in range(count):
             order = _order(supervisor, plan, rng)
-            tally.judge(order, partial(_asked, supervisor, order))
-        tally.judge("the graph goes on", partial(_goes_on, supervisor))
+            tally.check(order, partial(_asked, supervisor, order))
+        tally.check("the graph goes on", partial(_goes_on, supervisor))
 
 
 def _order(supervisor: Supervisor, plan: Plan, rng: random.Random) -> bytes:

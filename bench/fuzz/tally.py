@@ -40,14 +40,14 @@ class Tally:
     examples: list[str] = field(default_factory=list)
     kinds: Counter[str] = field(default_factory=Counter)
 
-    def judge(
+    def check(
         self, case: object, act: Callable[[], Any], sentence: Callable[[str], bool] = bool
     ) -> None:
         """Do one case, and note what came of it; `sentence` says whether a refusal is a good one.
 
         >>> tally = Tally()
-        >>> tally.judge("1", lambda: 1)
-        >>> tally.judge("x", lambda: int("x"))
+        >>> tally.check("1", lambda: 1)
+        >>> tally.check("x", lambda: int("x"))
         >>> (tally.cases, tally.accepted, tally.tracebacks)
         (2, 1, 1)
         """

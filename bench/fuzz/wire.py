@@ -29,7 +29,7 @@ def fuzz_wire(count: int, *, seed: int = 0) -> Tally:
     rng, tally, cases = random.Random(seed), Tally(), list(known().values())
     for _ in range(count):
         data, read = _input(rng, cases)
-        tally.judge(data, partial(read, data))
+        tally.check(data, partial(read, data))
     return tally
 
 

@@ -45,7 +45,7 @@ class Tally:
     present: int
 
 
-def judge(
+def find_hits(
     boxes: NDArray[np.float32],
     truth: NDArray[np.float32],
     ignored: NDArray[np.bool_],
@@ -124,7 +124,7 @@ def _mark(
     name = key.split()[0]
     mine = np.array([found.names[label] == name for label in found.labels], np.bool_)
     theirs = item.labels == NAMES.index(name)
-    hits, counts = judge(
+    hits, counts = find_hits(
         found.boxes[mine],
         item.boxes[theirs],
         item.ignored[theirs],

@@ -21,10 +21,10 @@ def test_a_traceback_a_hang_and_a_bad_sentence_are_each_counted(
     def refuse() -> None:
         raise GraphError("two\nlines")
 
-    found.judge("a", lambda: 1 / 0)
-    found.judge("b", lambda: time.sleep(5))
-    found.judge("c", refuse)
-    found.judge("d", lambda: None)
+    found.check("a", lambda: 1 / 0)
+    found.check("b", lambda: time.sleep(5))
+    found.check("c", refuse)
+    found.check("d", lambda: None)
 
     assert (found.tracebacks, found.hangs, found.bad_sentences, found.accepted) == (1, 1, 1, 1)
     assert not found.sound

@@ -12,7 +12,7 @@ from operators.saliency.evaluate import (
     average_precision,
     best_threshold,
     collect,
-    judge,
+    find_hits,
     scenes,
     shrunk,
 )
@@ -38,20 +38,20 @@ def tally(*rows: tuple[float, bool], present: int) -> Tally:
 
 
 def test_a_second_detection_of_one_object_is_no_hit() -> None:
-    hits, counts = judge(boxes(PERSON, PERSON), boxes(PERSON), flags(False))
+    hits, counts = find_hits(boxes(PERSON, PERSON), boxes(PERSON), flags(False))
 
     assert hits.tolist() == [True, False]
     assert counts.tolist() == [True, True]
 
 
 def test_a_box_that_overlaps_too_little_is_no_hit() -> None:
-    hits, _ = judge(boxes([10, 10, 20, 24]), boxes(PERSON), flags(False))
+    hits, _ = find_hits(boxes([10, 10, 20, 24]), boxes(PERSON), flags(False))
 
     assert hits.tolist() == [False]
 
 
 def test_what_only_fits_a_hidden_object_does_not_count() -> None:
-    hits, counts = judge(boxes(PERSON), boxes(PERSON), flags(True))
+    hits, counts = find_hits(boxes(PERSON), boxes(PERSON), flags(True))
 
     assert hits.tolist() == [False]
     assert counts.tolist() == [False]
@@ -60,7 +60,7 @@ def test_what_only_fits_a_hidden_object_does_not_count() -> None:
 def test_each_detection_takes_the_object_it_fits_best() -> None:
     truth = boxes(PERSON, [12, 10, 22, 40])
 
-    hits, _ = judge(boxes([12, 10, 22, 40], PERSON), truth, flags(False, False))
+    hits, _ = find_hits(boxes([12, 10, 22, 40], PERSON), truth, flags(False, False))
 
     assert hits.all()
 
@@ -69,13 +69,13 @@ def test_a_ball_may_be_judged_by_its_centre() -> None:
     near, far = [4.0, 0.0, 8.0, 4.0], [8.0, 0.0, 12.0, 4.0]
     ball = boxes([0, 0, 4, 4])
 
-    assert judge(boxes(near), ball, flags(False), by_centre=True)[0].tolist() == [True]
-    assert judge(boxes(far), ball, flags(False), by_centre=True)[0].tolist() == [False]
+    assert find_hits(boxes(near), ball, flags(False), by_centre=True)[0].tolist() == [True]
+    assert find_hits(boxes(far), ball, flags(False), by_centre=True)[0].tolist() == [False]
 
 
 def test_nothing_to_find_and_nothing_found_are_judged() -> None:
-    assert judge(boxes(), boxes(PERSON), flags(False))[0].shape == (0,)
-    assert judge(boxes(PERSON), boxes(), flags())[0].tolist() == [False]
+    assert find_hits(boxes(), boxes(PERSON), flags(False))[0].shape == (0,)
+    assert find_hits(boxes(PERSON), boxes(), flags())[0].tolist() == [False]
 
 
 def test_precision_and_recall_count_hits_above_the_threshold() -> None:

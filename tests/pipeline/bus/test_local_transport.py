@@ -76,18 +76,18 @@ def test_a_reader_that_comes_back_is_found_again(address: Path) -> None:
 def test_a_link_that_names_no_edge_is_closed(address: Path) -> None:
     receiver, got = LocalReceiver(address), []
     receiver.expect(1, got.append)
-    stranger = LocalSender([(99, address)])
-    stranger.connect()
-    stranger.send(b"let me in")
+    unknown = LocalSender([(99, address)])
+    unknown.connect()
+    unknown.send(b"let me in")
     known = LocalSender([(1, address)])
     known.connect()
     known.send(b"as agreed")
 
     assert drained(receiver, got, 1) == [b"as agreed"]
-    stranger.send(b"let me in")
-    assert stranger.connect()  # its first link was closed
+    unknown.send(b"let me in")
+    assert unknown.connect()  # its first link was closed
     known.close()
-    stranger.close()
+    unknown.close()
     receiver.close()
 
 

@@ -179,11 +179,11 @@ def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
 
 
 def test_a_port_that_something_else_listens_on_is_named() -> None:
-    with socket.socket() as stranger:
-        stranger.bind(("127.0.0.1", 0))
-        taken = stranger.getsockname()[1]
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        taken = listener.getsockname()[1]
         before = ports(taken, (taken, taken))
-        stranger.listen()
+        listener.listen()
         held = ports(taken, (taken, taken))
 
     assert before.verdict == "ok"
