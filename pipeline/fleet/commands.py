@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pipeline.errors import RunError, SettingsError
+from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, Box, read
@@ -32,7 +33,7 @@ from pipeline.naming import check_name
 from pipeline.settings import suggest
 from pipeline.signals import Interruption
 
-GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
+GRAPH = click.argument("graph", type=GRAPH_FILE)
 
 
 @click.command("agent")
@@ -71,7 +72,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
 )
 @click.option("--papers", type=click.Path(path_type=Path, file_okay=False), help="Who you are.")
 @click.option("--replace", "again", is_flag=True, help="Also where the graph runs already.")
-@click.option("--source", type=click.Path(path_type=Path), help="Where frames come from.")
+@click.option("--source", type=SOURCE_FILE, help="Where frames come from.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node.")
 def up_command(
@@ -140,7 +141,7 @@ def secure_commands() -> None:
 @secure_commands.command("init")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--box", "boxes", multiple=True, metavar="LABEL=ADDRESS")
-@click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE)
 @click.option("--person", "people", multiple=True, metavar="NAME")
 def init_command(folder: Path, **named: Any) -> None:
     """Make an authority, and papers for boxes, people and the nodes of graphs."""
@@ -150,7 +151,7 @@ def init_command(folder: Path, **named: Any) -> None:
 @secure_commands.command("add")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--box", "boxes", multiple=True, metavar="LABEL=ADDRESS")
-@click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE)
 @click.option("--person", "people", multiple=True, metavar="NAME")
 def add_command(folder: Path, **named: Any) -> None:
     """Make papers that are missing in the folder of an authority; renew those that end soon."""
