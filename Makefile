@@ -22,6 +22,8 @@ DETECTOR ?=
 ENCODER ?=
 POLICY ?=
 DEVICE ?= auto
+# where pip finds torch: PyPI's own needs 5 GB of CUDA on Linux; for a GPU …/whl/cu130
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 demo: $(VENV)/.installed
 	$(BIN)/fovea run graphs/tracking.yaml --duration-s 20 --save demo.rrd
@@ -73,7 +75,7 @@ $(VENV)/.installed: pyproject.toml | $(VENV)/bin/python
 
 $(VENV)/.installed-train: pyproject.toml $(VENV)/.installed
 	@echo "installing what training needs: torch"
-	@$(PIP) --editable '.[train]'
+	@$(PIP) --editable '.[train]' --extra-index-url $(TORCH_INDEX)
 	@touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(VENV)/.installed

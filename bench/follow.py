@@ -21,6 +21,7 @@ from bench.machine import facts
 from bench.options import Bench, on_graph
 from bench.overlap import FIGURES, Spans, ends, plot, watched
 from pipeline.errors import RunError
+from pipeline.extras import need
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.run.supervisor import Supervisor
@@ -40,6 +41,8 @@ def main(
     change_every_s: float, targets: str, out: Path, picture: Path | None,
 ) -> None:  # fmt: skip
     """Ask for one class after the other, for long."""
+    if picture:
+        need("matplotlib", "--plot")
     names = targets.split(",")
     changes = (*changes, f"policy.target={names[0]}")
     plan = watched(load(graph, Overlay(source=source, changes=changes, clock="realtime")))

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from filterpy.common import Q_discrete_white_noise
 from numpy.typing import NDArray
 
 from bench.machine import facts
@@ -52,7 +51,8 @@ def readings() -> dict[str, Reading]:
 
 def white(step: float, variance: float) -> Array:
     """filterpy's discrete white noise on the acceleration, one axis."""
-    return np.asarray(Q_discrete_white_noise(2, dt=step, var=variance))
+    block = [[0.25 * step**4, 0.5 * step**3], [0.5 * step**3, step**2]]
+    return np.array(block) * variance
 
 
 def errors(paths: list[Path2D], reading: Reading | None, noise: float, seed: int) -> list[float]:

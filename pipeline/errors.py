@@ -7,6 +7,7 @@ FoveaError
 ├── PoolExhausted   every slot of a frame pool is still leased
 ├── DriverError     a sensor, a file or a data set does not deliver
 ├── WeightsError    a network's weights are absent or not the ones named
+├── InstallError    a package that an extra brings is not installed
 └── RunError        a running graph cannot go on
     └── Silent      who was asked does not answer in time
 
@@ -40,6 +41,10 @@ class DriverError(FoveaError):
 
 class WeightsError(FoveaError):
     """A network's weights are absent or not the ones named."""
+
+
+class InstallError(FoveaError):
+    """A package that an extra brings is not installed."""
 
 
 class RunError(FoveaError):

@@ -5,7 +5,7 @@ Messages are immutable; absent arrays are empty, never `None`. `Shape` states wh
 checks: a number is a fixed side, a name is a side that every array of one message agrees on.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import MessageError
 
 T = TypeVar("T")
+LONGEST_FIELD = 60  # characters of one in the `repr` of a message
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,26 @@ class Header:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Message:
-    """Base of everything that travels."""
+    """Base of everything that travels.
+
+    Its `repr` is short, also for messages of your own: arrays by dtype and sides.
+
+    >>> header = Header(stream="s", seq=7, stamp_ns=0)
+    >>> Frame(header=header, pixels=np.zeros((2, 4, 3), np.uint8), window=(0, 0, 8, 4))
+    Frame(seq=7, pixels=uint8[2, 4, 3], pixel_format='rgb8', window=(0, 0, 8, 4), command_seq=-1, \
+status='ok')
+    """
 
     header: Header
+
+    def __init_subclass__(cls) -> None:
+        if "__repr__" not in vars(cls):  # a dataclass would make one that prints whole arrays
+            cls.__repr__ = Message.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        rest = [f.name for f in fields(self) if f.name != "header"]
+        parts = [f"{name}={_brief(getattr(self, name))}" for name in rest]
+        return f"{type(self).__qualname__}({', '.join([f'seq={self.header.seq}', *parts])})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -200,6 +218,14 @@ class Truth(Message):
     ids: Ids  # constant per object over the whole stream
     labels: tuple[str, ...]  # n, as the source calls them: ball, player, main referee, …
     visibility: Scores  # share of each object that is not hidden, 0..1
+
+
+def _brief(value: Any) -> str:
+    """A field as `Message.__repr__` shows it: never more than a line of it."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{list(value.shape)}"
+    text = repr(value)
+    return text if len(text) <= LONGEST_FIELD else f"{text[:LONGEST_FIELD]}…"
 
 
 def stamped(header: Header, *, epoch: int, span: Span) -> Header:

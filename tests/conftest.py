@@ -42,9 +42,10 @@ def pytest_configure() -> None:
     for name in filter(OF_THE_USER.fullmatch, list(os.environ)):
         del os.environ[name]
     os.environ["LC_ALL"] = "C.UTF-8"
-    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    own = [str(ROOT), str(ROOT / "pipeline" / "api")]  # the latter has the package fovea
+    paths = [*own, *filter(None, [os.environ.get("PYTHONPATH")])]
     os.environ["PYTHONPATH"] = os.pathsep.join(paths)
-    sys.path.insert(0, str(ROOT))
+    sys.path[:0] = own
 
 
 @pytest.fixture(scope="session", autouse=True)

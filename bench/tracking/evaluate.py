@@ -33,6 +33,7 @@ from bench.tracking.replaced import PARTS
 from bench.tracking.stages import Stages
 from bench.tracking.units import measured
 from pipeline.errors import DriverError, FoveaError, SettingsError
+from pipeline.extras import need
 
 SCENE_FRAMES = 96
 FOLLOWS = f"{', '.join(TRACKERS)}, or one of them as NAME=FILE.onnx; else the graph's own"
@@ -75,6 +76,8 @@ def command(**given: Any) -> None:
 
 def evaluate(options: Options) -> None:
     """Measure what is asked for and write it; raises `FoveaError`."""
+    if options.plot:
+        need("matplotlib", "--plot")
     wanted, protocol, clips = asked(options)
     options.make_room()
     try_out(wanted, protocol)

@@ -6,7 +6,15 @@ from hashlib import sha256
 from pathlib import Path
 
 import click
-from tqdm import tqdm
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from bench.tracking.budgets import PLANNED
 from bench.tracking.cases import Case, Protocol
@@ -43,10 +51,8 @@ def measured(
     warnings_file = folder / WARNINGS
     before = _lines(warnings_file)
     finished = sum(path.exists() for path in paths)
-    with (
-        pool_of(jobs) as pool,
-        tqdm(total=len(paths), initial=finished, desc="units", unit="unit", smoothing=0) as bar,
-    ):
+    with pool_of(jobs) as pool, _progress() as bar:
+        task = bar.add_task("units", total=len(paths), completed=finished)
         waiting = {
             pool.submit(follow, clip, work, protocol, warnings_file)
             for clip, work in cut(left, jobs)
@@ -55,8 +61,7 @@ def measured(
             done, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
             for job in done:
                 job.result()
-            bar.n = sum(path.exists() for path in paths)
-            bar.refresh()
+            bar.update(task, completed=sum(path.exists() for path in paths))
     if more := _lines(warnings_file) - before:
         click.echo(f"{more} warnings: {warnings_file}", err=True)
     return [unit for path in paths for unit in units(path)]
@@ -92,6 +97,12 @@ def _parts(work: Sequence[Work], count: int) -> list[tuple[Work, ...]]:
         parts[int((before + cost / 2) / sum(costs) * count)] += same
         before += cost
     return [tuple(part) for part in parts if part]
+
+
+def _progress() -> Progress:
+    name = TextColumn("{task.description}")
+    columns = (name, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True))
 
 
 def _places(folder: Path, clip: ClipName, protocol: Protocol, keys: Sequence[str]) -> list[Path]:

@@ -20,7 +20,6 @@ The paper gives process noise 0.001 and measurement noise 0.01 without units. Wh
 from dataclasses import dataclass
 
 import numpy as np
-from filterpy.common import Q_discrete_white_noise
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -42,7 +41,7 @@ def motion_model(process_noise: float, measurement_noise: float) -> MotionModel:
     """The model for the paper's two numbers, both read as variances."""
     return MotionModel(
         transition=np.array([[1.0, 1.0], [0.0, 1.0]]),
-        process=np.asarray(Q_discrete_white_noise(2, dt=1.0, var=process_noise)),
+        process=np.array([[0.25, 0.5], [0.5, 1.0]]) * process_noise,  # of a white acceleration
         measurement=measurement_noise,
         first=np.diag([measurement_noise, FIRST_SPEED_VARIANCE]),
     )

@@ -14,7 +14,8 @@ from pipeline.contract import SOURCE, settings_of
 from pipeline.errors import FoveaError, GraphError, RunError, WeightsError
 from pipeline.graph.plan import Node, Plan, load_operator, sources
 from pipeline.run.inline import InlineRunner
-from pipeline.run.report import Report, compose
+from pipeline.run.loaded_graph import account_of
+from pipeline.run.report import Report
 from pipeline.run.supervisor import STOP_S, Supervisor
 from pipeline.settings import build
 from pipeline.signals import Interruption
@@ -71,15 +72,7 @@ def processes(
         if supervisor.begun:
             supervisor.finish()
         supervisor.stop()
-        report = compose(
-            supervisor.plan,
-            supervisor.ledger,
-            supervisor.summaries,
-            {name: supervisor.samples(name) for name in supervisor.plan.processes()},
-            duration_s=elapsed_s,
-            restarts=supervisor.restarts,
-            left_out=supervisor.left_out,
-        )
+        report = account_of(supervisor, elapsed_s)
         if supervisor.failure:
             report["failure"] = supervisor.failure
         return report

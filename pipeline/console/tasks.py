@@ -8,12 +8,13 @@ from pathlib import Path
 
 import click
 
-from pipeline.errors import GraphError
+from pipeline.errors import GraphError, InstallError
+from pipeline.extras import remedy
+from pipeline.graph.shipped import TASKS
 from pipeline.graph.yaml_lines import YamlFile
 from pipeline.import_path import imported
 from pipeline.settings import suggest
 
-SHIPPED = Path(__file__).parents[2] / "graphs" / "tasks"
 VERBS = ("train", "eval")
 
 
@@ -21,10 +22,10 @@ def find(task: str) -> Path:
     """The file of a task, by name or path; raises `GraphError`."""
     if task.endswith((".yaml", ".yml")):
         return Path(task)
-    known = [path.stem for path in sorted(SHIPPED.glob("*.yaml")) if commands_of(path)]
+    known = [path.stem for path in sorted(TASKS.glob("*.yaml")) if commands_of(path)]
     if task not in known:
         raise GraphError(f"no task {task}{suggest(task, known)}")
-    return SHIPPED / f"{task}.yaml"
+    return TASKS / f"{task}.yaml"
 
 
 def commands_of(path: Path) -> dict[str, str]:
@@ -43,8 +44,8 @@ def command_of(task: str, verb: str) -> click.Command:
     try:
         found = imported(known[verb], GraphError, f"{path}: {verb}")
     except GraphError as error:
-        if verb == "train" and isinstance(error.__cause__, ModuleNotFoundError):
-            raise GraphError(f"{error}; for training: pip install -e '.[train]'") from error
+        if isinstance(error.__cause__, ModuleNotFoundError) and (why := remedy(error.__cause__)):
+            raise InstallError(f"{verb} {task}: {why}") from error
         raise
     if not isinstance(found, click.Command):
         raise GraphError(f"{path}: {verb}: expected a click command, got {known[verb]}")
@@ -61,10 +62,15 @@ def task_command(verb: str, summary: str) -> click.Command:
     @click.argument("words", nargs=-1, type=click.UNPROCESSED)
     def command(task: str | None, words: tuple[str, ...]) -> None:
         if task is None or task in ("-h", "--help"):
-            names = [path.stem for path in sorted(SHIPPED.glob("*.yaml")) if commands_of(path)]
+            names = [path.stem for path in sorted(TASKS.glob("*.yaml")) if commands_of(path)]
             click.echo(f"fovea {verb} TASK [OPTIONS]: {summary}\ntasks: {', '.join(names)}")
             return
         found = command_of(task, verb)
+        found.context_settings = {"help_option_names": ["-h", "--help"], **found.context_settings}
         sys.exit(found.main(list(words), prog_name=f"fovea {verb} {task}", standalone_mode=False))
 
     return command
+
+
+train_command = task_command("train", "Train the networks of a task.")
+eval_command = task_command("eval", "Measure a task: figures, tables, plots.")

@@ -14,6 +14,7 @@ from pipeline.doctor.finding import Finding
 from pipeline.doctor.installation import examine_installation
 from pipeline.doctor.machine import examine_machine
 from pipeline.doctor.needs import examine_graph
+from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 from pipeline.graph.overlay import Overlay
 from pipeline.renamed import renamed_option
 from pipeline.run.leftovers import cleanup
@@ -22,8 +23,8 @@ STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
 
 
 @click.command("doctor")
-@click.argument("graph", required=False, type=click.Path(path_type=Path, dir_okay=False))
-@click.option("--source", type=click.Path(path_type=Path), help="Where frames come from.")
+@click.argument("graph", required=False, type=GRAPH_FILE)
+@click.option("--source", type=SOURCE_FILE, help="Where frames come from.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--no-trial", is_flag=True, help="Send no frame through the graph.")
 @click.option("--cleanup", "clean", is_flag=True, help="First remove what killed runs left.")

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pipeline.errors import RunError, SettingsError
+from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, HostConfig, read
@@ -33,7 +34,7 @@ from pipeline.renamed import renamed_option
 from pipeline.settings import suggest
 from pipeline.signals import Interruption
 
-GRAPH = click.argument("graph", type=click.Path(path_type=Path, dir_okay=False))
+GRAPH = click.argument("graph", type=GRAPH_FILE)
 CREDENTIALS = click.option(
     "--credentials", type=click.Path(path_type=Path, file_okay=False), help="Who you are."
 )
@@ -76,7 +77,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
 @CREDENTIALS
 @renamed_option("--papers", "--credentials")
 @click.option("--replace", "again", is_flag=True, help="Also where the graph runs already.")
-@click.option("--source", type=click.Path(path_type=Path), help="Where frames come from.")
+@click.option("--source", type=SOURCE_FILE, help="Where frames come from.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node.")
 def up_command(
@@ -149,7 +150,7 @@ def secure_commands() -> None:
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False), metavar="CREDENTIALS")
 @click.option("--host", "hosts", multiple=True, metavar="LABEL=ADDRESS")
 @renamed_option("--box", "--host")
-@click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE)
 @click.option("--user", "users", multiple=True, metavar="NAME")
 @renamed_option("--person", "--user")
 def init_command(folder: Path, **named: Any) -> None:
@@ -161,7 +162,7 @@ def init_command(folder: Path, **named: Any) -> None:
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False), metavar="CREDENTIALS")
 @click.option("--host", "hosts", multiple=True, metavar="LABEL=ADDRESS")
 @renamed_option("--box", "--host")
-@click.option("--graph", "graphs", multiple=True, type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE)
 @click.option("--user", "users", multiple=True, metavar="NAME")
 @renamed_option("--person", "--user")
 def add_command(folder: Path, **named: Any) -> None:

@@ -9,19 +9,29 @@ The common name of a certificate says who speaks: `host.<label>`, `node.<graph>.
 go by these names, never by addresses.
 """
 
+from __future__ import annotations
+
 import datetime
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from typing import TYPE_CHECKING
 
 from pipeline.errors import RunError, SettingsError
+from pipeline.extras import LateModule
 from pipeline.fleet.names import check_identity
+
+if TYPE_CHECKING:
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509 import oid
+else:  # an extra, which takes longer to load than all the rest of a command
+    x509, oid = LateModule("cryptography.x509"), LateModule("cryptography.x509.oid")
+    hashes = LateModule("cryptography.hazmat.primitives.hashes")
+    serialization = LateModule("cryptography.hazmat.primitives.serialization")
+    ec = LateModule("cryptography.hazmat.primitives.asymmetric.ec")
 
 AUTHORITY_DAYS = 3650
 CERTIFICATE_DAYS = 825
@@ -38,7 +48,7 @@ class Credentials:
     folder: Path
 
     @staticmethod
-    def of(folder: Path) -> "Credentials":
+    def of(folder: Path) -> Credentials:
         """Those of a folder; raises `SettingsError` when one is missing or its key is readable."""
         credentials = Credentials(folder)
         for path in (credentials.authority, credentials.certificate, credentials.key):
@@ -111,7 +121,7 @@ def renew(folder: Path) -> Iterator[str]:
 
 def identity_of(certificate: Path) -> str:
     """The common name of a certificate; raises `SettingsError` for a file that is none."""
-    names = _certificate(certificate).subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    names = _certificate(certificate).subject.get_attributes_for_oid(oid.NameOID.COMMON_NAME)
     if not names:
         raise SettingsError(f"{certificate}: expected a certificate with a common name, got none")
     return str(names[0].value)
@@ -139,7 +149,7 @@ def _certify(own: Path, folder: Path, identity: str, days: int) -> None:
         .add_extension(_usage(signs=False), critical=True)
         .add_extension(
             x509.ExtendedKeyUsage(
-                [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+                [oid.ExtendedKeyUsageOID.SERVER_AUTH, oid.ExtendedKeyUsageOID.CLIENT_AUTH]
             ),
             critical=False,
         )
@@ -202,7 +212,7 @@ def _usage(*, signs: bool) -> x509.KeyUsage:
 
 
 def _name(common: str) -> x509.Name:
-    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
+    return x509.Name([x509.NameAttribute(oid.NameOID.COMMON_NAME, common)])
 
 
 def _private(key: ec.EllipticCurvePrivateKey) -> bytes:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from filterpy.common import Q_discrete_white_noise
 from filterpy.kalman import KalmanFilter
 
 from operators.association.kalman import extrapolate, motion_model, predict, update
@@ -64,3 +65,11 @@ def test_the_unit_of_length_cancels():
     in_pixels, _ = update(*predict(small * scale, covariance, model), measured * scale, model)
 
     np.testing.assert_allclose(in_pixels, in_widths * scale)
+
+
+@pytest.mark.parametrize("process_noise", [1e-7, 0.001, 0.5])
+def test_the_noise_of_the_model_is_filterpys_to_the_last_bit(process_noise):
+    model = motion_model(process_noise, 0.01)
+
+    expected = Q_discrete_white_noise(2, dt=1.0, var=process_noise)
+    assert model.process.tobytes() == np.asarray(expected).tobytes()

@@ -1,0 +1,66 @@
+"""Live settings and commands: frames in, nothing out; the brightness is told when asked for.
+
+fovea run examples/meter
+fovea set meter meter.alarm_above=50           (in another terminal)
+fovea tell meter meter brightest count=3
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from fovea import Frame, Input, Operator, SettingsError
+
+KEPT = 1000  # frames: what runs for weeks must not grow
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeterSettings:
+    """What a graph may set."""
+
+    alarm_above: float = 255.0  # mean of a frame
+
+    def __post_init__(self) -> None:
+        if self.alarm_above < 0:
+            raise SettingsError(f"alarm_above: must be at least 0, got {self.alarm_above}")
+
+
+class Meter(Operator[MeterSettings, None]):
+    """Measure the mean brightness of every frame; count those above a limit."""
+
+    live = ("alarm_above",)  # `fovea set` may change it; the new settings are in `self.settings`
+    commands = ("brightest", "forget")  # `fovea tell` calls do_brightest, do_forget
+
+    frame = Input(Frame, keep="latest")
+
+    def open(self) -> None:
+        """Nothing measured yet."""
+        self._kept: deque[tuple[float, int]] = deque(maxlen=KEPT)  # mean and seq
+        self._frames = self._alarms = 0
+
+    def on_frame(self, frame: Frame) -> None:
+        """Measure; there is nobody to answer."""
+        mean = float(frame.pixels.mean())
+        self._kept.append((mean, frame.header.seq))
+        self._frames += 1
+        self._alarms += mean > self.settings.alarm_above
+
+    def do_brightest(self, count: int = 1) -> Mapping[str, Any]:
+        """The brightest of the last frames: their numbers and means."""
+        if count < 1:
+            raise SettingsError(f"brightest.count: must be at least 1, got {count}")
+        found = sorted(self._kept, reverse=True)[:count]
+        return {"frames": [seq for _, seq in found], "means": [round(mean, 2) for mean, _ in found]}
+
+    def do_forget(self) -> None:
+        """Begin anew."""
+        self.open()
+
+    def headline(self) -> str:
+        """A few words for the line that `fovea run` shows."""
+        return f"alarms {self._alarms}"
+
+    def summary(self) -> Mapping[str, Any]:
+        """Figures for the report of the run."""
+        return {"brightness": {"frames": self._frames, "alarms": self._alarms}}

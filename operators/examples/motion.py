@@ -1,0 +1,65 @@
+"""Stateful: a frame in, what differs from the background out; the background survives a swap.
+
+fovea run examples/motion
+fovea swap motion motion --set rate=0.2        (in another terminal)
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from fovea import Frame, Header, Input, Operator, SettingsError
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionSettings:
+    """What a graph may set."""
+
+    rate: float = 0.05  # share of a new frame in the background
+
+    def __post_init__(self) -> None:
+        if not 0 < self.rate <= 1:
+            raise SettingsError(f"rate: must be above 0 and at most 1, got {self.rate}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Background:
+    """All that a successor needs to go on: one dataclass of plain values and arrays."""
+
+    mean: NDArray[np.float32]  # (h, w, 3), empty before the first frame
+    frames: int
+
+
+EMPTY = Background(mean=np.zeros((0, 0, 3), np.float32), frames=0)
+
+
+class Motion(Operator[MotionSettings, Frame]):
+    """Keep a running mean of the frames; answer with the distance of each frame from it."""
+
+    frame = Input(Frame, keep="every")  # a background that misses frames is another one
+
+    def open(self) -> None:
+        """Know nothing yet."""
+        self._background = EMPTY
+
+    def on_stream(self, header: Header) -> None:
+        """Another stream, another background."""
+        self._background = EMPTY
+
+    def on_frame(self, frame: Frame) -> Frame:
+        """Answer each frame with its difference from what was there before."""
+        mean = self._background.mean
+        if mean.shape != frame.pixels.shape:
+            mean = frame.pixels.astype(np.float32)
+        difference = np.abs(frame.pixels - mean)
+        mean = mean + np.float32(self.settings.rate) * (frame.pixels - mean)
+        self._background = Background(mean=mean, frames=self._background.frames + 1)
+        return replace(frame, pixels=difference.astype(np.uint8))
+
+    def state(self) -> Background:
+        """What a successor takes over; asked for between two frames."""
+        return self._background
+
+    def restore(self, state: Background) -> None:
+        """Go on where another instance stopped; called after `open`."""
+        self._background = state

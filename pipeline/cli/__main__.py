@@ -1,0 +1,5 @@
+"""The command line as `python -m pipeline.cli`."""
+
+from pipeline.cli import main
+
+main()

@@ -1,0 +1,145 @@
+"""`fovea run | check | draw`: a graph file, what is laid over it, and what becomes of it."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from pipeline import signals
+from pipeline.console import running
+from pipeline.console.arguments import DURATION_S, FRAMES
+from pipeline.console.files import try_recording, try_report, write_report
+from pipeline.contract import INCOMPLETE
+from pipeline.errors import GraphError
+from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
+from pipeline.graph.drawing import mermaid
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay, manual_nodes
+from pipeline.graph.plan import Plan
+from pipeline.graph.schema import graph_schema
+from pipeline.graph.survey import survey
+from pipeline.run.report import tables
+from pipeline.text import harmless
+
+console = Console()
+GRAPH = click.argument("graph", type=GRAPH_FILE)
+
+
+def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options that lay something over a graph file."""
+    for option in (
+        click.option("--source", type=SOURCE_FILE, help="Where frames come from."),
+        click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE"),
+        click.option("--clock", type=click.Choice(["realtime", "lockstep"])),
+        click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node."),
+    ):
+        command = option(command)
+    return command
+
+
+@click.command()
+@GRAPH
+@overlaid
+@click.option("--inline", is_flag=True, help="One thread, no processes, in lockstep.")
+@click.option("--frames", type=FRAMES, help="Stop after so many exposures.")
+@click.option("--duration-s", type=DURATION_S, help="Stop after this.")
+@click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
+@click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
+def run(
+    graph: Path, inline: bool, frames: int | None, duration_s: float | None,
+    save: Path | None, report: Path | None, **laid: Any,
+) -> None:  # fmt: skip
+    """Run a graph in the foreground until its source ends, a limit, or Ctrl-C."""
+    if frames and duration_s:
+        raise click.UsageError("--frames and --duration-s: give one of them")
+    if inline and (laid["clock"] == "realtime" or duration_s):
+        raise click.UsageError("--inline runs in lockstep: limit it by --frames")
+    if inline:
+        laid["clock"] = "lockstep"
+    if report:
+        try_report(report, "--report")
+    if save:
+        try_recording(save, "--save")
+    plan, unwritten = _load(graph, save=save, **laid), ""
+    for line in running.advice(plan):
+        console.print(line, markup=False)
+    with signals.Interruption(last=True) as asked:
+        if inline:
+            result = running.inline(plan, frames or 0, console, asked)
+        else:
+            result = running.processes(plan, frames or 0, duration_s or 0.0, console, asked)
+        if report:
+            unwritten = write_report(report, result, "--report")
+        console.print(tables(result))
+        if unwritten:
+            click.echo(json.dumps(result, indent=1))
+        if save:
+            console.print(f"recording: {save}, open it with: rerun {save}", markup=False)
+    wrong = [why for why in (result.get("failure"), result.get(INCOMPLETE), unwritten) if why]
+    for why in wrong:
+        click.echo(f"Error: {harmless(str(why))}", err=True)
+    if asked.status or wrong:
+        sys.exit(asked.status or 2)
+
+
+@click.command()
+@click.argument("graph", required=False, type=GRAPH_FILE)
+@overlaid
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of graph files.")
+@click.option("--no-import", is_flag=True, help="Look at the files alone, execute nothing of them.")
+def check(graph: Path | None, schema: bool, no_import: bool, **laid: Any) -> None:
+    """Check a graph without starting anything."""
+    if no_import:
+        _survey(graph, schema=schema, **laid)
+        return
+    plan = _load(graph, **laid) if graph else None
+    if schema:
+        click.echo(json.dumps(graph_schema(plan), indent=1))
+    elif plan is None:
+        raise click.UsageError("Missing argument 'GRAPH'.")
+    else:
+        console.print(
+            f"{harmless(str(graph))}: {plan.name}, {len(plan.nodes)} nodes in "
+            f"{len(plan.processes())} processes, {len(plan.edges)} edges, {plan.clock}",
+            markup=False,
+        )
+        for line in running.advice(plan):
+            console.print(line, markup=False)
+
+
+@click.command()
+@GRAPH
+@overlaid
+def draw(graph: Path, **laid: Any) -> None:
+    """Print the graph as a Mermaid flow chart."""
+    click.echo(mermaid(_load(graph, **laid)))
+
+
+def _survey(
+    graph: Path | None, *, schema: bool, source: Path | None, changes: tuple[str, ...],
+    clock: str | None, wanted: tuple[str, ...],
+) -> None:  # fmt: skip
+    if graph is None:
+        raise click.UsageError("Missing argument 'GRAPH'.")
+    if schema or changes or wanted:
+        raise click.UsageError("--no-import: goes with --source and --clock alone")
+    for line in survey(graph, source=source, clock=clock or ""):
+        console.print(harmless(line), markup=False, highlight=False, soft_wrap=True)
+
+
+def _load(
+    graph: Path, *, save: Path | None = None, source: Path | None, changes: tuple[str, ...],
+    clock: str | None, wanted: tuple[str, ...],
+) -> Plan:  # fmt: skip
+    values: tuple[tuple[str, str, Any], ...] = ()
+    if save:
+        viewer = manual_nodes(graph, "save")
+        if not viewer:
+            raise GraphError(f"{graph}: --save needs a node with a setting `save`, got none")
+        wanted = (*wanted, viewer[0])
+        values = ((viewer[0], "save", str(save)),)
+    return load(graph, Overlay(source, changes, clock or "", wanted, values))

@@ -1,0 +1,49 @@
+"""Packages that the main job does not need: which extra brings them, and a module loaded late."""
+
+from importlib import import_module
+from typing import Any
+
+from pipeline.errors import InstallError
+
+EXTRAS = {
+    "cryptography": "fleet",
+    "matplotlib": "eval",
+    "onnx": "train",
+    "torch": "train",
+    "tqdm": "train",
+}
+INDEX = {"train": "https://download.pytorch.org/whl/cpu"}  # else pip takes torch with CUDA
+
+
+def remedy(error: ModuleNotFoundError) -> str:
+    """What is missing and how to get it; empty for a module that no extra brings.
+
+    >>> remedy(ModuleNotFoundError("no", name="matplotlib.pyplot"))
+    "expected the package matplotlib, got none: pip install 'fovea[eval]'"
+    >>> remedy(ModuleNotFoundError("no", name="mine"))
+    ''
+    """
+    package = (error.name or "").partition(".")[0]
+    extra = EXTRAS.get(package)
+    if extra is None:
+        return ""
+    index = f" --extra-index-url {INDEX[extra]}" if extra in INDEX else ""
+    return f"expected the package {package}, got none: pip install 'fovea[{extra}]'{index}"
+
+
+def need(package: str, where: str) -> None:
+    """Raise `InstallError` beginning with `where` unless a package of an extra is installed."""
+    try:
+        import_module(package)
+    except ModuleNotFoundError as error:
+        raise InstallError(f"{where}: {remedy(error) or error}") from error
+
+
+class LateModule:
+    """A module that is imported when the first of its names is used."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self._name), name)

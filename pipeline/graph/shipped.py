@@ -1,0 +1,61 @@
+"""The graphs and sources that fovea brings, by name: `tracking` -> the path of its file.
+
+They lie in `graphs/`, beside this package in the source tree and in an installation alike. A word
+that is no such name is the path of a file.
+"""
+
+import difflib
+import os
+from pathlib import Path
+
+from pipeline.errors import GraphError
+from pipeline.wording import shown
+
+FOLDER = Path(__file__).resolve().parents[2] / "graphs"
+SOURCES, TASKS = FOLDER / "sources", FOLDER / "tasks"
+SUFFIXES = (".yaml", ".yml")
+
+
+def graph_names(folder: Path = FOLDER) -> list[str]:
+    """Names of the graphs, those of a folder within it as `folder/name`."""
+    others = (SOURCES, TASKS)
+    return [name for name in _names(folder) if folder / name.partition("/")[0] not in others]
+
+
+def source_names() -> list[str]:
+    """Names of the sources, which `--source` lays over a graph."""
+    return _names(SOURCES)
+
+
+def graph_path(word: str | os.PathLike[str]) -> Path:
+    """The file of a graph, given by name or path; raises `GraphError` for a name that is none.
+
+    >>> graph_path("tracking").relative_to(FOLDER), graph_path("my/graph.yaml")
+    (PosixPath('tracking.yaml'), PosixPath('my/graph.yaml'))
+    """
+    return _path(os.fspath(word), "graph", FOLDER, graph_names())
+
+
+def source_path(word: str | os.PathLike[str]) -> Path:
+    """The file of a source, likewise."""
+    return _path(os.fspath(word), "source", SOURCES, source_names())
+
+
+def _names(folder: Path) -> list[str]:
+    found = (path.relative_to(folder).with_suffix("") for path in folder.rglob("*.yaml"))
+    return sorted(path.as_posix() for path in found)
+
+
+def _path(word: str, kind: str, folder: Path, names: list[str]) -> Path:
+    if word in names:
+        return folder / f"{word}.yaml"
+    path = Path(word)
+    is_path = path.suffix in SUFFIXES or path.is_absolute() or word.startswith(".") or not word
+    if is_path or os.path.lexists(path):
+        return path
+    near = difflib.get_close_matches(word[:100], names, 1, 0.6)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise GraphError(
+        f"{shown(word)}: no such {kind}; {hint}there is {', '.join(names)}; one of your own is "
+        "named by its path, with .yaml"
+    )

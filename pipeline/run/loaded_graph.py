@@ -1,0 +1,117 @@
+"""A graph for scripts and notebooks: loaded and checked, run in this thread or as processes."""
+
+import os
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from pipeline.errors import RunError, SettingsError
+from pipeline.graph.loader import load as load_plan
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Clock, Plan
+from pipeline.graph.shipped import graph_path, source_path
+from pipeline.run.inline import InlineRunner, Watch
+from pipeline.run.report import Report, compose
+from pipeline.run.supervisor import Supervisor
+
+
+def load(
+    graph: str | os.PathLike[str],
+    *,
+    settings: Mapping[str, object] | None = None,
+    source: str | os.PathLike[str] = "",
+    manual: Iterable[str] = (),
+    clock: Clock | None = None,
+) -> "Graph":
+    """Load a shipped graph by name, or a graph file by path; nothing is started.
+
+    `settings` are values by `node.setting`; `source` is a shipped source or a file, which replaces
+    what makes frames; `manual` names nodes that start on request only. Raises `GraphError` or
+    `SettingsError`, in a sentence with file and line.
+    """
+    values = []
+    for place, value in (settings or {}).items():
+        node, dot, setting = str(place).partition(".")
+        if not (node and dot and setting):
+            raise SettingsError(f"settings: expected keys node.setting, got {place!r}")
+        values.append((node, setting, value))
+    overlay = Overlay(
+        source=source_path(source) if source else None, clock=clock or "",
+        wanted=tuple(manual), values=tuple(values),
+    )  # fmt: skip
+    return Graph(graph_path(graph), overlay)
+
+
+class Graph:
+    """A graph that is ready to run, as often as wanted. `plan` holds its nodes and edges."""
+
+    def __init__(self, path: Path, overlay: Overlay) -> None:
+        self._path, self._overlay = path, overlay
+        self.plan = load_plan(path, overlay)
+
+    def __repr__(self) -> str:
+        plan = self.plan
+        return f"Graph({plan.name}: {len(plan.nodes)} nodes, {len(plan.edges)} edges, {plan.clock})"
+
+    def run(
+        self, frames: int = 0, *, processes: bool = False, duration_s: float = 0.0,
+        watch: Watch | None = None,
+    ) -> Report:  # fmt: skip
+        """Run up to `frames` exposures (0: until the source ends); returns the report.
+
+        In this thread it is in lockstep, gives the same answers every time, and `watch` is called
+        with `node.output` and each message. With `processes` it runs as `fovea run` does, for
+        `duration_s` at most if given; the folder you work in is where processes look for operators
+        of your own. Raises `RunError` for a graph that cannot go on; what an operator raises in
+        this thread passes through.
+        """
+        if frames < 0 or duration_s < 0:
+            raise SettingsError(f"run: expected limits from 0 on, got {frames}, {duration_s}")
+        if processes:
+            if watch is not None:
+                raise SettingsError("run.watch: expected none for processes, got one")
+            return run_processes(self.plan, frames, duration_s)
+        if duration_s:
+            raise SettingsError("run.duration_s: expected it with processes=True, got it without")
+        with InlineRunner(self._in_lockstep(), watch=watch) as runner:
+            for _seq in runner.run(frames):
+                pass
+            return runner.report()
+
+    def _in_lockstep(self) -> Plan:
+        if self.plan.clock == "lockstep":
+            return self.plan
+        over = self._overlay
+        return load_plan(
+            self._path, Overlay(over.source, over.changes, "lockstep", over.wanted, over.values)
+        )
+
+
+def run_processes(plan: Plan, frames: int, duration_s: float) -> Report:
+    """Run a plan as processes until the source ends or a limit; raises `RunError`."""
+    with Supervisor(plan, frames=frames) as supervisor:
+        supervisor.start()
+        began_s = supervisor.started_s
+        while not supervisor.finished and not (
+            duration_s and time.monotonic() - began_s >= duration_s
+        ):
+            supervisor.tick()
+        elapsed_s = time.monotonic() - began_s
+        supervisor.finish()
+        supervisor.stop()
+        if supervisor.failure:
+            raise RunError(supervisor.failure)
+        return account_of(supervisor, elapsed_s)
+
+
+def account_of(supervisor: Supervisor, duration_s: float) -> Report:
+    """The report of a run whose processes have stopped."""
+    return compose(
+        supervisor.plan,
+        supervisor.ledger,
+        supervisor.summaries,
+        {name: supervisor.samples(name) for name in supervisor.plan.processes()},
+        duration_s=duration_s,
+        restarts=supervisor.restarts,
+        left_out=supervisor.left_out,
+    )

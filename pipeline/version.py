@@ -1,0 +1,60 @@
+"""Which fovea this is: its version, and the commit it was built from.
+
+A wheel has its commit in `commit.txt`, written when it was built; the source tree asks git. Where
+neither is there, the version stands alone.
+"""
+
+import subprocess
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORD = "commit.txt"  # beside this file, in a wheel
+SHOWN = 12  # characters of a commit
+
+
+def described() -> str:
+    """The version, and the commit where it is known: `0.2.0 (commit 1e36e692cf0a)`."""
+    found = commit()
+    return f"{version()} (commit {found})" if found else version()
+
+
+def version(root: Path = ROOT) -> str:
+    """The version of the source tree this file lies in, else of the installed package."""
+    try:
+        project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+        if project["name"] == "fovea":
+            return str(project["version"])
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    try:
+        return metadata.version("fovea")
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def commit(root: Path = ROOT) -> str:
+    """The commit, `+` behind it where tracked files differ; empty where nothing tells."""
+    if (root / ".git").exists():  # a folder, or the file of a worktree
+        return _commit_of(root)
+    try:
+        return (root / "pipeline" / RECORD).read_text(encoding="utf-8").strip()
+    except OSError:
+        return ""
+
+
+def _commit_of(root: Path) -> str:
+    found = _git(root, "rev-parse", f"--short={SHOWN}", "HEAD")
+    changed = _git(root, "status", "--porcelain", "--untracked-files=no") if found else ""
+    return f"{found}+" if changed else found
+
+
+def _git(root: Path, *words: str) -> str:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(root), *words], capture_output=True, text=True, check=False
+        )
+    except OSError:  # there is no git
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""

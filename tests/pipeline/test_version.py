@@ -1,0 +1,67 @@
+"""A version and its commit: from git in the source tree, as recorded in a wheel, or none."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from pipeline.cli import commands
+from pipeline.version import ROOT, commit, described, version
+
+PROJECT = '[project]\nname = "fovea"\nversion = "7.8.9"\n'
+
+
+def git(folder: Path, *words: str) -> None:
+    own = ("-c", "user.name=tester", "-c", "user.email=tester@localhost")
+    subprocess.run(["git", "-C", str(folder), *own, *words], check=True, capture_output=True)
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Path:
+    (tmp_path / "pyproject.toml").write_text(PROJECT)
+    git(tmp_path, "init")
+    git(tmp_path, "add", "-A")
+    git(tmp_path, "commit", "-m", "all")
+    return tmp_path
+
+
+def test_the_source_tree_asks_git_and_marks_what_was_changed(repository: Path) -> None:
+    clean = commit(repository)
+    (repository / "new.txt").write_text("not tracked")
+    untracked = commit(repository)
+    (repository / "pyproject.toml").write_text(PROJECT + "\n")
+
+    assert len(clean) == 12
+    assert untracked == clean
+    assert commit(repository) == f"{clean}+"
+    assert version(repository) == "7.8.9"
+
+
+def test_a_wheel_says_what_was_recorded(tmp_path: Path) -> None:
+    (tmp_path / "pipeline").mkdir()
+    (tmp_path / "pipeline" / "commit.txt").write_text("0123456789ab\n")
+
+    assert commit(tmp_path) == "0123456789ab"
+
+
+def test_without_git_and_record_there_is_the_version_alone(
+    tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert commit(tmp_path / "nowhere") == ""
+    monkeypatch.setenv("PATH", str(tmp_path / "empty"))
+    assert commit(repository) == ""
+    assert version(repository) == "7.8.9"
+
+
+def test_a_project_of_another_name_around_it_is_not_asked(tmp_path: Path) -> None:
+    (tmp_path / "pyproject.toml").write_text(PROJECT.replace("fovea", "mine"))
+
+    assert version(tmp_path) != "7.8.9"
+
+
+def test_the_command_line_says_both() -> None:
+    said = CliRunner().invoke(commands, ["--version"]).output
+
+    assert said == f"fovea {described()}\n"
+    assert said.startswith(f"fovea {version(ROOT)}")
