@@ -42,9 +42,10 @@ MOST_WORDS = 1500
 TRACKING = ROOT / "graphs" / "tracking.yaml"
 MODULES = {  # the Python blocks that a reader saves, by the name that the page gives the file
     ("README.md", 0): "mine",
+    ("README.md", 1): "",  # lines for a notebook
     ("drivers/README.md", 0): "noise",
-    ("operators/README.md", 0): "blend",
-    ("operators/README.md", 1): "test_blend",
+    ("operators/README.md", 0): "smooth",
+    ("operators/README.md", 1): "test_smooth",
 }
 TORCH = find_spec("torch") is not None
 
@@ -59,7 +60,8 @@ def saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder with the Python files that a reader saved, where imports find them."""
     for block in blocks("python"):
         key = (str(block.page.relative_to(ROOT)), block.index)
-        (tmp_path / f"{MODULES[key]}.py").write_text(block.text)
+        if MODULES[key]:
+            (tmp_path / f"{MODULES[key]}.py").write_text(block.text)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path
     for name in MODULES.values():
@@ -111,8 +113,7 @@ def test_every_command_in_the_text_exists_with_its_options(line: Line) -> None:
         word = rest.pop(0)
         if not word.islower():  # a placeholder
             return
-        assert word in command.commands, line.name
-        command = command.commands[word]
+        command = subcommand(command, word)
         if not rest:
             return
     if command.name in VERBS:
@@ -147,7 +148,7 @@ def test_every_module_that_is_run_exists_with_its_options(line: Line) -> None:
         parse(command, words)
     else:
         while isinstance(command, click.Group):
-            command = command.commands[words.pop(0)]
+            command = subcommand(command, words.pop(0))
         assert options <= {name for p in command.params for name in p.opts}, line.name
 
 
@@ -162,7 +163,7 @@ def test_every_command_of_fovea_is_described() -> None:
     pages = (ROOT / "pipeline" / "README.md", ROOT / "pipeline" / "fleet" / "README.md")
     text = "".join(page.read_text() for page in pages)
 
-    assert [name for name in commands.commands if f"`fovea {name}" not in text] == []
+    assert [name for name in names_of(commands) if f"`fovea {name}" not in text] == []
 
 
 def test_every_key_of_a_graph_is_described() -> None:
@@ -177,7 +178,7 @@ def test_every_python_block_compiles_and_says_where_it_is_saved(block: Block) ->
     compile(block.text, block.name, "exec")
 
     name = MODULES[str(block.page.relative_to(ROOT)), block.index]
-    assert name.startswith("test_") or f"`{name}.py`" in block.page.read_text()
+    assert not name or name.startswith("test_") or f"`{name}.py`" in block.page.read_text()
 
 
 @pytest.mark.parametrize("block", blocks("yaml"), ids=lambda b: b.name)
@@ -212,20 +213,20 @@ def test_the_operator_of_the_readme_does_what_it_says(saved: Path) -> None:
 
 
 def test_the_operator_with_state_passes_the_test_beside_it(saved: Path) -> None:
-    test: Any = importlib.import_module("test_blend")
+    test: Any = importlib.import_module("test_smooth")
 
     test.test_the_mean_moves_towards_the_newest_frame()
 
 
 def test_the_state_of_that_operator_survives_a_swap(saved: Path) -> None:
-    blend: Any = importlib.import_module("blend")
-    first, second = (blend.Blend(blend.BlendSettings()) for _ in range(2))
+    smooth: Any = importlib.import_module("smooth")
+    first, second = (smooth.Smooth(smooth.SmoothSettings()) for _ in range(2))
     first.open()
     second.open()
     pixels = np.full((4, 6, 3), 100, np.uint8)
     first.on_frame(Frame(header=header(1), pixels=pixels, window=(0, 0, 6, 4)))
 
-    second.restore(codec.loads(blend.BlendState, codec.dumps(first.state())))
+    second.restore(codec.loads(smooth.SmoothState, codec.dumps(first.state())))
 
     assert second.headline() == "mean 100"
     assert second.do_forget() == {"forgotten": 1}
@@ -266,9 +267,21 @@ def test_ci_runs_what_contributors_run() -> None:
 def parse(command: click.Command, words: list[str]) -> None:
     """Parse a command line as the command does, and carry nothing out."""
     while isinstance(command, click.Group):
-        command, words = command.commands[words[0]], words[1:]
+        command, words = subcommand(command, words[0]), words[1:]
     with contextlib.suppress(click.exceptions.Exit):  # --help
         command.make_context(command.name, list(words))
+
+
+def subcommand(group: click.Group, name: str) -> click.Command:
+    """A command of a group, which may load it only now."""
+    found = group.get_command(click.Context(group), name)
+    assert found is not None, f"no command {name}: {', '.join(names_of(group))}"
+    return found
+
+
+def names_of(group: click.Group) -> list[str]:
+    """The commands of a group."""
+    return group.list_commands(click.Context(group))
 
 
 def command_in(module: str) -> click.Command | None:
@@ -277,3 +290,12 @@ def command_in(module: str) -> click.Command | None:
     own = [v for v in vars(found).values() if isinstance(v, click.Command)]
     main = getattr(found, "main", None)
     return main if isinstance(main, click.Command) else next(iter(own), None)
+
+
+@pytest.mark.parametrize("line", [*fenced("pip"), *inline_lines("pip")], ids=lambda line: line.name)
+def test_every_extra_exists(line: Line) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    named = re.findall(r"\.\[([\w,]+)\]", " ".join(line.words))
+
+    extras = {extra for names in named for extra in names.split(",")}
+    assert extras <= set(project["optional-dependencies"]), line.name
