@@ -276,7 +276,8 @@ def subcommand(group: click.Group, name: str) -> click.Command:
     """A command of a group, which may load it only now."""
     found = group.get_command(click.Context(group), name)
     assert found is not None, f"no command {name}: {', '.join(names_of(group))}"
-    return found
+    loaded: click.Command = getattr(found, "loaded", lambda: found)()
+    return loaded
 
 
 def names_of(group: click.Group) -> list[str]:
