@@ -43,7 +43,8 @@ def main(
         for _ in runner.run(frames):
             pass
     out.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(out), cv2.cvtColor(draw(last), cv2.COLOR_RGB2BGR))
+    _, png = cv2.imencode(".png", cv2.cvtColor(draw(last), cv2.COLOR_RGB2BGR))
+    out.write_bytes(png.tobytes())
     click.echo(f"{out.name}: frame {frames} of {plan.name}")
 
 
@@ -107,10 +108,8 @@ def _outline(
 
 
 def _write(picture: Picture, text: str) -> None:
-    for colour, thickness_px in (((0, 0, 0), 3), (WHITE, 1)):
-        cv2.putText(
-            picture, text, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, thickness_px, cv2.LINE_AA
-        )
+    for start, colour in (((9, 21), (0, 0, 0)), ((8, 20), WHITE)):  # a shadow, then the text
+        cv2.putText(picture, text, start, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
 
 
 if __name__ == "__main__":

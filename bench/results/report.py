@@ -80,7 +80,7 @@ PLACES = {
         section="Several hosts and security", order=5,
         title="Generated input: graph files, orders, bytes",
     ),
-    "stranger": Place(section="Several hosts and security", order=7, title="Another user"),
+    "other_user": Place(section="Several hosts and security", order=7, title="Another user"),
 }  # fmt: skip
 ELSEWHERE = Place(section="Time and transport", order=99, title="")
 
