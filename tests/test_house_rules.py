@@ -13,7 +13,10 @@ from pipeline.graph.loader import load
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("pipeline", "operators", "graphs", "drivers", "tests", "bench")
-FILES = ("pyproject.toml", "README.md", "LICENSE", "Makefile", "SECURITY.md")
+FILES = (
+    "pyproject.toml", "README.md", "LICENSE", "Makefile", "SECURITY.md", "CONTRIBUTING.md",
+    "CHANGELOG.md", "CITATION.cff",
+)  # fmt: skip
 LIVE = ("pipeline", "operators", "drivers")
 LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 

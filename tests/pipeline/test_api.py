@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline import messages
 from pipeline.contract import Operator
-from tests.toy_graphs import LOOP
+from tests.sample_graphs import LOOP
 
 HEAVY = ("numpy", "zenoh", "pydantic", "rich", "onnxruntime", "cv2", "pipeline.messages")
 
@@ -84,7 +84,7 @@ def test_processes_run_for_as_long_as_they_may(graph: Path) -> None:
 
 def test_settings_and_sources_are_laid_over_the_file(tmp_path: Path, graph: Path) -> None:
     source = tmp_path / "source.yaml"
-    source.write_text("operator: tests.toys:Ticker\nsettings: {length: 4}\n")
+    source.write_text("operator: tests.samples:Ticker\nsettings: {length: 4}\n")
 
     loaded = fovea.load(graph, source=source, settings={"work.gain": 3})
 

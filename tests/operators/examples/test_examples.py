@@ -20,7 +20,7 @@ from pipeline.graph.plan import Plan
 from pipeline.graph.shipped import FOLDER, graph_names
 from pipeline.run.inline import InlineRunner
 from pipeline.run.swap import SwapOrder
-from tests.toy_graphs import beside, go, handled, wait_for
+from tests.sample_graphs import beside, go, handled, wait_for
 
 NAMES = [name for name in graph_names() if name.startswith("examples/")]
 

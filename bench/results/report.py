@@ -1,0 +1,202 @@
+"""Reports that benches wrote themselves (`--json`, `--out`): their origin, figures and rows."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from bench.results.markdown import cell, lines, table
+from bench.results.table import ResultError
+
+T = TypeVar("T")
+LONGEST_LIST = 12  # values of a list that are shown in one cell
+
+
+class Machine(msgspec.Struct, frozen=True):
+    """Where a report was measured, as `bench.machine.facts` writes it."""
+
+    cpu: str
+    cores: int
+    memory_gib: float
+    kernel: str
+    load_1min: float
+
+
+class Origin(msgspec.Struct, frozen=True):
+    """What every report says of itself."""
+
+    machine: Machine
+    commit: str
+    python: str = ""
+    libraries: dict[str, str] = {}
+    dirty: bool = False
+    bench: str = ""
+    fuzz: str = ""
+    seed: int | str | None = None
+
+
+class Ends(msgspec.Struct, frozen=True):
+    """What `bench.follow` sums up: target, then first, last or grown, then figure."""
+
+    ends: dict[str, dict[str, dict[str, float]]] = {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """A bench's own result file."""
+
+    path: Path
+    bench: str
+    origin: Origin
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where a bench's report stands in the page."""
+
+    section: str
+    order: int
+    title: str
+
+
+PLACES = {
+    "loop": Place(section="Time and transport", order=2, title="The loop"),
+    "bus": Place(section="Time and transport", order=4, title="One hop"),
+    "objects": Place(section="Time of each part", order=9, title="The running graph, by objects"),
+    "crash": Place(section="Faults, swaps and long runs", order=1, title="SIGKILL under load"),
+    "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
+    "swap": Place(section="Faults, swaps and long runs", order=5, title="Swaps"),
+    "endure": Place(section="Faults, swaps and long runs", order=6, title="A graph worn for long"),
+    "soak": Place(section="Faults, swaps and long runs", order=7, title="Memory"),
+    "follow": Place(
+        section="Faults, swaps and long runs", order=8,
+        title="The target changed every minute: IoU, share in the ROI, share answered",
+    ),
+    "fuzz": Place(
+        section="Several hosts and security", order=5,
+        title="Generated input: graph files, orders, bytes",
+    ),
+    "other_user": Place(section="Several hosts and security", order=7, title="Another user"),
+}  # fmt: skip
+ELSEWHERE = Place(section="Time and transport", order=99, title="")
+
+
+def read_report(path: Path, values: Any) -> Report:
+    """Return a bench's report; raises `ResultError` for a file without its origin."""
+    if not isinstance(values, Mapping):
+        got = type(values).__name__
+        raise ResultError(f"{path.name}: expected an object, a table or a report, got {got}")
+    origin = _convert(path, values, Origin)
+    bench = "fuzz" if origin.fuzz else origin.bench or path.stem
+    if bench == "follow":
+        _convert(path, values, Ends)
+    return Report(path=path, bench=bench, origin=origin, values=values)
+
+
+def _convert(path: Path, values: Any, kind: type[T]) -> T:
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        what = str(error)
+        where = "neither a table with an id nor a bench's report"
+        raise ResultError(f"{path.name}: {where}: {what[:1].lower()}{what[1:]}") from error
+
+
+def place_of(report: Report) -> Place:
+    """Return where the report stands."""
+    found = PLACES.get(report.bench, ELSEWHERE)
+    return found if found.title else Place(
+        section=found.section, order=found.order, title=report.path.stem
+    )  # fmt: skip
+
+
+def render_reports(reports: Sequence[Report]) -> str:
+    """Return the Markdown of all reports of one bench."""
+    parts = [f"### {place_of(reports[0]).title}"]
+    if reports[0].bench == "fuzz":
+        return "\n\n".join([*parts, *(origin_of(r) for r in reports), _fuzz(reports)])
+    for report in reports:
+        parts.append(origin_of(report))
+        parts += _follow(report) if report.bench == "follow" else _values(report)
+    return "\n\n".join(parts)
+
+
+def origin_of(report: Report) -> str:
+    """Return where and by what a report was measured."""
+    origin, machine = report.origin, report.origin.machine
+    versions = {"Python": origin.python, **origin.libraries}
+    plots = sorted(p.name for p in report.path.parent.glob(f"{report.path.stem}*.png"))
+    return lines({
+        "Source": f"measured (`bench/results/{report.path.name}`)",
+        "Machine": f"{machine.cpu}, {machine.cores} cores, {machine.memory_gib} GiB, "
+                   f"Linux {machine.kernel}, load {machine.load_1min}",
+        "Versions": ", ".join(f"{name} {v}" for name, v in versions.items() if v),
+        "Commit": f"{origin.commit[:7]}{', with local changes' if origin.dirty else ''}",
+        "Seed": "" if origin.seed is None else str(origin.seed),
+        "Plot": ", ".join(f"[{name}](results/{name})" for name in plots),
+    })  # fmt: skip
+
+
+def _fuzz(reports: Sequence[Report]) -> str:
+    names = ("cases", "accepted", "refused", "tracebacks", "hangs", "bad_sentences",
+             "files_touched", "slowest_ms")  # fmt: skip
+    rows = [[r.origin.fuzz, *(cell(r.values.get(n)) for n in names)] for r in reports]
+    return table(["input", *(n.replace("_", " ") for n in names)], rows)
+
+
+def _follow(report: Report) -> list[str]:
+    """Means of the first ten spans and the last ten, and every span."""
+    parts = ("first", "last", "grown")
+    rows = [
+        [target, figure, *(cell(ends.get(part, {}).get(figure)) for part in parts)]
+        for target, ends in msgspec.convert(report.values, Ends).ends.items()
+        for figure in ends.get("first", {})
+    ]
+    note = "First and last are up to ten spans each: of fewer than twenty spans they share some."
+    columns = ["target", "figure", "first", "last", "difference"]
+    plain = {k: v for k, v in report.values.items() if k != "ends"}
+    return [table(columns, rows), note, *_tables(plain)]
+
+
+def _values(report: Report) -> list[str]:
+    """Any report: its single figures in one table, each list of rows in one of its own."""
+    flat = [[name, cell(value)] for name, value in _scalars(report.values)]
+    return [table(["figure", "value"], flat), *_tables(report.values)]
+
+
+def _tables(values: Mapping[str, Any]) -> list[str]:
+    found = []
+    for name, rows in values.items():
+        if _is_rows(rows):
+            columns = list(rows[0])
+            cells = [[cell(row.get(c)) for c in columns] for row in rows]
+            found += [f"`{name}`:", table(columns, cells)]
+    return found
+
+
+def _is_rows(value: Any) -> bool:
+    """Whether a value is a list of flat mappings."""
+    plain = (str, int, float, type(None))
+    return bool(value) and isinstance(value, list) and all(
+        isinstance(row, Mapping) and row and all(isinstance(v, plain) for v in row.values())
+        for row in value
+    )  # fmt: skip
+
+
+def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every single figure below a mapping; lists of values are one text."""
+    for key, value in values.items():
+        name = f"{prefix}{key}"
+        if name in Origin.__struct_fields__:
+            continue
+        if isinstance(value, Mapping):
+            yield from _scalars(value, f"{name}.")
+        elif isinstance(value, list):
+            if len(value) <= LONGEST_LIST and not any(isinstance(v, (list, dict)) for v in value):
+                yield name, json.dumps(value)
+        else:
+            yield name, value

@@ -1,0 +1,126 @@
+"""The page of results is what the committed files give, and wrong files are refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bench.machine import facts
+from bench.results.page import FOLDER, PAGE, main, page
+from bench.results.table import SECTIONS, ResultError
+
+TABLE = {
+    "id": "sample", "section": SECTIONS[1], "order": 0, "title": "A sample",
+    "source": "README at commit 1234567", "columns": ["a", "b"], "rows": [[1, ".5 | .6"]],
+}  # fmt: skip
+ORIGIN = facts() | {"commit": "1234567" * 5}
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=9),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9), inner),
+)
+
+
+def folder_of(folder: Path, **files: Any) -> Path:
+    for name, values in files.items():
+        (folder / f"{name}.json").write_text(json.dumps(values))
+    return folder
+
+
+def test_the_committed_page_is_what_the_committed_files_give() -> None:
+    assert PAGE.read_text() == page(FOLDER), "run python -m bench.results"
+
+
+def test_check_says_when_the_page_is_not_what_the_files_give(tmp_path: Path) -> None:
+    folder_of(tmp_path, sample=TABLE)
+    out = tmp_path / "RESULTS.md"
+    given_ = ["--folder", str(tmp_path), "--out", str(out)]
+
+    missing = CliRunner().invoke(main, [*given_, "--check"])
+    written = CliRunner().invoke(main, given_)
+    same = CliRunner().invoke(main, [*given_, "--check"])
+    folder_of(tmp_path, sample=TABLE | {"title": "Another"})
+    changed = CliRunner().invoke(main, [*given_, "--check"])
+
+    assert [r.exit_code for r in (missing, written, same, changed)] == [1, 0, 0, 1]
+    assert "RESULTS.md: is not what" in changed.output
+    assert "A sample" in out.read_text()
+
+
+def test_transcribed_figures_say_so_and_keep_their_cells(tmp_path: Path) -> None:
+    text = page(folder_of(tmp_path, sample=TABLE))
+
+    assert "- Source: transcribed: README at commit 1234567" in text
+    assert "| 1 | .5 \\| .6 |" in text
+
+
+def test_a_report_of_any_bench_shows_its_origin_figures_and_rows(tmp_path: Path) -> None:
+    report = ORIGIN | {
+        "bench": "loop", "dirty": True, "summary": {"loop": {"p50": 24.1}},
+        "rows": [{"node": "policy", "ms": 1.5}], "rounds": [[{"deep": 1}]],
+    }  # fmt: skip
+
+    text = page(folder_of(tmp_path, anything=report))
+
+    assert "- Source: measured (`bench/results/anything.json`)" in text
+    assert "- Commit: 1234567, with local changes" in text
+    assert "| summary.loop.p50 | 24.1 |" in text
+    assert "| policy | 1.5 |" in text
+
+
+@pytest.mark.parametrize(
+    ("values", "what"),
+    [
+        ([], "expected an object"),
+        ({}, "missing required field `machine`"),
+        ({"id": "sample"}, "missing required field `section`"),
+        (TABLE | {"id": "other"}, "id: expected sample, got other"),
+        (TABLE | {"section": "?"}, "section: expected one of"),
+        (TABLE | {"rows": [[1]]}, "rows[0]: expected 2 cells, got 1"),
+        (TABLE | {"rows": [[1, [2]]]}, "expected `"),
+        (TABLE | {"title": 3}, "expected `str`, got `int` - at `$.title`"),
+        (TABLE | {"colums": []}, "unknown field `colums`"),
+        (TABLE | {"plot": "none.png"}, "plot: expected a file beside it, got none.png"),
+        (ORIGIN | {"commit": 3}, "expected `str`, got `int` - at `$.commit`"),
+        (ORIGIN | {"machine": {}}, "missing required field `cpu`"),
+        (ORIGIN | {"bench": "follow", "ends": [1]}, "expected `object`, got `array` - at `$.ends`"),
+    ],
+)
+def test_a_wrong_result_file_is_refused_in_one_sentence(
+    tmp_path: Path, values: Any, what: str
+) -> None:
+    folder_of(tmp_path, sample=values)
+
+    result = CliRunner().invoke(main, ["--folder", str(tmp_path), "--out", str(tmp_path / "x.md")])
+
+    assert result.exit_code == 1
+    assert result.output.startswith("Error: sample.json: ")
+    assert what in result.output
+    assert result.output.count("\n") == 1
+    assert not (tmp_path / "x.md").exists()
+
+
+@pytest.mark.parametrize("text", [b"", b"{", b"\xff", b"[" * 100_000])
+def test_what_is_no_json_is_refused_with_the_file(tmp_path: Path, text: bytes) -> None:
+    (tmp_path / "sample.json").write_bytes(text)
+
+    with pytest.raises(ResultError, match=r"^sample\.json: expected JSON, got "):
+        page(tmp_path)
+
+
+@given(values=JSON, more=st.dictionaries(st.sampled_from(["rows", "ends", "seed", "fuzz"]), JSON))
+def test_no_json_makes_the_page_fail_otherwise(
+    tmp_path_factory: pytest.TempPathFactory, values: Any, more: dict[str, Any]
+) -> None:
+    folder = tmp_path_factory.mktemp("results")
+    folder_of(folder, sample=values, report=ORIGIN | more, table=TABLE | more)
+
+    try:
+        text = page(folder)
+    except ResultError as error:
+        text = str(error)
+
+    assert text

@@ -1,0 +1,99 @@
+"""The project's Markdown: its files, fenced blocks, links, headings and command lines."""
+
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote
+
+from tests.conftest import ROOT
+
+PAGES = sorted(
+    path
+    for pattern in ("*.md", "*/*.md", "*/*/*.md")
+    for path in ROOT.glob(pattern)
+    if not path.relative_to(ROOT).parts[0].startswith(".")
+    and path.relative_to(ROOT).parts[0] not in ("runs", "weights")
+)
+READMES = [path for path in PAGES if path.name == "README.md"]
+BENCH = ("python", "-m")
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its page, its position among those of its language, and its text."""
+
+    page: Path
+    index: int
+    language: str
+    text: str
+
+    @property
+    def name(self) -> str:
+        """How a test names it."""
+        return f"{self.page.relative_to(ROOT)}:{self.language}:{self.index}"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A command line of a page, as words, and whether it stood in a fenced block."""
+
+    page: Path
+    words: tuple[str, ...]
+    fenced: bool = True
+
+    @property
+    def name(self) -> str:
+        """How a test names it."""
+        return f"{self.page.relative_to(ROOT)}: {' '.join(self.words)}"
+
+
+def blocks(language: str, pages: list[Path] | None = None) -> list[Block]:
+    """The fenced blocks of one language."""
+    found = []
+    for page in PAGES if pages is None else pages:
+        texts = re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.M | re.S)
+        found += [Block(page, index, language, text) for index, text in enumerate(texts)]
+    return found
+
+
+def fenced_lines() -> list[Line]:
+    """The commands of all shell blocks, without comments."""
+    lines = []
+    for block in blocks("sh"):
+        for text in block.text.replace("\\\n", " ").splitlines():
+            words = shlex.split(text, comments=True)
+            if words:
+                lines.append(Line(block.page, tuple(words)))
+    return lines
+
+
+def inline_lines(first: str) -> list[Line]:
+    """What stands between backticks and begins so, outside fenced blocks."""
+    found = []
+    for page in PAGES:
+        text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+        for code in re.findall(r"`([^`]+)`", text):
+            code = " ".join(code.replace("\\|", "|").split())
+            if code.startswith(f"{first} "):
+                found.append(Line(page, tuple(code.split()), fenced=False))
+    return found
+
+
+def links(page: Path) -> list[str]:
+    """Targets of links and pictures that are no addresses of the web."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
+    found = re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`", "", text))
+    return [unquote(target) for target in found if "://" not in target]
+
+
+def anchors(page: Path) -> set[str]:
+    """The fragments that a page's headings have where Markdown is shown."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.M)
+    plain = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
+    return {heading.strip().replace(" ", "-") for heading in plain}
+
+
+def prose_words(page: Path) -> int:
+    """Words of a page as `wc -w` counts them."""
+    return len(page.read_text().split())
