@@ -40,7 +40,10 @@ FOLLOWS = f"{', '.join(TRACKERS)}, or one of them as NAME=FILE.onnx; else the gr
 SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi), or a row of each"
 
 
-@click.command(help=(__doc__ or "").split("\n", 1)[0])
+@click.command(
+    help=(__doc__ or "").split("\n", 1)[0],
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.option("--data", required=True, help="a SoccerNet sequence, a folder of them, procedural")
 @click.option("--frames", default="", help="A-B, counted from 1; of a scene 1-96")
 @click.option("--clips", default=30, help="procedural clips")

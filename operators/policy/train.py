@@ -302,7 +302,10 @@ def _frames(option: str, text: str) -> tuple[int, ...]:
     return found
 
 
-@click.command(help=(__doc__ or "").split("\n", 1)[0])
+@click.command(
+    help=(__doc__ or "").split("\n", 1)[0],
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.option("--data", type=Path, required=True, help="recorded clips, made where missing")
 @click.option("--out", type=Path, required=True, help="checkpoint, log, plot, policy.onnx")
 @click.option("--use", default=",".join(PARTS), show_default=True, help="inputs; for ablations")

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         Scanpath,
         Shape,
         Tracks,
+        Truth,
     )
     from pipeline.run.loaded_graph import Graph, load
     from pipeline.testing import drive, header
@@ -51,7 +52,7 @@ _HOMES = {
     ),
     "pipeline.messages": (
         "Detections", "Frame", "Geometry", "Header", "Message", "Percept", "RoiFeatures",
-        "RoiSchedule", "Scanpath", "Shape", "Tracks",
+        "RoiSchedule", "Scanpath", "Shape", "Tracks", "Truth",
     ),
     "pipeline.run.loaded_graph": ("Graph", "load"),
     "pipeline.testing": ("drive", "header"),
@@ -83,6 +84,7 @@ __all__ = [
     "Shape",
     "Source",
     "Tracks",
+    "Truth",
     "WeightsError",
     "drive",
     "header",

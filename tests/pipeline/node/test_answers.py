@@ -112,7 +112,8 @@ def test_a_running_graph_answers_every_question(tmp_path: Path) -> None:
             assert (health.pid, health.problem) == (supervisor.pid(node), "")
             assert health.handled > 0
             assert 0 < health.own_mb < 500
-        assert held == [held[0], held[0] + 1]
+        assert held == sorted(set(held))
+        assert len(held) == 2
         assert list(shown.inputs) == ["left", "right"]
         supervisor.finish()
 
