@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pipeline.errors import RunError, SettingsError
+from pipeline.extras import need
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 from pipeline.fleet import secure
 from pipeline.fleet.agent import Agent
@@ -174,6 +175,7 @@ def _add(
     folder: Path, hosts: tuple[str, ...], graphs: tuple[Path, ...], users: tuple[str, ...], *,
     fresh: bool,
 ) -> None:  # fmt: skip
+    need("cryptography", "secure")
     addresses = {}
     for word in hosts:
         label, _, address = word.partition("=")

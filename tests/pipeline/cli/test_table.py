@@ -97,6 +97,7 @@ def test_a_missing_extra_is_one_sentence_of_the_command_that_needs_it(
     done = python(MISSING, *words, cwd=tmp_path)
 
     assert (done.returncode, done.stderr) == (2, f"fovea: {said}\n")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_plot_without_its_extra_is_refused_before_anything_is_measured(tmp_path: Path) -> None:
