@@ -66,7 +66,7 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
     refused: list[str] = []
     result: dict[str, Any] = {
         "bench": "endure", **facts(), "kills": kills, "swaps": swaps, "refused": refused,
-        "looks": looks,
+        "events": 0, "looks": looks,
     }  # fmt: skip
     with Supervisor(plan) as supervisor:
         supervisor.max_restarts = kills + 10
@@ -81,6 +81,7 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
                 refused.append(sentence)
             if not count % EVERY or count == len(events):
                 looks.append(look(supervisor, traces, count))
+                result["events"] = count
                 _write(path, result)
         supervisor.finish()
         supervisor.stop()

@@ -1,10 +1,10 @@
 """One process that has imported every operator and waits: a restart is then a load."""
 
 import logging
+import os
 import sys
 import time
 from collections.abc import Callable, Collection
-from pathlib import Path
 
 from pipeline.run.process_handle import KILLED_S, NodeProcess
 
@@ -76,7 +76,7 @@ def edited_since(moment_s: float) -> bool:
         if not file or file.startswith((sys.prefix, sys.base_prefix)):
             continue
         try:
-            if Path(file).stat().st_mtime > moment_s:
+            if os.stat(file).st_mtime > moment_s:  # a Path would intern each part of it
                 return True
         except OSError:
             continue
