@@ -30,7 +30,7 @@ from pipeline.graph.plan import Plan
 from pipeline.messages import Message
 from pipeline.run.inline import InlineRunner
 
-DESK = "desk"  # the host of whoever deploys
+DESK = "desk"  # the host that deploys
 USER = "tester"
 SAMPLES = 5  # exposures by which the size of messages is told
 

@@ -203,7 +203,7 @@ def _memory(supervisor: Supervisor) -> dict[str, dict[str, float]]:
 
 
 def _losses(edges: list[dict[str, Any]], seqs: list[int]) -> dict[str, int]:
-    """Over the whole run; a doubled message is refused as unmatched by whoever reads it."""
+    """Over the whole run; its reader refuses a doubled message as unmatched."""
     lossless = [e for e in edges if e["keep"] == "every"]
     return {
         "frames": max(e["offered"] for e in edges),

@@ -16,7 +16,7 @@ class GazePlan:
 
     choice: NDArray[np.int32]  # (Tp,), track id or PLACE
     boxes: NDArray[np.float32]  # (Tp, 4), sensor pixels
-    # (Tp, n) of each track; what is missing to 1 is a place's. None: 1 for whoever is chosen
+    # (Tp, n) of each track; the rest to 1 is that of a place. None: 1 for the chosen object
     probability: NDArray[np.float32] | None = None
 
 

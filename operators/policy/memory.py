@@ -75,7 +75,7 @@ def fault(seen: RoiFeatures) -> str:
 
 
 def _judge(memory: Memory, seen: RoiFeatures) -> tuple[NDArray[np.int32], Array, NDArray[np.int32]]:
-    """Verdicts with this look; whoever was looked at longest ago is forgotten first."""
+    """Return the verdicts with this look; the object looked at longest ago is forgotten first."""
     now, then = np.nonzero(seen.ids[:, None] == memory.judged)
     before, genuine = np.zeros(len(seen.ids), np.int32), seen.genuine.copy()
     before[now] = memory.looks[then]

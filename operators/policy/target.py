@@ -29,7 +29,7 @@ CARRIED_AT_MOST = 250  # frames without a sighting: ten seconds; a keeper may ho
 
 @dataclass(frozen=True, kw_only=True)
 class TargetSpec:
-    """What was asked for: an id, else whoever is in a box, else a class; nothing: anybody."""
+    """What to follow: an id, else the object in a box, else a class; nothing given: any object."""
 
     object_id: int = -1
     box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
@@ -160,7 +160,7 @@ def _first(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
 
 
 def _back(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
-    """Row of whoever of its class is where the target has to be by now, -1: nobody, or not sure.
+    """Return the row of its class at the target's expected place, -1: none, or not sure.
 
     A track that ends and begins again is another track; the two boxes tell that it is the same.
     """

@@ -38,7 +38,7 @@ class Batch:
 class Rendered(Dataset[Example]):
     """Everything in some of `render`'s files, as one endless stream.
 
-    Item n is the same for the same seed and files, whoever asks and whenever: epochs are
+    Item n depends on the seed and the files only, not on the worker or the order: epochs are
     shuffled anew, pictures changed anew, and a resumed training goes on where it stood.
     """
 

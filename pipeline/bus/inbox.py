@@ -158,7 +158,7 @@ class Inbox:
         return self._depth
 
     def position(self) -> "InboxPosition":
-        """How far it has come, for whoever goes on; what waits here is not part of it."""
+        """Return how far it has come, for a successor; what waits here is not part of it."""
         last = dict(self._last)
         for seq, waiting in self._sets.items():
             for name in waiting.arrivals:

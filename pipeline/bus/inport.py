@@ -129,7 +129,7 @@ class InPort:
         self._tell_seen()
 
     def resume(self, epoch: int, before: DropCounts) -> Callable[[int], bool]:
-        """Go on after whoever took over has failed; says which ordinals it had finished.
+        """Continue after a successor has failed; returns which ordinals it had finished.
 
         What it had dropped beyond the last message it finished is judged again, and not counted
         twice. The caller lets its inbox forget what is done, then replays the buffer.

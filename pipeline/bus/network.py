@@ -1,7 +1,7 @@
 """How a session reaches other hosts: end points, who it is, and what each other may do with it.
 
 Without credentials only unix sockets are allowed; a network address needs TLS in both directions.
-What no permit names is denied, whoever asks.
+What no permit names is denied to every peer.
 """
 
 from dataclasses import dataclass

@@ -90,7 +90,7 @@ class OutPort:
         self._no_credit_since_s = 0.0  # since when there is no credit, or the last probe
 
     def begin(self, epoch: int) -> None:
-        """Speak for the node from now on, where whoever spoke before stopped."""
+        """Send for the node from now on, after its predecessor's last message."""
         self._epoch, self._goes_on = epoch, True
         self._ordinal = self._counted()
         self._receivers = [(0, 0)] * len(self.readers)
@@ -235,7 +235,7 @@ class OutPort:
             reader.account.sent += 1
 
     def _send(self, payload: bytes, inline: tuple[Message, ...]) -> None:
-        """To the readers; to whoever taps the key; and whole, to whoever shares no memory."""
+        """Send to the readers; to taps of the key; and whole, to readers that share no memory."""
         if full := self._sender.send(payload):
             self._insist(payload, full)
         if self._taps.matching():

@@ -62,7 +62,7 @@ class Session:
 
     @classmethod
     def across(cls, network: Network) -> "Session":
-        """A session with other hosts; opens at once, whoever is there already."""
+        """Open a session with other hosts; it does not wait for any of them."""
         session = cls.__new__(cls)
         session._files = ()
         session._session = _open(network.config(), ", ".join(network.listen) or "network")

@@ -1,4 +1,4 @@
-"""What may run on a host, whoever asks: operators by name and checksum, weights by checksum.
+"""What may run on a host: operators by name and checksum, weights by checksum.
 
 Code and paths never come over the wire: a graph names operators that this host lists, and files
 only as `sha256:…` of weights that this host lists too.

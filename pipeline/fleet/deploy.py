@@ -267,7 +267,7 @@ def forget(graph: str) -> None:
 
 
 def default_user() -> str:
-    """The name of whoever sits here."""
+    """Return the name of this user."""
     return getpass.getuser()
 
 

@@ -66,7 +66,7 @@ class Control:
         self.alone = True
 
     def _readable(self) -> bool:
-        """Wait for data; False when the supervisor has died, whoever holds its end still."""
+        """Wait for data; False when the supervisor died, even if its end is held open."""
         poll = select.poll()
         poll.register(self._end, select.POLLIN)
         while not poll.poll(1000 * LOOK_S):

@@ -1,4 +1,4 @@
-"""What a node is, for whoever asks: its settings, commands, and ports with their fingerprints."""
+"""What a node answers to `@schema`: its settings, commands, and ports with their fingerprints."""
 
 from typing import Any
 

@@ -108,7 +108,7 @@ def read_answer(answer: bytes) -> Answer:
 
 
 def keep(file: Path, values: Mapping[str, Any]) -> None:
-    """Write values down in one step: whoever is killed meanwhile leaves the old ones or the new."""
+    """Write values in one step: a process killed meanwhile leaves the old ones or the new."""
     PrivateFolder(file.parent).write(file.name, json.dumps(dict(values)).encode())
 
 

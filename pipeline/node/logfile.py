@@ -43,7 +43,7 @@ class LogFile(io.RawIOBase):
         return memoryview(data).nbytes
 
     def look(self) -> None:
-        """Begin a new file when this one is full, whoever filled it; raises `OSError`."""
+        """Begin a new file when this one is full, also by a child of the node; raises `OSError`."""
         if os.fstat(self._handle).st_size > self._most_bytes:
             self._path.replace(self._path.with_suffix(".log.old"))
             self._open(0)

@@ -134,7 +134,7 @@ class Channel:
 
 
 class Exchange:
-    """What a supervisor waits for between two ticks: its nodes' channels, and whoever wakes it."""
+    """What a supervisor waits for between two ticks: its nodes' channels and wake-ups."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()

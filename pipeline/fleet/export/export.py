@@ -1,8 +1,7 @@
 """`fovea export`: a graph's hosts for those who run their own engine: systemd, compose, Kubernetes.
 
-Every host is an agent, whoever keeps it running, and `fovea up` places the graph on them. A graph
-without hosts is one service that runs it. What is printed holds no secret: credentials are
-mounted.
+Every host runs an agent under that engine, and `fovea up` places the graph on them. A graph without
+hosts is one service that runs it. What is printed holds no secret: credentials are mounted.
 """
 
 from collections.abc import Callable, Mapping

@@ -65,7 +65,7 @@ def systemd(plan: Plan, bundle: Bundle) -> str:
 
 
 def _unit(words: Sequence[str], what: str, *, once: bool = False) -> str:
-    """A unit of whoever sits here, in the folder he works in: his operators may lie there."""
+    """Return a unit of this user in the current folder, where the user's operators may be."""
     command = " ".join(map(_quoted, [str(Path(sys.executable).parent / "fovea"), *words]))
     return (
         f"[Unit]\nDescription=fovea {what}\nWants=network-online.target\n"
