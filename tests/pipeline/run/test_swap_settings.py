@@ -1,7 +1,6 @@
 """A swap keeps what the old part was told while it ran, and changes only what it is asked to."""
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import pytest
 
 from pipeline.console.changing import ask
 from pipeline.console.operating import tell
+from pipeline.run.process_handle import NodeProcess, spawn
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from tests.pipeline.run.test_swap import order
@@ -91,18 +91,18 @@ def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told
     plan = plan_of(tmp_path, LOSSLESS.replace("  work:\n", f"  work:\n{group}") + GLANCE + group)
     results: Results = []
 
-    def refuse(*_: object, **__: object) -> "subprocess.Popen[bytes]":
-        raise BlockingIOError("Resource temporarily unavailable")
-
     def during(supervisor: Supervisor) -> None:
+        def refuse_while_swapping(*args: Any, **kwargs: Any) -> NodeProcess:
+            if supervisor.control.owns(supervisor.processes["hand"]):
+                raise BlockingIOError("Resource temporarily unavailable")
+            return spawn(*args, **kwargs)
+
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         beside(supervisor, lambda: ask(plan.name, "work", {"every": 2}))
+        monkeypatch.setattr("pipeline.run.process_manager.spawn", refuse_while_swapping)
+        monkeypatch.setattr(supervisor.spare, "take", lambda: None)
         supervisor.control.take(order("work"), lambda answer: results.append(json.loads(answer)))
-        wait_for(supervisor, lambda: supervisor.control.owns(supervisor.processes["hand"]))
-        with monkeypatch.context() as patch:
-            patch.setattr("pipeline.run.process_manager.spawn", refuse)
-            supervisor.spare.dismiss()
-            wait_for(supervisor, lambda: bool(results))
+        wait_for(supervisor, lambda: bool(results))
         wait_for(supervisor, lambda: supervisor.pid("hand") != 0)
         wait_for_progress(supervisor, "work")
         results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
