@@ -12,6 +12,7 @@ import secrets
 import signal
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -164,7 +165,7 @@ def _handled(supervisor: Supervisor, node: str) -> int:
     return int(supervisor.ledger.nodes[supervisor.plan.node(node).index].handled)
 
 
-def _until(supervisor: Supervisor, holds: Any) -> None:
+def _until(supervisor: Supervisor, holds: Callable[[], bool]) -> None:
     late_s = time.monotonic() + TIMEOUT_S
     while not holds():
         if supervisor.failure or time.monotonic() > late_s:

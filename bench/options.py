@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from pipeline.errors import FoveaError
+from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 
 JSON = click.option("--json", "path", type=click.Path(path_type=Path), help="Write figures, facts.")
 
@@ -26,8 +27,10 @@ def on_graph(command: Callable[..., Any]) -> Callable[..., Any]:
     """The graph to run (`graph`), and what is laid over it (`source`, `changes`)."""
     for decorate in (
         click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE"),
-        click.option("--source", type=click.Path(path_type=Path), help="Where frames come from."),
-        click.argument("graph", default="graphs/tracking.yaml", type=click.Path(path_type=Path)),
+        click.option(
+            "--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file."
+        ),
+        click.argument("graph", default="tracking", type=GRAPH_FILE),
     ):
         command = decorate(command)
     return command

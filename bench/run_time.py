@@ -19,11 +19,12 @@ from bench.tracking.options import GRAPH
 from bench.tracking.stages import NEEDED, Camera, Stages
 from drivers.simulated.readout import Window
 from operators.policy.learned import LearnedPolicySettings
-from operators.policy.network import SHIPPED
-from operators.roi_features.roi_features import weights_file
+from operators.policy.network import SHIPPED as SHIPPED_POLICY
+from operators.roi_features.roi_features import SHIPPED as SHIPPED_ENCODER
 from pipeline.boxes import centres, roi_window
 from pipeline.inference import Network
 from pipeline.messages import Frame, altered
+from pipeline.weights import weights_file
 
 PARTS_MS = {"saliency": 55.0, "roi_features": 6.2, "association": 0.5, "policy": 3.0}
 TOTAL = "total of the paper's parts"
@@ -110,9 +111,9 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES, *, policy: str = ""
 def networks_of(stages: Stages) -> list[Path]:
     """The files of encoder and policy; of a policy that is none, the encoder's alone."""
     encoder, policy = stages.settings("roi_features"), stages.settings("policy")
-    files = [weights_file(encoder.weights)]
+    files = [weights_file(encoder.weights, SHIPPED_ENCODER)]
     if isinstance(policy, LearnedPolicySettings):
-        files.append(Path(policy.weights) if policy.weights else SHIPPED)
+        files.append(Path(policy.weights) if policy.weights else SHIPPED_POLICY)
     return files
 
 

@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from bench.leftovers import run_for
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
 from pipeline.bus.inport import InPort
@@ -96,18 +97,18 @@ def main(
     with Supervisor(plan) as supervisor:
         supervisor.start()
         commands = Commands(plan)
-        _rest(supervisor, warm_s)
+        run_for(supervisor, warm_s)
         memory, quiet = [_memory(supervisor)], len(commands.seqs)
         dropped = _dropped(supervisor)
         began_s, first = time.monotonic(), _exposed(supervisor)
         for turn in track(range(count * len(nodes)), "swapping"):
             node = nodes[turn % len(nodes)]
             swaps.append(_swap(supervisor, SwapOrder(node=node, probation=probation)))
-            _rest(supervisor, pause_s)
+            run_for(supervisor, pause_s)
             if not (turn + 1) % MEMORY_EVERY:
                 memory.append(_memory(supervisor))
         fps = (_exposed(supervisor) - first) / (time.monotonic() - began_s)
-        _rest(supervisor, 2.0)
+        run_for(supervisor, 2.0)
         all_dropped = _dropped(supervisor)
         memory.append(_memory(supervisor))
         commands.close()
@@ -178,12 +179,6 @@ def _left_out(swap: dict[str, Any]) -> int:
 def _counted(values: list[int]) -> dict[str, int]:
     """How many swaps left out that many messages on one input."""
     return {str(value): values.count(value) for value in sorted(set(values))}
-
-
-def _rest(supervisor: Supervisor, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        supervisor.tick()
 
 
 def _memory(supervisor: Supervisor) -> dict[str, dict[str, float]]:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from pipeline.boxes import iou
 from pipeline.contract import Input, Operator
-from pipeline.errors import SettingsError
+from pipeline.errors import MessageError, SettingsError
 from pipeline.messages import Header, Percept, Scanpath, Truth
 
 NOBODY = -1
@@ -67,7 +67,13 @@ class Score(Operator[ScoreSettings, None]):
         self._scanpath = scanpath
 
     def on_percept_truth(self, percept: Percept, truth: Truth) -> None:
-        """Count one frame in which the object can be seen."""
+        """Count one frame in which the object can be seen.
+
+        Raises `MessageError` for a truth whose labels do not fit its boxes.
+        """
+        if len(truth.labels) != len(truth.boxes):
+            got = f"{len(truth.labels)} for {len(truth.boxes)} boxes"
+            raise MessageError(f"truth.labels: expected one for each box, got {got}")
         overlap = np.zeros(len(truth.boxes), np.float32)
         if len(percept.boxes):
             overlap = iou(truth.boxes, percept.boxes[:1])[:, 0]

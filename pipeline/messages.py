@@ -108,12 +108,13 @@ status='ok')
 
     def __init_subclass__(cls) -> None:
         if "__repr__" not in vars(cls):  # a dataclass would make one that prints whole arrays
-            cls.__repr__ = Message.__repr__  # type: ignore[method-assign]
+            cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
         rest = [f.name for f in fields(self) if f.name != "header"]
         parts = [f"{name}={_brief(getattr(self, name))}" for name in rest]
-        return f"{type(self).__qualname__}({', '.join([f'seq={self.header.seq}', *parts])})"
+        seq = getattr(self.header, "seq", "?")  # also of a message whose check is to fail
+        return f"{type(self).__qualname__}({', '.join([f'seq={seq}', *parts])})"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,6 +160,11 @@ class Tracks(Message):
     features: Annotated[NDArray[np.float32], Shape.of("n", "observed", "channels")]
     predicted: Annotated[NDArray[np.float32], Shape.of("n", "horizon", 4)]
     names: tuple[str, ...] = ()
+
+    def name_of(self, row: int) -> str:
+        """Class name of a track, empty when it has none."""
+        label = int(self.labels[row])
+        return self.names[label] if 0 <= label < len(self.names) else ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

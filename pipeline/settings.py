@@ -48,7 +48,7 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
             raise WrongSetting(f"{where}.{shown_key(name)}: no such setting{hint}", (str(name),))
         check_plain(values[name], f"{where}.{name}", (name,))
     try:
-        built: T = _adapter(cls).validate_json(json.dumps(dict(values)), strict=True)
+        built: T = _strict_adapter(cls).validate_json(json.dumps(dict(values)), strict=True)
     except ValidationError as error:
         raise _wrong(error, where) from error
     except FoveaError:
@@ -92,7 +92,7 @@ def check_plain(value: Any, where: str, path: tuple[str, ...] = ()) -> None:
 def check_type(cls: type[Any]) -> None:
     """Raise whatever a settings dataclass raises whose declaration cannot be read."""
     fields(cls)
-    _adapter(cls)
+    _strict_adapter(cls)
 
 
 def plain(settings: Any) -> dict[str, Any]:
@@ -102,13 +102,13 @@ def plain(settings: Any) -> dict[str, Any]:
     >>> plain(Restart(most=2))
     {'policy': 'on-failure', 'backoff_s': 0.05, 'window_s': 60.0, 'most': 2}
     """
-    values: dict[str, Any] = _adapter(type(settings)).dump_python(settings, mode="json")
+    values: dict[str, Any] = _strict_adapter(type(settings)).dump_python(settings, mode="json")
     return values
 
 
 def json_schema(cls: type[Any]) -> dict[str, Any]:
     """The JSON Schema of a settings dataclass."""
-    return _adapter(cls).json_schema()
+    return _strict_adapter(cls).json_schema()
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
@@ -125,7 +125,7 @@ def suggest(name: str, known: Iterable[str]) -> str:
 
 
 @cached_by_class
-def _adapter(cls: type[Any]) -> TypeAdapter[Any]:
+def _strict_adapter(cls: type[Any]) -> TypeAdapter[Any]:
     cls.__pydantic_config__ = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
     return TypeAdapter(cls)
 

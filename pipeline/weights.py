@@ -92,6 +92,16 @@ def require(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST)
     return path
 
 
+def weights_file(weights: str, shipped: Path) -> Path:
+    """The file that a setting names: by path (`….onnx`), by name in weights.toml, or the shipped.
+
+    Raises `WeightsError` for a name without an intact copy.
+    """
+    if not weights:
+        return shipped
+    return Path(weights) if weights.endswith(".onnx") else require(weights)
+
+
 def pull_hint(path: Path, *, manifest: Path = MANIFEST) -> str:
     """How to get the file that is missing, or nothing when the manifest names none like it."""
     named = [name for name, entry in entries(manifest).items() if entry.file == path.name]

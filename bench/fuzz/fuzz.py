@@ -20,8 +20,9 @@ from bench.fuzz.orders import fuzz_orders
 from bench.fuzz.tally import Tally
 from bench.fuzz.wire import fuzz_wire
 from bench.options import JSON, Bench
+from pipeline.graph.shipped import graph_path
 
-SHIPPED = (Path("graphs/tracking.yaml"), Path("graphs/multi_host.yaml"))
+SHIPPED = tuple(map(graph_path, ("tracking", "multi_host")))
 
 
 @click.group()

@@ -119,7 +119,7 @@ def policy_files(given: Sequence[str]) -> dict[str, str]:
     for text in given:
         name, equals, path = text.rpartition("=")
         if path == "pursue":
-            raise SettingsError("policy: expected pursuit, its new name, got pursue")
+            raise SettingsError("policy: pursue: renamed; expected pursuit")
         if path != "pursuit" and not Path(path).is_file():
             raise SettingsError(f"policy: expected an ONNX file or pursuit, got {path}")
         if not equals and len(given) > 1:

@@ -31,7 +31,10 @@ class Blend(Operator[BlendSettings, Frame]):
     right = Input(Frame)
 
     def on_left_right(self, left: Frame, right: Frame) -> Frame:
-        """Answer each pair with one frame."""
+        """Answer each pair with one frame; raises `MessageError` for pictures that do not fit."""
+        for frame in (left, right):
+            if frame.pixels.dtype != np.uint8:
+                raise MessageError(f"blend: expected 8-bit pixels, got {frame.pixels.dtype}")
         if left.pixels.shape != right.pixels.shape:
             got = f"{left.pixels.shape} and {right.pixels.shape}"
             raise MessageError(f"blend: expected two pictures of one size, got {got}")

@@ -6,8 +6,7 @@ fovea run examples/brighten --frames 100
 from dataclasses import dataclass, replace
 
 import numpy as np
-from fovea import Frame, Input, Operator, SettingsError
-from numpy.typing import NDArray
+from fovea import Frame, Input, MessageError, Operator, SettingsError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,15 +26,8 @@ class Brighten(Operator[BrightenSettings, Frame]):
     frame = Input(Frame, keep="latest")  # a late frame is dropped, and counted
 
     def on_frame(self, frame: Frame) -> Frame:
-        """Answer each frame with one."""
-        return replace(frame, pixels=brightened(frame.pixels, self.settings.gain))
-
-
-def brightened(pixels: NDArray[np.uint8] | NDArray[np.uint16], gain: float) -> NDArray[np.uint8]:
-    """8-bit pixels times a gain, the brightest cut off at 255.
-
-    >>> brightened(np.array([[10, 200]], np.uint8), 2.0)
-    array([[ 20, 255]], dtype=uint8)
-    """
-    bright: NDArray[np.uint8] = np.minimum(pixels * gain, 255).astype(np.uint8)
-    return bright
+        """Answer each frame with one; raises `MessageError` for pixels of more than 8 bits."""
+        if frame.pixels.dtype != np.uint8:
+            raise MessageError(f"brighten: expected 8-bit pixels, got {frame.pixels.dtype}")
+        bright = np.minimum(frame.pixels * self.settings.gain, 255)
+        return replace(frame, pixels=bright.astype(np.uint8))

@@ -7,7 +7,7 @@ fovea swap motion motion --set rate=0.2        (in another terminal)
 from dataclasses import dataclass, replace
 
 import numpy as np
-from fovea import Frame, Header, Input, Operator, SettingsError
+from fovea import Frame, Header, Input, MessageError, Operator, SettingsError
 from numpy.typing import NDArray
 
 
@@ -47,7 +47,12 @@ class Motion(Operator[MotionSettings, Frame]):
         self._background = EMPTY
 
     def on_frame(self, frame: Frame) -> Frame:
-        """Answer each frame with its difference from what was there before."""
+        """Answer each frame with its difference from the background.
+
+        Raises `MessageError` for pixels of more than 8 bits.
+        """
+        if frame.pixels.dtype != np.uint8:
+            raise MessageError(f"motion: expected 8-bit pixels, got {frame.pixels.dtype}")
         mean = self._background.mean
         if mean.shape != frame.pixels.shape:
             mean = frame.pixels.astype(np.float32)

@@ -27,6 +27,9 @@ class MovingSquareSettings:
         if not 0 < self.square_px < self.side_px:
             what = f"must be at least 1 and less than side_px ({self.side_px})"
             raise SettingsError(f"square_px: {what}, got {self.square_px}")
+        for name in ("step_px", "length"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
 
 
 class MovingSquare(Source[MovingSquareSettings, Frame]):

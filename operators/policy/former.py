@@ -8,5 +8,5 @@ NO_POLICY = f"there is no class Policy any more; name {_OPERATORS} as the operat
 STRATEGY: Mapping[str, str] = {
     "strategy": f"expected the strategy as the class of the node, operator: {_OPERATORS}"
 }
-CARRIERS: Mapping[str, str] = {"held_by": "expected carriers, its new name"}
-PRIOR: Mapping[str, str] = {"loyalty": "expected target_prior, its new name"}
+CARRIERS: Mapping[str, str] = {"held_by": "renamed; expected carriers"}
+PRIOR: Mapping[str, str] = {"loyalty": "renamed; expected target_prior"}

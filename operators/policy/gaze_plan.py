@@ -70,12 +70,6 @@ def row_of(tracks: Tracks, object_id: int) -> int:
     return int(rows[0]) if object_id != PLACE and len(rows) else -1
 
 
-def name_of(tracks: Tracks, row: int) -> str:
-    """Class name of a track, empty when it has none."""
-    label = int(tracks.labels[row])
-    return tracks.names[label] if 0 <= label < len(tracks.names) else ""
-
-
 def scanpath(tracks: Tracks, plan: GazePlan) -> Scanpath:
     """The message."""
     probability = plan.probability

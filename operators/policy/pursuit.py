@@ -27,7 +27,6 @@ from operators.policy.gaze_plan import (
     check_horizon,
     follow,
     future,
-    name_of,
     of_class,
     row_of,
     scanpath,
@@ -216,7 +215,7 @@ def challenged(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int
 
 def noted(tracks: Tracks, row: int, now: PursuitState, spec: TargetSpec) -> PursuitState:
     """Remember where the target is, what it is and who is beside it."""
-    box, target = tracks.boxes[row, -1], name_of(tracks, row)
+    box, target = tracks.boxes[row, -1], tracks.name_of(row)
     if not tracks.visible[row, -1]:
         # asked for while unseen: its absence counts from now
         return replace(

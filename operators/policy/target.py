@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.carrier import PEOPLE, can_carry, carrier_of
-from operators.policy.gaze_plan import PLACE, name_of, of_class, row_of
+from operators.policy.gaze_plan import PLACE, of_class, row_of
 from operators.policy.motion import camera_motion
 from operators.policy.tokens import Array
 from pipeline import Geometry, SettingsError, Tracks
@@ -197,7 +197,7 @@ def _again(tracks: Tracks, spec: TargetSpec, now: TargetState, chosen: Choice) -
     if row < 0 or chosen.probability < SURE or not tracks.visible[row, -1]:
         return -1
     wanted = now.label or spec.label
-    if wanted and name_of(tracks, row) != wanted:
+    if wanted and tracks.name_of(row) != wanted:
         return -1
     if now.bound_id < 0 and now.placed and not alike(tracks.boxes[row, -1][None], now.box)[0]:
         return -1  # of a box that was never bound nothing is known but its size
@@ -224,7 +224,7 @@ def _reach(geometry: Geometry) -> float:
 
 def _bound(tracks: Tracks, row: int, now: TargetState, spec: TargetSpec) -> TargetState:
     """The target, bound to the track at `row`."""
-    visible, label = bool(tracks.visible[row, -1]), now.label or name_of(tracks, row)
+    visible, label = bool(tracks.visible[row, -1]), now.label or tracks.name_of(row)
     if visible:
         now = _taken(replace(now, box=tracks.boxes[row, -1]), spec, label, tracks)
     elif not now.is_carried:  # else it is with them, not where it was going before they caught it

@@ -25,7 +25,7 @@ from pipeline import (
 )
 from pipeline.boxes import covered
 from pipeline.inference import Network
-from pipeline.weights import require
+from pipeline.weights import weights_file
 
 SHIPPED = Path(__file__).with_name("roi_encoder.onnx")
 
@@ -79,7 +79,7 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
             )
         rows = self._inside(roi, tracks)
         features, logits = self._encoder(roi, tracks.boxes[rows, -1])
-        labels = [name_of(tracks, int(row)) for row in rows]
+        labels = [tracks.name_of(int(row)) for row in rows]
         return RoiFeatures(
             header=roi.header,
             ids=tracks.ids[rows],
@@ -105,7 +105,7 @@ class Encoder:
 
     def __init__(self, settings: RoiEncoderSettings) -> None:
         self._settings = settings
-        path = weights_file(settings.weights)
+        path = weights_file(settings.weights, SHIPPED)
         self._network = Network(path, threads=settings.threads)
         if len(self._network.inputs) != 1:
             raise WeightsError(f"{path}: expected one input, got {', '.join(self._network.inputs)}")
@@ -177,16 +177,3 @@ def verdicts(
         for row, label in zip(raised, labels, strict=True)
     ]
     return np.array(found, np.float32)
-
-
-def name_of(tracks: Tracks, row: int) -> str:
-    """Class name of a track, empty when it has none."""
-    label = int(tracks.labels[row])
-    return tracks.names[label] if 0 <= label < len(tracks.names) else ""
-
-
-def weights_file(weights: str) -> Path:
-    """Where the weights lie: a path ends in .onnx, anything else is a name in weights.toml."""
-    if not weights:
-        return SHIPPED
-    return Path(weights) if weights.endswith(".onnx") else require(weights)

@@ -35,7 +35,7 @@ from operators.saliency.roi_align import roi_align
 from pipeline import Detections, Frame, Input, MessageError, Operator, SettingsError, WeightsError
 from pipeline.contract import SOURCE
 from pipeline.inference import Network
-from pipeline.weights import require
+from pipeline.weights import weights_file
 
 SHIPPED = Path(__file__).with_name("detector.onnx")
 FEATURE_STRIDE_PX = 8
@@ -80,7 +80,7 @@ class Saliency(Operator[SaliencySettings, Detections]):
 
         Raises `WeightsError` for weights that are not there.
         """
-        metadata = Network(weights_file(settings.weights)).metadata
+        metadata = Network(weights_file(settings.weights, SHIPPED)).metadata
         own = named_classes(metadata)
         names = report_as(own, settings.names)[0] if own else tuple(settings.names.values())
         return advice(names, metadata, upstream.get(SOURCE))
@@ -104,7 +104,7 @@ class Detector:
 
     def __init__(self, settings: SaliencySettings) -> None:
         self.settings = settings
-        self.path = weights_file(settings.weights)
+        self.path = weights_file(settings.weights, SHIPPED)
         self.network = Network(self.path, threads=settings.threads)
         self.input, size_px = _input_of(self.network, self.path, settings)
         self.metadata = self.network.metadata
@@ -148,13 +148,6 @@ class Detector:
             classes=self._reported[found.classes],
         )
         return named, placement, outputs[self.features][0] if self.features else None
-
-
-def weights_file(weights: str) -> Path:
-    """Where the weights lie: a path ends in .onnx, anything else is a name in weights.toml."""
-    if not weights:
-        return SHIPPED
-    return Path(weights) if weights.endswith(".onnx") else require(weights)
 
 
 def to_sensor(found: Candidates, placement: Placement, frame: Frame) -> Candidates:

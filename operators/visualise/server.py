@@ -23,6 +23,7 @@ def serve(port: int, web_port: int) -> Popen[bytes]:
     """Start Rerun's server for browsers on this machine only; it ends when this process does.
 
     The SDK's own `serve_grpc` listens on every interface of the machine; its command does not.
+    Raises `RunError` when Rerun's program is missing, or a port is taken.
     """
     found = find_spec("rerun_cli")
     binary = Path(found.origin).with_name("rerun") if found and found.origin else Path("rerun")

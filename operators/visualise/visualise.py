@@ -1,7 +1,8 @@
 """Show a running graph in Rerun: every message of it -> pictures, boxes, paths and latencies.
 
-The only file that knows Rerun. It answers nothing and is connected by taps: what it is too slow for
-is missing in the picture, never in the graph. Everything is drawn in sensor pixels under `sensor`.
+The only file that imports Rerun. It answers nothing and is connected by taps: what it is too slow
+for is missing in the picture, never in the graph. Everything is drawn in sensor pixels under
+`sensor`.
 """
 
 from collections import deque

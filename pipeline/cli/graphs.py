@@ -32,7 +32,9 @@ GRAPH = click.argument("graph", type=GRAPH_FILE)
 def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
     """The options that lay something over a graph file."""
     for option in (
-        click.option("--source", type=SOURCE_FILE, help="Where frames come from."),
+        click.option(
+            "--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file."
+        ),
         click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE"),
         click.option("--clock", type=click.Choice(["realtime", "lockstep"])),
         click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node."),

@@ -24,7 +24,7 @@ STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
 
 @click.command("doctor")
 @click.argument("graph", required=False, type=GRAPH_FILE)
-@click.option("--source", type=SOURCE_FILE, help="Where frames come from.")
+@click.option("--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--no-trial", is_flag=True, help="Send no frame through the graph.")
 @click.option("--cleanup", "clean", is_flag=True, help="First remove what killed runs left.")

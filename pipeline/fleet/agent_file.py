@@ -1,8 +1,9 @@
 """The file an agent reads: who it is, where it listens, who may ask it, what may run there."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from pipeline import settings as checked
 from pipeline.bus.network import LOCAL, NODE_PORTS
@@ -14,13 +15,16 @@ from pipeline.graph.yaml_lines import YamlFile, plain
 from pipeline.naming import check_name
 from pipeline.run.rundir import base
 
-RENAMED = {"boxes": "hosts", "papers": "credentials", "people": "users"}  # keys of earlier versions
-
 
 @dataclass(frozen=True, kw_only=True)
 class AgentFile:
     """What a host is and allows."""
 
+    FORMER: ClassVar[Mapping[str, str]] = {
+        "boxes": "renamed; expected hosts",
+        "papers": "renamed; expected credentials",
+        "people": "renamed; expected users",
+    }
     label: str
     address: str = ""  # HOST[:PORT] with credentials; empty: a unix socket of this user
     credentials: str = ""  # folder by `fovea secure`, relative to this file
@@ -114,11 +118,6 @@ def read(path: Path) -> HostConfig:
     except GraphError as error:
         raise SettingsError(str(error)) from error
     document = plain(file.document)
-    for old, new in RENAMED.items():
-        if isinstance(document, dict) and old in document:
-            raise SettingsError(
-                f"{file.deepest(file.document, [old])}: {old}: renamed; expected {new}"
-            )
     try:
         return HostConfig(checked.build(AgentFile, document, "agent"), path.resolve().parent)
     except checked.WrongSetting as error:

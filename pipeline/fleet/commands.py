@@ -78,7 +78,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
 @CREDENTIALS
 @renamed_option("--papers", "--credentials")
 @click.option("--replace", "again", is_flag=True, help="Also where the graph runs already.")
-@click.option("--source", type=SOURCE_FILE, help="Where frames come from.")
+@click.option("--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node.")
 def up_command(

@@ -42,7 +42,7 @@ class Overlay:
                 raise GraphError(f"--set {error}") from error
             _lay_value(file, nodes, f"--set {shown_change(change)}", node, setting, value)
         for node, setting, value in self.values:
-            _lay_value(file, nodes, f"{node}.{setting}", node, setting, value)
+            _lay_value(file, nodes, "settings", node, setting, value)
         for name in self.wanted:
             if name not in nodes:
                 raise GraphError(f"{file.path}: no node {shown_key(name)}{suggest(name, nodes)}")

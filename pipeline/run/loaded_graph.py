@@ -29,6 +29,8 @@ def load(
     what makes frames; `manual` names nodes that start on request only. Raises `GraphError` or
     `SettingsError`, in a sentence with file and line.
     """
+    if isinstance(manual, str):
+        raise SettingsError(f"manual: expected a list of nodes, got {manual!r}")
     values = []
     for place, value in (settings or {}).items():
         node, dot, setting = str(place).partition(".")

@@ -3,12 +3,17 @@
 import logging
 import os
 import sys
+import sysconfig
 import time
 from collections.abc import Callable, Collection
 
 from pipeline.run.process_handle import KILLED_S, NodeProcess
 
 AGAIN_S = 5.0  # after one that ended by itself, or could not be had
+INSTALLED = tuple(
+    os.path.join(sysconfig.get_path(kind), "")
+    for kind in ("stdlib", "platstdlib", "purelib", "platlib")
+)
 log = logging.getLogger(__name__)
 
 
@@ -22,7 +27,7 @@ class WarmSpare:
         self._again_s = 0.0
 
     def keep(self, modules: Collection[str]) -> None:
-        """See that there is one; what it lacks to come up costs only the head start."""
+        """See that there is one; without one a restart takes longer, and nothing else."""
         self._bury()
         if self._process is not None or time.monotonic() < self._again_s:
             return
@@ -67,13 +72,13 @@ class WarmSpare:
 
 
 def edited_since(moment_s: float) -> bool:
-    """Whether a module that this process knows, no installed one, was edited after `time.time()`.
+    """Whether a module that this process has imported, no installed one, was edited since.
 
-    A module that nobody knows yet is no danger: who imports it takes it as it is.
+    `moment_s` is a time of `time.time()`. A module that is not imported yet cannot be out of date.
     """
     for module in list(sys.modules.values()):
         file = getattr(module, "__file__", None)
-        if not file or file.startswith((sys.prefix, sys.base_prefix)):
+        if not file or file.startswith(INSTALLED):
             continue
         try:
             if os.stat(file).st_mtime > moment_s:  # a Path would intern each part of it

@@ -111,5 +111,5 @@ def test_a_foveated_row_needs_a_policy_that_can_be_given_its_target(tmp_path: Pa
 
 
 def test_pursue_is_refused_by_its_new_name() -> None:
-    with pytest.raises(SettingsError, match="policy: expected pursuit, its new name, got pursue"):
+    with pytest.raises(SettingsError, match="policy: pursue: renamed; expected pursuit"):
         policy_files(("pursue",))

@@ -1,10 +1,12 @@
 """Score: the overlap of what was followed with what is really there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from operators.score import SETTLED, Score, ScoreSettings
-from pipeline import Percept, Scanpath, SettingsError, Truth
+from pipeline import MessageError, Percept, Scanpath, SettingsError, Truth
 from pipeline.testing import header
 
 BALL, REFEREE = (100.0, 100.0, 120.0, 120.0), (300.0, 100.0, 340.0, 200.0)
@@ -158,3 +160,12 @@ def test_the_headline_tells_the_figure_of_now() -> None:
 def test_a_share_beyond_the_whole_is_refused() -> None:
     with pytest.raises(SettingsError, match=r"least_visible: must be within 0\.\.1, got 2"):
         ScoreSettings(least_visible=2)
+
+
+@pytest.mark.parametrize("labels", [(), ("ball",), ("ball", "main referee", "player")])
+def test_a_truth_whose_labels_do_not_fit_its_boxes_is_refused(labels: tuple[str, ...]) -> None:
+    score = Score(ScoreSettings(label="player"))
+    score.open()
+
+    with pytest.raises(MessageError, match=f"expected one for each box, got {len(labels)} for 2"):
+        score.on_percept_truth(percept(0, BALL), replace(truth(0), labels=labels))

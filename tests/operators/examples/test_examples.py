@@ -30,6 +30,12 @@ def frame(seq: int, value: float) -> fovea.Frame:
     return fovea.Frame(header=fovea.header(seq), pixels=pixels, window=(0, 0, 6, 4))
 
 
+DEEP = fovea.Frame(
+    header=fovea.header(0), pixels=np.full((4, 6), 2000, np.uint16), window=(0, 0, 6, 4),
+    pixel_format="bayer_rggb16",
+)  # fmt: skip
+
+
 def delivered(report: dict[str, Any]) -> dict[str, int]:
     return {edge["to"]: edge["delivered"] for edge in report["edges"]}
 
@@ -79,6 +85,23 @@ def test_blend_mixes_the_frames_of_one_exposure() -> None:
     (mixed,) = fovea.drive(Blend, [{"left": frame(0, 100), "right": frame(0, 200)}])
 
     assert (mixed.pixels == 150).all()
+
+
+@pytest.mark.parametrize(
+    ("operator", "given"),
+    [(Brighten, DEEP), (Motion, DEEP), (Blend, {"left": DEEP, "right": DEEP})],
+)
+def test_examples_for_8_bit_pixels_refuse_others(
+    operator: type[fovea.Operator[Any, Any]], given: Any
+) -> None:
+    with pytest.raises(fovea.MessageError, match="expected 8-bit pixels, got uint16"):
+        fovea.drive(operator, [given])
+
+
+@pytest.mark.parametrize("setting", ["step_px", "length"])
+def test_the_square_neither_moves_back_nor_ends_before_it_begins(setting: str) -> None:
+    with pytest.raises(fovea.SettingsError, match=rf"{setting}: must be at least 0, got -1"):
+        fovea.load("examples/moving_square", settings={f"camera.{setting}": -1})
 
 
 def test_motion_goes_on_with_what_another_instance_has_learned() -> None:

@@ -175,9 +175,9 @@ def test_every_policy_can_take_the_place_of_another_in_a_graph():
 
 
 def test_a_setting_by_its_former_name_is_refused_with_the_new_one():
-    with pytest.raises(SettingsError, match=r"held_by: expected carriers, its new name"):
+    with pytest.raises(SettingsError, match=r"held_by: renamed; expected carriers"):
         drive(PursuitPolicy, [], {"held_by": ["player"]})
-    with pytest.raises(SettingsError, match=r"loyalty: expected target_prior, its new name"):
+    with pytest.raises(SettingsError, match=r"loyalty: renamed; expected target_prior"):
         drive(LearnedPolicy, [], {"loyalty": 1})
 
 

@@ -1,14 +1,18 @@
 """A machine that gives no process costs the head start, or a moment, never the graph."""
 
+import os
 import signal
+import sys
+import time
 from collections.abc import Collection
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from pipeline.run.process_handle import NodeProcess
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.warm_spare import WarmSpare
+from pipeline.run.warm_spare import WarmSpare, edited_since
 from tests.sample_graphs import (
     LOOP,
     assert_accounts_add_up,
@@ -61,3 +65,35 @@ def test_a_node_that_cannot_be_started_is_tried_again_and_the_others_go_on(
     assert report["failure"] == ""
     assert report["restarts"] == {"steer": 1}
     assert_accounts_add_up(report)
+
+
+def test_a_module_beside_the_installation_that_is_edited_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "site-packages-of-mine" / "mine.py"
+    file.parent.mkdir()
+    file.touch()
+    monkeypatch.setattr(
+        "pipeline.run.warm_spare.INSTALLED", (os.path.join(tmp_path, "site-packages", ""),)
+    )
+    monkeypatch.setitem(sys.modules, "mine", SimpleNamespace(__file__=str(file)))  # type: ignore[arg-type]
+    moment_s = time.time() + 60
+
+    assert not edited_since(moment_s)
+
+    os.utime(file, (moment_s + 60,) * 2)
+
+    assert edited_since(moment_s)
+
+
+def test_a_module_of_the_installation_is_not_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "theirs.py"
+    file.touch()
+    moment_s = time.time() + 60
+    os.utime(file, (moment_s + 60,) * 2)
+    monkeypatch.setitem(sys.modules, "theirs", SimpleNamespace(__file__=str(file)))  # type: ignore[arg-type]
+    monkeypatch.setattr("pipeline.run.warm_spare.INSTALLED", (os.path.join(tmp_path, ""),))
+
+    assert not edited_since(moment_s)
