@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-import msgspec
 import numpy as np
 import psutil
 from rich.console import Console
@@ -28,10 +27,10 @@ from bench.machine import facts
 from bench.options import JSON, Bench
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
+from pipeline.protocol.orders import Refused, Result, SwapOrder
 from pipeline.run.memory_folder import path_of
 from pipeline.run.report import compose
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.swap import SwapOrder
 from pipeline.terminal import lean_table
 
 GRAPH = """\
@@ -154,11 +153,11 @@ def _kill(supervisor: Supervisor) -> None:
 
 def _swap(supervisor: Supervisor) -> str:
     """Swap once; why it was refused, or nothing."""
-    answers: list[bytes] = []
+    answers: list[Result] = []
     order = SwapOrder(node=SWAPPED, probation=PROBATION)
     supervisor.control.take(order, answers.append)
     _until(supervisor, lambda: bool(answers))
-    return str(msgspec.json.decode(answers[0])["refused"])
+    return answers[0].reason if isinstance(answers[0], Refused) else ""
 
 
 def _handled(supervisor: Supervisor, node: str) -> int:

@@ -32,10 +32,11 @@ from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan, load_operator
 from pipeline.node.wiring import key_of
+from pipeline.protocol.codec import fields_of
+from pipeline.protocol.orders import Refused, Result, SwapOrder
 from pipeline.run.report import compose
 from pipeline.run.rundir import folder_of, memory_of, running
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.swap import SwapOrder
 
 TIMEOUT_S = 60.0
 MEMORY_EVERY = 50  # swaps
@@ -146,14 +147,16 @@ def main(
 
 
 def _swap(supervisor: Supervisor, order: SwapOrder) -> dict[str, Any]:
-    answers: list[dict[str, Any]] = []
-    supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
+    answers: list[Result] = []
+    supervisor.control.take(order, answers.append)
     began_s = time.monotonic()
     while not answers:
         if time.monotonic() - began_s > TIMEOUT_S or supervisor.failure:
             raise click.ClickException(f"{order.node} was not swapped: {supervisor.failure}")
         supervisor.tick()
-    return {**answers[0], "took_s": time.monotonic() - began_s}
+    refused = answers[0].reason if isinstance(answers[0], Refused) else ""
+    done = {} if refused else fields_of(answers[0])
+    return {"node": order.node, **done, "refused": refused, "took_s": time.monotonic() - began_s}
 
 
 def _exposed(supervisor: Supervisor) -> int:

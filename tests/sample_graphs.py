@@ -4,7 +4,7 @@ import os
 import secrets
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from pipeline.bus.ledger import EdgeAccount
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
+from pipeline.protocol.orders import Refused, Result, SwapResult
 from pipeline.run.report import Report, compose
 from pipeline.run.supervisor import Supervisor
 
@@ -96,6 +97,17 @@ def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = No
         report["failure"] = supervisor.failure
         report["summaries"] = supervisor.summaries
     return report
+
+
+def reasons(results: Sequence[Result]) -> list[str]:
+    """Why each order was refused, "" for one that was done."""
+    return [result.reason if isinstance(result, Refused) else "" for result in results]
+
+
+def swapped(result: Result) -> SwapResult:
+    """The result of a swap that was done."""
+    assert isinstance(result, SwapResult), result
+    return result
 
 
 def edge(report: Report, end: str) -> dict[str, Any]:

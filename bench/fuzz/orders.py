@@ -4,26 +4,28 @@ Orders to the supervisor go to the control server of a small running graph; thos
 operator in this process, as its host would pass them on.
 """
 
-import json
 import random
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
-from pydantic import TypeAdapter
 
 from bench.fuzz import nasty
 from bench.fuzz.tally import Tally
 from pipeline import Frame, Input, Operator, SettingsError
-from pipeline.commands import carry_out, write_outcome
+from pipeline.commands import carry_out
 from pipeline.errors import GraphError, RunError
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
+from pipeline.node.answers import Q, respond
 from pipeline.node.live import Live
+from pipeline.protocol.codec import MARKER, TAG, VERSION, ControlMessage, Kind, decode
+from pipeline.protocol.orders import RESULT, Refused
+from pipeline.protocol.questions import Command, ConfigQuestion, NodeSettings, Outcome
 from pipeline.run.supervisor import Supervisor
 
 GRAPH = """\
@@ -36,7 +38,8 @@ nodes:
 """
 ROUND = 1000  # orders to one run of the graph
 ANSWER_S = 120.0
-SWAP = {"type": "swap", "node": "forward", "operator": "", "changes": {}, "defaults": False,
+ANSWER = Kind[NodeSettings | Outcome | Refused]("an answer", NodeSettings | Outcome | Refused)
+SWAP = {TAG: "SwapOrder", "node": "forward", "operator": "", "changes": {}, "defaults": False,
         "at": 0, "shadow": 0, "probation": 1, "budget_ms": 1000.0}  # fmt: skip
 
 
@@ -83,30 +86,29 @@ def fuzz_orders(count: int, folder: Path, *, seed: int = 0) -> Tally:
 def _to_node(count: int, rng: random.Random, tally: Tally) -> None:
     operator = Tunable(TunableSettings())
     live = Live("work", operator, {}, None)
-    order = {"command": "recall", "arguments": {"last": 2, "words": ["a"]}}
+    change = {TAG: "ConfigQuestion", "changes": {"gain": 2.0}}
+    order = {TAG: "Command", "command": "recall", "arguments": {"last": 2, "words": ["a"]}}
+
+    def command(told: Command) -> Outcome:
+        return Outcome(answer=carry_out("work", operator, told.command, told.arguments))
+
     for number in range(count):
         if number % 2:
-            data = _packed({"gain": 2.0}, rng)
-            tally.check(data, partial(_answered, live, data))
+            data = _packed(change, rng)
+            tally.check(data, partial(_answered, ConfigQuestion, live.configure, data))
         else:
             data = _packed(order, rng)
-            tally.check(data, partial(_told, operator, data))
+            tally.check(data, partial(_answered, Command, command, data))
 
 
-def _told(operator: Operator[Any, Any], data: bytes) -> None:
-    outcome = carry_out("work", operator, data)
-    write_outcome(outcome)
-    if outcome.refused:
-        raise RunError(outcome.refused)
-
-
-def _answered(live: Live, data: bytes) -> None:
+def _answered(kind: type[Q], act: Callable[[Q], ControlMessage], data: bytes) -> None:
     replies: list[bytes] = []
-    live.answer(data, replies.append)
+    respond("work", kind, data, act, replies.append)
     if len(replies) != 1:
         raise AssertionError(f"answered {len(replies)} times")
-    if refused := msgspec.msgpack.decode(replies[0])["refused"]:
-        raise RunError(refused)
+    answer = decode(ANSWER, replies[0])
+    if isinstance(answer, Refused):
+        raise RunError(answer.reason)
 
 
 def _to_graph(plan: Plan, count: int, rng: random.Random, tally: Tally) -> None:
@@ -120,21 +122,16 @@ def _to_graph(plan: Plan, count: int, rng: random.Random, tally: Tally) -> None:
 
 
 def _order(supervisor: Supervisor, plan: Plan, rng: random.Random) -> bytes:
-    running = TypeAdapter(Plan).dump_python(supervisor.plan, mode="json")
-    wanted = TypeAdapter(Plan).dump_python(plan, mode="json")  # what was taken away comes back
+    running = msgspec.to_builtins(supervisor.plan)
+    wanted = msgspec.to_builtins(plan)  # what was taken away comes back
     document: Mapping[str, Any] = SWAP
     if rng.random() < 0.6:
         what = running if rng.random() < 0.8 else wanted
-        document = {"type": "plan", "plan": what, "revision": supervisor.revision}
+        document = {TAG: "PlanOrder", "plan": what, "revision": supervisor.revision}
     kind = rng.random()
     if kind < 0.01:
-        return json.dumps(document).encode()
-    if kind < 0.75:
-        spoilt = nasty.spoilt(document, rng, rng.choice((1, 1, 2, 4)))
-        return json.dumps(spoilt).encode()
-    if kind < 0.95:
-        return nasty.flipped(json.dumps(document).encode(), rng)
-    return rng.randbytes(rng.randrange(100))
+        return _framed(document)
+    return _packed(document, rng, 4) if kind < 0.95 else rng.randbytes(rng.randrange(100))
 
 
 def _asked(supervisor: Supervisor, order: bytes) -> None:
@@ -150,11 +147,11 @@ def _asked(supervisor: Supervisor, order: bytes) -> None:
         raise AssertionError(f"answered {len(replies)} times")
     if supervisor.failure:
         raise AssertionError(f"the run failed: {supervisor.failure}")
-    refused = msgspec.json.decode(replies[0]).get("refused", "")
-    if "it broke" in refused:
-        raise AssertionError(refused)
-    if refused:
-        raise GraphError(refused)
+    result = decode(RESULT, replies[0])
+    if isinstance(result, Refused) and "it broke" in result.reason:
+        raise AssertionError(result.reason)
+    if isinstance(result, Refused):
+        raise GraphError(result.reason)
 
 
 def _goes_on(supervisor: Supervisor) -> None:
@@ -167,16 +164,21 @@ def _goes_on(supervisor: Supervisor) -> None:
             raise AssertionError(f"it stands still {supervisor.failure}")
 
 
-def _packed(document: Mapping[str, Any], rng: random.Random) -> bytes:
+def _packed(document: Mapping[str, Any], rng: random.Random, most: int = 2) -> bytes:
+    """A document as a message, mostly spoilt: a few of its places, or its bytes."""
     kind = rng.random()
     if kind < 0.1:
-        return msgspec.msgpack.encode(document)
-    if kind < 0.6:
-        spoilt = nasty.spoilt(document, rng, rng.choice((1, 1, 2)))
+        return _framed(document)
+    if kind < 0.7:
+        spoilt = nasty.spoilt(document, rng, rng.choice((1, 1, 2, most)))
         try:
-            return msgspec.msgpack.encode(spoilt)
+            return _framed(spoilt)
         except (OverflowError, TypeError, ValueError, RecursionError):
             pass  # what no sender can write; flipped bytes instead
     if kind < 0.95:
-        return nasty.flipped(msgspec.msgpack.encode(document), rng)
+        return nasty.flipped(_framed(document), rng)
     return rng.randbytes(rng.randrange(60))
+
+
+def _framed(document: Any) -> bytes:
+    return bytes((MARKER, VERSION)) + msgspec.msgpack.encode(document)

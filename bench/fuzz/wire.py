@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from bench.fuzz import nasty
@@ -13,11 +12,19 @@ from bench.fuzz.tally import Tally
 from pipeline import codec
 from pipeline.bus.envelope import MESSAGE, NOTHING, Envelope
 from pipeline.bus.pool import SlotRef
-from pipeline.commands import Outcome, read_order, read_outcome, write_order, write_outcome
 from pipeline.fleet import wire
 from pipeline.messages import Detections, Frame, Header, Message, Percept, RoiSchedule
-from pipeline.node.health import Health, read_health, write_health
-from pipeline.node.live import read_answer, read_question, write_question
+from pipeline.protocol.codec import ControlMessage, Kind, Refused, decode, encode
+from pipeline.protocol.orders import ORDER, RESULT, StopOrder, StopResult, SwapOrder, SwapResult
+from pipeline.protocol.questions import (
+    QUESTION,
+    Command,
+    ConfigQuestion,
+    Health,
+    HealthQuestion,
+    NodeSettings,
+    Outcome,
+)
 
 Reader = Callable[[bytes], Any]
 Case = tuple[bytes, Reader]  # valid bytes and what reads them
@@ -48,17 +55,8 @@ def known() -> Mapping[str, Case]:
     found["nothing"] = (
         Envelope.render(NOTHING, 3, 1, b"", slot, codec.pack(HEADER)), _opener(Header)
     )  # fmt: skip
-    found["order"] = write_order("recall", {"last": 3}), lambda data: read_order(data, "work")
-    found["outcome"] = write_outcome(Outcome(answer={"a": [1, 2.5]})), read_outcome
-    found["question"] = write_question({"rate_hz": 5.0, "box": [1, 2]}), read_question
-    answer = msgspec.msgpack.encode({"settings": {"a": 1}, "live": ["a"], "refused": ""})
-    found["answer"] = answer, read_answer
-    health = Health(
-        node="work", process="work", host="", pid=7, epoch=1, state="idle", problem="",
-        handled=3, last_seq=2, busy_s=0.0, silent_s=0.1, own_mb=9.5, words="", waiting={"frame": 1},
-        dropped={"frame": {"gap": 2}}, broken=("a -> b.frame",),
-    )  # fmt: skip
-    found["health"] = write_health(health), read_health
+    for told, kind in control_messages():
+        found[type(told).__name__] = encode(told), _control_reader(kind)
     for asked in (
         wire.Named("g"), wire.Lines("g", "n"), wire.Ping(1), wire.ToNode("g", "n", "@health", b"x"),
         wire.Prepare("{}", wire.Versions.ours(), {"a": "b"}), wire.Lacks(("0" * 64,)),
@@ -66,6 +64,28 @@ def known() -> Mapping[str, Case]:
     ):  # fmt: skip
         found[type(asked).__name__] = wire.encode(asked), _decoder(type(asked))
     return found
+
+
+def control_messages() -> tuple[tuple[ControlMessage, Kind[Any] | type[Any]], ...]:
+    """One of each kind that clients, nodes and supervisors exchange, and what reads it."""
+    health = Health(
+        node="work", process="work", host="", pid=7, epoch=1, state="idle", problem="",
+        handled=3, last_seq=2, busy_s=0.0, silent_s=0.1, own_mb=9.5, words="", waiting={"frame": 1},
+        dropped={"frame": {"gap": 2}}, broken=("a -> b.frame",),
+    )  # fmt: skip
+    return (
+        (SwapOrder(node="work", changes={"gain": 2.5}), ORDER),
+        (StopOrder(), ORDER),
+        (SwapResult(node="a", hot=True, gap_ms=1.0, state="none", proven_frames=3), RESULT),
+        (StopResult(graph="g", pid=7), RESULT),
+        (Refused("no such node"), RESULT),
+        (Command("recall", {"last": 3}), QUESTION),
+        (ConfigQuestion({"rate_hz": 5.0, "box": [1, 2]}), QUESTION),
+        (HealthQuestion(), QUESTION),
+        (Outcome(answer={"a": [1, 2.5]}), Outcome),
+        (NodeSettings(settings={"a": 1}, live=("a",)), NodeSettings),
+        (health, Health),
+    )
 
 
 def messages() -> tuple[Message, ...]:
@@ -98,6 +118,10 @@ def _loader(cls: type[Any]) -> Reader:
 
 def _opener(cls: type[Any]) -> Reader:
     return lambda data: codec.unpack(cls, Envelope.parse(data).body)
+
+
+def _control_reader(kind: Kind[Any] | type[Any]) -> Reader:
+    return lambda data: decode(kind, data)
 
 
 def _decoder(cls: type[Any]) -> Reader:

@@ -158,13 +158,14 @@ class Session:
         return None
 
     def ask_all(
-        self, keys: str, timeout_s: float, enough: Callable[[Mapping[str, bytes]], bool]
-    ) -> dict[str, bytes]:
+        self, keys: str, question: bytes, timeout_s: float,
+        enough: Callable[[Mapping[str, bytes]], bool],
+    ) -> dict[str, bytes]:  # fmt: skip
         """Everybody's answers under a wildcard, by key; until `enough` is true or time is up."""
         found: dict[str, bytes] = {}
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0:
-            for reply in self._session.get(keys, timeout=left_s):
+            for reply in self._session.get(keys, payload=question or None, timeout=left_s):
                 if reply.ok is not None:
                     found[str(reply.ok.key_expr)] = reply.ok.payload.to_bytes()
                 if enough(found):

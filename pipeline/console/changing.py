@@ -10,10 +10,9 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.console.graph_client import ask_node
-from pipeline.errors import RunError
 from pipeline.fleet.remote import is_deployed, set_there
 from pipeline.graph.overlay import read_change
-from pipeline.node.live import CONFIG, Answer, read_answer, write_question
+from pipeline.protocol.questions import ConfigQuestion, NodeSettings
 from pipeline.run.rundir import running
 from pipeline.terminal import lean_table
 
@@ -31,20 +30,18 @@ def set_command(graph: str, changes: tuple[str, ...]) -> None:
         wanted.setdefault(node, {})[setting] = value
     for node, values in wanted.items():
         answer = ask(graph, node, values)
-        if answer.refused:
-            raise RunError(answer.refused)
         for setting in values:
             click.echo(f"{node}.{setting} = {json.dumps(answer.settings.get(setting))}")
 
 
-def ask(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
-    """A node's answer; raises `RunError` when there is no such node, or none that answers."""
+def ask(graph: str, node: str, changes: Mapping[str, Any]) -> NodeSettings:
+    """A node's settings; raises `RunError` when it refuses, does not answer or is not there."""
     if changes and is_deployed(graph) and graph not in running():
         return set_there(graph, node, changes)
-    return read_answer(ask_node(graph, node, CONFIG, write_question(changes)))
+    return ask_node(graph, node, ConfigQuestion(dict(changes)), NodeSettings)
 
 
-def table(answer: Answer) -> Table:
+def table(answer: NodeSettings) -> Table:
     """Every setting of a node and whether it can be changed now."""
     shown = lean_table(names=("setting",), words=("value", "live"))
     for name, value in answer.settings.items():

@@ -3,28 +3,36 @@
 import json
 from collections.abc import Collection, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import click
-import msgspec
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.commands import COMMAND, Outcome, read_outcome, write_order
 from pipeline.console.arguments import named_value
 from pipeline.console.watching import find
 from pipeline.errors import RunError
 from pipeline.fleet.deploy import remembered
 from pipeline.fleet.remote import ask_there, health_there, is_deployed
-from pipeline.node.health import HEALTH, Health, read_health
-from pipeline.node.interface import SCHEMA, read_interface
 from pipeline.node.wiring import key_of
+from pipeline.protocol.codec import decode_answer, encode, fields_of
+from pipeline.protocol.questions import (
+    HEALTH,
+    Command,
+    Health,
+    HealthQuestion,
+    Interface,
+    NodeQuestion,
+    Outcome,
+    SchemaQuestion,
+)
 from pipeline.run.bus_client import ask_local, client_session
 from pipeline.run.rundir import running
 from pipeline.settings import suggest
 from pipeline.terminal import lean_table
 
+T = TypeVar("T")
 QUICK_S = 3.0  # what transports answer by themselves; a process that is frozen does not
 
 
@@ -52,8 +60,8 @@ def health_command(graph: str | None, as_json: bool) -> None:
 @click.option("--graph", default="", help="Which graph, when several run.")
 def schema_command(node: str, graph: str) -> None:
     """Print what a running node takes and gives, its settings and its commands."""
-    found = read_interface(ask_node(graph, node, SCHEMA, b""))
-    click.echo(json.dumps(msgspec.to_builtins(found), indent=1))
+    found = ask_node(graph, node, SchemaQuestion(), Interface)
+    click.echo(json.dumps(fields_of(found), indent=1))
 
 
 @click.command("tell")
@@ -64,15 +72,12 @@ def schema_command(node: str, graph: str) -> None:
 def tell_command(graph: str, node: str, command: str, arguments: tuple[str, ...]) -> None:
     """Have a running node do something; `fovea schema NODE` shows what it can."""
     given = dict(named_value(argument) for argument in arguments)
-    outcome = tell(graph, node, command, given)
-    if outcome.refused:
-        raise RunError(outcome.refused)
-    click.echo(json.dumps(outcome.answer))
+    click.echo(json.dumps(tell(graph, node, command, given).answer))
 
 
 def tell(graph: str, node: str, command: str, arguments: Mapping[str, Any]) -> Outcome:
-    """What became of an order; raises `RunError` for no such node, or none that answers."""
-    return read_outcome(ask_node(graph, node, COMMAND, write_order(command, arguments)))
+    """What a command returned; raises `RunError` when the node refuses or does not answer."""
+    return ask_node(graph, node, Command(command, dict(arguments)), Outcome)
 
 
 def fleet_health(graph: str) -> dict[str, Health | None]:
@@ -83,21 +88,24 @@ def fleet_health(graph: str) -> dict[str, Health | None]:
     key = partial(key_of, facts["graph"])
     wanted = {key(node["name"], HEALTH): node["name"] for node in facts["nodes"]}
     with client_session(name, "health") as session:
-        answers = session.ask_all(key("*", HEALTH), QUICK_S, _complete(wanted))
+        answers = session.ask_all(
+            key("*", HEALTH), encode(HealthQuestion()), QUICK_S, _complete(wanted)
+        )
     return {
-        node: read_health(answers[key]) if key in answers else None for key, node in wanted.items()
+        node: decode_answer(Health, answers[key]) if key in answers else None
+        for key, node in wanted.items()
     }
 
 
-def ask_node(graph: str, node: str, question: str, payload: bytes) -> bytes:
-    """One node's answer; raises `RunError` when there is no such node, or none that answers."""
+def ask_node(graph: str, node: str, question: NodeQuestion, answer: type[T]) -> T:
+    """One node's answer; raises `RunError` when it refuses, does not answer or is not there."""
     if is_deployed(graph) and graph not in running():
-        return ask_there(graph, node, question, payload)
+        return decode_answer(answer, ask_there(graph, node, question))
     name, facts = find(graph)
     nodes = [n["name"] for n in facts["nodes"]]
     if node not in nodes:
         raise RunError(f"{name}: no node {node}{suggest(node, nodes)}")
-    return ask_local(name, facts["graph"], node, question, payload)
+    return decode_answer(answer, ask_local(name, facts["graph"], node, question))
 
 
 def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
@@ -122,7 +130,7 @@ def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
 
 
 def _plain(health: Health | None) -> Any:
-    return None if health is None else msgspec.to_builtins(health)
+    return None if health is None else fields_of(health)
 
 
 def _complete(wanted: Collection[str]) -> Any:

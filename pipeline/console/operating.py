@@ -2,25 +2,36 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import click
-import msgspec
 
 from pipeline.class_cache import adapter
 from pipeline.console.arguments import BUDGET_MS, FRAMES, FRAMES_OR_NONE, named_value
 from pipeline.console.watching import find
-from pipeline.errors import GraphError, RunError, SettingsError
+from pipeline.errors import GraphError, MessageError, RunError, SettingsError
 from pipeline.fleet.remote import is_deployed, swap_there
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.node.operator_state import lost_words
+from pipeline.protocol.codec import Refused, decode, encode, fields_of
+from pipeline.protocol.orders import (
+    GRAPH,
+    RESULT,
+    Done,
+    Order,
+    PlanOrder,
+    Result,
+    ShadowReport,
+    StopOrder,
+    StopResult,
+    SwapOrder,
+    SwapResult,
+    TopologyResult,
+)
 from pipeline.run.bus_client import client_session
-from pipeline.run.control_server import COMMAND, Order
 from pipeline.run.rundir import running
-from pipeline.run.swap import SwapOrder
-from pipeline.run.topology import PlanOrder
-from pipeline.text import error_text, harmless
+from pipeline.text import harmless
 
 TIMEOUT_S = 300.0  # loading a model, a shadow run and probation take their time
 
@@ -72,46 +83,50 @@ def _replan(graph: str, edit: Callable[[Plan], Plan]) -> None:
         click.echo(line)
 
 
-def replan(graph: str, edit: Callable[[Plan], Plan]) -> dict[str, Any]:
+def replan(graph: str, edit: Callable[[Plan], Plan]) -> TopologyResult:
     """Have a running graph become what `edit` makes of its plan; raises `FoveaError`."""
     if is_deployed(graph) and graph not in running():
         raise RunError(f"{graph}: runs on several hosts; edit its file and `fovea up --replace`")
     _, facts = find(graph)
     wanted = edit(adapter(Plan).validate_python(facts["plan"]))
-    plain = adapter(Plan).dump_python(wanted, mode="json")
-    return tell(graph, PlanOrder(plan=plain, revision=facts["revision"]))
+    return tell(graph, PlanOrder(plan=wanted, revision=facts["revision"]))
 
 
-def topology_lines(result: Mapping[str, Any]) -> list[str]:
+def topology_lines(result: TopologyResult) -> list[str]:
     """What was changed, for a terminal.
 
-    >>> topology_lines({"added": ["eye"], "removed": [], "connected": ["a -> eye.x"], "cut": []})
-    ['added: eye', 'connected: a -> eye.x']
+    >>> topology_lines(TopologyResult(added=["eye"], removed=[], connected=["a -> e.x"], cut=[]))
+    ['added: eye', 'connected: a -> e.x']
     """
-    kinds = ("added", "removed", "connected", "cut")
-    return [f"{kind}: {', '.join(result[kind])}" for kind in kinds if result[kind]]
+    return [f"{kind}: {', '.join(names)}" for kind, names in fields_of(result).items() if names]
 
 
-def tell(graph: str, order: Order) -> dict[str, Any]:
+@overload
+def tell(graph: str, order: SwapOrder) -> SwapResult: ...
+@overload
+def tell(graph: str, order: PlanOrder) -> TopologyResult: ...
+@overload
+def tell(graph: str, order: StopOrder) -> StopResult: ...
+def tell(graph: str, order: Order) -> Done:
     """Give a running graph an order; raises `RunError` or `GraphError` with its reason."""
     if isinstance(order, SwapOrder) and is_deployed(graph) and graph not in running():
         return _judged(swap_there(graph, order, TIMEOUT_S))
     name, facts = find(graph)
     with client_session(name, "order") as session:
-        key = f"fovea/{facts['graph']}/{COMMAND}"
+        key = f"fovea/{facts['graph']}/{GRAPH}"
         answer = session.ask(key, _written(order), TIMEOUT_S, lambda: same_run(name, facts))
     if answer is None and not same_run(name, facts):
         raise RunError(f"{name}: ended before that was done")
     if answer is None:
         raise RunError(f"{name}: no answer for {TIMEOUT_S:.0f} s; see `fovea ps`")
-    return _judged(msgspec.json.decode(answer))
+    return _judged(decode(RESULT, answer))
 
 
 def _written(order: Order) -> bytes:
     try:
-        return msgspec.json.encode(order)
-    except (TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise SettingsError(f"not an order: {harmless(error_text(error))}") from error
+        return encode(order)
+    except MessageError as error:
+        raise SettingsError(f"not an order: {harmless(str(error))}") from error
 
 
 def same_run(name: str, facts: Mapping[str, Any]) -> bool:
@@ -119,45 +134,41 @@ def same_run(name: str, facts: Mapping[str, Any]) -> bool:
     return bool(running().get(name, {}).get("run") == facts["run"])
 
 
-def _judged(result: dict[str, Any]) -> dict[str, Any]:
-    if refused := result.get("refused"):
-        raise (RunError if result.get("rolled_back") else GraphError)(refused)
+def _judged(result: Result) -> Done:
+    if isinstance(result, Refused):
+        raise (RunError if result.rolled_back else GraphError)(result.reason)
     return result
 
 
-def swap_lines(result: Mapping[str, Any]) -> list[str]:
+def swap_lines(result: SwapResult) -> list[str]:
     """What a swap came to, for a terminal.
 
-    >>> swap_lines({"node": "a", "hot": True, "seq": 7, "gap_ms": 1.25, "state": "none",
-    ...             "proven_frames": 30})
+    >>> swap_lines(SwapResult(node="a", hot=True, seq=7, gap_ms=1.25, state="none",
+    ...                       proven_frames=30))
     ['a: swapped after frame 7, stood still for 1.2 ms, state none, 30 frames of probation']
 
     What the operator kept and did not declare is a line of its own.
     """
-    cut = f"after frame {result['seq']}" if "seq" in result else "by stopping and starting"
-    left_out: dict[str, int] = result.get("left_out", {})
+    cut = f"after frame {result.seq}" if result.hot else "by stopping and starting"
     words = [
-        f"{result['node']}: swapped {cut}",
-        f"stood still for {result['gap_ms']:.1f} ms",
-        *(f"left out {count} of {name}" for name, count in left_out.items() if count),
-        *([f"state {result['state']}"] if "state" in result else []),
-        f"{result['proven_frames']} frames of probation",
+        f"{result.node}: swapped {cut}",
+        f"stood still for {result.gap_ms:.1f} ms",
+        *(f"left out {count} of {name}" for name, count in result.left_out.items() if count),
+        f"state {result.state}",
+        f"{result.proven_frames} frames of probation",
     ]
-    forgotten = result.get("forgotten")
-    warnings = [f"{result['node']}: {lost_words(forgotten)}"] if forgotten else []
-    return [", ".join(words), *warnings, *_shadow_lines(result.get("shadow"))]
+    warnings = [f"{result.node}: {lost_words(result.forgotten)}"] if result.forgotten else []
+    return [", ".join(words), *warnings, *_shadow_lines(result.shadow)]
 
 
-def _shadow_lines(shadow: Mapping[str, Any] | None) -> list[str]:
-    if not shadow:
+def _shadow_lines(shadow: ShadowReport | None) -> list[str]:
+    if shadow is None:
         return []
     apart = [
-        f"{name} in {d['frames']} by up to {d['most']:.3g}"
-        for name, d in shadow["differences"].items()
+        f"{name} in {d.frames} by up to {d.most:.3g}" for name, d in shadow.differences.items()
     ]
     line = (
-        f"shadow: {shadow['frames']} frames, {shadow['identical']} answered alike, "
-        f"{shadow['handler_ms']:.1f} ms each"
-        + (f", {shadow['missed']} missed" if shadow["missed"] else "")
+        f"shadow: {shadow.frames} frames, {shadow.identical} answered alike, "
+        f"{shadow.handler_ms:.1f} ms each" + (f", {shadow.missed} missed" if shadow.missed else "")
     )
     return [f"{line}; different: {', '.join(apart)}" if apart else line]

@@ -60,7 +60,7 @@ def processes(
             supervisor.start()
         shown_s = 0.0
         with Live(console=console, auto_refresh=False, transient=True) as live:
-            while not supervisor.finished and not asked.count:
+            while not supervisor.finished and not supervisor.end_requests:
                 supervisor.tick()
                 elapsed_s = time.monotonic() - supervisor.started_s
                 if duration_s and elapsed_s >= duration_s:

@@ -10,14 +10,14 @@ from typing import Any
 
 import msgspec
 
-from pipeline.commands import COMMAND, read_order, write_order
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.allow import Allowed
 from pipeline.fleet.hosted_graph import HostedGraph
-from pipeline.node.live import CONFIG, read_question, write_question
+from pipeline.protocol.codec import decode, encode
+from pipeline.protocol.orders import SwapOrder
+from pipeline.protocol.questions import KEYS, QUESTION, Command, ConfigQuestion, NodeQuestion
 from pipeline.run.bus_client import ask_local
-from pipeline.run.swap import SwapOrder
 from pipeline.settings import suggest
 
 AT_ONCE = 4  # a node answers between two frames; one that hangs must not hold up the others
@@ -41,10 +41,10 @@ class NodeGateway:
     def ask(self, hosted: HostedGraph, asked: wire.ToNode, reply: Reply) -> None:
         """Put a question to a node and reply when it answers; raises `FoveaError`."""
         _here(hosted, asked.node)
-        payload = self._cleared(asked)
+        question = self._cleared(asked)
         if not self._room.acquire(blocking=False):
             raise RunError("busy: too many questions wait for nodes")
-        self._pool.submit(self._ask, hosted, asked, payload, reply)
+        self._pool.submit(self._ask, hosted, asked.node, question, reply)
 
     def swap(self, hosted: HostedGraph, order: SwapOrder, reply: Reply) -> None:
         """Have a node swapped and reply when that is done; raises `FoveaError`."""
@@ -58,28 +58,30 @@ class NodeGateway:
         order = msgspec.structs.replace(order, changes=changes)
 
         def done(result: bytes) -> None:
-            reply(wire.answered(msgspec.Raw(result)))
+            reply(wire.answered(wire.Said(result)))
 
-        supervisor.control.ask(msgspec.json.encode(order), done)
+        supervisor.control.ask(encode(order), done)
 
-    def _ask(self, hosted: HostedGraph, asked: wire.ToNode, payload: bytes, reply: Reply) -> None:
+    def _ask(self, hosted: HostedGraph, node: str, question: NodeQuestion, reply: Reply) -> None:
         try:
-            said = ask_local(hosted.folder, hosted.plan.name, asked.node, asked.question, payload)
+            said = ask_local(hosted.folder, hosted.plan.name, node, question)
             reply(wire.answered(wire.Said(said)))
         except FoveaError as error:
             reply(wire.refused(str(error)))
         finally:
             self._room.release()
 
-    def _cleared(self, asked: wire.ToNode) -> bytes:
+    def _cleared(self, asked: wire.ToNode) -> NodeQuestion:
         """The question without anything that must not come from outside; raises `FoveaError`."""
-        if asked.question == CONFIG and asked.payload:
-            return write_question(self._cleared_values(asked.node, read_question(asked.payload)))
-        if asked.question == COMMAND:
-            order = read_order(asked.payload, asked.node)
-            where = f"{asked.node} {order.command}"
-            return write_order(order.command, self._allowed.localise(order.arguments, where))
-        return asked.payload
+        question = decode(QUESTION, asked.payload)
+        if KEYS[type(question)] != asked.question:
+            raise RunError(f"{asked.node}: expected a question for {asked.question}, got another")
+        if isinstance(question, ConfigQuestion):
+            return ConfigQuestion(self._cleared_values(asked.node, question.changes))
+        if isinstance(question, Command):
+            where = f"{asked.node} {question.command}"
+            return Command(question.command, self._allowed.localise(question.arguments, where))
+        return question
 
     def _cleared_values(self, node: str, changes: Mapping[str, Any]) -> dict[str, Any]:
         for name in changes:

@@ -10,9 +10,16 @@ import msgspec
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.deploy import READY_S, Fleet, carried, remembered, send_weights
-from pipeline.node.health import HEALTH, Health, read_health
-from pipeline.node.live import CONFIG, Answer, read_answer, write_question
-from pipeline.run.swap import SwapOrder
+from pipeline.protocol.codec import decode, decode_answer, encode
+from pipeline.protocol.orders import RESULT, Result, SwapOrder
+from pipeline.protocol.questions import (
+    KEYS,
+    ConfigQuestion,
+    Health,
+    HealthQuestion,
+    NodeQuestion,
+    NodeSettings,
+)
 from pipeline.settings import suggest
 
 ASK_S = 8.0  # the node's own timeout, and the way
@@ -24,13 +31,13 @@ def is_deployed(graph: str) -> bool:
     return graph in remembered()
 
 
-def ask_there(graph: str, node: str, question: str, payload: bytes) -> bytes:
+def ask_there(graph: str, node: str, question: NodeQuestion) -> bytes:
     """What a node on one of the hosts answers; raises `FoveaError` with the reason."""
     with _way(graph, node) as (fleet, label):
-        return _ask(fleet, label, graph, node, question, payload)
+        return _ask(fleet, label, graph, node, question)
 
 
-def set_there(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
+def set_there(graph: str, node: str, changes: Mapping[str, Any]) -> NodeSettings:
     """Change live settings; files go along as at `fovea up`. Raises `FoveaError` with the reason.
 
     What is no live setting is refused before a file is sent.
@@ -38,20 +45,22 @@ def set_there(graph: str, node: str, changes: Mapping[str, Any]) -> Answer:
     with _way(graph, node) as (fleet, label):
         moved, files = carried(changes)
         if files:
-            live = read_answer(_ask(fleet, label, graph, node, CONFIG, b"")).live
+            asked = _ask(fleet, label, graph, node, ConfigQuestion())
+            live = decode_answer(NodeSettings, asked).live
             _check_live(graph, node, [n for n in changes if moved[n] != changes[n]], live)
             _send(fleet, label, files)
-        return read_answer(_ask(fleet, label, graph, node, CONFIG, write_question(moved)))
+        return decode_answer(NodeSettings, _ask(fleet, label, graph, node, ConfigQuestion(moved)))
 
 
-def swap_there(graph: str, order: SwapOrder, timeout_s: float) -> dict[str, Any]:
+def swap_there(graph: str, order: SwapOrder, timeout_s: float) -> Result:
     """Have a node on one of the hosts swapped; raises `FoveaError` with the reason."""
     with _way(graph, order.node) as (fleet, label):
         changes, files = carried(order.changes)
         _send(fleet, label, files)
         order = msgspec.structs.replace(order, changes=changes)
         asked = wire.Change(graph, order)
-        return fleet.ask(label, "swap", asked, dict[str, Any], max(timeout_s, READY_S))
+        said = fleet.ask(label, "swap", asked, wire.Said, max(timeout_s, READY_S))
+        return decode(RESULT, said.payload)
 
 
 def health_there(graph: str) -> dict[str, Health | None]:
@@ -65,15 +74,17 @@ def health_there(graph: str) -> dict[str, Health | None]:
             if label not in there:
                 return None
             try:
-                return read_health(_ask(fleet, label, graph, node, HEALTH, b""))
+                asked = _ask(fleet, label, graph, node, HealthQuestion())
+                return decode_answer(Health, asked)
             except FoveaError:
                 return None
 
         return dict(zip(hosts.nodes, pool.map(health, hosts.nodes), strict=True))
 
 
-def _ask(fleet: Fleet, label: str, graph: str, node: str, question: str, payload: bytes) -> bytes:
-    asked = wire.ToNode(graph, node, cast(wire.Question, question), payload)
+def _ask(fleet: Fleet, label: str, graph: str, node: str, question: NodeQuestion) -> bytes:
+    key = cast(wire.Question, KEYS[type(question)])
+    asked = wire.ToNode(graph, node, key, encode(question))
     return fleet.ask(label, "node", asked, wire.Said, ASK_S).payload
 
 

@@ -16,7 +16,7 @@ from pipeline.bus import envelope
 from pipeline.class_cache import adapter
 from pipeline.errors import MessageError, RunError
 from pipeline.graph.plan import Plan
-from pipeline.run.swap import SwapOrder
+from pipeline.protocol.orders import SwapOrder
 
 MOST_BYTES = 1 << 20  # of one question; a graph is a few kilobytes
 T = TypeVar("T")

@@ -1,28 +1,40 @@
-"""The four questions that every node answers, below its own key.
+"""What every node answers, below its own key: schema, health, settings, commands.
 
-@schema    what it takes and gives, how it can be set and told
-@health    how it is; answered by the transport's thread, so also by a node that hangs
-@config    its settings, and a change of live ones
-@command   something to be done
+The questions and their answers are in `pipeline.protocol.questions`. Schema and health are answered
+by the transport's thread, settings and commands by the operator's own, between two handlers.
 """
 
 from collections.abc import Callable
-from typing import Any
-
-import msgspec
+from typing import Any, TypeVar
 
 from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import OnBytes, OnQuestion, Session
-from pipeline.commands import COMMAND, Outcome, obey, write_outcome
+from pipeline.commands import carry_out
 from pipeline.contract import Operator
+from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, Plan
-from pipeline.node.health import HEALTH, examine, write_health
-from pipeline.node.interface import SCHEMA, interface, write_interface
-from pipeline.node.live import CONFIG, Live
+from pipeline.node.health import examine
+from pipeline.node.interface import interface
+from pipeline.node.live import Live
 from pipeline.node.operator_runner import OperatorRunner
+from pipeline.protocol.codec import ControlMessage, Kind, decode, encode, refused
+from pipeline.protocol.questions import (
+    COMMAND,
+    CONFIG,
+    HEALTH,
+    SCHEMA,
+    Command,
+    ConfigQuestion,
+    Health,
+    HealthQuestion,
+    Interface,
+    Outcome,
+    SchemaQuestion,
+)
 from pipeline.text import error_text, harmless
 
 MOST_WORDS = 2000  # characters of a headline
+Q = TypeVar("Q", bound=ControlMessage)
 
 
 class Answers:
@@ -38,31 +50,58 @@ class Answers:
     def serve(self, session: Session, key: Callable[[str], str]) -> list[Callable[[], None]]:
         """Begin to answer under the node's own keys; returns how to stop."""
         answers: dict[str, OnQuestion] = {
-            SCHEMA: self._on_schema,
-            HEALTH: self._on_health,
-            CONFIG: self._on_config,
-            COMMAND: self._on_command,
+            SCHEMA: self._at_once(SchemaQuestion, self._schema),
+            HEALTH: self._at_once(HealthQuestion, self._health),
+            CONFIG: self._between(ConfigQuestion, self._live.configure),
+            COMMAND: self._between(Command, self._command),
         }
         return [session.answer(key(name), act) for name, act in answers.items()]
 
-    def _on_schema(self, _question: bytes, reply: OnBytes) -> None:
-        reply(write_interface(interface(self._node.name, type(self._operator))))
+    def _at_once(self, kind: type[Q], act: Callable[[Q], ControlMessage]) -> OnQuestion:
+        """On the thread of the transport."""
+        return lambda question, reply: respond(self._node.name, kind, question, act, reply)
 
-    def _on_health(self, _question: bytes, reply: OnBytes) -> None:
+    def _between(self, kind: type[Q], act: Callable[[Q], ControlMessage]) -> OnQuestion:
+        """Between two handlers, on their thread."""
+        name = self._node.name
+
+        def take(question: bytes, reply: OnBytes) -> None:
+            if not self._runner.between(lambda: respond(name, kind, question, act, reply)):
+                reply(encode(refused(f"{name}: too many questions wait already")))
+
+        return take
+
+    def _schema(self, _question: SchemaQuestion) -> Interface:
+        return interface(self._node.name, type(self._operator))
+
+    def _health(self, _question: HealthQuestion) -> Health:
         try:
             words = harmless(str(self._operator.headline()), MOST_WORDS)
         except Exception as error:  # the thread that asks every second makes an end of it
             words = harmless(error_text(error))
-        reply(write_health(examine(self.plan, self._node, self._ledger, words)))
+        return examine(self.plan, self._node, self._ledger, words)
 
-    def _on_config(self, question: bytes, reply: OnBytes) -> None:
-        if not self._runner.between(lambda: self._live.answer(question, reply)):
-            reply(msgspec.msgpack.encode(self._live.describe(self._overrun())))
-
-    def _on_command(self, question: bytes, reply: OnBytes) -> None:
+    def _command(self, question: Command) -> Outcome:
         name, operator = self._node.name, self._operator
-        if not self._runner.between(lambda: obey(name, operator, question, reply)):
-            reply(write_outcome(Outcome(refused=self._overrun())))
+        return Outcome(answer=carry_out(name, operator, question.command, question.arguments))
 
-    def _overrun(self) -> str:
-        return f"{self._node.name}: too many questions wait already"
+
+def respond(
+    node: str,
+    kind: Kind[Q] | type[Q],
+    question: bytes,
+    act: Callable[[Q], ControlMessage],
+    reply: OnBytes,
+) -> None:
+    """Reply with what `act` makes of a question, or with why not, which changed nothing.
+
+    An exception that is no `FoveaError` is told of and raised: the operator broke.
+    """
+    try:
+        answer = encode(act(decode(kind, question)))
+    except FoveaError as error:
+        answer = encode(refused(str(error)))
+    except Exception as error:
+        reply(encode(refused(f"{node}: it broke and starts again: {error_text(error)}")))
+        raise
+    reply(answer)

@@ -7,39 +7,13 @@ nothing of it moves at all; to wait for input, for credit or for a model is no i
 import os
 import time
 
-import msgspec
 import psutil
 
-from pipeline import codec
 from pipeline.bus.ledger import Ledger, NodeAccount
 from pipeline.graph.plan import Node, Plan
+from pipeline.protocol.questions import Health
 
-HEALTH = "@health"  # the key below a node's own that answers
 FROZEN_S = 3.0  # no heartbeat for this long: the process does not run at all
-
-
-class Health(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """What a node says of itself."""
-
-    node: str
-    process: str
-    host: str
-    pid: int
-    epoch: int  # which instance this is
-    state: str
-    problem: str  # one sentence; empty while all is well
-    handled: int  # messages, by all instances together
-    last_seq: int
-    busy_s: float  # with the message in hand, 0 without one
-    silent_s: float  # since its last heartbeat
-    own_mb: float  # memory of its process that it shares with nobody
-    words: str  # what the operator itself tells
-    waiting: dict[str, int]  # messages under way, by input
-    dropped: dict[str, dict[str, int]]  # by input and reason
-    broken: tuple[str, ...]  # outputs' edges on which a lossless reader lost something
-
-
-_HEALTH = msgspec.msgpack.Decoder(Health)
 
 
 def problem(node: Node, account: NodeAccount, now_ns: int) -> str:
@@ -89,13 +63,3 @@ def own_mb(process: psutil.Process) -> float:
     """Resident megabytes that are not mapped from files: pools and libraries do not count."""
     memory = process.memory_info()
     return float(memory.rss - memory.shared) / 1e6
-
-
-def write_health(health: Health) -> bytes:
-    """The bytes of the answer."""
-    return msgspec.msgpack.encode(health)
-
-
-def read_health(answer: bytes) -> Health:
-    """What a node answered; raises `MessageError` for bytes that are none."""
-    return codec.parse(_HEALTH.decode, answer, "not an answer about health")

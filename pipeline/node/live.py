@@ -1,38 +1,22 @@
-"""Settings that change while an operator runs: a question of a few bytes in, an answer out.
+"""Settings that change while an operator runs, all of a question or none of it.
 
-A question is a msgpack map of setting to value, or empty: then nothing changes. The answer tells
-every setting's effective value and which of them are live, or why the change was refused. What was
-changed is kept in a file, so that an operator that dies comes back with it.
+What was changed is kept in a file, so that an operator that dies comes back with it.
 """
 
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from pipeline import codec
 from pipeline import settings as checked
 from pipeline.contract import Operator, live_of, settings_of
 from pipeline.errors import FoveaError, RunError, SettingsError
 from pipeline.private_folder import PrivateFolder
-from pipeline.text import error_text, harmless
+from pipeline.protocol.questions import ConfigQuestion, NodeSettings
 
-CONFIG = "@config"  # the key below a node's own that answers
-
-
-class Answer(msgspec.Struct, forbid_unknown_fields=True):
-    """What a node says of its settings."""
-
-    settings: dict[str, Any] = {}
-    live: tuple[str, ...] = ()
-    refused: str = ""  # one sentence; empty when everything asked for holds now
-
-
-_QUESTION = msgspec.msgpack.Decoder(dict[str, Any])
-_ANSWER = msgspec.msgpack.Decoder(Answer)
 _KEPT = msgspec.json.Decoder(dict[str, Any])
 MOST_KEPT_BYTES = 1 << 20
 log = logging.getLogger(__name__)
@@ -69,42 +53,17 @@ class Live:
             raise SettingsError(f"{self._node}: cannot be kept: {error}") from error
         self._values = values
 
-    def describe(self, refused: str = "") -> Answer:
+    def describe(self) -> NodeSettings:
         """The effective values."""
-        return Answer(
-            settings=checked.plain(self._operator.settings),
-            live=live_of(type(self._operator)),
-            refused=refused,
+        return NodeSettings(
+            settings=checked.plain(self._operator.settings), live=live_of(type(self._operator))
         )
 
-    def answer(self, question: bytes, reply: Callable[[bytes], None]) -> None:
-        """Do what is asked and tell; an operator that breaks over it is told of, and raises."""
-        refused = ""
-        try:
-            if question:
-                self.change(read_question(question))
-        except FoveaError as error:
-            refused = harmless(str(error))
-        except Exception as error:
-            broken = f"{self._node}: it broke and starts again: {harmless(error_text(error))}"
-            reply(msgspec.msgpack.encode(self.describe(broken)))
-            raise
-        reply(msgspec.msgpack.encode(self.describe(refused)))
-
-
-def write_question(changes: Mapping[str, Any]) -> bytes:
-    """The bytes that ask for changes; none ask only for the values."""
-    return msgspec.msgpack.encode(dict(changes)) if changes else b""
-
-
-def read_question(question: bytes) -> dict[str, Any]:
-    """The changes asked for; raises `MessageError` for bytes that are none."""
-    return codec.parse(_QUESTION.decode, question, "expected a msgpack map of setting to value")
-
-
-def read_answer(answer: bytes) -> Answer:
-    """What a node answered; raises `MessageError` for bytes that are none."""
-    return codec.parse(_ANSWER.decode, answer, "not an answer about settings")
+    def configure(self, question: ConfigQuestion) -> NodeSettings:
+        """Change what is asked for, as `change` does; the effective values."""
+        if question.changes:
+            self.change(question.changes)
+        return self.describe()
 
 
 def keep(file: Path, values: Mapping[str, Any]) -> None:

@@ -8,16 +8,22 @@ from contextlib import contextmanager
 from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.node.wiring import key_of
+from pipeline.protocol.codec import encode
+from pipeline.protocol.questions import KEYS, NodeQuestion
 from pipeline.run.rundir import folder_of
 
 TIMEOUT_S = 5.0  # a node answers between two frames; one that hangs does not
 _COUNT = itertools.count()  # several threads may ask
 
 
-def ask_local(folder: str, graph: str, node: str, question: str, payload: bytes) -> bytes:
-    """Likewise, of a graph that runs in a folder of that name; raises `RunError` for silence."""
+def ask_local(folder: str, graph: str, node: str, question: NodeQuestion) -> bytes:
+    """The answer of a node of a graph that runs in a folder of that name, or its refusal.
+
+    Raises `RunError` for silence.
+    """
     with client_session(folder, "ask") as session:
-        answer = session.ask(key_of(graph, node, question), payload, TIMEOUT_S)
+        key = key_of(graph, node, KEYS[type(question)])
+        answer = session.ask(key, encode(question), TIMEOUT_S)
     if answer is None:
         raise RunError(
             f"{folder}: {node} gave no answer for {TIMEOUT_S:.0f} s; see `fovea logs {node}`"

@@ -94,9 +94,9 @@ def run_processes(plan: Plan, frames: int, duration_s: float) -> Report:
     with Supervisor(plan, frames=frames) as supervisor:
         supervisor.start()
         began_s = supervisor.started_s
-        while not supervisor.finished and not (
-            duration_s and time.monotonic() - began_s >= duration_s
-        ):
+        while not (supervisor.finished or supervisor.end_requests):
+            if duration_s and time.monotonic() - began_s >= duration_s:
+                break
             supervisor.tick()
         elapsed_s = time.monotonic() - began_s
         supervisor.finish()

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from pipeline.errors import FoveaError, RunError
+from pipeline.protocol.codec import refused
+from pipeline.protocol.orders import Done, Refused, Result
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_handle import ProcessHandle, ending
 from pipeline.run.process_manager import ProcessManager
-from pipeline.text import error_text, harmless
+from pipeline.text import error_text
 
 log = logging.getLogger(__name__)
 
@@ -22,7 +24,7 @@ class Operation:
 
     def __init__(self, manager: ProcessManager, steps: Iterator[None]) -> None:
         self.manager, self._steps = manager, steps
-        self.result: dict[str, Any] | None = None
+        self.result: Result | None = None
         self.facts: dict[str, Any] = {}
         self._said: dict[int, dict[str, dict[str, Any]]] = {}  # pid -> event -> what
 
@@ -33,10 +35,10 @@ class Operation:
         except StopIteration:
             self._finish("")
         except FoveaError as error:
-            self._finish(harmless(str(error)))
+            self._finish(str(error))
         except Exception as error:  # an order must not end the graph
             log.exception("%s broke", self.kind)
-            self._finish(f"it broke: {harmless(error_text(error))}")
+            self._finish(f"it broke: {error_text(error)}")
 
     def on_event(self, pid: int, event: dict[str, Any]) -> bool:
         """Take note of an event; True when nobody else needs it."""
@@ -79,8 +81,15 @@ class Operation:
         handle.bury()  # its socket is read to the end; the next tick hears what was in it
         yield
 
-    def _finish(self, refused: str) -> None:
-        self.result = {**self.facts, "refused": refused}
+    def done(self) -> Done:
+        """The result, once every step was taken."""
+        raise NotImplementedError
+
+    def _finish(self, why: str) -> None:
+        rolled_back = bool(self.facts.get("rolled_back"))
+        self.result = refused(why, rolled_back=rolled_back) if why else self.done()
         words = ", ".join(f"{k} {v}" for k, v in self.facts.items())
-        why = f": {refused}" if refused else ""
-        (log.error if refused else log.info)("%s: %s%s", self.kind, words, why)
+        log.log(
+            logging.ERROR if why else logging.INFO, "%s: %s%s", self.kind, words,
+            f": {self.result.reason}" if isinstance(self.result, Refused) else "",
+        )  # fmt: skip

@@ -50,6 +50,7 @@ class ProcessManager:
             ProcessHandle, float
         ] = {}  # when those are killed that shall end, monotonic
         self.asked_to_end: Callable[[], int] = lambda: 0  # how often: more than once is in haste
+        self.stop_orders = 0  # likewise, by clients
         self.spare = WarmSpare(partial(self._spawn, wanted=False))
         self._health = HealthMonitor()
         self.processes = {
@@ -67,6 +68,11 @@ class ProcessManager:
         self._finished: set[str] = set()
 
     @property
+    def end_requests(self) -> int:
+        """How often the run was asked to end."""
+        return self.asked_to_end() + self.stop_orders
+
+    @property
     def all_going(self) -> bool:
         """Every process works."""
         return all(managed.handle and managed.handle.going for managed in self.processes.values())
@@ -80,7 +86,7 @@ class ProcessManager:
     def begin_all(self) -> None:
         """Start every process; the caller goes on with `tick`."""
         for managed in reversed(self.processes.values()):
-            if not self.asked_to_end():
+            if not self.end_requests:
                 self.begin(managed)
         self.note()
 

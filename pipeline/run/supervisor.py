@@ -11,7 +11,8 @@ from typing import Any
 from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
-from pipeline.run.control_server import COMMAND, ControlServer
+from pipeline.protocol.orders import GRAPH
+from pipeline.run.control_server import ControlServer
 from pipeline.run.descendants import end_tagged
 from pipeline.run.health import late
 from pipeline.run.managed_process import ManagedProcess
@@ -46,7 +47,7 @@ class Supervisor(ProcessManager):
             self._run.release()
             raise
         self.control = ControlServer(self)
-        self._hub.answer(f"fovea/{plan.name}/{COMMAND}", self.control.ask)
+        self._hub.answer(f"fovea/{plan.name}/{GRAPH}", self.control.ask)
         self.summaries: dict[str, dict[str, Any]] = {}
         self.left_out: dict[str, str] = {}  # by node: what the report lacks of its summary
         self._summed: dict[str, int] = {}  # the process whose summary is kept, by node
@@ -70,7 +71,7 @@ class Supervisor(ProcessManager):
         """
         self.begin_all()
         deadline = time.monotonic() + max(node.start_s for node in self.plan.nodes)
-        while not self.all_going and not self.asked_to_end():
+        while not self.all_going and not self.end_requests:
             self.tick()
             if self.failure:
                 raise RunError(self.failure)
@@ -112,7 +113,7 @@ class Supervisor(ProcessManager):
             if self.finished and self._drained():
                 self._write_off()
                 return
-            if self.asked_to_end() and (self.in_haste or now_s - began_s > DRAIN_S):
+            if self.end_requests and (self.in_haste or now_s - began_s > DRAIN_S):
                 return
             self.tick()
             now_s = time.monotonic()
@@ -142,7 +143,7 @@ class Supervisor(ProcessManager):
     @property
     def in_haste(self) -> bool:
         """Whether the run was asked to end more than once: nothing is waited for."""
-        return self.asked_to_end() > 1
+        return self.end_requests > 1
 
     def stop(self) -> None:
         """Stop every process and what it started, collect what they have to say."""

@@ -15,10 +15,10 @@ import msgspec
 
 from pipeline.bus.ledger import NodeAccount
 from pipeline.errors import RunError
-from pipeline.graph.limits import BudgetMs, FrameCount, SomeFrames, Word
 from pipeline.graph.plan import Plan
 from pipeline.node.live import keep, kept
 from pipeline.node.wiring import swappable
+from pipeline.protocol.orders import ShadowReport, SwapOrder, SwapResult
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation
 from pipeline.run.process_handle import KILLED_S, ProcessHandle, ending
@@ -41,19 +41,6 @@ DRAIN_S = 5.0
 SOONEST = 5  # frames after which a successor may be found too slow
 SLOWER, LEAST_BUDGET_MS = 3.0, 20.0  # than the old part, when no budget is given
 log = logging.getLogger(__name__)
-
-
-class SwapOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="swap"):
-    """What `fovea swap` asks for."""
-
-    node: Word
-    operator: Word = ""  # "": the same, with other settings or from a changed file
-    changes: dict[str, Any] = {}
-    defaults: bool = False  # do not keep the settings that the node has
-    at: FrameCount = 0  # the cut comes at this frame or later
-    shadow: FrameCount = 0
-    probation: SomeFrames = 30
-    budget_ms: BudgetMs = 0.0  # 0: three times the old part's median
 
 
 class SwapOperation(Operation):
@@ -101,7 +88,11 @@ class SwapOperation(Operation):
         """The run ends: the process that does not work, to be ended with the others."""
         return [self._other] if self._other else []
 
-    def _finish(self, refused: str) -> None:
+    def done(self) -> SwapResult:
+        """What was swapped, and how."""
+        return SwapResult(**self.facts)
+
+    def _finish(self, why: str) -> None:
         if self._other is not None:
             self.manager.dismiss(self._other)
             self._other = None
@@ -112,9 +103,9 @@ class SwapOperation(Operation):
             self._managed.next_start_s = (
                 time.monotonic()
             )  # it could not be started: the manager retries
-        if refused and self._hot and self._managed.handle is not None:
+        if why and self._hot and self._managed.handle is not None:
             self._managed.handle.order("uncut", node=self._node.name)
-        super()._finish(refused)
+        super()._finish(why)
 
     # hot: a successor stands by
 
@@ -196,7 +187,8 @@ class SwapOperation(Operation):
         if "uncut" in heard:
             raise RunError(f"{self._node.name}: {heard['uncut']['reason']}")
         told = self.heard(new)["shadowed"]
-        self.facts["shadow"] = {k: v for k, v in told.items() if k not in ("event", "node")}
+        report = {k: v for k, v in told.items() if k not in ("event", "node")}
+        self.facts["shadow"] = msgspec.convert(report, ShadowReport)
 
     def _cut(self, old: ProcessHandle, new: ProcessHandle) -> Iterator[None]:
         """Wait until the old part has stopped, or let it go on."""

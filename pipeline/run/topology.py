@@ -8,13 +8,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-import msgspec
-from pydantic import ValidationError
-
 from pipeline.class_cache import adapter
 from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan, sources
 from pipeline.graph.ports import check_ports
+from pipeline.protocol.orders import PlanOrder, TopologyResult
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation, log
 from pipeline.run.process_handle import ProcessHandle
@@ -25,13 +23,6 @@ TELL_S = 5.0
 REST_S = 1.0
 
 
-class PlanOrder(msgspec.Struct, forbid_unknown_fields=True, kw_only=True, tag="plan"):
-    """The plan that shall run, made by the loader from the one of that revision."""
-
-    plan: dict[str, Any]
-    revision: int
-
-
 class TopologyOperation(Operation):
     """One change of the plan."""
 
@@ -40,10 +31,7 @@ class TopologyOperation(Operation):
     def __init__(self, manager: ProcessManager, order: PlanOrder) -> None:
         if order.revision != manager.revision:
             raise RunError(f"{manager.plan.name}: it was changed meanwhile, try again")
-        try:
-            wanted = adapter(Plan).validate_python(order.plan)
-        except ValidationError as error:
-            raise RunError(f"not a plan: {error.errors()[0]['msg']}") from error
+        wanted = order.plan
         same = ("name", "clock", "hosts", "here")
         if any(getattr(wanted, name) != getattr(manager.plan, name) for name in same):
             raise RunError(
@@ -75,6 +63,10 @@ class TopologyOperation(Operation):
         super().on_event(pid, event)
         mine = any(managed.handle and managed.handle.pid == pid for managed in self._mine)
         return mine and event.get("event") in ("failed", "finished")
+
+    def done(self) -> TopologyResult:
+        """What came and went."""
+        return TopologyResult(**self.facts)
 
     def _check(self) -> None:
         """What cannot be done while it runs; raises `RunError`."""

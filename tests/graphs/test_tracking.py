@@ -13,9 +13,9 @@ import pytest
 
 from pipeline.console.running import status_line
 from pipeline.graph.loader import load
+from pipeline.protocol.orders import Result, SwapOrder
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.swap import SwapOrder
-from tests.sample_graphs import handled, wait_for
+from tests.sample_graphs import handled, reasons, wait_for
 from tests.shared_data import Footage
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -60,21 +60,22 @@ def test_a_model_file_is_swapped_as_any_setting_and_a_missing_one_is_refused(
     tmp_path: Path,
 ) -> None:
     other = shutil.copy(ROOT / "operators" / "saliency" / "detector.onnx", tmp_path / "other.onnx")
-    answers: list[dict[str, Any]] = []
+    answers: list[Result] = []
     with Supervisor(load(GRAPH)) as supervisor:
         supervisor.start()
         wait_for(supervisor, lambda: handled(supervisor, "saliency") > 3, 60)
         for weights in (other, tmp_path / "none.onnx"):
             order = SwapOrder(node="saliency", changes={"weights": str(weights)}, probation=5)
             wanted = len(answers) + 1
-            supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
+            supervisor.control.take(order, answers.append)
             wait_for(supervisor, partial(lambda count: len(answers) >= count, wanted), 60)
         before = handled(supervisor, "saliency")
         wait_for(supervisor, lambda: handled(supervisor, "saliency") > before + 5, 60)
         supervisor.stop()
 
-    assert not answers[0]["refused"]
-    assert "no such weights" in answers[1]["refused"]
+    first, second = reasons(answers)
+    assert first == ""
+    assert "no such weights" in second
 
 
 @pytest.mark.footage

@@ -12,14 +12,15 @@ from operators.examples.blend import Blend
 from operators.examples.brighten import Brighten
 from operators.examples.meter import Meter, MeterSettings
 from operators.examples.motion import Motion, MotionSettings
-from pipeline.commands import carry_out, write_order
+from pipeline.commands import carry_out
 from pipeline.console.operating import tell
+from pipeline.errors import SettingsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
 from pipeline.graph.shipped import FOLDER, graph_names
+from pipeline.protocol.orders import SwapOrder, SwapResult
 from pipeline.run.inline import InlineRunner
-from pipeline.run.swap import SwapOrder
 from tests.sample_graphs import beside, go, handled, wait_for
 
 NAMES = [name for name in graph_names() if name.startswith("examples/")]
@@ -119,17 +120,17 @@ def test_motion_goes_on_with_what_another_instance_has_learned() -> None:
 
 def test_motion_keeps_its_background_over_a_swap_of_processes(tmp_path: Path) -> None:
     plan = renamed(tmp_path, "examples/motion", clock="realtime")
-    result: dict[str, Any] = {}
+    results: list[SwapResult] = []
 
     def during(supervisor: Any) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "motion") > 5)
         order = SwapOrder(node="motion", changes={"rate": 0.2}, probation=5, budget_ms=60_000.0)
-        result.update(beside(supervisor, lambda: tell(plan.name, order)))
+        results.append(beside(supervisor, lambda: tell(plan.name, order)))
         supervisor.finish()
 
     go(plan, 0, during)
 
-    assert result["state"] == "carried over"
+    assert results[0].state == "carried over"
 
 
 def test_the_limit_of_the_meter_changes_while_it_runs() -> None:
@@ -149,12 +150,12 @@ def test_the_meter_does_what_it_is_told() -> None:
     for seq, value in enumerate((5, 9, 7)):
         meter.on_frame(frame(seq, value))
 
-    told = carry_out("meter", meter, write_order("brightest", {"count": 2}))
-    refused = carry_out("meter", meter, write_order("brightest", {"count": 0}))
-    carry_out("meter", meter, write_order("forget", {}))
+    told = carry_out("meter", meter, "brightest", {"count": 2})
+    with pytest.raises(SettingsError, match=r"^brightest\.count: must be at least 1, got 0$"):
+        carry_out("meter", meter, "brightest", {"count": 0})
+    carry_out("meter", meter, "forget", {})
 
-    assert told.answer == {"frames": [1, 2], "means": [9.0, 7.0]}
-    assert refused.refused == "brightest.count: must be at least 1, got 0"
+    assert told == {"frames": [1, 2], "means": [9.0, 7.0]}
     assert meter.summary() == {"brightness": {"frames": 0, "alarms": 0}}
 
 

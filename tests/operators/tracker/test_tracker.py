@@ -10,7 +10,7 @@ from operators.tracker import CorrelationSettings, CorrelationTracker
 from pipeline import Percept, SettingsError
 from pipeline.boxes import iou
 from pipeline.codec import dumps, loads
-from pipeline.commands import Outcome, carry_out, write_order
+from pipeline.commands import carry_out
 from pipeline.testing import drive, header
 from tests.operators.tracker.made_up import World
 
@@ -29,8 +29,8 @@ def opened(**settings: Any) -> CorrelationTracker:
     return subject
 
 
-def told(subject: CorrelationTracker, command: str, **arguments: Any) -> Outcome:
-    return carry_out("tracker", subject, write_order(command, arguments))
+def told(subject: CorrelationTracker, command: str, **arguments: Any) -> dict[str, Any]:
+    return carry_out("tracker", subject, command, arguments)
 
 
 @pytest.mark.parametrize("roi", [True, False])
@@ -123,8 +123,7 @@ def test_told_to_follow_a_box_it_does_so_whatever_the_policy_shows():
             outcome = told(subject, "follow", box=WORLD.box(2).tolist())
         percepts.append(subject.on_context_roi(**WORLD.frames(k)))
 
-    assert not outcome.refused
-    assert outcome.answer == {"following": WORLD.box(2).tolist()}
+    assert outcome == {"following": WORLD.box(2).tolist()}
     assert min(overlap(p) for p in percepts[2:]) > 0.8
     assert percepts[-1].ids.tolist() == [-1]
 
@@ -137,7 +136,7 @@ def test_reset_lets_go_and_starts_again_on_what_the_policy_shows():
     outcome = told(subject, "reset")
     there = subject.on_context_roi(**WORLD.frames(1, at=WORLD.other_box()[:2]))
 
-    assert outcome.answer == {"forgotten": 1}
+    assert outcome == {"forgotten": 1}
     assert there.ids.tolist() == [3]
     assert there.boxes.tolist() == [WORLD.other_box().tolist()]
 
@@ -147,9 +146,9 @@ def test_what_is_no_box_is_refused_and_changes_nothing(box):
     subject = opened(**START)
     subject.on_context_roi(**WORLD.frames(0))
 
-    outcome = told(subject, "follow", box=box)
+    with pytest.raises(SettingsError, match=r"follow\.box: expected left, top, right, bottom"):
+        told(subject, "follow", box=box)
 
-    assert "follow.box: expected left, top, right, bottom" in outcome.refused
     assert overlap(subject.on_context_roi(**WORLD.frames(1))) > 0.8
 
 

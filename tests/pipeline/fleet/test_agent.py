@@ -31,9 +31,9 @@ from pipeline.fleet.deploy import (
 )
 from pipeline.fleet.hosted_graph import HostedSupervisor
 from pipeline.fleet.names import agent_key, host_identity
-from pipeline.node.interface import SCHEMA, read_interface
+from pipeline.protocol.orders import SwapOrder
+from pipeline.protocol.questions import Interface, SchemaQuestion
 from pipeline.run.rundir import base
-from pipeline.run.swap import SwapOrder
 from tests.pipeline.fleet.agents import (
     TRIO,
     Running,
@@ -148,11 +148,11 @@ def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path)
     assert ask("trio", "work", {"hold": 2}).settings["hold"] == 2
     assert "no path from outside" in refusal(partial(ask, "trio", "work", {"hold": "../x"}))
     assert "no node wrok, did you mean 'work'" in refusal(partial(ask, "trio", "wrok", {}))
-    assert tell_node("trio", "work", "recall", {}).refused == ""
-    assert set(read_interface(ask_node("trio", "count", SCHEMA, b"")).inputs) == {"frame"}
+    assert tell_node("trio", "work", "recall", {}).answer["held"]
+    assert set(ask_node("trio", "count", SchemaQuestion(), Interface).inputs) == {"frame"}
 
     done = tell("trio", SwapOrder(node="work", operator="tests.samples:PassEvery", probation=5))
-    assert done["proven_frames"] >= 5
+    assert done.proven_frames >= 5
     assert "not on the allow list" in refusal(
         partial(tell, "trio", SwapOrder(node="work", operator="tests.samples:Nosy"))
     )

@@ -14,7 +14,7 @@ from pipeline.fleet.status_tables import (
     top_tables,
 )
 from pipeline.fleet.wire import Process, State
-from pipeline.node.live import Answer
+from pipeline.protocol.questions import NodeSettings
 
 NODES = {"capture": "sensor", "saliency": "compute", "policy": "compute"}
 
@@ -74,4 +74,6 @@ def test_words_from_outside_are_no_markup() -> None:
     assert why in "".join(ps("sensor", [state("sensor", "[/x]", phase="failed", failure=why)]))
     assert "[/x]" in "".join(ps("sensor", [state("sensor", "[/x]")]))
     assert "[/a]" in "".join(shown(health_table({"[/g]": {"[/a]": None}})))
-    assert "[/tmp]" in "".join(shown(settings_table(Answer({"at": ["[/tmp]"]}))))
+    assert "[/tmp]" in "".join(
+        shown(settings_table(NodeSettings(settings={"at": ["[/tmp]"]}, live=())))
+    )

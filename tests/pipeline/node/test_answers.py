@@ -1,6 +1,7 @@
 """Every node answers four questions, one by one or all by a wildcard; one that hangs says so."""
 
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import Frame, Operator, RunError, SettingsError
+from pipeline import Frame, Operator, SettingsError
 from pipeline.codec import fingerprint
-from pipeline.commands import carry_out, commands_of, obey, read_outcome, write_order
+from pipeline.commands import carry_out, commands_of
 from pipeline.console.graph_client import ask_node, fleet_health, tell
-from pipeline.node.health import Health
-from pipeline.node.interface import SCHEMA, interface, read_interface
+from pipeline.node.answers import respond
+from pipeline.node.interface import interface
+from pipeline.protocol.codec import Refused, decode, encode
+from pipeline.protocol.questions import Command, Health, Interface, Outcome, SchemaQuestion
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import header
 from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, until, wait_for
@@ -31,10 +34,15 @@ def work(*seqs: int) -> Pass:
     return operator
 
 
-def test_a_command_is_done_and_answered() -> None:
-    order = write_order("recall", {"last": 2, "doubled": True})
+def commanded(operator: Pass) -> Callable[[Command], Outcome]:
+    """What a node does with a command."""
+    return lambda c: Outcome(answer=carry_out("work", operator, c.command, c.arguments))
 
-    assert carry_out("work", work(1, 2, 3), order).answer == {"held": [4, 6]}
+
+def test_a_command_is_done_and_answered() -> None:
+    done = carry_out("work", work(1, 2, 3), "recall", {"last": 2, "doubled": True})
+
+    assert done == {"held": [4, 6]}
 
 
 @pytest.mark.parametrize(
@@ -50,24 +58,26 @@ def test_a_command_is_done_and_answered() -> None:
 def test_an_order_that_makes_no_sense_is_refused(
     command: str, arguments: dict[str, Any], said: str
 ) -> None:
-    refused = carry_out("work", work(1), write_order(command, arguments)).refused
-
-    with pytest.raises(RunError, match=said):
-        raise RunError(refused)
+    with pytest.raises(SettingsError, match=said):
+        carry_out("work", work(1), command, arguments)
 
 
 @given(st.binary(max_size=60))
 def test_noise_orders_nothing(noise: bytes) -> None:
-    assert carry_out("work", work(1), noise).refused.startswith("work: not an order")
+    answers: list[bytes] = []
+
+    respond("work", Command, noise, commanded(work(1)), answers.append)
+
+    assert decode(Refused, answers[0]).reason.startswith("not a Command")
 
 
 def test_an_operator_that_breaks_over_a_command_is_told_of_and_raises() -> None:
-    answers: list[bytes] = []
+    told, answers = encode(Command("break_down")), list[bytes]()
 
     with pytest.raises(ValueError, match="told to break"):
-        obey("work", work(), write_order("break_down", {}), answers.append)
+        respond("work", Command, told, commanded(work()), answers.append)
 
-    assert "starts again: ValueError: told to break" in read_outcome(answers[0]).refused
+    assert "starts again: ValueError: told to break" in decode(Refused, answers[0]).reason
 
 
 def test_commands_name_methods_whose_arguments_have_types() -> None:
@@ -104,7 +114,7 @@ def test_a_running_graph_answers_every_question(tmp_path: Path) -> None:
 
         fleet = fleet_health(plan.name)
         held = tell(plan.name, "work", "recall", {"last": 2}).answer["held"]
-        shown = read_interface(ask_node(plan.name, "pair", SCHEMA, b""))
+        shown = ask_node(plan.name, "pair", SchemaQuestion(), Interface)
 
         assert list(fleet) == ["ticker", "work", "pair", "steer"]
         for node, health in fleet.items():

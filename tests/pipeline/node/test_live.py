@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 from pipeline import Operator, RunError, SettingsError
 from pipeline.console.changing import ask
 from pipeline.contract import live_of
-from pipeline.node.live import Live, kept, read_answer, write_question
+from pipeline.node.answers import respond
+from pipeline.node.live import Live, kept
+from pipeline.protocol.codec import Refused, decode, encode
+from pipeline.protocol.questions import ConfigQuestion
 from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, wait_for
@@ -81,21 +84,22 @@ def test_noise_is_answered_and_changes_nothing_that_must_not_change(noise: bytes
     operator, live = work()
     answers: list[bytes] = []
 
-    live.answer(noise, answers.append)
+    respond("work", ConfigQuestion, noise, live.configure, answers.append)
 
-    answer = read_answer(answers[0])
-    assert answer.settings["every"] == operator.settings.every >= 1
+    assert decode(Refused, answers[0]).reason.startswith("not a ConfigQuestion")
+    assert operator.settings.every == 1
     assert operator.settings.sleep_s == 0
 
 
 def test_an_operator_that_breaks_over_a_change_is_told_of_and_raises() -> None:
     _, live = work()
+    told = encode(ConfigQuestion({"hold": -1}))
     answers: list[bytes] = []
 
     with pytest.raises(ValueError, match="told to break"):
-        live.answer(write_question({"hold": -1}), answers.append)
+        respond("work", ConfigQuestion, told, live.configure, answers.append)
 
-    assert "starts again: ValueError: told to break" in read_answer(answers[0]).refused
+    assert "starts again: ValueError: told to break" in decode(Refused, answers[0]).reason
 
 
 def test_live_names_settings() -> None:
@@ -138,8 +142,8 @@ def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_tol
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 3)
         assert ask(plan.name, "work", {"every": 2}).settings["every"] == 2
         assert ask(plan.name, "ticker", {"rate_hz": 90}).settings["rate_hz"] == 90
-        refused = ask(plan.name, "work", {"every": 0})
-        assert "must be at least 1" in refused.refused
+        with pytest.raises(RunError, match="must be at least 1"):
+            ask(plan.name, "work", {"every": 0})
         send_signal(supervisor, "work", signal.SIGKILL)
         wait_for(supervisor, lambda: supervisor.restarts.get("work") == 1)
         index = plan.node("work").index

@@ -26,6 +26,7 @@ import logging, signal, sys
 from pathlib import Path
 from pipeline.console.graph_client import tell
 from pipeline.console.changing import ask
+from pipeline.errors import RunError
 from pipeline.graph.loader import load
 from tests.sample_graphs import (
     assert_accounts_add_up, go, handled, send_signal, wait_for, wait_for_progress,
@@ -39,8 +40,14 @@ def during(supervisor):
                 pass
         except OSError:
             pass
-    print(ask(plan.name, "work", {"every": 2}).refused)
-    print(tell(plan.name, "work", "break_down", {}).refused)
+    for act in (
+        lambda: ask(plan.name, "work", {"every": 2}),
+        lambda: tell(plan.name, "work", "break_down", {}),
+    ):
+        try:
+            act()
+        except RunError as error:
+            print(error)
     wait_for(supervisor, lambda: supervisor.pid("pair"))
     send_signal(supervisor, "pair", signal.SIGKILL)
     wait_for(supervisor, lambda: supervisor.restarts == {"work": 1, "pair": 1})

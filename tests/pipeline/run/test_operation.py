@@ -6,9 +6,11 @@ from typing import Any, cast
 
 import pytest
 
+from pipeline.protocol.orders import Refused, StopResult
 from pipeline.run.operation import Operation
 from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.process_manager import ProcessManager
+from tests.sample_graphs import reasons
 
 ENDED = cast(ProcessHandle, SimpleNamespace(name="work", pid=7, ended=lambda: 0, bury=bool))
 
@@ -18,6 +20,9 @@ class Checked(Operation):
 
     def __init__(self) -> None:
         super().__init__(cast(ProcessManager, None), self._steps_of_it())
+
+    def done(self) -> StopResult:
+        return StopResult(graph="g", pid=1)
 
     def _steps_of_it(self) -> Iterator[None]:
         yield from self.until(lambda: "fits" in self.heard(ENDED), 60, "no answer", of=ENDED)
@@ -38,7 +43,8 @@ def test_its_last_words_count(word: dict[str, Any], refused: str) -> None:
     order.on_event(ENDED.pid, word)
     order.tick()
 
-    assert order.result == {"refused": refused}
+    assert isinstance(order.result, Refused if refused else StopResult)
+    assert reasons([order.result]) == [refused]
 
 
 def test_who_ends_without_a_word_has_failed() -> None:
@@ -47,4 +53,4 @@ def test_who_ends_without_a_word_has_failed() -> None:
     order.tick()
     order.tick()
 
-    assert order.result == {"refused": "work: it ended by exit status 0"}
+    assert order.result == Refused("work: it ended by exit status 0")

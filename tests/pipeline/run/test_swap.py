@@ -1,6 +1,5 @@
 """A part is replaced while its graph runs: nothing is lost, nothing comes twice."""
 
-import json
 import re
 import signal
 import subprocess
@@ -16,11 +15,11 @@ import pytest
 from pipeline import GraphError, RunError
 from pipeline.console.changing import ask
 from pipeline.console.operating import swap_lines, tell
+from pipeline.protocol.orders import Refused, Result, SwapOrder
 from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.swap import SwapOrder
 from tests.sample_graphs import (
     KILLED,
     LOOP,
@@ -32,7 +31,9 @@ from tests.sample_graphs import (
     go,
     handled,
     plan_of,
+    reasons,
     send_signal,
+    swapped,
     until,
     wait_for,
     wait_for_progress,
@@ -50,7 +51,7 @@ nodes:
     operator: tests.samples:Recall
     inputs: {percept: {from: work, depth: 60}}
 """
-Results = list[dict[str, Any]]
+Results = list[Result]
 UNHURRIED_MS = 60_000.0  # a frame: where no test is about a budget, a busy machine is no reason
 
 
@@ -63,7 +64,7 @@ def swapping(results: Results, *orders: SwapOrder) -> Callable[[Supervisor], Non
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, orders[0].node) > 3)
         for count, order in enumerate(orders, len(results) + 1):
-            supervisor.control.take(order, lambda answer: results.append(json.loads(answer)))
+            supervisor.control.take(order, results.append)
             wait_for(supervisor, partial(lambda wanted: len(results) >= wanted, count))
         supervisor.finish()
 
@@ -81,7 +82,7 @@ def test_no_frame_is_lost_and_none_comes_twice(tmp_path: Path) -> None:
 
     report = go(plan_of(tmp_path, LOSSLESS), 0, swapping(results, *orders))
 
-    assert [r["refused"] for r in results] == ["", ""]
+    assert reasons(results) == ["", ""]
     assert report["summaries"]["count"] == {"seen": list(range(exposed(report))), "torn": 0}
     assert_accounts_add_up(report)
     assert edge(report, "work.frame")["delivered"] == exposed(report)
@@ -96,10 +97,10 @@ def test_at_most_one_frame_is_left_out_where_the_latest_counts(tmp_path: Path) -
     plan = plan_of(tmp_path, LOOP, changes=("ticker.rate_hz=4",))
     report = go(plan, 0, swapping(results, *orders))
 
-    assert [r["refused"] for r in results] == [""] * 3
-    for result in results:
-        made_meanwhile = 1 + result["answered_ms"] * 4 / 1000  # and the one that was under way
-        assert result["left_out"]["frame"] <= 1 + made_meanwhile
+    assert reasons(results) == [""] * 3
+    for result in map(swapped, results):
+        made_meanwhile = 1 + result.answered_ms * 4 / 1000  # and the one that was under way
+        assert result.left_out["frame"] <= 1 + made_meanwhile
     assert_accounts_add_up(report)
 
 
@@ -109,7 +110,7 @@ def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_pat
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 0)
-        supervisor.control.take(order("work", at=200), lambda a: results.append(json.loads(a)))
+        supervisor.control.take(order("work", at=200), results.append)
         wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_receiver_epoch != 0)
         beside(supervisor, lambda: ask(plan.name, "ticker", {"rate_hz": 60}))
         wait_for(supervisor, lambda: bool(results))
@@ -117,8 +118,8 @@ def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_pat
 
     report = go(plan, 0, during)
 
-    assert (results[0]["refused"], results[0]["state"]) == ("", "carried over")
-    assert results[0]["seq"] == 199
+    assert swapped(results[0]).state == "carried over"
+    assert swapped(results[0]).seq == 199
     assert report["summaries"]["recall"]["said"] == [[n, n + 1] for n in range(exposed(report))]
 
 
@@ -132,13 +133,14 @@ def test_a_shadow_run_tells_how_the_answers_differ(
     inline = ("ticker.side_px=50",)  # a picture in a slot may be gone when a late shadow looks
     report = go(plan_of(tmp_path, TALLY, changes=inline), 0, swapping(results, shadowed))
 
-    shadow = results[0]["shadow"]
-    assert (shadow["frames"], shadow["identical"], shadow["missed"]) == (15, alike, 0)
+    shadow = swapped(results[0]).shadow
+    assert shadow is not None
+    assert (shadow.frames, shadow.identical, shadow.missed) == (15, alike, 0)
     if change:
-        assert shadow["differences"]["action"]["frames"] == 15
-        assert shadow["differences"]["action"]["most"] >= 15
+        assert shadow.differences["action"].frames == 15
+        assert shadow.differences["action"].most >= 15
     counts = [count for _, count in report["summaries"]["recall"]["said"]]
-    cut = results[0]["seq"] + 1
+    cut = swapped(results[0]).seq + 1
     gain = change.get("gain", 1)
     assert counts == [*range(1, cut + 1), *(gain * n for n in range(cut + 1, len(counts) + 1))]
     assert_accounts_add_up(report)
@@ -158,8 +160,9 @@ def test_a_part_that_fails_its_probation_gives_way_to_the_old_one(tmp_path: Path
     )
 
     for said, result in zip(failures, results, strict=True):
-        assert said in result["refused"]
-        assert result["rolled_back"]
+        assert isinstance(result, Refused)
+        assert said in result.reason
+        assert result.rolled_back
     assert [seq for seq, _ in report["summaries"]["recall"]["said"]] == list(range(exposed(report)))
     assert edge(report, "work.frame")["delivered"] == exposed(report)
     assert_accounts_add_up(report)
@@ -176,7 +179,7 @@ def test_a_part_that_dies_while_its_successor_gets_ready_is_started_again(
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
-        supervisor.control.take(slow, lambda a: results.append(json.loads(a)))
+        supervisor.control.take(slow, results.append)
         account = account_of(supervisor, "work.frame")
         wait_for(supervisor, lambda: supervisor.processes["work"].promised > account.reader_epoch)
         send_signal(supervisor, "work", signal.SIGKILL)
@@ -186,7 +189,7 @@ def test_a_part_that_dies_while_its_successor_gets_ready_is_started_again(
 
     report = go(plan_of(tmp_path, LOSSLESS), 0, during)
 
-    assert "work: it ended meanwhile and starts again; try again" in results[0]["refused"]
+    assert "work: it ended meanwhile and starts again; try again" in reasons(results)[0]
     assert report["restarts"] == {"work": 1}
     assert_accounts_add_up(report)
 
@@ -197,9 +200,7 @@ def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         old = supervisor.pid("work")
-        supervisor.control.take(
-            order("work", probation=1_000_000), lambda a: results.append(json.loads(a))
-        )
+        supervisor.control.take(order("work", probation=1_000_000), results.append)
         wait_for(supervisor, lambda: supervisor.pid("work") != old)
         wait_for_progress(supervisor, "work")
         send_signal(supervisor, "work", signal.SIGKILL)
@@ -209,7 +210,7 @@ def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
 
     report = go(plan_of(tmp_path, LOSSLESS), 0, during)
 
-    assert "ended by signal SIGKILL" in results[0]["refused"]
+    assert "ended by signal SIGKILL" in reasons(results)[0]
     assert report["summaries"]["count"] == {"seen": list(range(exposed(report))), "torn": 0}
     assert edge(report, "work.frame")["delivered"] == exposed(report)
 
@@ -235,8 +236,9 @@ def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> N
     report = go(plan_of(tmp_path, LOSSLESS), 0, swapping(results, *orders))
 
     for said, result in zip(refusals, results, strict=True):
-        assert said in result["refused"]
-        assert "rolled_back" not in result
+        assert isinstance(result, Refused)
+        assert said in result.reason
+        assert not result.rolled_back
     assert report["summaries"]["count"]["seen"] == list(range(exposed(report)))
     assert_accounts_add_up(report)
 
@@ -255,7 +257,7 @@ def test_joined_inputs_and_latest_edges_keep_their_accounts(tmp_path: Path) -> N
 
     report = go(plan_of(tmp_path, LOOP), 0, swapping(results, *orders))
 
-    assert [r["refused"] for r in results] == ["", "", ""]
+    assert reasons(results) == ["", "", ""]
     assert_accounts_add_up(report)
     assert edge(report, "steer.percept")["dropped"] == {}
     assert edge(report, "steer.percept")["lost_in_crash"] == 0
@@ -265,15 +267,14 @@ def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
     results: Results = []
     plan = plan_of(tmp_path, LOOP, clock="lockstep")
 
-    swapped = go(plan, 0, swapping(results, order("pair")))
+    one = go(plan, 0, swapping(results, order("pair")))
     with InlineRunner(plan) as runner:
-        for _ in runner.run(exposed(swapped)):
+        for _ in runner.run(exposed(one)):
             pass
         plain = runner.report()
 
-    assert results[0]["refused"] == ""
-    assert 3 < results[0]["seq"] < exposed(swapped) - 1
-    assert swapped["schedule_sha256"] == plain["schedule_sha256"]
+    assert 3 < swapped(results[0]).seq < exposed(one) - 1
+    assert one["schedule_sha256"] == plain["schedule_sha256"]
 
 
 def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: Path) -> None:
@@ -289,12 +290,10 @@ def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: P
 
     report = go(plan_of(tmp_path, text), 0, swapping(results, *orders))
 
-    assert results[0]["refused"] == results[3]["refused"] == ""
-    assert all(r["gap_ms"] > 0 for r in (results[0], results[3]))
-    assert results[2] == {
-        "node": "work", "hot": False, "refused": "work.every: must be at least 1, got 0"
-    }  # fmt: skip
-    assert "told not to live for long; the old part was started again" in results[1]["refused"]
+    assert all(swapped(r).gap_ms > 0 for r in (results[0], results[3]))
+    assert not swapped(results[0]).hot
+    assert results[2] == Refused("work.every: must be at least 1, got 0")
+    assert "told not to live for long; the old part was started again" in reasons(results)[1]
     assert_accounts_add_up(report)
     assert report["failure"] == ""
     assert exposed(report) > 5  # it went on until it was told to finish
@@ -310,7 +309,7 @@ def test_a_part_that_shall_never_restart_is_not_started_by_a_swap_that_failed(
         supervisor.start()
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         never = order("work", at=1 << 30)
-        supervisor.control.take(never, lambda answer: results.append(json.loads(answer)))
+        supervisor.control.take(never, results.append)
         account = account_of(supervisor, "work.frame")
         wait_for(supervisor, lambda: account.next_receiver_epoch != 0)
         send_signal(supervisor, "work", signal.SIGKILL)
@@ -368,7 +367,7 @@ def test_an_order_that_the_end_of_the_run_overtakes_is_answered(tmp_path: Path) 
 
     with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
         supervisor.start()
-        supervisor.control.take(SwapOrder(node="work"), lambda a: results.append(json.loads(a)))
+        supervisor.control.take(SwapOrder(node="work"), results.append)
         supervisor.tick()
 
-    assert "the run ended before that was done" in results[0]["refused"]
+    assert "the run ended before that was done" in reasons(results)[0]

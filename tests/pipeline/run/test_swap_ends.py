@@ -1,24 +1,23 @@
 """What goes wrong with a successor, or with the run, in the middle of a swap, is cleared away."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pipeline.protocol.orders import Refused, Result, SwapOrder
 from pipeline.run.descendants import tagged
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.swap import SwapOrder
-from tests.sample_graphs import assert_accounts_add_up, ended, go, handled, until, wait_for
+from tests.sample_graphs import assert_accounts_add_up, ended, go, handled, reasons, until, wait_for
 from tests.unruly_graphs import unruly_plan
 
 
-def swap(supervisor: Supervisor, **changes: Any) -> list[dict[str, Any]]:
+def swap(supervisor: Supervisor, **changes: Any) -> list[Result]:
     """Begin a swap of the unruly part; its answer comes into the list."""
-    answers: list[dict[str, Any]] = []
+    answers: list[Result] = []
     wait_for(supervisor, lambda: handled(supervisor, "after") > 5, 60)
     order = SwapOrder(node="unruly", changes=changes, probation=5)
-    supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
+    supervisor.control.take(order, answers.append)
     return answers
 
 
@@ -32,7 +31,7 @@ def swap(supervisor: Supervisor, **changes: Any) -> list[dict[str, Any]]:
     ],
 )
 def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str, said: str) -> None:
-    answers: list[dict[str, Any]] = []
+    answers: list[Result] = []
     note = tmp_path / "pids"
 
     def during(supervisor: Supervisor) -> None:
@@ -46,8 +45,8 @@ def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str,
 
     report = go(unruly_plan(tmp_path), 0, during)
 
-    assert said in answers[0]["refused"]
-    assert len(answers[0]["refused"]) < 2000
+    assert said in reasons(answers)[0]
+    assert len(reasons(answers)[0]) < 2000
     assert report["restarts"] == {}
     assert_accounts_add_up(report)
     pids = [int(line) for line in note.read_text().split()] if note.exists() else []
@@ -67,7 +66,7 @@ def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: P
         supervisor.asked_to_end = lambda: 1
         supervisor.finish()
 
-    assert answers == [{"refused": f"{plan.name}: the run ended before that was done"}]
+    assert answers == [Refused(f"{plan.name}: the run ended before that was done")]
     assert list(tagged(run_id)) == []
 
 

@@ -1,6 +1,5 @@
 """A swap keeps what the old part was told while it ran, and changes only what it is asked to."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +7,7 @@ import pytest
 
 from pipeline.console.changing import ask
 from pipeline.console.operating import tell
+from pipeline.protocol.orders import Result
 from pipeline.run.process_handle import NodeProcess, spawn
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
@@ -19,6 +19,7 @@ from tests.sample_graphs import (
     go,
     handled,
     plan_of,
+    reasons,
     wait_for,
     wait_for_progress,
 )
@@ -28,7 +29,7 @@ GLANCE = """\
     operator: tests.samples:Pass
     inputs: {frame: ticker.roi}
 """
-Results = list[dict[str, Any]]
+Results = list[Result]
 
 
 @pytest.mark.parametrize("group", ["", "    group: hand\n"])
@@ -63,6 +64,7 @@ def test_a_swap_knows_what_the_part_was_told_and_has_the_last_word(
 def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS, changes=("ticker.rate_hz=4",))
     results: Results = []
+    kept: dict[str, Any] = {}
 
     def tell_meanwhile() -> None:
         ask(plan.name, "work", {"every": 7})
@@ -71,17 +73,18 @@ def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         late = order("work", at=handled(supervisor, "work") + 300)
-        supervisor.control.take(late, lambda answer: results.append(json.loads(answer)))
+        supervisor.control.take(late, results.append)
         wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_receiver_epoch != 0)
         beside(supervisor, tell_meanwhile)
         wait_for(supervisor, lambda: bool(results))
-        results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
+        settings = beside(supervisor, lambda: ask(plan.name, "work", {})).settings
+        kept.update(settings)
         supervisor.finish()
 
     go(plan, 0, during)
 
-    assert "its settings were changed meanwhile, try again" in results[0]["refused"]
-    assert results[1]["every"] == 7
+    assert "its settings were changed meanwhile, try again" in reasons(results)[0]
+    assert kept["every"] == 7
 
 
 def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told(
@@ -90,6 +93,7 @@ def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told
     group = "    group: hand\n"
     plan = plan_of(tmp_path, LOSSLESS.replace("  work:\n", f"  work:\n{group}") + GLANCE + group)
     results: Results = []
+    kept: dict[str, Any] = {}
 
     def during(supervisor: Supervisor) -> None:
         def refuse_while_swapping(*args: Any, **kwargs: Any) -> NodeProcess:
@@ -101,14 +105,15 @@ def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told
         beside(supervisor, lambda: ask(plan.name, "work", {"every": 2}))
         monkeypatch.setattr("pipeline.run.process_manager.spawn", refuse_while_swapping)
         monkeypatch.setattr(supervisor.spare, "take", lambda: None)
-        supervisor.control.take(order("work"), lambda answer: results.append(json.loads(answer)))
+        supervisor.control.take(order("work"), results.append)
         wait_for(supervisor, lambda: bool(results))
         wait_for(supervisor, lambda: supervisor.pid("hand") != 0)
         wait_for_progress(supervisor, "work")
-        results.append(beside(supervisor, lambda: ask(plan.name, "work", {})).settings)
+        settings = beside(supervisor, lambda: ask(plan.name, "work", {})).settings
+        kept.update(settings)
         supervisor.finish()
 
     go(plan, 0, during)
 
-    assert "hand: cannot be started: Resource temporarily unavailable" in results[0]["refused"]
-    assert results[1]["every"] == 2
+    assert "hand: cannot be started: Resource temporarily unavailable" in reasons(results)[0]
+    assert kept["every"] == 2

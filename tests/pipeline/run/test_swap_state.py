@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from pipeline.console.operating import swap_lines
-from pipeline.run.swap import SwapOrder
+from pipeline.protocol.orders import SwapOrder
 from tests.pipeline.run.test_swap import Results, swapping
-from tests.sample_graphs import assert_accounts_add_up, go, plan_of
+from tests.sample_graphs import assert_accounts_add_up, go, plan_of, reasons, swapped
 
 GRAPH = """\
 nodes:
@@ -29,9 +29,9 @@ def test_state_that_is_not_declared_is_told_where_it_is_lost(
 
     go(plan, 0, swapping(results, SwapOrder(node="work", probation=5)))
 
-    assert results[0]["refused"] == ""
-    assert results[0]["forgotten"] == ["recent", "seen"]
-    line = swap_lines(results[0])[1]
+    assert reasons(results) == [""]
+    assert swapped(results[0]).forgotten == ["recent", "seen"]
+    line = swap_lines(swapped(results[0]))[1]
     assert line.startswith("work: begins without what its predecessor kept in recent, seen;")
     assert "state() and taken over by restore()" in line
     assert "forgotten ['recent', 'seen']" in caplog.text
@@ -43,10 +43,10 @@ def test_declared_state_and_another_operator_are_no_reason_to_warn(tmp_path: Pat
 
     go(plan, 0, swapping(results, other, SwapOrder(node="work", probation=5)))
 
-    assert [r["refused"] for r in results] == ["", ""]
-    assert [r["forgotten"] for r in results] == [[], []]
-    assert [len(swap_lines(r)) for r in results] == [1, 1]
-    assert [r["state"] for r in results] == ["none", "carried over"]
+    assert reasons(results) == ["", ""]
+    assert [swapped(r).forgotten for r in results] == [[], []]
+    assert [len(swap_lines(swapped(r))) for r in results] == [1, 1]
+    assert [swapped(r).state for r in results] == ["none", "carried over"]
 
 
 @pytest.mark.parametrize(
@@ -65,8 +65,8 @@ def test_a_state_that_cannot_be_carried_over_leaves_the_old_part_at_work(
 
     report = go(plan, 0, swapping(results, SwapOrder(node="work", probation=5)))
 
-    assert results[0]["refused"].startswith(said)
-    assert "\n" not in results[0]["refused"]
+    assert reasons(results)[0].startswith(said)
+    assert "\n" not in reasons(results)[0]
     assert_accounts_add_up(report)
     assert report["edges"][0]["dropped"] == {}
     assert report["restarts"].get("work", 0) == 0

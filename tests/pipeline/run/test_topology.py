@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -11,6 +10,7 @@ from pipeline import FoveaError
 from pipeline.console.operating import replan
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
+from pipeline.protocol.orders import TopologyResult
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import (
     LOSSLESS,
@@ -29,7 +29,7 @@ nodes:
     operator: tests.samples:Count
     inputs: {frame: {from: work, depth: 60}}
 """
-Order = Callable[..., dict[str, Any]]
+Order = Callable[..., TopologyResult]
 
 
 def addition(tmp_path: Path, text: str = SECOND) -> Path:
@@ -70,12 +70,12 @@ def test_a_consumer_is_added_and_removed_and_the_others_do_not_stutter(tmp_path:
     def acts(order: Order, supervisor: Supervisor) -> None:
         for _ in range(2):
             told = order(with_nodes, addition(tmp_path))
-            assert told["added"] == ["second"]
-            assert told["connected"] == ["work -> second.frame"]
+            assert told.added == ["second"]
+            assert told.connected == ["work -> second.frame"]
             until(lambda: handled(supervisor, "second") > 10)
             account = supervisor.ledger.edges[supervisor.plan.inputs("second")["frame"].index]
             lost.append(account.lost_in_crash)
-            assert order(without_node, "second")["removed"] == ["second"]
+            assert order(without_node, "second").removed == ["second"]
             assert "second" not in supervisor.processes
 
     report = go(plan, 0, operating(plan, acts))
@@ -97,8 +97,8 @@ def test_an_edge_is_rewired_between_two_frames(tmp_path: Path) -> None:
     def acts(order: Order, supervisor: Supervisor) -> None:
         before = supervisor.pid("count")
         told = order(rewired, "count.frame=ticker.roi")
-        assert told["connected"] == ["ticker.roi -> count.frame"]
-        assert told["cut"] == ["work -> count.frame"]
+        assert told.connected == ["ticker.roi -> count.frame"]
+        assert told.cut == ["work -> count.frame"]
         after = handled(supervisor, "count")
         until(lambda: handled(supervisor, "count") > after + 20)
         assert supervisor.pid("count") == before

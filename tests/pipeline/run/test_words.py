@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.protocol.orders import Result, SwapOrder
 from pipeline.run.channel import MOST_LINE, MOST_LINES_S, MOST_UNSENT, Channel, Exchange
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.swap import SwapOrder
 from pipeline.text import harmless, plain
-from tests.sample_graphs import assert_accounts_add_up, go, handled, wait_for
+from tests.sample_graphs import assert_accounts_add_up, go, handled, reasons, wait_for
 from tests.unruly_graphs import name_of, recovers, unruly_file, unruly_plan
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
@@ -119,21 +119,21 @@ def test_a_summary_of_odd_figures_breaks_no_report(tmp_path: Path) -> None:
 
 
 def test_a_state_that_cannot_be_had_costs_the_swap_alone(tmp_path: Path) -> None:
-    answers: list[dict[str, Any]] = []
+    answers: list[Result] = []
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "after") > 5, 60)
         order = SwapOrder(node="unruly", probation=5)
-        supervisor.control.take(order, lambda answer: answers.append(json.loads(answer)))
+        supervisor.control.take(order, answers.append)
         wait_for(supervisor, lambda: bool(answers), 60)
         supervisor.finish()
 
     report = go(unruly_plan(tmp_path, kind="broken_state", size=100_000), 0, during)
 
-    assert answers[0]["refused"].startswith(
+    assert reasons(answers)[0].startswith(
         "unruly: its state cannot be had: ValueError: no statexxx"
     )
-    assert len(answers[0]["refused"]) < 2200
+    assert len(reasons(answers)[0]) < 2200
     assert report["restarts"] == {}
     assert_accounts_add_up(report)
 

@@ -1,0 +1,92 @@
+"""A graph is ended by an order as by a signal: with its report, and nothing left behind."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pipeline.console.graph_client import fleet_health
+from pipeline.console.operating import tell
+from pipeline.errors import RunError
+from pipeline.protocol.orders import Refused, Result, StopOrder, StopResult, SwapOrder
+from pipeline.run.rundir import running
+from pipeline.run.supervisor import Supervisor
+from tests.sample_graphs import LOSSLESS, beside, handled, plan_of, until, wait_for
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
+
+
+def counted(graph: str) -> int:
+    """Frames that the last node of a graph says it has handled."""
+    health = fleet_health(graph)["count"]
+    return health.handled if health else 0
+
+
+def test_a_graph_in_the_foreground_ends_with_its_report(tmp_path: Path) -> None:
+    plan, report = plan_of(tmp_path, LOSSLESS), tmp_path / "report.json"
+    words = ("run", str(tmp_path / "graph.yaml"), "--report", str(report))
+
+    with subprocess.Popen([*FOVEA, *words], stdout=subprocess.DEVNULL) as run:
+        try:
+            until(lambda: plan.name in running() and counted(plan.name) > 3)
+            result = tell(plan.name, StopOrder())
+            status = run.wait(60)
+        finally:
+            run.kill()
+
+    assert result == StopResult(graph=plan.name, pid=run.pid)
+    assert status == 0
+    assert plan.name not in running()
+    edges = json.loads(report.read_text())["edges"]
+    assert all(edge["in_flight"] == 0 for edge in edges)
+
+
+def test_a_second_order_is_in_haste(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOSSLESS)
+    with Supervisor(plan) as supervisor:
+        supervisor.start()
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 3)
+        for count in (1, 2):
+            beside(supervisor, lambda: tell(plan.name, StopOrder()))
+            assert supervisor.end_requests == count
+
+        assert supervisor.in_haste
+
+
+def test_a_swap_that_is_under_way_does_not_hold_the_end_up(tmp_path: Path) -> None:
+    results: list[Result] = []
+    plan = plan_of(tmp_path, LOSSLESS)
+
+    with Supervisor(plan) as supervisor:
+        supervisor.start()
+        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
+        for order in (SwapOrder(node="work", at=10**9), StopOrder()):
+            supervisor.control.take(order, results.append)
+        assert supervisor.end_requests == 1
+        supervisor.finish()
+
+    assert isinstance(results[0], StopResult)
+    assert results[1] == Refused(f"{plan.name}: the run ended before that was done")
+
+
+def test_a_graph_that_has_ended_is_one_sentence(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOSSLESS)
+
+    with pytest.raises(RunError, match=f"no graph {plan.name} runs"):
+        tell(plan.name, StopOrder())
+
+
+def test_a_part_of_a_deployed_graph_is_ended_where_it_was_deployed(tmp_path: Path) -> None:
+    text = LOSSLESS.replace("  work:\n", "  work:\n    host: eye\n")
+    text = text.replace("  ticker:\n", "  ticker:\n    host: eye\n")
+    text = text.replace("  count:\n", "  count:\n    host: eye\n")
+    plan = plan_of(tmp_path, f"hosts: [eye]\n{text}")
+
+    with (
+        Supervisor(replace(plan, here="eye")) as supervisor,
+        pytest.raises(RunError, match=f"was deployed; `fovea down {plan.name}` ends it"),
+    ):
+        supervisor.control.take(StopOrder(), lambda _: None)
