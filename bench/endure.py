@@ -1,9 +1,9 @@
 """Whether a supervisor grows with what it lives through: `python -m bench.endure --kills 300`.
 
-Runs a small graph of sample operators in real time, kills one of its nodes and swaps another, again
-and again, and records the supervisor's memory, open files and threads, and the files of the run,
-every 50 events. With `--json FILE` the figures are written with machine and commit, again after
-every look. The samples of the processes' memory fill for the first twelve minutes.
+Runs a small graph of sample operators in real time, kills one of its nodes while it swaps another,
+again and again, and records the supervisor's memory, open files and threads, and the files of the
+run, every 50 events. With `--json FILE` the figures are written with machine and commit, again
+after every look. The samples of the processes' memory fill for the first twelve minutes.
 """
 
 import json
@@ -12,7 +12,7 @@ import secrets
 import signal
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,7 @@ PROBATION = 2  # frames
 @click.option("--swaps", default=300, show_default=True, type=click.IntRange(0))
 @JSON
 def main(kills: int, swaps: int, path: Path | None) -> None:
-    """Kill one node and swap another so many times, in turn."""
+    """Kill one node and swap another so many times, both at once."""
     plan = sample_plan()
     events = schedule(kills, swaps)
     looks: list[dict[str, float]] = []
@@ -74,12 +74,12 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
         traces = Traces.of(plan.name)
         _until(supervisor, lambda: _handled(supervisor, LAST) > 50)
         looks.append(look(supervisor, traces, 0))
-        for count, event in enumerate(track(events, "enduring"), 1):
-            if event == "kill":
-                _kill(supervisor)
-            elif sentence := _swap(supervisor):
+        count = 0
+        for together in track(events, "enduring"):
+            count += len(together)
+            if sentence := _endure(supervisor, together):
                 refused.append(sentence)
-            if not count % EVERY or count == len(events):
+            if count // EVERY > looks[-1]["events"] // EVERY or together is events[-1]:
                 looks.append(look(supervisor, traces, count))
                 result["events"] = count
                 _write(path, result)
@@ -102,15 +102,21 @@ def sample_plan() -> Plan:
         return load(file)
 
 
-def schedule(kills: int, swaps: int) -> list[str]:
-    """Kills and swaps in turn, spread evenly.
+def schedule(kills: int, swaps: int) -> list[tuple[str, ...]]:
+    """Kills and swaps, spread evenly over the run; a kill and a swap fall together where both can.
 
     >>> schedule(2, 1), schedule(0, 2)
-    (['kill', 'swap', 'kill'], ['swap', 'swap'])
+    ([('kill',), ('kill', 'swap')], [('swap',), ('swap',)])
     """
-    when = [((i + 0.5) / kills, "kill") for i in range(kills)]
-    when += [((i + 0.5) / swaps, "swap") for i in range(swaps)]
-    return [event for _, event in sorted(when)]
+    rounds = max(kills, swaps)
+    return [
+        tuple(
+            name
+            for name, count in (("kill", kills), ("swap", swaps))
+            if (i + 1) * count // rounds > i * count // rounds
+        )
+        for i in range(rounds)
+    ]
 
 
 def look(supervisor: Supervisor, traces: Traces, events: int) -> dict[str, float]:
@@ -144,20 +150,20 @@ def growth_kb(looks: list[dict[str, float]]) -> float:
     return round(float(np.polyfit(events, memory, 1)[0]) * 1000, 3)
 
 
-def _kill(supervisor: Supervisor) -> None:
+def _endure(supervisor: Supervisor, events: Collection[str]) -> str:
+    """Kill, swap, or both at once; why the swap was refused, or nothing."""
+    answers: list[Result] = []
     account = supervisor.ledger.nodes[supervisor.plan.node(KILLED).index]
     epoch, handled = account.epoch, account.handled
-    os.kill(supervisor.pid(KILLED), signal.SIGKILL)
-    _until(supervisor, lambda: account.epoch > epoch and account.handled > handled)
-
-
-def _swap(supervisor: Supervisor) -> str:
-    """Swap once; why it was refused, or nothing."""
-    answers: list[Result] = []
-    order = SwapOrder(node=SWAPPED, probation=PROBATION)
-    supervisor.control.take(order, answers.append)
-    _until(supervisor, lambda: bool(answers))
-    return answers[0].reason if isinstance(answers[0], Refused) else ""
+    if "swap" in events:
+        order = SwapOrder(node=SWAPPED, probation=PROBATION)
+        supervisor.control.take(order, answers.append)
+    if "kill" in events:
+        os.kill(supervisor.pid(KILLED), signal.SIGKILL)
+        _until(supervisor, lambda: account.epoch > epoch and account.handled > handled)
+    if "swap" in events:
+        _until(supervisor, lambda: bool(answers))
+    return answers[0].reason if answers and isinstance(answers[0], Refused) else ""
 
 
 def _handled(supervisor: Supervisor, node: str) -> int:

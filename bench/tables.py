@@ -45,6 +45,7 @@ NAMES = {
 }
 
 
+BOTH = ("--sees", "each")  # a row with the context and one with the ROI alone, as in the paper
 LATE = ("--strategies", "foveated", "--sees", "both", "--replan", "1,4,8")
 CROWD = ("--players", "8", "--every", "24")
 HOLD = ("--budgets", "1/8", "--prediction", "hold")
@@ -71,9 +72,9 @@ def studies(
     few = [*(many if quick else _drawn(max(1, clips // 3))), "--budgets", "1/8"]
     parts = [word for part in (*PARTS, *TOGETHER) for word in ("--replace", part)]
     limits = ["--strategies", "foveated,oracle,full", "--sees", "both", *parts, *own]
-    found = {"budgets": [*many, *own]}
+    found = {"budgets": [*many, *BOTH, *own]}
     if soccernet:
-        real = ["--data", soccernet, *own, *short]
+        real = ["--data", soccernet, *BOTH, *own, *short]
         found["soccernet"] = real
         found["players-soccernet"] = [*real, "--targets", "player", *CROWD]
     found |= _late(clips, soccernet, own, far, short)
@@ -169,7 +170,7 @@ def main(
             f"--only {missing[0]}: needs --soccernet, --ablation or --far; with what is given: "
             f"{', '.join(wanted)}, run-time"
         )
-    shared = ["--work", f"{out / 'work'}", "--jobs", str(jobs), "--tracker", tracker]
+    shared = ["--work", f"{out / 'work'}", "--jobs", str(jobs), "--tracker", tracker, "--states"]
     planned = {n: [*words, *shared] for n, words in wanted.items() if not only or n in only}
     check(planned)
     for name, words in planned.items():

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.boxes import iou
-from pipeline.contract import Input, Operator
+from pipeline.contract import HEADLINE, Input, Operator
 from pipeline.errors import MessageError, SettingsError
 from pipeline.messages import Header, Percept, Scanpath, Truth
 
@@ -95,7 +95,13 @@ class Score(Operator[ScoreSettings, None]):
         if not (frames := self._frames):
             return {}
         figures = {"mean": round(self._total / frames, 4), "frames": frames}
-        return {"iou": {**figures, "answered": round(self._answered / frames, 4)}}
+        share = f"{self._answered / frames:.1%}" if self._answered < frames else "all"
+        counted = f"{frames} frame" + ("s" if frames > 1 else "")
+        return {
+            "iou": {**figures, "answered": round(self._answered / frames, 4)},
+            HEADLINE: f"IoU {self._total / frames:.3f} with the truth over {counted}, "
+            f"a box in {share} of them",
+        }
 
     def _begin(self) -> None:
         self._object = self._rival = self._followed_id = NOBODY

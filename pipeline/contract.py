@@ -20,6 +20,8 @@ Out = TypeVar("Out")
 SOURCE = "@source"  # beside the names of inputs, see `Operator.advise`
 Keep = Literal["latest", "every"]
 INCOMPLETE = "incomplete"  # in a summary: what could not be written, as a sentence
+HEADLINE = "headline"  # in a summary: what the run showed, as a sentence
+RATE = "rate"  # in the summary of a source: asked_hz and achieved_hz of its frames
 Loan = Callable[[str, tuple[int, ...], DTypeLike], NDArray[Any]]  # output, shape, dtype -> memory
 
 
@@ -100,8 +102,10 @@ class Operator(Generic[S, Out]):
     def summary(self) -> Mapping[str, Any]:
         """Figures for the run's report, asked for once at the end.
 
-        A sentence as `incomplete` tells what could not be written: `fovea run` prints it, and its
-        exit status is not zero.
+        A sentence as `headline` tells the result: `fovea run` prints it among its first lines. A
+        sentence as `incomplete` tells what could not be written: `fovea run` prints it, and its
+        exit status is not zero. A source that has a rate tells it as `rate`, a mapping of
+        `asked_hz` and `achieved_hz`: the run is judged by it.
         """
         return {}
 

@@ -4,33 +4,38 @@ Every few frames in which the target can be seen a tracker is started on the tru
 at most 64 frames; a figure is the mean IoU over all frames of all starts in which the truth knows
 the target. Of a strategy that leaves frames out, the frames it kept count, as in the paper; what
 all frames would give stands beside it (the last box holds). A strategy with a ROI begins with the
-ROI on the target and the target's box as prompt; the middle is the middle. Of it there are two
-rows: the tracker sees the context where the ROI shows nothing, as the shipped loop has it; or the
-ROI alone, which is what the paper's figures suggest (its oracle beats full resolution, and a
-window in the middle is worth 1.7 % of it).
+ROI on the target and the target's box as prompt; the middle is the middle. Its tracker sees the
+context where the ROI shows nothing, as the shipped loop has it; with `--sees each` a second row is
+of a tracker that sees the ROI alone, which is what the paper's figures suggest (its oracle beats
+full resolution, and a window in the middle is worth 1.7 % of it).
 """
 
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import click
+from rich.console import Console
+from rich.text import Text
 
 from bench.machine import facts
-from bench.tracking import report as reporting
 from bench.tracking.budgets import acquisition
 from bench.tracking.cases import Case, Protocol, cases
 from bench.tracking.classes import TRACKER, TRACKERS, check_prompted, planned
 from bench.tracking.clip import ClipName, frames_of, names, size_of
+from bench.tracking.conclusions import sentences
 from bench.tracking.episode import Rules
-from bench.tracking.options import ALL, GRAPH, WHOLE, Options, options_of
+from bench.tracking.options import ALL, GRAPH, STANDARD_OUTPUT, WHOLE, Options, options_of
+from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
+from bench.tracking.report import paired, rows
 from bench.tracking.stages import Stages
+from bench.tracking.tables import asked_rows, markdown, table
 from bench.tracking.units import measured
 from pipeline.errors import DriverError, FoveaError, SettingsError
 from pipeline.extras import need
@@ -56,7 +61,8 @@ SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi
 @click.option("--graph", default=str(GRAPH), help="the loop")
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--tracker", default="", help=FOLLOWS)
-@click.option("--sees", default="each", type=click.Choice(["both", "roi", "each"]), help=SEES)
+@click.option("--sees", default="both", type=click.Choice(["both", "roi", "each"]), help=SEES)
+@click.option("--states", is_flag=True, help="rows of the free, still and carried ball, too")
 @click.option("--policy", multiple=True, help="[NAME=]FILE.onnx, or pursuit; more give more rows")
 @click.option("--delay", default="0", help="frames by which plans come late, e.g. 0,2,13")
 @click.option("--replan", default="1", help="Ta: frames between plans, e.g. 1,4,8")
@@ -65,8 +71,8 @@ SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi
 @click.option("--jobs", default=2, help="processes")
 @click.option("--seed", default=0)
 @click.option("--report", type=Path, help="JSON")
-@click.option("--markdown", type=Path)
-@click.option("--plot", type=Path, help="PNG of IoU over budget")
+@click.option("--markdown", type=Path, help="the table as Markdown; - prints it")
+@click.option("--plot", type=Path, help="IoU over budget: PNG, PDF or SVG")
 @click.option("--work", type=Path, help="folder for what is finished; beside the report")
 def command(**given: Any) -> None:
     """See the module."""
@@ -99,24 +105,36 @@ def evaluate(options: Options) -> None:
         "policies": sorted({case.policy for case in wanted if case.policy}),
         "weighting": "frames: every frame of every start with truth counts once",
         "longest": options.longest,
+        "targets": list(options.targets),
+        "states": options.states,
         "players": protocol.players,
         "clips": [str(clip) for clip in clips],
         "frames": list(protocol.frames),
         "every": protocol.every,
         "budgets": [str(budget) for budget in options.budgets],
         "seed": seed,
-        "rows": reporting.rows(units, longest=options.longest, seed=seed),
-        "paired": reporting.paired(units, wanted, longest=options.longest, seed=seed),
+        "rows": rows(units, seed=seed),
+        "paired": paired(units, wanted, seed=seed),
     }
-    text = reporting.markdown(found)
     if options.report:
         options.report.write_text(json.dumps(found, indent=1) + os.linesep)
-    if options.markdown:
-        options.markdown.write_text(text)
     if options.plot:
-        last = [r for r in found["rows"] if r["clip"] == "all" or len(clips) == 1]
-        reporting.plot(last, options.plot)
-    click.echo(text)
+        plot(asked_rows(found), options.plot)
+    tell(found, options.markdown)
+
+
+def tell(found: Mapping[str, Any], target: Path | None) -> None:
+    """Print the table and what follows from it; Markdown goes to a file or instead of the table."""
+    text = markdown(found) if target else ""
+    if target == STANDARD_OUTPUT:
+        click.echo(text)
+        return
+    if target:
+        target.write_text(text)
+    console = Console()
+    console.print(table(found), "", sep="\n")
+    for sentence in sentences(found):
+        console.print(Text(sentence), soft_wrap=not console.is_terminal)
 
 
 def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:

@@ -1,8 +1,7 @@
 """Means with intervals: episodes of many clips -> IoU, 95 % by block bootstrap, paired differences.
 
-Frames of one start, and starts of one clip, are not independent: whole blocks are drawn. With
-several clips a block is a clip; of a single one it is a run of starts that spans an episode's
-length.
+Frames of one start, and starts of one clip, are not independent: whole clips are drawn, each of
+them a block. Of one clip there is a mean and no interval.
 """
 
 from collections.abc import Mapping, Sequence
@@ -75,11 +74,6 @@ def ratios(
     return np.asarray(
         np.where(counted > 0, totals[rows].sum(1) / np.maximum(counted, 1), np.nan), np.float64
     )
-
-
-def block_of(clip: str, start: int, *, alone: bool, longest: int) -> str:
-    """The block that a start belongs to: its clip, or of a single clip `longest` frames."""
-    return f"{clip} {start // longest:04d}" if alone else clip
 
 
 def add(blocks: dict[str, Block], name: str, values: Sequence[float]) -> None:

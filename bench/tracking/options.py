@@ -21,6 +21,7 @@ LEAST = {
     **dict.fromkeys(("delay", "seed"), 0),
 }
 PLOTS = (".png", ".pdf", ".svg")
+STANDARD_OUTPUT = Path("-")
 T = TypeVar("T")
 
 
@@ -41,6 +42,7 @@ class Options:
     changes: tuple[str, ...]
     tracker: str
     sees: str  # both, roi, each
+    states: bool  # show rows of the free, the still and the carried ball, too
     policy: Mapping[str, str]  # file, pursuit or nothing by name
     delay: tuple[int, ...]
     replan: tuple[int, ...]
@@ -79,7 +81,7 @@ class Options:
         make_folder("work", self.folder)
         outputs = {"report": self.report, "markdown": self.markdown, "plot": self.plot}
         for name, path in outputs.items():
-            if path is None:
+            if path in (None, STANDARD_OUTPUT):
                 continue
             make_folder(name, path.parent)
             if path.is_dir() or (path.exists() and not os.access(path, os.W_OK)):

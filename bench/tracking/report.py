@@ -1,13 +1,12 @@
-"""Units into rows, tables and a plot."""
+"""Units into rows: means over all starts of a strategy, and paired differences between rows."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from bench.tracking.cases import ROI_ALONE, Case
-from bench.tracking.intervals import Block, add, block_of, difference, mean
+from bench.tracking.intervals import Block, add, difference, mean
 from bench.tracking.store import Unit
 from bench.tracking.targets import CARRIED
 from drivers.simulated.strategies import WITH_ROI
@@ -50,14 +49,14 @@ class Tally:
     full_px: int = 0
 
 
-def rows(units: Sequence[Unit], *, longest: int, seed: int) -> list[Row]:
+def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
     """One row per clip, target, strategy and budget, and one over all clips."""
     found: list[Row] = []
     clips = sorted({unit["clip"] for unit in units})
     groups = [*([(c, [c]) for c in clips] if len(clips) > 1 else []), ("all", clips)]
     for name, members in groups:
         chosen = [unit for unit in units if unit["clip"] in members]
-        for key, tally in gathered(chosen, longest=longest).items():
+        for key, tally in gathered(chosen).items():
             row = _row(key, tally, seed=seed)
             if name == "all" and (paper := _paper(key)) is not None:
                 row["paper"] = paper
@@ -73,7 +72,8 @@ def _row(key: Key, tally: Tally, *, seed: int) -> Row:
         "strategy": strategy,
         "budget": budget,
         "iou": _round(figures.iou),
-        "ci95": [_round(figures.low), _round(figures.high)],
+        "clips": len(tally.kept),
+        "ci95": interval(tally.kept, figures.low, figures.high),
         "frames": figures.frames,
         "starts": figures.starts,
         "pixels": _round(tally.read_px / tally.full_px),
@@ -90,13 +90,13 @@ def _paper(key: Key) -> float | None:
     return PAPER.get((target, strategy.removesuffix(ROI_ALONE), budget))
 
 
-def paired(units: Sequence[Unit], cases: Sequence[Case], *, longest: int, seed: int) -> list[Row]:
+def paired(units: Sequence[Unit], cases: Sequence[Case], *, seed: int) -> list[Row]:
     """Differences between rows at the same budget (and to what has none), paired by block.
 
     Each row of the policy is told against what is none of it, and against those that `varies`
     finds: all against all would be read by nobody.
     """
-    tallies = gathered(units, longest=longest)
+    tallies = gathered(units)
     blocks = {key: tally.kept for key, tally in tallies.items()}
     planned = {case.name: case for case in cases if case.strategy == "foveated"}
     first = next(iter(planned.values()), None)
@@ -113,6 +113,7 @@ def paired(units: Sequence[Unit], cases: Sequence[Case], *, longest: int, seed: 
             if first and other in planned and not varies(planned[strategy], planned[other], first):
                 continue
             middle, low, high = difference(own, theirs, seed=seed)
+            both = own.keys() & theirs.keys()
             found.append(
                 {
                     "target": target,
@@ -120,10 +121,35 @@ def paired(units: Sequence[Unit], cases: Sequence[Case], *, longest: int, seed: 
                     "strategy": strategy,
                     "against": other,
                     "difference": _round(middle),
-                    "ci95": [_round(low), _round(high)],
+                    "clips": len(both),
+                    "ci95": interval(both, low, high),
                 }
             )
     return found
+
+
+def interval(clips: Collection[str], low: float, high: float) -> list[float | None] | None:
+    """Where 95 % of the redrawn figures lie; None for one clip, from which nothing can be redrawn.
+
+    Frames of one clip are not independent: an interval over them would be far too narrow.
+    """
+    return [_round(low), _round(high)] if len(clips) > 1 else None
+
+
+def is_asked(row: Row, report: Mapping[str, Any]) -> bool:
+    """Whether a row is of a target asked for; of the ball's states if those were, too."""
+    kind, comma, _state = row["target"].partition(",")
+    return kind in report["targets"] and (not comma or report["states"])
+
+
+def share(budget: str) -> float:
+    """A budget as a number.
+
+    >>> share("1/8"), share("1")
+    (0.125, 1.0)
+    """
+    above, _, below = budget.partition("/")
+    return float(above) / float(below or 1)
 
 
 def varies(case: Case, other: Case, first: Case) -> bool:
@@ -136,21 +162,19 @@ def varies(case: Case, other: Case, first: Case) -> bool:
     return len(differ) == 1 and ours[differ[0]] == plain[differ[0]]
 
 
-def gathered(units: Sequence[Unit], *, longest: int) -> dict[Key, Tally]:
+def gathered(units: Sequence[Unit]) -> dict[Key, Tally]:
     """Sums by row and block; the ball counts whole, by state, and as free or still."""
-    alone = len({unit["clip"] for unit in units}) == 1
     found: dict[Key, Tally] = {}
     for unit in units:
         for episode in unit["episodes"]:
-            block = block_of(unit["clip"], episode["start"], alone=alone, longest=longest)
             every, kept, shown = (
                 split(unit["kind"], episode, figure, kept_only=only)
                 for figure, only in (("iou", False), ("iou", True), ("shown", True))
             )
             for name in every:
                 tally = found.setdefault((name, unit["case"], unit["budget"]), Tally())
-                add(tally.every, block, every[name])
-                add(tally.kept, block, kept[name])
+                add(tally.every, unit["clip"], every[name])
+                add(tally.kept, unit["clip"], kept[name])
                 if kept[name]:
                     tally.shown += shown[name]
                     tally.read_px += episode["read_px"]
@@ -177,81 +201,5 @@ def split(
     return found
 
 
-def markdown(report: Mapping[str, Any]) -> str:
-    """The aggregate rows as a table, the paper's figure beside ours, and the paired differences."""
-    lines = [
-        "| target | budget | strategy | IoU | 95 % | paper | all frames | in ROI | pixels "
-        "| starts | frames |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    last = [r for r in report["rows"] if r["clip"] == "all" or len(report["clips"]) == 1]
-    for row in sorted(last, key=lambda r: (r["target"], _budget(r["budget"]), r["strategy"])):
-        cells = [
-            row["target"],
-            row["budget"],
-            row["strategy"],
-            _show(row["iou"]),
-            " – ".join(_show(v) for v in row["ci95"]),
-            _show(row.get("paper")),
-            _show(row.get("iou_all_frames")),
-            _show(row.get("roi_coverage")),
-            f"{row['pixels']:.4f}",
-            str(row["starts"]),
-            str(row["frames"]),
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
-    lines += [
-        "",
-        "| target | budget | strategy | against | IoU | 95 % |",
-        "|---|---|---|---|---|---|",
-    ]
-    for row in report["paired"]:
-        low, high = row["ci95"]
-        lines.append(
-            f"| {row['target']} | {row['budget']} | {row['strategy']} | {row['against']} "
-            f"| {row['difference']:+.3f} | {low:+.3f} – {high:+.3f} |"
-        )
-    return "\n".join(lines) + "\n"
-
-
-def plot(found: Sequence[Row], path: Path) -> None:
-    """IoU over budget with intervals, one panel a target."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    kinds = [k for k in (NOT_CARRIED, "referee", "player") if any(r["target"] == k for r in found)]
-    if not kinds:
-        return
-    figure, axes = pyplot.subplots(1, len(kinds), figsize=(4.4 * len(kinds), 3.6), squeeze=False)
-    for place, kind in zip(axes[0], kinds, strict=True):
-        own = [r for r in found if r["target"] == kind and r["iou"] is not None]
-        for name in sorted({r["strategy"] for r in own}):
-            points = sorted((_budget(r["budget"]), r) for r in own if r["strategy"] == name)
-            x = [share for share, _ in points]
-            y = [r["iou"] for _, r in points]
-            spread = [
-                [r["iou"] - r["ci95"][0] for _, r in points],
-                [r["ci95"][1] - r["iou"] for _, r in points],
-            ]
-            place.errorbar(x, y, spread, marker="o", capsize=3, label=name)
-        place.set_xscale("log", base=2)
-        place.set(title=kind, xlabel="pixel budget", ylabel="IoU")
-    axes[0, -1].legend(fontsize=7)
-    figure.tight_layout()
-    figure.savefig(path, dpi=140)
-    pyplot.close(figure)
-
-
-def _budget(text: str) -> float:
-    above, _, below = text.partition("/")
-    return float(above) / float(below or 1)
-
-
 def _round(value: float) -> float | None:
     return None if math.isnan(value) else round(value, 4)
-
-
-def _show(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"

@@ -24,7 +24,7 @@ from drivers.simulated.scenes import open_recording, open_scene, scene_path, sho
 from drivers.simulated.settings import RATES_HZ, SimulatedSensorSettings
 from drivers.source import Annotations, FrameSource
 from pipeline.boxes import roi_window
-from pipeline.contract import Loan
+from pipeline.contract import HEADLINE, RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
 from pipeline.messages import Frame, Header, RoiSchedule
 
@@ -44,6 +44,7 @@ class SimulatedSensor:
         self._coverage = Coverage()
         self._windows: Counter[str] = Counter()
         self._exposed = self._overrun = 0
+        self._rate_hz = 0.0  # of base frames, from `start` on
 
     @property
     def shows(self) -> str:
@@ -101,8 +102,9 @@ class SimulatedSensor:
     def start(self) -> None:
         """Begin to decode; the clock of `realtime` starts with the first `read`."""
         source, settings = self._opened(), self._settings
+        self._rate_hz = settings.rate_hz or source.rate_hz or USUAL_RATE_HZ
         timing = Timing(
-            rate_hz=settings.rate_hz or source.rate_hz or USUAL_RATE_HZ,
+            rate_hz=self._rate_hz,
             interval=self._sampling.interval,
             averaged=self._sampling.averaged,
             frames=settings.frames,
@@ -162,6 +164,7 @@ class SimulatedSensor:
         played, commands = self._playback, self._commands
         elapsed = played.elapsed if played else 0
         return {
+            **self._told(elapsed),
             "strategy": self._settings.strategy,
             "frames": {
                 "exposed": self._exposed,
@@ -183,6 +186,25 @@ class SimulatedSensor:
             "roi_coverage": self._coverage.shares(),
             "roi_coverage_frames": self._coverage.frames(),
         }
+
+    def _told(self, elapsed: int) -> dict[str, Any]:
+        """The rate, and what the ROI saw as a sentence, as far as there is anything to tell."""
+        if not elapsed:
+            return {}
+        asked_hz = self._rate_hz / self._sampling.interval
+        achieved_hz = self._exposed / elapsed * self._rate_hz
+        found: dict[str, Any] = {
+            RATE: {"asked_hz": round(asked_hz, 3), "achieved_hz": round(achieved_hz, 3)}
+        }
+        if any(self._sampling.window_px):
+            shares = {n: v for n, v in self._coverage.shares().items() if n != "mean"}
+            told = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
+            found[HEADLINE] = (
+                f"share of the true boxes inside the ROI: {told}"
+                if told
+                else "share of the objects inside the ROI: not known, the source has no truth"
+            )
+        return found
 
     def _opened(self) -> FrameSource:
         if self._source is None:

@@ -63,4 +63,7 @@ class Meter(Operator[MeterSettings, None]):
 
     def summary(self) -> Mapping[str, Any]:
         """Figures for the report of the run."""
-        return {"brightness": {"frames": self._frames, "alarms": self._alarms}}
+        return {
+            "headline": f"{self._alarms} of {self._frames} frames were too bright",
+            "brightness": {"frames": self._frames, "alarms": self._alarms},
+        }

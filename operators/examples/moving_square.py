@@ -4,7 +4,9 @@ fovea run examples/moving_square --frames 100
 """
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
@@ -38,7 +40,7 @@ class MovingSquare(Source[MovingSquareSettings, Frame]):
     def open(self) -> None:
         """Begin a new stream; its id tells the rest of the graph to forget an older one."""
         self._stream, self._seq = uuid4().hex, 0
-        self._began_s = time.monotonic()
+        self._began_s = self._newest_s = time.monotonic()
 
     def produce(self) -> dict[str, Frame] | None:
         """The next exposure, one message per output; None when the stream has ended."""
@@ -48,7 +50,7 @@ class MovingSquare(Source[MovingSquareSettings, Frame]):
         if self.realtime:  # else the runner asks for a frame when the graph has answered the last
             due_s = self._began_s + seq / settings.rate_hz
             time.sleep(max(0.0, due_s - time.monotonic()))
-        self._seq += 1
+        self._seq, self._newest_s = seq + 1, time.monotonic()
         side = settings.side_px
         pixels = self.loan((side, side, 3), np.uint8)  # shared memory: sending it copies nothing
         pixels[...] = 40
@@ -57,3 +59,10 @@ class MovingSquare(Source[MovingSquareSettings, Frame]):
         pixels[top : top + settings.square_px, left : left + settings.square_px] = 200
         header = Header(stream=self._stream, seq=seq, stamp_ns=time.monotonic_ns())
         return {"out": Frame(header=header, pixels=pixels, window=(0, 0, side, side))}
+
+    def summary(self) -> Mapping[str, Any]:
+        """The rate that was asked for and the one that was held: the report judges by them."""
+        took_s = self._newest_s - self._began_s  # over one interval less than frames
+        achieved_hz = (self._seq - 1) / took_s if took_s > 0 else 0.0
+        rate = {"asked_hz": self.settings.rate_hz, "achieved_hz": round(achieved_hz, 2)}
+        return {"rate": rate} if self.realtime and self._seq > 1 else {}

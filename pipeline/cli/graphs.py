@@ -22,7 +22,7 @@ from pipeline.graph.overlay import Overlay, manual_nodes
 from pipeline.graph.plan import Plan
 from pipeline.graph.schema import graph_schema
 from pipeline.graph.survey import survey
-from pipeline.run.report import tables
+from pipeline.run.report import print_report
 from pipeline.text import harmless
 
 console = Console()
@@ -51,9 +51,10 @@ def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--duration-s", type=DURATION_S, help="Stop after this.")
 @click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
 @click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
+@click.option("--verbose", is_flag=True, help="Print every edge and stage below the verdict.")
 def run(
     graph: Path, inline: bool, frames: int | None, duration_s: float | None,
-    save: Path | None, report: Path | None, **laid: Any,
+    save: Path | None, report: Path | None, verbose: bool, **laid: Any,
 ) -> None:  # fmt: skip
     """Run a graph in the foreground until its source ends, a limit, or Ctrl-C."""
     if frames and duration_s:
@@ -76,7 +77,7 @@ def run(
             result = running.processes(plan, frames or 0, duration_s or 0.0, console, asked)
         if report:
             unwritten = write_report(report, result, "--report")
-        console.print(tables(result))
+        print_report(console, result, verbose=verbose)
         if unwritten:
             click.echo(json.dumps(result, indent=1))
         if save:

@@ -88,7 +88,7 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
     parts = [
         f"{elapsed_s:6.1f} s",
         f"frame {source.last_seq}",
-        f"loop {pair(loop)} ms p50/p99",
+        *([f"loop {pair(loop)} ms p50/p99"] if plan.clock == "realtime" else []),
         f"dropped {dropped}",
         f"restarts {sum(supervisor.restarts.values())}",
         *(words for words in supervisor.headlines.values() if words),

@@ -1,21 +1,25 @@
-"""The account of a run: ledger, samples and summaries to one plain dictionary, and to a table."""
+"""The account of a run: ledger, samples and summaries to one plain dictionary, and to tables."""
 
 from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Any
 
-from rich.console import Group
+from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
 from pipeline.bus.ledger import Ledger
+from pipeline.contract import HEADLINE, RATE
 from pipeline.graph.plan import Node, Plan, sources
 from pipeline.run.process_handle import Sample
+from pipeline.run.verdict import as_data, print_verdict, rate_of, verdict
 from pipeline.terminal import lean_table, losses, pair, rest
 from pipeline.text import harmless
 
 MOST_FIGURES = 64  # under one name, in a line of the report
-OWN = ("failure", "left_out", "loop")  # what no operator's summary can say of the run
+# what no operator's summary can say of the run
+OWN = ("failure", "left_out", "loop", "headlines", "verdict", HEADLINE, RATE)
+TABLED = ("graph", "clock", "duration_s", "edges", "stages", "restarts", "schedule_sha256")
 Report = dict[str, Any]
 
 
@@ -46,23 +50,39 @@ def compose(
     }  # fmt: skip
     if left_out:
         report["left_out"] = dict(left_out)
+    headlines = {}
     for node in plan.nodes:
-        for key, value in summaries.get(node.name, {}).items():
+        summary = summaries.get(node.name, {})
+        for key, value in summary.items():
             if key not in OWN:
                 report.setdefault(key, value)
+        if isinstance(words := summary.get(HEADLINE), str) and words:
+            headlines[node.name] = words
+    report["headlines"] = headlines
     for source in sources(plan):
+        told = summaries.get(source.name, {}).get(RATE) if plan.clock == "realtime" else None
         histograms = ledger.nodes[source.index].histograms
+        report[RATE] = rate_of(histograms["handler"].total, duration_s, told)
         report["loop"] = {
             "latency_ms": histograms["loop"].summary(),
             "overhead_ms": histograms["overhead"].summary(),
             "scheduling_delay_ms": histograms["scheduling_delay"].summary(),
             "commands": histograms["loop"].total,
+            "closed": any(e.command and e.target == source.name for e in plan.edges),
         }
+    report["verdict"] = as_data(verdict(report))
     return report
 
 
+def print_report(console: Console, report: Report, *, verbose: bool = False) -> None:
+    """Print a report: its verdict, and below it, where asked for, what it follows from."""
+    print_verdict(console, report)
+    if verbose:
+        console.print(Text(), tables(report), sep="\n")
+
+
 def tables(report: Report) -> Group:
-    """The report for a terminal: every edge's account, every stage's latency, the loop."""
+    """Every edge's account, every stage's latency, the loop, and what the summaries say."""
     told = (losses(e["from"], e["to"], e, broken=False) for e in report["edges"])
     return Group(_edge_table(report), *chain(*told), _stage_table(report), *_lines(report))
 
@@ -104,7 +124,7 @@ def _edge_table(report: Report) -> Table:
     for edge in report["edges"]:
         table.add_row(
             Text(edge["from"]), Text(edge["to"]), edge["keep"], str(edge["offered"]),
-            str(edge["delivered"]), rest(edge), pair(edge["age_ms"]),
+            str(edge["delivered"]), rest(edge), _spread(edge["age_ms"]),
         )  # fmt: skip
     return table
 
@@ -114,44 +134,40 @@ def _stage_table(report: Report) -> Table:
     table = lean_table("stages, p50/p99", names=("node",), figures=figures)
     for stage in report["stages"]:
         table.add_row(
-            Text(stage["node"]), pair(stage["latency_ms"]), pair(stage["hop_ms"]),
+            Text(stage["node"]), _spread(stage["latency_ms"]), _spread(stage["hop_ms"]),
             f"{stage['rate_hz']:.1f}", f"{stage['cpu_percent']:.0f}", f"{stage['rss_mb']:.0f}",
         )  # fmt: skip
     return table
 
 
+def _spread(figures: Mapping[str, float]) -> str:
+    """Median and 99th percentile, a dash where nothing was measured."""
+    return pair(figures) if figures["p99"] else "–"
+
+
 def _lines(report: Report) -> list[Text]:
     lines = []
-    left_out: Mapping[str, str] = report.get("left_out", {})
-    if loop := report.get("loop"):
+    loop = report.get("loop")
+    if loop and loop["commands"] and report["clock"] == "realtime":
         lines.append(
             f"loop, picture ready -> command accepted: {pair(loop['latency_ms'])} ms p50/p99, "
             f"overhead {pair(loop['overhead_ms'])} ms, waiting for a core "
             f"{pair(loop['scheduling_delay_ms'])} ms, {loop['commands']} commands"
         )
-    for key in ("frames", "pixels", "commands"):
-        if values := _figures(report.get(key)):
-            counts = ", ".join(f"{name} {value}" for name, value in values.items())
-            lines.append(f"{key}: {counts}")
-    if coverage := _figures(report.get("roi_coverage")):
-        shares = ", ".join(f"{n} {_share(v)}" for n, v in coverage.items())
-        lines.append(f"ROI coverage of the true boxes: {shares}")
-    if (overlap := _figures(report.get("iou"))) and {"mean", "frames"} <= overlap.keys():
-        mean, frames = _share(overlap["mean"]), overlap["frames"]
-        told = overlap.get("answered")
-        answered = f", a box in {told:.1%} of them" if isinstance(told, float) else ""
-        lines.append(f"IoU with the truth: {mean} over {frames} frames{answered}")
+    for key, value in report.items():
+        if key not in (*OWN, *TABLED) and (values := _figures(value)):
+            figures = ", ".join(f"{name} {_figure(each)}" for name, each in values.items())
+            lines.append(f"{key}: {figures}")
     if report["restarts"]:
         counts = ", ".join(f"{name} {count}" for name, count in report["restarts"].items())
         lines.append(f"restarts: {counts}")
-    lines += [f"{node}: its summary is left out: {why}" for node, why in left_out.items()]
     return [Text(harmless(line)) for line in lines]
 
 
 def _figures(value: Any) -> Mapping[str, Any]:
-    """Figures as the parts that ship give them; an operator may say anything under that name."""
+    """Figures of a summary in which one line is enough; an operator may say anything there."""
     return value if isinstance(value, Mapping) and len(value) <= MOST_FIGURES else {}
 
 
-def _share(value: Any) -> str:
+def _figure(value: Any) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value)

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from bench.endure import main
 
 
-def test_no_file_descriptor_or_process_is_left_of_what_was_killed_or_swapped(
+def test_no_file_or_process_is_left_of_what_was_killed_or_swapped(
     tmp_path: Path,
 ) -> None:
     figures = tmp_path / "endure.json"

@@ -92,7 +92,8 @@ def test_eight_players_are_a_study_of_their_own() -> None:
     words = studies(30, "footage", (), ())["players-soccernet"]
 
     assert words == [
-        *("--data", "footage", "--targets", "player", "--players", "8", "--every", "24")
+        *("--data", "footage", "--sees", "each"),
+        *("--targets", "player", "--players", "8", "--every", "24"),
     ]
 
 

@@ -277,7 +277,14 @@ def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Pa
         *("--data", "procedural:70003", "--clips", "1", "--frames", "1-20", "--jobs", "1"),
         *("--strategies", "centred,temporal,foveated", "--budgets", "1/4,1/8", "--targets", "ball"),
         *("--tracker", "correlation", "--policy", "pursuit", "--report", str(tmp_path / "r.json")),
-        *("--plot", str(tmp_path / "plot.png"), "--markdown", str(tmp_path / "table.md")),
+        *(
+            "--sees",
+            "each",
+            "--plot",
+            str(tmp_path / "plot.png"),
+            "--markdown",
+            str(tmp_path / "table.md"),
+        ),
     ]
     first = CliRunner().invoke(command, words, catch_exceptions=False)
     report = json.loads((tmp_path / "r.json").read_text())
@@ -298,4 +305,7 @@ def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Pa
         *(("foveated, ROI alone", against) for against in ("centred, ROI alone", "temporal")),
     }
     assert "| ball | 1/8 | foveated |" in (tmp_path / "table.md").read_text()
+    assert "|" not in first.stdout
+    assert "ball at 1/8 of the pixels: foveated" in first.stdout
+    assert first.stdout.splitlines()[-1].startswith("No interval is given: frames of one clip")
     assert (tmp_path / "plot.png").stat().st_size > 10_000

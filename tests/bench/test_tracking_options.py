@@ -134,6 +134,14 @@ def test_options_are_read_as_they_are_meant() -> None:
     assert policies == {"a": "pursuit", "b": "pursuit"}
 
 
+def test_only_what_is_asked_for_has_rows() -> None:
+    found = cases(read("--strategies", "foveated,spatial", "--budgets", "1/8"))
+
+    assert [case.name for case in found] == ["foveated", "spatial"]
+    assert read().sees == "both"
+    assert not read().states
+
+
 def test_policies_of_one_name_are_not_taken_for_one(tmp_path: Path) -> None:
     files = [tmp_path / run / "policy.onnx" for run in ("a", "b")]
     for file in files:

@@ -7,7 +7,7 @@ import pytest
 
 from bench.tracking.cases import Case
 from bench.tracking.episode import Rules
-from bench.tracking.report import markdown, paired, rows
+from bench.tracking.report import paired, rows
 
 
 def unit(case: str, kind: str, budget: str, value: float, *starts: int) -> dict[str, Any]:
@@ -17,16 +17,29 @@ def unit(case: str, kind: str, budget: str, value: float, *starts: int) -> dict[
     return {"clip": "c", "case": case, "kind": kind, "budget": budget, "episodes": episodes}
 
 
-def test_blocks_of_a_single_clip_are_as_long_as_an_episode() -> None:
-    starts = range(0, 960, 60)
-    units = [
-        unit("full", "player", "1", iou, s) for s, iou in zip(starts, (0.2, 0.8) * 8, strict=True)
-    ]
+def test_no_interval_is_claimed_of_one_clip_however_many_starts_it_has() -> None:
+    many = [unit("full", "player", "1", 0.2 + 0.5 * (s % 2), s) for s in range(40)]
+    two = [*many, unit("full", "player", "1", 0.9) | {"clip": "d"}]
 
-    (short,), (long,) = (rows(units, longest=longest, seed=0) for longest in (60, 480))
+    (alone,), over_two = rows(many, seed=0), rows(two, seed=0)
 
-    assert short["ci95"][0] < short["ci95"][1]
-    assert long["ci95"] == [0.5, 0.5]  # two blocks that are alike
+    assert (alone["ci95"], alone["clips"]) == (None, 1)
+    assert {row["clip"]: row["ci95"] is None for row in over_two} == {
+        "c": True, "d": True, "all": False,
+    }  # fmt: skip
+
+
+def test_a_target_that_one_of_several_clips_shows_has_no_interval() -> None:
+    units = [unit("foveated", "ball", "1/8", 0.5), unit("spatial", "ball", "1/8", 0.4)]
+    units += [unit("foveated", "player", "1/8", 0.5) | {"clip": name} for name in "cd"]
+    for name, value in (("c", 0.3), ("d", 0.4)):
+        units.append(unit("spatial", "player", "1/8", value) | {"clip": name})
+    cases = [Case(strategy=s, budget="1/8", name=s, rules=Rules()) for s in ("foveated", "spatial")]
+
+    found = {row["target"]: row for row in paired(units, cases, seed=0)}
+
+    assert (found["ball"]["ci95"], found["ball"]["clips"]) == (None, 1)
+    assert found["player"]["ci95"] == [pytest.approx(0.1), pytest.approx(0.2)]
 
 
 def test_a_row_tells_the_share_of_the_pixels_that_were_read_and_the_papers_figure() -> None:
@@ -34,7 +47,7 @@ def test_a_row_tells_the_share_of_the_pixels_that_were_read_and_the_papers_figur
     units = [unit(name, "ball", "1/8", 0.5, 0, 8) for name in strategies]
     units.append(unit("foveated, ROI alone", "ball", "1/8", 0.5))
 
-    found = rows(units, longest=64, seed=0)
+    found = rows(units, seed=0)
 
     whole = {row["strategy"]: row for row in found if row["target"] == "ball"}
     assert {name: row["paper"] for name, row in whole.items()} == {
@@ -43,8 +56,6 @@ def test_a_row_tells_the_share_of_the_pixels_that_were_read_and_the_papers_figur
     }
     assert {row["pixels"] for row in found} == {0.125}
     assert whole["foveated"]["starts"] == 2
-    table = markdown({"rows": found, "clips": ["c"], "paired": []})
-    assert "| ball | 1/8 | centred | 0.500 | 0.500 – 0.500 | 0.005 |  | 1.000 | 0.1250 |" in table
 
 
 def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:
@@ -74,7 +85,7 @@ def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:
     ]
     units.append(unit("full", "player", "1", 0.7))
 
-    found = paired(units, list(cases.values()), longest=64, seed=0)
+    found = paired(units, list(cases.values()), seed=0)
 
     at_eighth = [row for row in found if (row["target"], row["budget"]) == ("player", "1/8")]
     told = {(row["strategy"], row["against"]): row["difference"] for row in at_eighth}

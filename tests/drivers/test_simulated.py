@@ -147,6 +147,33 @@ def test_temporal_leaves_frames_out_and_says_so() -> None:
     assert subject.summary()["frames"]["late"] == 0
 
 
+@pytest.mark.parametrize(("strategy", "asked_hz"), [("centred", 40.0), ("temporal", 5.0)])
+def test_the_rate_asked_for_is_that_of_exposures(strategy: Any, asked_hz: float) -> None:
+    subject = sensor(strategy=strategy, rate_hz=40, frames=24)
+    play(subject)
+
+    assert subject.summary()["rate"] == {"asked_hz": asked_hz, "achieved_hz": asked_hz}
+
+
+def test_the_rate_falls_by_the_exposures_that_could_not_be_made() -> None:
+    subject = sensor(rate_hz=40, frames=24)
+    play(subject)
+    subject._exposed -= 6  # as if no memory had been left for them
+
+    assert subject.summary()["rate"] == {"asked_hz": 40.0, "achieved_hz": 30.0}
+
+
+def test_the_share_inside_the_roi_is_a_sentence_or_said_to_be_unknown() -> None:
+    seen, unread = sensor(strategy="oracle"), sensor(strategy="oracle")
+    play(seen)
+    whole = sensor(strategy="full", frames=3)
+    play(whole)
+
+    assert seen.summary()["headline"] == "share of the true boxes inside the ROI: ball 100.0%"
+    assert "headline" not in unread.summary()  # nothing was read of it
+    assert "headline" not in whole.summary()  # there is no ROI
+
+
 def test_a_longer_exposure_is_the_mean_of_its_frames() -> None:
     (first, _) = play(sensor(strategy="exposure", budget=1 / 4, frames=8))
 

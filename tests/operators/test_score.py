@@ -71,6 +71,18 @@ def test_it_compares_with_whoever_was_followed_first() -> None:
     }
 
 
+def test_it_tells_the_run_as_a_sentence() -> None:
+    seen, lost = (percept(0, BALL), truth(0)), (percept(1, None), truth(1))
+
+    assert scored(seen).summary()["headline"] == (
+        "IoU 1.000 with the truth over 1 frame, a box in all of them"
+    )
+    assert scored(seen, lost).summary()["headline"] == (
+        "IoU 0.500 with the truth over 2 frames, a box in 50.0% of them"
+    )
+    assert scored().summary() == {}
+
+
 def test_following_another_object_is_a_miss_unless_the_consumer_says_so() -> None:
     lost = scored((percept(0, BALL), truth(0)), (percept(1, REFEREE), truth(1)))
     anew = scored((percept(0, BALL), truth(0)), (percept(1, REFEREE, object_id=2), truth(1)))

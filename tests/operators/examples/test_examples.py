@@ -75,6 +75,18 @@ def test_the_square_moves_and_the_stream_ends() -> None:
     assert seen == [0, 2, 4]
 
 
+def test_the_square_tells_its_rate_where_it_has_one() -> None:
+    graph = fovea.load(
+        "examples/moving_square", settings={"camera.length": 11, "camera.rate_hz": 100}
+    )
+
+    real, inline = graph.run(processes=True)["rate"], graph.run()["rate"]
+
+    assert (real["frames"], real["asked_hz"]) == (11, 100)
+    assert 0 < real["achieved_hz"] <= 101
+    assert (inline["frames"], inline["asked_hz"]) == (11, None)
+
+
 def test_brighten_cuts_off_at_255_and_keeps_the_window() -> None:
     (bright,) = fovea.drive(Brighten, [frame(0, 200)], {"gain": 1.5})
 
@@ -156,7 +168,7 @@ def test_the_meter_does_what_it_is_told() -> None:
     carry_out("meter", meter, "forget", {})
 
     assert told == {"frames": [1, 2], "means": [9.0, 7.0]}
-    assert meter.summary() == {"brightness": {"frames": 0, "alarms": 0}}
+    assert meter.summary()["brightness"] == {"frames": 0, "alarms": 0}
 
 
 def renamed(folder: Path, name: str, **overlay: Any) -> Plan:

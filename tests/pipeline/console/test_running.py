@@ -69,4 +69,4 @@ def test_running_shows_the_advice_first() -> None:
 
     assert done.returncode == 0, done.stderr
     told = " ".join(done.stdout.split())  # where a line ends depends on where the graph lies
-    assert told.index("the detector finds player") < told.index("edges: offered")
+    assert told.index("the detector finds player") < told.index("rate: ")

@@ -1,0 +1,93 @@
+"""IoU over the pixel budget, a panel a target: rows of an evaluation in, a picture out.
+
+Strategies often coincide: each has a marker, a line style and a width of its own, wide ones below
+narrow ones, and stands a little beside the budget, so that none covers another.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.tracking.report import Row, share
+
+if TYPE_CHECKING:  # an extra brings it
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MARKERS = "os^Dv<>pXPh*"
+LINES = ("-", "--", "-.", ":")
+APART = 0.22  # of an octave, over which the strategies of a budget are spread
+WIDEST, NARROWEST = 3.5, 1.0  # points
+
+
+def plot(rows: Sequence[Row], path: Path) -> None:
+    """Write the picture, of the kind that the name says; nothing where no row has a figure."""
+    rows = [row for row in rows if row["iou"] is not None]
+    if rows:
+        figure_of(rows).savefig(path, dpi=140)
+
+
+def figure_of(rows: Sequence[Row]) -> "Figure":
+    """A panel a target, a curve a strategy, the legend below all of them."""
+    from matplotlib.figure import Figure
+
+    targets = list(dict.fromkeys(row["target"] for row in rows))
+    names = sorted({row["strategy"] for row in rows})
+    figure = Figure(figsize=(max(5.0, 4.2 * len(targets)), 4.4), layout="constrained")
+    panels = figure.subplots(1, len(targets), squeeze=False)[0]
+    for panel, target in zip(panels, targets, strict=True):
+        for k, name in enumerate(names):
+            own = [r for r in rows if (r["target"], r["strategy"]) == (target, name)]
+            if own:
+                _curve(panel, own, k, len(names))
+        _axes(panel, [row for row in rows if row["target"] == target], target)
+    curves = {c.get_label(): c for panel in panels for c in panel.containers}
+    figure.legend(
+        [curves[name] for name in names], names,
+        loc="outside lower center", ncols=min(4, len(names)), fontsize=8,
+    )  # fmt: skip
+    return figure
+
+
+def looks(k: int) -> tuple[str, str]:
+    """Marker and line style of the `k`-th curve; none of the first 48 are alike.
+
+    >>> looks(0), looks(1), len({looks(k) for k in range(48)})
+    (('o', '-'), ('s', '--'), 48)
+    """
+    return MARKERS[k % len(MARKERS)], LINES[(k + k // len(MARKERS)) % len(LINES)]
+
+
+def _curve(panel: "Axes", rows: Sequence[Row], k: int, count: int) -> None:
+    """The `k`-th of so many curves, beside the budgets by its place among them."""
+    points = sorted(rows, key=lambda row: share(row["budget"]))
+    beside = 2 ** (APART * (k - (count - 1) / 2) / max(1, count - 1))
+    spread = [_arms(row) for row in points]
+    marker, line = looks(k)
+    width = WIDEST - (WIDEST - NARROWEST) * k / max(1, count - 1)
+    panel.errorbar(
+        [share(row["budget"]) * beside for row in points],
+        [row["iou"] for row in points],
+        yerr=[list(side) for side in zip(*spread, strict=True)] if any(map(any, spread)) else None,
+        marker=marker, linestyle=line, color=f"C{k % 10}", linewidth=width,
+        markersize=6, markeredgewidth=1.2, elinewidth=1,
+        markerfacecolor="none", capsize=2, label=rows[0]["strategy"],
+    )  # fmt: skip
+
+
+def _arms(row: Row) -> tuple[float, float]:
+    """How far the interval reaches below and above, nothing for one clip."""
+    if not row["ci95"] or None in row["ci95"]:
+        return 0.0, 0.0
+    low, high = row["ci95"]
+    return max(0.0, row["iou"] - low), max(0.0, high - row["iou"])
+
+
+def _axes(panel: "Axes", rows: Sequence[Row], target: str) -> None:
+    budgets = sorted({row["budget"] for row in rows}, key=share)
+    panel.set_xscale("log", base=2)
+    panel.set_xticks([share(budget) for budget in budgets], budgets)
+    panel.set_xticks([], minor=True)
+    panel.set(title=target, xlabel="share of the pixels", ylabel="IoU")
+    panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))
+    panel.grid(axis="y", alpha=0.3)
