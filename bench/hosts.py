@@ -90,7 +90,8 @@ class World(Hosts):
 
     def states(self) -> dict[str, Any]:
         """What every host says of the graph, or why it says nothing."""
-        found: dict[str, Any] = json.loads(self.fovea("ps", "--json"))[self.plan.name]
+        told = json.loads(self.fovea("ps", "--json"))
+        found: dict[str, Any] = told[self.plan.name]["hosts"]
         return found
 
     def heard(self, label: str, words: str, since: int = 0, timeout_s: float = 60) -> float:

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import JSON, Bench, on_graph
-from pipeline.console.running import processes
+from pipeline.cli.running import processes
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.run.report import Report

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
 from pipeline import Frame, Input, Operator, Percept, Truth
 from pipeline.boxes import covered, iou
-from pipeline.console.changing import ask
+from pipeline.client.find import find
 from pipeline.errors import RunError
 from pipeline.graph.editing import with_nodes
 from pipeline.graph.plan import Plan
@@ -153,7 +153,7 @@ class Spans:
     def _set(self, node: str, values: Mapping[str, Any]) -> None:
         """Change live settings while the supervisor goes on looking after its processes."""
         with ThreadPoolExecutor(1) as pool:
-            asked = pool.submit(ask, self._supervisor.plan.name, node, values)
+            asked = pool.submit(find(self._supervisor.plan.name).configure, node, values)
             while not asked.done():
                 self._supervisor.tick()
             asked.result()

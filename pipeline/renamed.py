@@ -14,4 +14,5 @@ def renamed_option(old: str, new: str, *, flag: bool = False) -> Callable[..., A
             raise click.UsageError(f"{old}: renamed; expected {new}")
 
     more: dict[str, Any] = {"is_flag": True} if flag else {"multiple": True}
-    return click.option(old, hidden=True, expose_value=False, callback=refuse, **more)
+    name = f"renamed_{old.strip('-').replace('-', '_')}"  # an argument may have the other
+    return click.option(old, name, hidden=True, expose_value=False, callback=refuse, **more)

@@ -1,18 +1,23 @@
-"""What a terminal of 80 columns shows: tables without lines between columns, bounded log lines."""
+"""What a terminal shows: tables that fit into narrow ones too, and bounded log lines."""
 
 import logging
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rich import box
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.highlighter import NullHighlighter
 from rich.logging import RichHandler
-from rich.table import Table
+from rich.measure import Measurement
+from rich.table import Column, Table
 from rich.text import Text
 
 from pipeline.text import harmless
 
 MOST_LOGGED = 8000  # characters of one record, with its traceback
+MOST_WIDTH = 10_000  # characters of a cell that are counted
+WORDS_WIDTH = 14  # that words which wrap need
 
 
 class _Bounded(logging.Formatter):
@@ -30,23 +35,72 @@ def log_handler() -> logging.Handler:
     return handler
 
 
+class LeanTable(Table):
+    """A table that leaves columns out where the terminal is too narrow, and says which."""
+
+    def __init__(self, title: str, spare: Sequence[str]) -> None:
+        """`spare`: headings of columns in the order in which they are left out."""
+        super().__init__(
+            title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0
+        )
+        self._spare = spare
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """The table, or a narrower one."""
+        kept, left_out = self._fitting(console, options)
+        if not left_out:
+            yield from super().__rich_console__(console, options)
+            return
+        words = f"too narrow for: {', '.join(left_out)}"
+        narrow = Table(
+            title=self.title, title_justify="left", box=self.box, show_edge=False, padding=0,
+            caption=words, caption_justify="left",
+        )  # fmt: skip
+        columns = [column for column in self.columns if str(column.header) in kept]
+        narrow.columns = [replace(column, _index=i) for i, column in enumerate(columns)]
+        narrow.rows = self.rows
+        yield narrow
+
+    def _fitting(self, console: Console, options: ConsoleOptions) -> tuple[list[str], list[str]]:
+        """The headings that stay and those that do not."""
+        widths = {str(c.header): self._width(console, options, c) for c in self.columns}
+        left_out: list[str] = []
+        for name in self._spare:
+            if sum(widths.values()) + len(widths) - 1 <= options.max_width or len(widths) == 1:
+                break
+            del widths[name]
+            left_out.append(name)
+        return list(widths), [name for name in left_out if name]
+
+    def _width(self, console: Console, options: ConsoleOptions, column: Column) -> int:
+        """How wide a column has to be: words may wrap, names and figures must not."""
+        cells = (column.header, *column.cells)
+        wide = options.update(max_width=MOST_WIDTH)
+        widest = max(Measurement.get(console, wide, cell).maximum for cell in cells)
+        return widest if column.no_wrap else min(widest, WORDS_WIDTH)
+
+
 def lean_table(
     title: str = "",
     *,
     names: Sequence[str] = (),
     words: Sequence[str] = (),
     figures: Sequence[str] = (),
+    spare: Sequence[str] = (),
 ) -> Table:
-    """An empty table: columns of names, which stay whole, of words, which wrap, of figures."""
-    table = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0
-    )  # fmt: skip
+    """An empty table: columns of names, which stay whole, of words, which wrap, of figures.
+
+    Where it does not fit, columns are left out: `spare` ones, then figures from the right, then
+    words; the first name stays.
+    """
+    order = [*spare, *reversed(figures), *reversed(words), *reversed(names[1:])]
+    table = LeanTable(title, list(dict.fromkeys(order)))
     for name in names:
         table.add_column(name, no_wrap=True, overflow="fold")
     for name in words:
         table.add_column(name, overflow="fold")
     for name in figures:
-        table.add_column(name, justify="right", overflow="fold")
+        table.add_column(name, justify="right", no_wrap=True, overflow="fold")
     return table
 
 

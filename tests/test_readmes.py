@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 
 from pipeline import Frame, codec
 from pipeline.cli import commands
-from pipeline.console.tasks import VERBS, command_of
+from pipeline.cli.tasks import VERBS, command_of
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import SOURCE_KEYS, Overlay
 from pipeline.graph.plan import Restart

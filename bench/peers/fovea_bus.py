@@ -14,7 +14,7 @@ from rich.console import Console
 
 from bench.peers.ruler import Meter, Task, Writer, contestant
 from pipeline import Frame, Header, Input, Operator, RunError, Source
-from pipeline.console.running import processes
+from pipeline.cli.running import processes
 from pipeline.graph.loader import load
 
 

@@ -1,7 +1,7 @@
 """Live settings and commands: frames in, nothing out; the brightness is told when asked for.
 
 fovea run examples/meter
-fovea set meter meter.alarm_above=50           (in another terminal)
+fovea set meter meter alarm_above=50           (in another terminal)
 fovea tell meter meter brightest count=3
 """
 

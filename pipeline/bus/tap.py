@@ -10,7 +10,7 @@ import threading
 import time
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,23 @@ from numpy.typing import NDArray
 from pipeline import codec
 from pipeline.bus.envelope import HANDSHAKE, NOTHING, Envelope, first_of
 from pipeline.errors import MessageError
+from pipeline.fields import Fetch
 from pipeline.messages import Header, Message
 
 ROOM = 4096  # descriptors that may wait for a terminal
+
+
+class Reader(Protocol):
+    """Reads the messages of one schema."""
+
+    @property
+    def fingerprint(self) -> bytes:
+        """Of the schema."""
+        ...
+
+    def read(self, data: codec.Buffer, fetch: Fetch) -> Any:
+        """A message, which has a `header`; raises `MessageError`."""
+        ...
 
 
 class Heard(NamedTuple):
@@ -28,7 +42,7 @@ class Heard(NamedTuple):
 
     at_ns: int  # monotonic, when it came
     header: Header
-    message: Message | None  # big arrays are zeros; None: it had nothing to say
+    message: Any  # what the reader gave; big arrays are zeros; None: it had nothing to say
     after_loss: bool  # whether something was missed just before it
 
 
@@ -66,8 +80,9 @@ class _Instance:
 class Tap:
     """`receive` is called by the transport's thread, everything else by one other."""
 
-    def __init__(self, message: type[Message], room: int = ROOM) -> None:
-        self._schema = codec.schema(message)
+    def __init__(self, message: type[Message] | Reader, room: int = ROOM) -> None:
+        """Messages of a class, or of what reads them without one."""
+        self._schema: Reader = codec.schema(message) if isinstance(message, type) else message
         self._fingerprint = self._schema.fingerprint
         self._waiting: queue.Queue[tuple[int, Envelope, bool]] = queue.Queue(room)
         self._lock = threading.Lock()
@@ -75,9 +90,9 @@ class Tap:
         self._slow = self._refused = 0
         self._after_loss = False  # something was missed since the last one that was kept
 
-    def receive(self, payload: bytes) -> None:
-        """Take one descriptor; never raises, never waits."""
-        at_ns = time.monotonic_ns()
+    def receive(self, payload: bytes, at_ns: int = 0) -> None:
+        """Take one descriptor, which came now or `at_ns`; never raises, never waits."""
+        at_ns = at_ns or time.monotonic_ns()
         try:
             envelope = Envelope.parse(payload)
         except MessageError:
@@ -146,7 +161,7 @@ class Tap:
         known.heard += not handshake
         return not handshake
 
-    def _read(self, envelope: Envelope) -> tuple[Header, Message | None]:
+    def _read(self, envelope: Envelope) -> tuple[Header, Any]:
         if envelope.kind == NOTHING:
             return codec.unpack(Header, envelope.body), None
         slot_bytes = envelope.slot.nbytes if envelope.slot else 0
@@ -156,5 +171,5 @@ class Tap:
                 raise MessageError(f"an array ends at {offset + nbytes} of {slot_bytes} bytes")
             return np.zeros(nbytes, np.uint8)  # memory that nobody touches costs nothing
 
-        message: Any = self._schema.read(envelope.body, blank)
+        message = self._schema.read(envelope.body, blank)
         return message.header, message

@@ -18,34 +18,33 @@ from pipeline.text import error_text, harmless
 LOGGING = ("run", "agent")  # whose output is a log; that of the others is an answer
 INTERRUPTED = 130
 USAGE = (GraphError, InstallError, SettingsError, WeightsError)  # exit status 2
-GRAPHS, LOOKING, TASKS = "pipeline.cli.graphs", "pipeline.cli.looking", "pipeline.console.tasks"
-CLIENT, OPERATING = "pipeline.console.graph_client", "pipeline.console.operating"
-FLEET = "pipeline.fleet.commands"
+RUN, INSPECTION, CONTROL = "pipeline.cli.run", "pipeline.cli.inspection", "pipeline.cli.control"
+FLEET, TASKS = "pipeline.cli.fleet", "pipeline.cli.tasks"
 TABLE = {
-    "add": (f"{OPERATING}:add", "Add the nodes of a FILE to a running graph."),
+    "add": (f"{CONTROL}:add", "Add the nodes of a FILE to a running graph."),
     "agent": (f"{FLEET}:agent_command", "Run parts of graphs on this host for those who may."),
     "attach": (f"{FLEET}:attach_command", "Look after a graph that was deployed from elsewhere."),
-    "check": (f"{GRAPHS}:check", "Check a graph without starting anything."),
+    "check": (f"{RUN}:check", "Check a graph without starting anything."),
     "completion": ("pipeline.cli.completion:completion", "Print what completes words in a SHELL."),
     "doctor": ("pipeline.doctor:doctor_command", "Say what is wrong with this installation."),
     "down": (f"{FLEET}:down_command", "Stop a graph on all its hosts."),
-    "draw": (f"{GRAPHS}:draw", "Print the graph as a Mermaid flow chart."),
-    "echo": (f"{LOOKING}:echo", "Print the messages of an output as they come."),
+    "draw": (f"{RUN}:draw", "Print the graph as a Mermaid flow chart."),
+    "echo": (f"{INSPECTION}:echo", "Print the messages of an output as they come."),
     "eval": (f"{TASKS}:eval_command", "Measure a task: figures, tables, plots."),
     "export": (f"{FLEET}:export_command", "Print a graph's hosts as units or manifests."),
-    "health": (f"{CLIENT}:health_command", "Ask every node of a running graph how it is."),
-    "hz": (f"{LOOKING}:hz", "Measure rate, jitter and age of an output's messages."),
-    "logs": (f"{LOOKING}:logs", "Show what a node wrote, also after it ended."),
-    "ps": (f"{LOOKING}:ps", "List the running graphs and their processes."),
-    "remove": (f"{OPERATING}:remove", "Remove a node that nobody reads from a running graph."),
-    "rewire": (f"{OPERATING}:rewire", "Let a node of a running graph read another output."),
-    "run": (f"{GRAPHS}:run", "Run a graph until its source ends, a limit, or Ctrl-C."),
-    "schema": (f"{CLIENT}:schema_command", "Print what a running node takes and gives."),
+    "health": (f"{INSPECTION}:health_command", "Ask every node of a running graph how it is."),
+    "hz": (f"{INSPECTION}:hz", "Measure rate, jitter and age of an output's messages."),
+    "logs": (f"{INSPECTION}:logs", "Show what a node wrote, also after it ended."),
+    "ps": (f"{INSPECTION}:ps", "List the running graphs and their processes."),
+    "remove": (f"{CONTROL}:remove", "Remove a node that nobody reads from a running graph."),
+    "rewire": (f"{CONTROL}:rewire", "Let a node of a running graph read another output."),
+    "run": (f"{RUN}:run", "Run a graph until its source ends, a limit, or Ctrl-C."),
+    "schema": (f"{INSPECTION}:schema_command", "Print what a running node takes and gives."),
     "secure": (f"{FLEET}:secure_commands", "A private certificate authority for hosts and users."),
-    "set": ("pipeline.console.changing:set_command", "Change live settings of a running graph."),
-    "swap": (f"{OPERATING}:swap", "Replace a node's operator, settings or model file."),
-    "tell": (f"{CLIENT}:tell_command", "Have a running node do something."),
-    "top": (f"{LOOKING}:top", "Watch rates, latencies and drops of a running graph."),
+    "set": (f"{CONTROL}:set_command", "Change live settings of a running graph."),
+    "swap": (f"{CONTROL}:swap", "Replace a node's operator, settings or model file."),
+    "tell": (f"{CONTROL}:tell_command", "Have a running node do something."),
+    "top": (f"{INSPECTION}:top", "Watch rates, latencies and drops of a running graph."),
     "train": (f"{TASKS}:train_command", "Train the networks of a task."),
     "up": (f"{FLEET}:up_command", "Start a graph on the hosts that its labels name."),
     "weights": ("pipeline.weights:weights_commands", "Third-party networks: list them, pull them."),

@@ -1,23 +1,35 @@
-"""A running graph's plan in the words of a graph file, with nodes added, removed or rewired.
+"""A running graph's plan with nodes added, removed or rewired.
 
-The loader checks the whole as if it had been written so, and says what is wrong with file and line.
+Only the operators of nodes that are added are loaded. What the others take and give is told by
+`ports_of`, a question to the running graph; without one their operators are loaded too. What does
+not fit is refused as the loader would, with file and line.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from pipeline import codec
+from pipeline.contract import inputs_of, outputs_of
 from pipeline.errors import GraphError
-from pipeline.graph.loader import assemble
-from pipeline.graph.plan import Edge, Node, Plan
-from pipeline.graph.spec import EDGE_KEYS, NODE_KEYS
+from pipeline.graph.loader import Sent, extended
+from pipeline.graph.plan import Edge, Plan, load_operator
 from pipeline.graph.yaml_lines import YamlFile
-from pipeline.graph.yaml_reader import YamlMapping
 from pipeline.settings import suggest
 
 
-def with_nodes(plan: Plan, path: Path) -> Plan:
+@dataclass(frozen=True)
+class Ports:
+    """The messages that a node takes and gives, by name of input and output."""
+
+    inputs: Mapping[str, Sent]
+    outputs: Mapping[str, Sent]
+
+
+PortsOf = Callable[[str], Ports]  # of a node that runs, by its name
+
+
+def with_nodes(plan: Plan, path: Path, ports_of: PortsOf | None = None) -> Plan:
     """The plan and the nodes of a file; raises `GraphError` or `SettingsError`."""
     file = YamlFile(path)
     file.only(file.document, ("nodes",), "addition")
@@ -25,58 +37,81 @@ def with_nodes(plan: Plan, path: Path) -> Plan:
     for name in fresh:
         if name in {n.name for n in plan.nodes}:
             file.fail(fresh, name, f"nodes.{name}: there is a node of that name already")
-    return assemble(file, plan.name, plan.clock, {**entries(plan), **fresh}, plan.hosts)
+    known = ports_of or loaded_ports(plan)
+    return extended(file, plan, fresh, lambda node: known(node).outputs)
 
 
 def without_node(plan: Plan, name: str) -> Plan:
     """The plan without a node that nobody reads."""
-    _known(plan, name)
+    _check_known(plan, name)
     for edge in plan.edges:
         if edge.source == name != edge.target:
             raise GraphError(f"{name}: {edge.end} reads it: expected to rewire that first")
-    left = {n: e for n, e in entries(plan).items() if n != name}
-    return assemble(_Words(plan), plan.name, plan.clock, left, plan.hosts)
+    if len(plan.nodes) == 1:
+        raise GraphError(f"{name}: {plan.name} has no other node; `fovea stop` ends it")
+    return replace(
+        plan,
+        nodes=tuple(n for n in plan.nodes if n.name != name),
+        edges=tuple(e for e in plan.edges if e.target != name),
+    )
 
 
-def rewired(plan: Plan, wire: str) -> Plan:
+def rewired(plan: Plan, wire: str, ports_of: PortsOf | None = None) -> Plan:
     """The plan with an input connected elsewhere: `node.input=source.output`."""
     end, equals, origin = wire.partition("=")
     node, dot, name = end.partition(".")
     if not (equals and dot and node and name and origin):
         raise GraphError(f"{wire}: expected node.input=source or node.input=source.output")
-    _known(plan, node)
-    changed = entries(plan)
-    inputs = changed[node]["inputs"]
+    _check_known(plan, node)
+    inputs = plan.inputs(node)
     if name not in inputs:
         raise GraphError(f"{end}: no such edge{suggest(name, inputs)}")
-    inputs[name] = {**inputs[name], "from": origin}
-    return assemble(_Words(plan), plan.name, plan.clock, changed, plan.hosts)
+    source, _, output = origin.partition(".")
+    changed = replace(inputs[name], source=source, output=output or "out")
+    known = ports_of or loaded_ports(plan)
+    _check_origin(plan, changed, known)
+    edges = tuple(changed if e.end == changed.end else e for e in plan.edges)
+    wanted = replace(plan, edges=edges)
+    try:
+        wanted.order()
+    except GraphError as error:
+        raise GraphError(f"{wire}: {error}") from error
+    return wanted
 
 
-def entries(plan: Plan) -> dict[str, dict[str, Any]]:
-    """The nodes as a graph file has them."""
-    return {node.name: _entry(plan, node) for node in plan.nodes}
+def loaded_ports(plan: Plan) -> PortsOf:
+    """The ports of a plan's nodes by their operators, which are loaded."""
+
+    def ports_of(name: str) -> Ports:
+        operator = load_operator(plan.node(name).operator)
+        return Ports(
+            {n: _sent(port.message) for n, port in inputs_of(operator).items()},
+            {n: _sent(message) for n, message in outputs_of(operator).items()},
+        )
+
+    return ports_of
 
 
-def _entry(plan: Plan, node: Node) -> dict[str, Any]:
-    values, usual = asdict(node), {f.name: f.default for f in fields(Node)}
-    entry = {k: values[k] for k in NODE_KEYS if k in values and values[k] != usual[k]}
-    inputs = {name: _wire(edge) for name, edge in plan.inputs(node.name).items()}
-    return {**entry, "inputs": inputs}
+def _sent(message: type) -> Sent:
+    return Sent(message.__name__, codec.fingerprint(message).hex())
 
 
-def _wire(edge: Edge) -> Mapping[str, Any]:
-    return {"from": edge.origin, **{k: v for k, v in asdict(edge).items() if k in EDGE_KEYS}}
+def _check_origin(plan: Plan, edge: Edge, ports_of: PortsOf) -> None:
+    where = f"{plan.name}: {edge.target}.inputs.{edge.input}"
+    names = [n.name for n in plan.nodes]
+    if edge.source not in names:
+        raise GraphError(f"{where}: no node {edge.source}{suggest(edge.source, names)}")
+    outputs = ports_of(edge.source).outputs
+    if edge.output not in outputs:
+        options = [edge.source if o == "out" else f"{edge.source}.{o}" for o in outputs]
+        hint = suggest(edge.origin, options)
+        raise GraphError(f"{where}: {edge.source} has no output {edge.output}{hint}")
+    wanted, sent = ports_of(edge.target).inputs[edge.input], outputs[edge.output]
+    if wanted != sent:
+        raise GraphError(f"{where}: {wanted.against(sent)} from {edge.origin}")
 
 
-def _known(plan: Plan, name: str) -> None:
+def _check_known(plan: Plan, name: str) -> None:
     names = [n.name for n in plan.nodes]
     if name not in names:
         raise GraphError(f"{plan.name}: no node {name}{suggest(name, names)}")
-
-
-class _Words(YamlFile):
-    """Stands for the file in errors about a graph that runs."""
-
-    def __init__(self, plan: Plan) -> None:
-        self.path, self.document = Path(plan.name), YamlMapping(plan.name)

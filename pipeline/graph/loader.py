@@ -6,11 +6,12 @@ editing it: a source file replaces the settings of the node that makes frames, `
 changes one value.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from pipeline import codec
 from pipeline import settings as checked
 from pipeline.contract import Input, Operator, inputs_of, joined, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
@@ -18,7 +19,21 @@ from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Clock, Edge, Node, Plan, load_operator
 from pipeline.graph.spec import EdgeSpec, NodeSpec, check_places, graph_spec, node_specs
 from pipeline.graph.yaml_lines import YamlFile
+from pipeline.messages import Message
 from pipeline.wording import shown_key
+
+
+class Sent(NamedTuple):
+    """The type of a message, told without its class."""
+
+    message: str
+    fingerprint: str  # of its schema
+
+    def against(self, sent: "Sent") -> str:
+        """What was expected and what came instead, in words."""
+        same = self.message == sent.message
+        return f"expected {self.message}, got {'another ' if same else ''}{sent.message}"
+
 
 FROM_PORT = ("keep", "depth", "wait_ms", "max_age_ms", "stale")  # unless the file says otherwise
 
@@ -36,11 +51,36 @@ def load(path: Path, overlay: Overlay | None = None) -> Plan:
     return _plan(file, spec.name, spec.clock, started, spec.hosts)
 
 
-def assemble(
-    file: YamlFile, name: str, clock: Clock, nodes: Mapping[str, Any], hosts: tuple[str, ...] = ()
-) -> Plan:
-    """The plan of these entries; raises `GraphError` or `SettingsError`."""
-    return _plan(file, name, clock, node_specs(file, nodes), hosts)
+def extended(
+    file: YamlFile, plan: Plan, nodes: Mapping[str, Any],
+    outputs_of_running: Callable[[str], Mapping[str, Sent]],
+) -> Plan:  # fmt: skip
+    """The plan of a running graph and these nodes of a file; raises `FoveaError`.
+
+    The operators of nodes that run already are not loaded: what they give is asked for.
+    """
+    specs = node_specs(file, nodes)
+    check_places(file, specs, plan.hosts)
+    fresh = {name: _LoadedNode(file, spec) for name, spec in specs.items()}
+    running = {n.name: _RunningNode(n.name, outputs_of_running) for n in plan.nodes}
+    first_node = 1 + max((n.index for n in plan.nodes), default=-1)
+    first_edge = 1 + max((e.index for e in plan.edges), default=-1)
+    try:
+        edges = [
+            replace(edge, index=first_edge + i)
+            for i, edge in enumerate(_edges(file, fresh, plan.clock, {**running, **fresh}))
+        ]
+        wanted = replace(
+            plan,
+            nodes=(*plan.nodes, *(n.node(first_node + i) for i, n in enumerate(fresh.values()))),
+            edges=(*plan.edges, *edges),
+        )
+        wanted.order()
+    except _LocatedError as error:
+        raise GraphError(str(error)) from error.__cause__
+    except GraphError as error:
+        raise GraphError(f"{file.at(file.document, 'nodes')}: {error}") from error
+    return wanted
 
 
 def _plan(
@@ -54,7 +94,7 @@ def _plan(
             name=name,
             clock=clock,
             nodes=tuple(loaded.node(i) for i, loaded in enumerate(nodes.values())),
-            edges=tuple(_edges(file, nodes, clock)),
+            edges=tuple(_edges(file, nodes, clock, nodes)),
             hosts=hosts,
         )
         plan.order()
@@ -67,6 +107,18 @@ def _plan(
 
 class _LocatedError(GraphError):
     """An error that has its place already."""
+
+
+class _RunningNode:
+    """A node that runs already, of which an edge may begin."""
+
+    def __init__(self, name: str, outputs_of_running: Callable[[str], Mapping[str, Sent]]) -> None:
+        self._name, self._ask = name, outputs_of_running
+
+    @property
+    def outputs(self) -> Mapping[str, Sent]:
+        """What it gives, by output; raises `FoveaError` when it does not say."""
+        return self._ask(self._name)
 
 
 class _LoadedNode:
@@ -124,7 +176,12 @@ class _LoadedNode:
                 self.file.fail(self.spec.entry, "operator", what)
 
 
-def _edges(file: YamlFile, nodes: Mapping[str, _LoadedNode], clock: Clock) -> Iterator[Edge]:
+_Origins = Mapping[str, "_LoadedNode | _RunningNode"]
+
+
+def _edges(
+    file: YamlFile, nodes: Mapping[str, _LoadedNode], clock: Clock, origins: _Origins
+) -> Iterator[Edge]:
     index = 0
     for loaded in nodes.values():
         for name, spec in loaded.spec.inputs.items():
@@ -133,7 +190,8 @@ def _edges(file: YamlFile, nodes: Mapping[str, _LoadedNode], clock: Clock) -> It
                 raise _LocatedError(f"{spec.place}: {spec.where}: no such input{hint}")
         for name, port in loaded.inputs.items():
             if name in loaded.spec.inputs:
-                yield _edge(nodes, loaded.name, name, port, loaded.spec.inputs[name], clock, index)
+                spec = loaded.spec.inputs[name]
+                yield _edge(origins, loaded.name, name, port, spec, clock, index)
                 index += 1
             elif port.join and not (port.optional or port.command):
                 place = file.at(loaded.spec.entry, "inputs")
@@ -141,8 +199,7 @@ def _edges(file: YamlFile, nodes: Mapping[str, _LoadedNode], clock: Clock) -> It
 
 
 def _edge(
-    nodes: Mapping[str, _LoadedNode], target: str, name: str, port: Input, spec: EdgeSpec,
-    clock: Clock, index: int,
+    nodes: _Origins, target: str, name: str, port: Input, spec: EdgeSpec, clock: Clock, index: int
 ) -> Edge:  # fmt: skip
     place = f"{spec.place}: {spec.where}"
     if spec.source not in nodes:
@@ -153,9 +210,8 @@ def _edge(
         options = [_origin(spec.source, output) for output in outputs]
         hint = checked.suggest(spec.origin, options)
         raise _LocatedError(f"{place}: {spec.source} has no output {shown_key(spec.output)}{hint}")
-    if (sent := outputs[spec.output]) is not port.message:
-        expected = f"expected {port.message.__name__}, got {sent.__name__}"
-        raise _LocatedError(f"{place}: {expected} from {spec.origin}")
+    if differs := _difference(port.message, outputs[spec.output]):
+        raise _LocatedError(f"{place}: {differs} from {spec.origin}")
     values = {key: getattr(port, key) for key in FROM_PORT} | {"transport": "pool"}
     values |= spec.given
     if port.command and values["keep"] != "latest":
@@ -168,7 +224,15 @@ def _edge(
     )  # fmt: skip
 
 
-def _suggest_origin(origin: str, nodes: Mapping[str, _LoadedNode]) -> str:
+def _difference(wanted: type[Message], sent: type[Message] | Sent) -> str:
+    """What an input expects and what it would get; empty where they agree."""
+    if isinstance(sent, Sent):
+        ours = Sent(wanted.__name__, codec.fingerprint(wanted).hex())
+        return "" if ours == sent else ours.against(sent)
+    return "" if sent is wanted else f"expected {wanted.__name__}, got {sent.__name__}"
+
+
+def _suggest_origin(origin: str, nodes: _Origins) -> str:
     options = [_origin(name, output) for name, loaded in nodes.items() for output in loaded.outputs]
     return checked.suggest(origin, options)
 

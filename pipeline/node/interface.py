@@ -23,4 +23,5 @@ def interface(node: str, cls: type[Operator[Any, Any]]) -> Interface:
 
 
 def _port(message: type[Any], keep: str = "") -> Port:
-    return Port(message.__name__, codec.fingerprint(message).hex(), keep)
+    known = codec.schema(message)
+    return Port(message.__name__, known.fingerprint.hex(), keep, known.text)

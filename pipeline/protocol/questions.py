@@ -47,6 +47,7 @@ class Port(Part, frozen=True):
     message: str
     fingerprint: str  # of the message's fields, types and shapes
     keep: str = ""  # of an input
+    schema: str = ""  # the fields and types that the fingerprint stands for
 
 
 class Interface(ControlMessage, frozen=True, kw_only=True):

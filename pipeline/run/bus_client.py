@@ -26,7 +26,8 @@ def ask_local(folder: str, graph: str, node: str, question: NodeQuestion) -> byt
         answer = session.ask(key, encode(question), TIMEOUT_S)
     if answer is None:
         raise RunError(
-            f"{folder}: {node} gave no answer for {TIMEOUT_S:.0f} s; see `fovea logs {node}`"
+            f"{folder}: {node} gave no answer for {TIMEOUT_S:.0f} s; "
+            f"see `fovea logs {folder} {node}`"
         )
     return answer
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.console.running import status_line
+from pipeline.cli.running import status_line
 from pipeline.graph.loader import load
 from pipeline.protocol.orders import Result, SwapOrder
 from pipeline.run.supervisor import Supervisor

@@ -140,13 +140,11 @@ def test_check_draw_and_schema_start_nothing(graph: Path) -> None:
 def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
     running: "subprocess.Popen[str]", name: str
 ) -> None:
-    words = ("--graph", name)
-
-    echoed = fovea("echo", "steer", "--count", "2", *words)
-    rate = fovea("hz", "ticker.roi", "--duration-s", "1", *words)
+    echoed = fovea("echo", name, "steer", "--count", "2")
+    rate = fovea("hz", name, "ticker.roi", "--duration-s", "1")
     table = fovea("top", name, "--once")
-    logs = fovea("logs", "work", *words)
-    unknown = fovea("echo", "stear", *words)
+    logs = fovea("logs", name, "work")
+    unknown = fovea("echo", name, "stear")
 
     assert len(echoed.stdout.splitlines()) == 2, echoed.stderr
     assert "windows int32[4, 4]" in echoed.stdout
@@ -166,13 +164,13 @@ def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
 def test_a_running_node_can_be_set_and_says_why_not(
     running: "subprocess.Popen[str]", name: str
 ) -> None:
-    done = fovea("set", name, "work.every=2", "ticker.rate_hz=50")
+    done = fovea("set", name, "work", "every=2", "hold=1")
     shown = fovea("set", name, "work")
-    refused = fovea("set", name, "work.sleep_s=1")
-    nowhere = fovea("set", "nowhere", "work.every=2")
-    wrong = fovea("set", name, "work.every=2", "every")
+    refused = fovea("set", name, "work", "sleep_s=1")
+    nowhere = fovea("set", "nowhere", "work", "every=2")
+    wrong = fovea("set", name, "work", "every=2", "every")
 
-    assert done.stdout.splitlines() == ["work.every = 2", "ticker.rate_hz = 50.0"]
+    assert done.stdout.splitlines() == ["work.every = 2", "work.hold = 1"]
     assert done.returncode == 0
     assert [line for line in shown.stdout.splitlines() if "every" in line and "yes" in line]
     assert refused.returncode == 1
@@ -181,7 +179,7 @@ def test_a_running_node_can_be_set_and_says_why_not(
     )
     assert (nowhere.returncode, wrong.returncode) == (1, 2)
     assert "no graph nowhere runs" in nowhere.stderr
-    assert "every: expected node.setting=value" in wrong.stderr
+    assert "every: expected NAME=VALUE" in wrong.stderr
 
 
 def test_sigterm_ends_a_run_like_ctrl_c(running: "subprocess.Popen[str]") -> None:
@@ -229,6 +227,10 @@ def test_the_transport_prints_nothing_between_the_lines_of_an_answer(
         (["attach"], ["--papers", "x"], "--credentials"),
         (["export"], ["--papers", "x"], "--credentials"),
         (["export"], ["--person", "alice"], "--user"),
+        (["logs", "work"], ["--graph", "g"], "`fovea logs GRAPH NODE`"),
+        (["schema", "work"], ["--graph", "g"], "`fovea schema GRAPH NODE`"),
+        (["echo", "work"], ["--graph", "g"], "`fovea echo GRAPH NODE[.OUTPUT]`"),
+        (["hz", "work"], ["--graph", "g"], "`fovea hz GRAPH NODE[.OUTPUT]`"),
     ],
 )
 def test_an_option_that_was_renamed_names_the_new_one(
@@ -239,3 +241,21 @@ def test_an_option_that_was_renamed_names_the_new_one(
     assert done.exit_code == 2
     assert f"{old[0]}: renamed; expected {new}" in done.output
     assert old[0] not in CliRunner().invoke(commands, [*command, "--help"]).output
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["logs", "work"], "expected `fovea logs GRAPH NODE`, got work alone"),
+        (["schema", "work"], "expected `fovea schema GRAPH NODE`, got work alone"),
+        (["echo", "work.roi"], "expected `fovea echo GRAPH NODE[.OUTPUT]`, got work.roi alone"),
+        (["hz", "work"], "expected `fovea hz GRAPH NODE[.OUTPUT]`, got work alone"),
+        (["set", "g", "work.every=2"], "expected NODE SETTING=VALUE: fovea set g work every=2"),
+        (["set", "g", "every=2"], "expected NODE SETTING=VALUE: fovea set g NODE every=2"),
+    ],
+)
+def test_an_order_of_words_that_was_changed_names_the_new_one(words: list[str], said: str) -> None:
+    done = CliRunner().invoke(commands, words)
+
+    assert done.exit_code == 2
+    assert said in done.output

@@ -12,8 +12,8 @@ from operators.examples.blend import Blend
 from operators.examples.brighten import Brighten
 from operators.examples.meter import Meter, MeterSettings
 from operators.examples.motion import Motion, MotionSettings
+from pipeline.client.find import find
 from pipeline.commands import carry_out
-from pipeline.console.operating import tell
 from pipeline.errors import SettingsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -137,7 +137,7 @@ def test_motion_keeps_its_background_over_a_swap_of_processes(tmp_path: Path) ->
     def during(supervisor: Any) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "motion") > 5)
         order = SwapOrder(node="motion", changes={"rate": 0.2}, probation=5, budget_ms=60_000.0)
-        results.append(beside(supervisor, lambda: tell(plan.name, order)))
+        results.append(beside(supervisor, lambda: find(plan.name).swap(order)))
         supervisor.finish()
 
     go(plan, 0, during)

@@ -13,10 +13,7 @@ import pytest
 
 from pipeline.bus.network import LOCAL, Network
 from pipeline.bus.session import Session
-from pipeline.console.changing import ask
-from pipeline.console.graph_client import ask_node, fleet_health
-from pipeline.console.graph_client import tell as tell_node
-from pipeline.console.operating import replan, tell
+from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
@@ -32,7 +29,6 @@ from pipeline.fleet.deploy import (
 from pipeline.fleet.hosted_graph import HostedSupervisor
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.protocol.orders import SwapOrder
-from pipeline.protocol.questions import Interface, SchemaQuestion
 from pipeline.run.rundir import base
 from tests.pipeline.fleet.agents import (
     TRIO,
@@ -145,25 +141,26 @@ def test_a_host_that_asks_what_it_may_not_holds_up_nobody(fleet: Fleet, tmp_path
 def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path) -> None:
     up(fleet, plan_of(tmp_path))
 
-    assert ask("trio", "work", {"hold": 2}).settings["hold"] == 2
-    assert "no path from outside" in refusal(partial(ask, "trio", "work", {"hold": "../x"}))
-    assert "no node wrok, did you mean 'work'" in refusal(partial(ask, "trio", "wrok", {}))
-    assert tell_node("trio", "work", "recall", {}).answer["held"]
-    assert set(ask_node("trio", "count", SchemaQuestion(), Interface).inputs) == {"frame"}
+    trio = find("trio")
+    assert trio.configure("work", {"hold": 2}).settings["hold"] == 2
+    assert "no path from outside" in refusal(partial(trio.configure, "work", {"hold": "../x"}))
+    assert "no node wrok, did you mean 'work'" in refusal(partial(trio.configure, "wrok", {}))
+    assert trio.command("work", "recall", {}).answer["held"]
+    assert set(trio.schema("count").inputs) == {"frame"}
 
-    done = tell("trio", SwapOrder(node="work", operator="tests.samples:PassEvery", probation=5))
+    done = trio.swap(SwapOrder(node="work", operator="tests.samples:PassEvery", probation=5))
     assert done.proven_frames >= 5
-    assert "not on the allow list" in refusal(
-        partial(tell, "trio", SwapOrder(node="work", operator="tests.samples:Nosy"))
-    )
-    assert "no path from outside" in refusal(
-        partial(tell, "trio", SwapOrder(node="work", changes={"hold": "~/x"}))
-    )
-    assert "no node count" in refusal(partial(tell, "trio@compute", SwapOrder(node="count")))
-    assert "runs on several hosts" in refusal(partial(replan, "trio", lambda plan: plan))
+    for wrong, said in (
+        (SwapOrder(node="work", operator="tests.samples:Nosy"), "not on the allow list"),
+        (SwapOrder(node="work", changes={"hold": "~/x"}), "no path from outside"),
+    ):
+        assert said in refusal(partial(trio.swap, wrong))
+    part = find("trio@compute")
+    assert "no node count" in refusal(partial(part.swap, SwapOrder(node="count")))
+    assert "runs on several hosts" in refusal(partial(trio.replan, lambda plan: plan))
     before = handled(fleet, "compute", "steer")
     until(lambda: handled(fleet, "compute", "steer") > before + 10)
-    assert fleet_health("trio@compute").keys() == {"work", "pair", "steer"}
+    assert part.health().keys() == {"work", "pair", "steer"}
     down("trio", fleet.hosts)
 
 

@@ -12,10 +12,10 @@ import pytest
 from click.testing import CliRunner
 from ruamel.yaml import YAML
 
+from pipeline.cli.fleet import export_command
 from pipeline.errors import GraphError, RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.agent_file import read
-from pipeline.fleet.commands import export_command
 from pipeline.fleet.deploy import default_user, read_hosts
 from pipeline.fleet.export.bundle import AGENT, Bundle, memory_mb
 from pipeline.fleet.export.compose import compose

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.console.changing import ask
-from pipeline.console.graph_client import fleet_health
+from pipeline.client.find import find
 from pipeline.errors import FoveaError, GraphError, RunError, Silent
 from pipeline.fleet import wire
 from pipeline.fleet.agent_file import AgentFile, HostConfig
 from pipeline.fleet.allow import ANY, MOST_WEIGHTS_BYTES
 from pipeline.fleet.deploy import Fleet, Hosts, down, forget, remember, remembered, send_weights, up
-from pipeline.fleet.fleet_status import fleet_log
 from tests.pipeline.fleet.agents import Running, fleet_of, plan_of
 
 ALLOWED = {"tests.samples:Ticker": ANY, "tests.samples:Model": ANY}
@@ -75,33 +73,33 @@ def test_a_file_for_a_live_setting_goes_along_and_any_other_is_refused(
     new.write_bytes(NEW)
     foreign.write_bytes(b"of somebody")
 
-    there = ask("remote", "look", {"weights": str(new)}).settings["weights"]
+    there = find("remote").configure("look", {"weights": str(new)}).settings["weights"]
 
     assert Path(there).read_bytes() == NEW
     assert Path(there) != new
     with pytest.raises(RunError, match=r"look\.spare: cannot change .* `fovea swap remote look"):
-        ask("remote", "look", {"spare": str(old)})
+        find("remote").configure("look", {"spare": str(old)})
     lacking = wire.Lacks((hashlib.sha256(OLD).hexdigest(),))
     assert fleet.ask("brain", "lacks", lacking, tuple[str, ...])  # it was not sent
     refused = r"look\.weights: weights .* are not on the allow list"
     with pytest.raises(FoveaError, match=refused):
-        ask("remote", "look", {"weights": str(foreign)})
+        find("remote").configure("look", {"weights": str(foreign)})
 
 
 def test_the_health_of_a_deployed_graph_is_that_of_its_nodes_on_all_hosts(
     two: dict[str, Running], fleet: Fleet
 ) -> None:
-    found = fleet_health("remote")
+    found = find("remote").health()
 
     look = found["look"]
     assert look is not None
     assert (look.host, look.problem) == ("brain", "")
     two["brain"].stop()
-    found = fleet_health("remote")
+    found = find("remote").health()
     assert found["capture"] is not None
     assert found["look"] is None
     with pytest.raises(RunError, match="no log of a node look; brain: no agent answers"):
-        list(fleet_log("remote", "look", 9))
+        list(find("remote").logs("look", 9))
     two["brain"] = Running(two["brain"].agent.host)
 
 

@@ -8,9 +8,9 @@ import pytest
 from click.testing import CliRunner
 from cryptography import x509
 
+from pipeline.cli.fleet import secure_commands
 from pipeline.errors import SettingsError
 from pipeline.fleet import secure
-from pipeline.fleet.commands import secure_commands
 from pipeline.fleet.names import node_identity
 from pipeline.naming import LONGEST_NAME
 from tests.pipeline.fleet.agents import TRIO, plan_of

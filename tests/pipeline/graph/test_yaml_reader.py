@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline import FoveaError, GraphError
-from pipeline.console.tasks import command_of
+from pipeline.cli.tasks import command_of
 from pipeline.fleet.agent_file import read as read_agent
 from pipeline.graph.editing import with_nodes
 from pipeline.graph.loader import load

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline import Frame, Operator, SettingsError
+from pipeline.client.find import find
 from pipeline.codec import fingerprint
 from pipeline.commands import carry_out, commands_of
-from pipeline.console.graph_client import ask_node, fleet_health, tell
 from pipeline.node.answers import respond
 from pipeline.node.interface import interface
 from pipeline.protocol.codec import Refused, decode, encode
-from pipeline.protocol.questions import Command, Health, Interface, Outcome, SchemaQuestion
+from pipeline.protocol.questions import Command, Health, Outcome
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import header
 from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, until, wait_for
@@ -112,9 +112,9 @@ def test_a_running_graph_answers_every_question(tmp_path: Path) -> None:
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 3)
 
-        fleet = fleet_health(plan.name)
-        held = tell(plan.name, "work", "recall", {"last": 2}).answer["held"]
-        shown = ask_node(plan.name, "pair", SchemaQuestion(), Interface)
+        fleet = find(plan.name).health()
+        held = find(plan.name).command("work", "recall", {"last": 2}).answer["held"]
+        shown = find(plan.name).schema("pair")
 
         assert list(fleet) == ["ticker", "work", "pair", "steer"]
         for node, health in fleet.items():
@@ -142,7 +142,7 @@ def test_who_hangs_says_so_and_who_is_frozen_is_silent(tmp_path: Path) -> None:
         fleet: dict[str, Health | None] = {}
 
         def has_problem() -> bool:  # and the supervisor does not look after them
-            fleet.update(fleet_health(plan.name))
+            fleet.update(find(plan.name).health())
             return bool(fleet["work"] and fleet["work"].problem)
 
         until(has_problem)

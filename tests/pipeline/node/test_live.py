@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline import Operator, RunError, SettingsError
-from pipeline.console.changing import ask
+from pipeline.client.find import find
 from pipeline.contract import live_of
 from pipeline.node.answers import respond
 from pipeline.node.live import Live, kept
@@ -140,16 +140,16 @@ def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_tol
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 3)
-        assert ask(plan.name, "work", {"every": 2}).settings["every"] == 2
-        assert ask(plan.name, "ticker", {"rate_hz": 90}).settings["rate_hz"] == 90
+        assert find(plan.name).configure("work", {"every": 2}).settings["every"] == 2
+        assert find(plan.name).configure("ticker", {"rate_hz": 90}).settings["rate_hz"] == 90
         with pytest.raises(RunError, match="must be at least 1"):
-            ask(plan.name, "work", {"every": 0})
+            find(plan.name).configure("work", {"every": 0})
         send_signal(supervisor, "work", signal.SIGKILL)
         wait_for(supervisor, lambda: supervisor.restarts.get("work") == 1)
         index = plan.node("work").index
         wait_for(supervisor, lambda: supervisor.ledger.nodes[index].condition == "waiting")
 
-        answer = ask(plan.name, "work", {})
+        answer = find(plan.name).configure("work", {})
 
         assert answer.settings["every"] == 2
         assert answer.live == ("every", "hold")
@@ -167,7 +167,9 @@ def test_the_next_run_begins_with_what_its_graph_says(tmp_path: Path) -> None:
 
     def change(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 1)
-        seen.append(ask(plan.name, "work", {"every": 7} if not seen else {}).settings["every"])
+        seen.append(
+            find(plan.name).configure("work", {"every": 7} if not seen else {}).settings["every"]
+        )
         supervisor.finish()
 
     for _ in range(2):
@@ -182,6 +184,6 @@ def test_a_node_or_graph_that_does_not_run_is_one_sentence(tmp_path: Path) -> No
     with Supervisor(plan) as supervisor:
         supervisor.start()
         with pytest.raises(RunError, match=r"no node stear, did you mean 'steer'\?"):
-            ask(plan.name, "stear", {})
+            find(plan.name).configure("stear", {})
         with pytest.raises(RunError, match=rf"no graph {plan.name}x runs, did you mean"):
-            ask(f"{plan.name}x", "steer", {})
+            find(f"{plan.name}x").configure("steer", {})

@@ -19,7 +19,7 @@ ASKED_FOR_FILES = {  # a file's age is by that clock, and so is a certificate's
 UNDER_JUMPS = """
 import signal, sys, time
 from pathlib import Path
-from pipeline.console.graph_client import fleet_health
+from pipeline.client.find import find
 from pipeline.graph.loader import load
 from tests.sample_graphs import (
     assert_accounts_add_up, go, handled, send_signal, wait_for, wait_for_progress,
@@ -38,7 +38,7 @@ def during(supervisor):
     send_signal(supervisor, "work", signal.SIGKILL)
     wait_for(supervisor, lambda: supervisor.restarts == {"work": 1} and supervisor.pid("work"))
     wait_for_progress(supervisor, "work")
-    print("well:", all(h and not h.problem for h in fleet_health(plan.name).values()))
+    print("well:", all(h and not h.problem for h in find(plan.name).health().values()))
     supervisor.finish()
 
 plan = load(Path(sys.argv[1]))

@@ -24,8 +24,7 @@ os.write(2, b"a library's own words\\n")
 IN_FULL_FOLDER = """
 import logging, signal, sys
 from pathlib import Path
-from pipeline.console.graph_client import tell
-from pipeline.console.changing import ask
+from pipeline.client.find import find
 from pipeline.errors import RunError
 from pipeline.graph.loader import load
 from tests.sample_graphs import (
@@ -41,8 +40,8 @@ def during(supervisor):
         except OSError:
             pass
     for act in (
-        lambda: ask(plan.name, "work", {"every": 2}),
-        lambda: tell(plan.name, "work", "break_down", {}),
+        lambda: find(plan.name).configure("work", {"every": 2}),
+        lambda: find(plan.name).command("work", "break_down", {}),
     ):
         try:
             act()

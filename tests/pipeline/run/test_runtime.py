@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from pipeline import RunError
-from pipeline.console.changing import ask
+from pipeline.client.find import find
 from pipeline.run.inline import InlineRunner
 from pipeline.run.memory_folder import path_of
 from pipeline.run.rundir import base, running
@@ -92,7 +92,7 @@ def test_a_reader_that_stands_still_on_a_lossless_edge_loses_nothing(tmp_path: P
     def freeze(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "count") > 0)
         pid = send_signal(supervisor, "count", signal.SIGSTOP)
-        ask(plan.name, "ticker", {"rate_hz": 200})
+        find(plan.name).configure("ticker", {"rate_hz": 200})
         until(
             lambda: account_of(supervisor, "count.frame").sent == frames
         )  # no process is replaced

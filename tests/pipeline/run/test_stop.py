@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.console.graph_client import fleet_health
-from pipeline.console.operating import tell
+from pipeline.client.find import find
 from pipeline.errors import RunError
 from pipeline.protocol.orders import Refused, Result, StopOrder, StopResult, SwapOrder
 from pipeline.run.rundir import running
@@ -21,7 +20,7 @@ FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 def counted(graph: str) -> int:
     """Frames that the last node of a graph says it has handled."""
-    health = fleet_health(graph)["count"]
+    health = find(graph).health()["count"]
     return health.handled if health else 0
 
 
@@ -32,7 +31,7 @@ def test_a_graph_in_the_foreground_ends_with_its_report(tmp_path: Path) -> None:
     with subprocess.Popen([*FOVEA, *words], stdout=subprocess.DEVNULL) as run:
         try:
             until(lambda: plan.name in running() and counted(plan.name) > 3)
-            result = tell(plan.name, StopOrder())
+            result = find(plan.name).tell(StopOrder())
             status = run.wait(60)
         finally:
             run.kill()
@@ -50,7 +49,7 @@ def test_a_second_order_is_in_haste(tmp_path: Path) -> None:
         supervisor.start()
         wait_for(supervisor, lambda: handled(supervisor, "count") > 3)
         for count in (1, 2):
-            beside(supervisor, lambda: tell(plan.name, StopOrder()))
+            beside(supervisor, lambda: find(plan.name).tell(StopOrder()))
             assert supervisor.end_requests == count
 
         assert supervisor.in_haste
@@ -76,7 +75,7 @@ def test_a_graph_that_has_ended_is_one_sentence(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS)
 
     with pytest.raises(RunError, match=f"no graph {plan.name} runs"):
-        tell(plan.name, StopOrder())
+        find(plan.name).tell(StopOrder())
 
 
 def test_a_part_of_a_deployed_graph_is_ended_where_it_was_deployed(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 
 from pipeline import GraphError, RunError
-from pipeline.console.changing import ask
-from pipeline.console.operating import swap_lines, tell
+from pipeline.cli.results import swap_lines
+from pipeline.client.find import find
 from pipeline.protocol.orders import Refused, Result, SwapOrder
 from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report
@@ -112,7 +112,7 @@ def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_pat
         wait_for(supervisor, lambda: handled(supervisor, "work") > 0)
         supervisor.control.take(order("work", at=200), results.append)
         wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_receiver_epoch != 0)
-        beside(supervisor, lambda: ask(plan.name, "ticker", {"rate_hz": 60}))
+        beside(supervisor, lambda: find(plan.name).configure("ticker", {"rate_hz": 60}))
         wait_for(supervisor, lambda: bool(results))
         supervisor.finish()
 
@@ -326,10 +326,10 @@ def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> Non
     told: list[str] = []
 
     def operate() -> None:
-        told.extend(swap_lines(tell(plan.name, order("work"))))
+        told.extend(swap_lines(find(plan.name).swap(order("work"))))
         for wrong in (SwapOrder(node="wrk"), "noise"):
             with pytest.raises(GraphError) as refusal:
-                tell(plan.name, wrong)  # type: ignore[arg-type]
+                find(plan.name).swap(wrong)  # type: ignore[arg-type]
             told.append(str(refusal.value))
 
     def during(supervisor: Supervisor) -> None:
@@ -354,7 +354,7 @@ def test_an_order_to_a_supervisor_that_is_killed_is_not_waited_for(tmp_path: Pat
         assert supervisor.stdout is not None
         try:
             supervisor.stdout.readline()
-            asked = pool.submit(tell, plan.name, SwapOrder(node="work", at=10**9))
+            asked = pool.submit(find(plan.name).swap, SwapOrder(node="work", at=10**9))
             until(lambda: asked.done() or any((base() / plan.name).glob("work.2.recv")))
         finally:
             supervisor.kill()  # else leaving the context would wait for it for ever

@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.console.changing import ask
-from pipeline.console.operating import tell
+from pipeline.client.find import find
 from pipeline.protocol.orders import Result
 from pipeline.run.process_handle import NodeProcess, spawn
 from pipeline.run.rundir import base
@@ -45,9 +44,9 @@ def test_a_swap_knows_what_the_part_was_told_and_has_the_last_word(
         with log.open("a") as words:
             words.write("said before\n")
         for changes in ({"hold": 1}, {"every": 3}):
-            ask(plan.name, "work", {"every": 2})
-            tell(plan.name, order("work", changes=changes))
-            settings = ask(plan.name, "work", {}).settings
+            find(plan.name).configure("work", {"every": 2})
+            find(plan.name).swap(order("work", changes=changes))
+            settings = find(plan.name).configure("work", {}).settings
             effective.append((settings["every"], settings["hold"]))
 
     def during(supervisor: Supervisor) -> None:
@@ -67,8 +66,8 @@ def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path
     kept: dict[str, Any] = {}
 
     def tell_meanwhile() -> None:
-        ask(plan.name, "work", {"every": 7})
-        ask(plan.name, "ticker", {"rate_hz": 60})  # the cut may come
+        find(plan.name).configure("work", {"every": 7})
+        find(plan.name).configure("ticker", {"rate_hz": 60})  # the cut may come
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
@@ -77,7 +76,7 @@ def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path
         wait_for(supervisor, lambda: account_of(supervisor, "work.frame").next_receiver_epoch != 0)
         beside(supervisor, tell_meanwhile)
         wait_for(supervisor, lambda: bool(results))
-        settings = beside(supervisor, lambda: ask(plan.name, "work", {})).settings
+        settings = beside(supervisor, lambda: find(plan.name).configure("work", {})).settings
         kept.update(settings)
         supervisor.finish()
 
@@ -102,14 +101,14 @@ def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told
             return spawn(*args, **kwargs)
 
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
-        beside(supervisor, lambda: ask(plan.name, "work", {"every": 2}))
+        beside(supervisor, lambda: find(plan.name).configure("work", {"every": 2}))
         monkeypatch.setattr("pipeline.run.process_manager.spawn", refuse_while_swapping)
         monkeypatch.setattr(supervisor.spare, "take", lambda: None)
         supervisor.control.take(order("work"), results.append)
         wait_for(supervisor, lambda: bool(results))
         wait_for(supervisor, lambda: supervisor.pid("hand") != 0)
         wait_for_progress(supervisor, "work")
-        settings = beside(supervisor, lambda: ask(plan.name, "work", {})).settings
+        settings = beside(supervisor, lambda: find(plan.name).configure("work", {})).settings
         kept.update(settings)
         supervisor.finish()
 

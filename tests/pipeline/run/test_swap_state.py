@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.console.operating import swap_lines
+from pipeline.cli.results import swap_lines
 from pipeline.protocol.orders import SwapOrder
 from tests.pipeline.run.test_swap import Results, swapping
 from tests.sample_graphs import assert_accounts_add_up, go, plan_of, reasons, swapped

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pipeline import FoveaError
-from pipeline.console.operating import replan
+from pipeline.client.find import find
 from pipeline.graph.editing import rewired, with_nodes, without_node
 from pipeline.graph.plan import Plan
 from pipeline.protocol.orders import TopologyResult
@@ -48,7 +48,10 @@ def operating(
 
         def run() -> None:
             try:
-                acts(lambda edit, *words: replan(plan.name, lambda p: edit(p, *words)), supervisor)
+                acts(
+                    lambda edit, *words: find(plan.name).replan(lambda p: edit(p, *words)),
+                    supervisor,
+                )
             except BaseException as error:  # an assertion, to be raised where it is seen
                 broken.append(error)
 

@@ -10,9 +10,9 @@ import click
 from rich.console import Console
 
 from pipeline import signals
-from pipeline.console import running
-from pipeline.console.arguments import DURATION_S, FRAMES
-from pipeline.console.files import try_recording, try_report, write_report
+from pipeline.cli import running
+from pipeline.cli.arguments import DURATION_S, FRAMES
+from pipeline.cli.files import try_recording, try_report, write_report
 from pipeline.contract import INCOMPLETE
 from pipeline.errors import GraphError
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE

@@ -15,9 +15,9 @@ import pytest
 
 from pipeline import Frame, RunError
 from pipeline.bus.tap import Heard, Missed
-from pipeline.console.listening import Listener, echo, figures, rate
-from pipeline.console.operating import replan, tell
-from pipeline.graph.editing import without_node
+from pipeline.client import listening
+from pipeline.client.find import find
+from pipeline.client.listening import figures, line, rate_line
 from pipeline.run.rundir import folder_of
 from pipeline.run.supervisor import Supervisor
 from pipeline.run.swap import SwapOrder
@@ -43,6 +43,14 @@ nodes:
     operator: tests.samples:Pass
     inputs: {frame: ticker.roi}
 """
+
+
+def echo(graph: str, output: str, count: int) -> Iterator[str]:
+    return map(line, listening.echo(find(graph).listen(output), count))
+
+
+def rate(graph: str, output: str, duration_s: float) -> str:
+    return rate_line(listening.rate(find(graph).listen(output), duration_s), duration_s)
 
 
 def seqs(lines: list[str]) -> list[int]:
@@ -96,7 +104,7 @@ def test_echo_goes_on_across_a_restart_and_a_swap(tmp_path: Path) -> None:
     plan, lines = plan_of(tmp_path, UNREAD), list[str]()
 
     def during(supervisor: Supervisor) -> None:
-        listener = Listener(plan.name, "glance")
+        listener = beside(supervisor, lambda: find(plan.name).listen("glance"))
 
         def more(wanted: int) -> None:
             def hear() -> None:
@@ -108,13 +116,14 @@ def test_echo_goes_on_across_a_restart_and_a_swap(tmp_path: Path) -> None:
             beside(supervisor, hear)
             assert len(lines) >= wanted
 
-        with listener.attached() as tap:
+        with listener:
+            tap = listener.tap
             more(5)
             send_signal(supervisor, "glance", signal.SIGKILL)
             wait_for(supervisor, lambda: supervisor.restarts.get("glance") == 1)
             more(tap.instances and len(lines) + 20)
             assert tap.instances == 2
-            beside(supervisor, partial(tell, plan.name, SwapOrder(node="glance", probation=5)))
+            beside(supervisor, partial(find(plan.name).swap, SwapOrder(node="glance", probation=5)))
             more(len(lines) + 200)
             assert tap.instances == 3
             assert tap.missed.refused == 0
@@ -132,7 +141,7 @@ def test_echo_ends_when_its_node_is_removed_and_when_its_graph_ends(tmp_path: Pa
     def during(supervisor: Supervisor) -> None:
         lines = echo(plan.name, "glance", 0)
         beside(supervisor, lambda: next(lines))
-        beside(supervisor, lambda: replan(plan.name, lambda p: without_node(p, "glance")))
+        beside(supervisor, lambda: find(plan.name).remove("glance"))
         rest = beside(supervisor, lambda: list(lines))
         assert rest[-1] == f"{plan.name}: glance was removed"
         left.append(echo(plan.name, "ticker.roi", 10_000))
@@ -163,7 +172,7 @@ def test_taps_that_are_stopped_or_killed_cost_the_graph_nothing_and_leave_nothin
         folder, ledger = folder_of(plan.name), supervisor.ledger
         names.append(set(os.listdir(folder)))
         outputs = ("glance", "ticker.roi", "ticker.roi")
-        taps.extend(started("echo", output, "--graph", plan.name) for output in outputs)
+        taps.extend(started("echo", plan.name, output) for output in outputs)
         for tap in taps:
             assert tap.stdout is not None
             assert beside(supervisor, tap.stdout.readline)
@@ -185,6 +194,10 @@ def test_taps_that_are_stopped_or_killed_cost_the_graph_nothing_and_leave_nothin
     assert names[1] - names[0] == set()
 
 
+def of(output: str, heard: list[Heard], missed: Missed, now_ns: int, duration_s: float) -> str:
+    return rate_line(figures(output, heard, missed, now_ns, duration_s), duration_s)
+
+
 def heard_every(gap_ms: float, *seqs: int, lost_before: tuple[int, ...] = ()) -> list[Heard]:
     pixels = np.zeros((1, 1, 3), np.uint8)
     return [
@@ -199,19 +212,19 @@ def heard_every(gap_ms: float, *seqs: int, lost_before: tuple[int, ...] = ()) ->
 def test_the_rate_counts_what_was_missed_and_the_jitter_does_not() -> None:
     heard = heard_every(10.0, 0, 1, 2, 6, 7, lost_before=(6,))
 
-    line = figures("eye", heard, Missed(on_the_way=3), heard[-1].at_ns, 1.0)
+    said = of("eye", heard, Missed(on_the_way=3), heard[-1].at_ns, 1.0)
 
-    assert line.startswith("eye: 100.00 Hz, gap 10.0 .. 10.0 ms (std 0.00)")
-    assert line.endswith("5 messages; missed 3: 3 lost on the way")
+    assert said.startswith("eye: 100.00 Hz, gap 10.0 .. 10.0 ms (std 0.00)")
+    assert said.endswith("5 messages; missed 3: 3 lost on the way")
 
 
 def test_an_output_that_falls_silent_does_not_keep_its_rate() -> None:
     heard = heard_every(10.0, *range(101))
 
-    line = figures("eye", heard, Missed(), heard[-1].at_ns + 3_000_000_000, 4.0)
+    said = of("eye", heard, Missed(), heard[-1].at_ns + 3_000_000_000, 4.0)
 
-    assert line.startswith("eye: 25.25 Hz")
-    assert "none in the last 3.0 s" in line
+    assert said.startswith("eye: 25.25 Hz")
+    assert "none in the last 3.0 s" in said
 
 
 def test_without_a_message_the_rate_is_an_error_that_says_what_came_instead() -> None:
@@ -223,4 +236,4 @@ def test_without_a_message_the_rate_is_an_error_that_says_what_came_instead() ->
 
 def test_an_output_that_does_not_exist_gets_a_suggestion(tmp_path: Path) -> None:
     with pytest.raises(RunError, match=f"no graph {(name := 'none-' + secrets.token_hex(3))} runs"):
-        Listener(name, "eye")
+        find(name).listen("eye")

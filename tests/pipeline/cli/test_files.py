@@ -13,7 +13,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from pipeline import SettingsError
-from pipeline.console.files import try_recording, try_report, write_report
+from pipeline.cli.files import try_recording, try_report, write_report
 from tests.pipeline.run.namespaces import with_small_mounts
 from tests.sample_graphs import CHAIN
 

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from pipeline.cli import commands
-from pipeline.console.running import advice
+from pipeline.cli.running import advice
 from pipeline.errors import WeightsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay

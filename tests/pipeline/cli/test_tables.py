@@ -2,17 +2,8 @@
 
 from rich.console import Console, RenderableType
 
-from pipeline.console.changing import table as settings_table
-from pipeline.console.graph_client import health_table
-from pipeline.fleet.status_tables import (
-    Said,
-    add_rows,
-    nodes_of,
-    process_rows,
-    process_table,
-    silence,
-    top_tables,
-)
+from pipeline.cli.tables import health_table, process_table, settings_table, top_tables
+from pipeline.client.graph_client import Said, Status
 from pipeline.fleet.wire import Process, State
 from pipeline.protocol.questions import NodeSettings
 
@@ -32,9 +23,8 @@ def state(label: str, *nodes: str, phase: str = "running", failure: str = "") ->
 
 
 def ps(label: str, said: Said) -> list[str]:
-    table = process_table()
-    add_rows(table, "hosts", process_rows(label, said, nodes_of(NODES, label)))
-    return shown(table)
+    nodes = {node: host for node, host in NODES.items() if host == label}
+    return shown(process_table([Status(graph="hosts", hosts={label: said}, nodes=nodes)]))
 
 
 def test_the_nodes_of_a_silent_host_are_each_marked_lost() -> None:
@@ -54,18 +44,13 @@ def test_a_node_that_a_host_should_run_and_does_not_is_marked() -> None:
 
 
 def test_top_keeps_the_nodes_of_a_lost_host_in_sight() -> None:
-    now: dict[str, Said] = {"sensor": [state("sensor", "capture")], "compute": "nobody answers"}
+    hosts: dict[str, Said] = {"sensor": [state("sensor", "capture")], "compute": "nobody answers"}
+    now = Status(graph="hosts", hosts=hosts, nodes=NODES)
 
-    lines = shown(top_tables({}, now, 1.0, NODES))
+    lines = shown(top_tables(Status(graph="hosts", hosts={}, nodes=NODES), now, 1.0))
 
     for node in ("saliency", "policy"):
         assert [line for line in lines if node in line and "lost" in line], lines
-
-
-def test_a_lost_host_is_told_with_its_nodes() -> None:
-    assert silence("nobody answers", nodes_of(NODES, "compute")) == (
-        "nobody answers; lost: saliency, policy"
-    )
 
 
 def test_words_from_outside_are_no_markup() -> None:

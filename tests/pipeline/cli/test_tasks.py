@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 import pytest
 
-from pipeline.console.tasks import command_of, find, task_command
+from pipeline.cli.tasks import command_of, find, task_command
 from pipeline.errors import GraphError, InstallError
 
 

@@ -1,0 +1,80 @@
+"""Words of a command line that several commands share: graphs, nodes, numbers, values, `--json`."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import click
+import msgspec
+from click.shell_completion import CompletionItem
+
+from pipeline.graph.limits import DAY_S, MOST_FRAMES
+from pipeline.graph.overlay import read_value, shown_change
+
+MOST_LINES = 1_000_000
+
+
+class Finite(click.FloatRange):
+    """A number within a range; neither infinite nor none at all."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """The number."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{number} is no finite number.", param, ctx)
+        return number
+
+
+class _Running(click.types.StringParamType):
+    """The name of a running graph; completed from those that run."""
+
+    name = "graph"
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        """Names that begin so."""
+        from pipeline.client.find import graphs
+
+        return [CompletionItem(name) for name in graphs() if name.startswith(incomplete)]
+
+
+RUNNING = _Running()
+FRAMES = click.IntRange(1, MOST_FRAMES)
+FRAMES_OR_NONE = click.IntRange(0, MOST_FRAMES)
+LINES = click.IntRange(0, MOST_LINES)
+INTERVAL_S = Finite(0.1, DAY_S)
+DURATION_S = Finite(0, 1000 * DAY_S, min_open=True)
+BUDGET_MS = Finite(0, 1000 * DAY_S)
+
+
+def named_value(word: str) -> tuple[str, Any]:
+    """Name and value of `NAME=VALUE`; raises `click.UsageError` or `GraphError`."""
+    name, equals, text = word.partition("=")
+    if not equals or not name:
+        raise click.UsageError(f"{shown_change(word)}: expected NAME=VALUE")
+    return name, read_value(text)
+
+
+JSON = click.option("--json", "as_json", is_flag=True, help="The answer as JSON.")
+GRAPH = click.argument("graph", type=RUNNING)
+
+
+def second(name: str, metavar: str = "", *, form: str) -> Callable[..., Any]:
+    """The word behind GRAPH; a command line without one is told the `form` that is expected.
+
+    Raises `click.UsageError`.
+    """
+
+    def check(context: click.Context, _parameter: click.Parameter, word: str | None) -> str:
+        if word is None and not context.resilient_parsing:
+            first = context.params.get("graph")
+            only = f", got {shown_change(str(first))} alone" if first else ""
+            raise click.UsageError(f"expected `fovea {context.info_name} {form}`{only}")
+        return word or ""
+
+    return click.argument(name, required=False, metavar=metavar or name.upper(), callback=check)
+
+
+def print_json(value: Any, *, compact: bool = False) -> None:
+    """Print a value, structs included, as JSON: indented, or on one line."""
+    data = msgspec.json.encode(value, enc_hook=str)
+    click.echo(data if compact else msgspec.json.format(data, indent=1))

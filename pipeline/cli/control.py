@@ -1,0 +1,120 @@
+"""`fovea set | tell | swap | add | remove | rewire | stop`: what a running graph is told to do."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from pipeline.cli.arguments import (
+    BUDGET_MS,
+    FRAMES,
+    FRAMES_OR_NONE,
+    GRAPH,
+    JSON,
+    named_value,
+    print_json,
+    second,
+)
+from pipeline.cli.results import swap_lines, topology_lines
+from pipeline.cli.tables import settings_table
+from pipeline.client.find import find
+from pipeline.graph.overlay import shown_change
+from pipeline.protocol.codec import ControlMessage, fields_of
+from pipeline.protocol.orders import SwapOrder
+
+NODE = second("node", form="GRAPH NODE")
+
+
+@click.command("set")
+@GRAPH
+@second("node", form="GRAPH NODE SETTING=VALUE")
+@click.argument("changes", nargs=-1, metavar="[SETTING=VALUE]…")
+@JSON
+def set_command(graph: str, node: str, changes: tuple[str, ...], as_json: bool) -> None:
+    """Change live settings of a running graph; with a NODE alone, show its settings."""
+    if "=" in node:
+        name, dot, change = node.partition(".")
+        new = f"{name} {change}" if dot and "=" not in name else f"NODE {node}"
+        raise click.UsageError(
+            f"{shown_change(node)}: expected NODE SETTING=VALUE: fovea set {graph} "
+            f"{shown_change(new)}"
+        )
+    wanted = dict(named_value(change) for change in changes)  # all are read before any is changed
+    answer = find(graph).configure(node, wanted)
+    if as_json:
+        print_json({"node": node, "settings": answer.settings, "live": answer.live})
+    elif wanted:
+        for setting in wanted:
+            click.echo(f"{node}.{setting} = {json.dumps(answer.settings.get(setting))}")
+    else:
+        Console().print(settings_table(answer))
+
+
+@click.command("tell")
+@GRAPH
+@NODE
+@click.argument("command")
+@click.argument("arguments", nargs=-1, metavar="[NAME=VALUE]…")
+@click.option("--json", is_flag=True, expose_value=False, help="It is JSON anyway.")
+def tell_command(graph: str, node: str, command: str, arguments: tuple[str, ...]) -> None:
+    """Have a running node do something; `fovea schema GRAPH NODE` shows what it can."""
+    given = dict(named_value(argument) for argument in arguments)
+    click.echo(json.dumps(find(graph).command(node, command, given).answer))
+
+
+@click.command()
+@GRAPH
+@NODE
+@click.option("--operator", default="", metavar="MODULE:CLASS", help="Another operator.")
+@click.option("--set", "changes", multiple=True, metavar="SETTING=VALUE")
+@click.option("--defaults", is_flag=True, help="Begin with the operator's own settings.")
+@click.option("--shadow", default=0, type=FRAMES_OR_NONE, help="Frames to compare before.")
+@click.option("--at", default=0, type=FRAMES_OR_NONE, help="Not before this frame.")
+@click.option("--probation", default=30, type=FRAMES, show_default=True, help="Frames.")
+@click.option("--budget-ms", default=0.0, type=BUDGET_MS, help="Per frame.")
+@JSON
+def swap(graph: str, node: str, changes: tuple[str, ...], as_json: bool, **order: Any) -> None:
+    """Replace a node's operator, settings or model file while the graph runs."""
+    wanted = dict(named_value(change) for change in changes)
+    result = find(graph).swap(SwapOrder(node=node, changes=wanted, **order))
+    _tell(result, swap_lines(result), as_json=as_json)
+
+
+@click.command()
+@GRAPH
+@second("file", "FILE", form="GRAPH FILE")
+@JSON
+def add(graph: str, file: str, as_json: bool) -> None:
+    """Add the nodes of a FILE (`nodes:` as in a graph file) to a running graph."""
+    result = find(graph).add(Path(file))
+    _tell(result, topology_lines(result), as_json=as_json)
+
+
+@click.command()
+@GRAPH
+@NODE
+@JSON
+def remove(graph: str, node: str, as_json: bool) -> None:
+    """Remove a node that nobody reads from a running graph."""
+    result = find(graph).remove(node)
+    _tell(result, topology_lines(result), as_json=as_json)
+
+
+@click.command()
+@GRAPH
+@second("wire", "NODE.INPUT=SOURCE[.OUTPUT]", form="GRAPH NODE.INPUT=SOURCE[.OUTPUT]")
+@JSON
+def rewire(graph: str, wire: str, as_json: bool) -> None:
+    """Let a node of a running graph read another output."""
+    result = find(graph).rewire(wire)
+    _tell(result, topology_lines(result), as_json=as_json)
+
+
+def _tell(result: ControlMessage, lines: list[str], *, as_json: bool) -> None:
+    if as_json:
+        print_json(fields_of(result))
+        return
+    for line in lines:
+        click.echo(line)

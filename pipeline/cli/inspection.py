@@ -1,0 +1,163 @@
+"""`fovea ps | top | health | schema | logs | echo | hz`: looking at running graphs."""
+
+import itertools
+import time
+from collections.abc import Iterator
+
+import click
+from rich.console import Console
+from rich.live import Live
+
+from pipeline.cli import tables
+from pipeline.cli.arguments import (
+    FRAMES_OR_NONE,
+    GRAPH,
+    INTERVAL_S,
+    JSON,
+    LINES,
+    RUNNING,
+    print_json,
+    second,
+)
+from pipeline.client import find as clients
+from pipeline.client import listening
+from pipeline.client.graph_client import GraphClient, Status
+from pipeline.errors import RunError
+from pipeline.protocol.codec import fields_of
+from pipeline.renamed import renamed_option
+from pipeline.text import harmless
+
+MOST_LINE = 20_000  # characters of a message on one line
+NODE = second("node", form="GRAPH NODE")
+OUTPUT = second("output", "NODE[.OUTPUT]", form="GRAPH NODE[.OUTPUT]")
+
+
+@click.command()
+@JSON
+def ps(as_json: bool) -> None:
+    """List the running graphs and their processes, on all hosts."""
+    found = clients.statuses()
+    if as_json:
+        print_json({status.graph: status for status in found})
+        return
+    Console().print(tables.process_table(found))
+
+
+@click.command()
+@click.argument("graph", required=False, type=RUNNING)
+@click.option("--once", is_flag=True, help="Print one table and leave.")
+@click.option("--every-s", default=1.0, type=INTERVAL_S, show_default=True)
+@JSON
+def top(graph: str | None, once: bool, every_s: float, as_json: bool) -> None:
+    """Watch rates, latencies, drops and back-pressure of a running graph."""
+    client = clients.find(graph or "")
+    looks = _looks(client, every_s)
+    if once:
+        looks = itertools.islice(looks, 1)
+    if as_json:
+        for status, _before, _seconds in looks:
+            print_json(status, compact=not once)
+        return
+    console = Console()
+    found = (tables.top_tables(before, now, seconds) for now, before, seconds in looks)
+    if once:
+        console.print(*found)
+        return
+    with Live(console=console, auto_refresh=False, screen=True) as live:
+        for table in found:
+            live.update(table, refresh=True)
+
+
+@click.command("health")
+@click.argument("graph", required=False, type=RUNNING)
+@JSON
+def health_command(graph: str | None, as_json: bool) -> None:
+    """Ask every node of a running graph, or of all of them, how it is; on all hosts."""
+    asked = {graph: clients.find(graph)} if graph else clients.graphs()
+    if not asked:
+        raise RunError("expected a running graph, got none")
+    found = {name: client.health() for name, client in asked.items()}
+    if as_json:
+        plain = {
+            graph: {node: health and fields_of(health) for node, health in nodes.items()}
+            for graph, nodes in found.items()
+        }
+        print_json(plain)
+    else:
+        Console().print(tables.health_table(found))
+    mute = [f"{g}/{n}" for g, nodes in found.items() for n, h in nodes.items() if h is None]
+    if mute:
+        raise RunError(f"no answer from {', '.join(mute)}")
+
+
+@click.command("schema")
+@GRAPH
+@NODE
+@renamed_option("--graph", "`fovea schema GRAPH NODE`")
+@click.option("--json", is_flag=True, expose_value=False, help="It is JSON anyway.")
+def schema_command(graph: str, node: str) -> None:
+    """Print what a running node takes and gives, its settings and its commands."""
+    print_json(fields_of(clients.find(graph).schema(node)))
+
+
+@click.command()
+@GRAPH
+@NODE
+@renamed_option("--graph", "`fovea logs GRAPH NODE`")
+@click.option("--follow", "-f", is_flag=True)
+@click.option("--lines", "-n", default=40, type=LINES, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+def logs(graph: str, node: str, follow: bool, lines: int, as_json: bool) -> None:
+    """Show what a node wrote, also after it ended."""
+    for line in clients.logs(graph, node, lines, follow=follow):
+        if as_json:
+            print_json({"graph": graph, "node": node, "line": line}, compact=True)
+        else:
+            click.echo(line)
+
+
+@click.command()
+@GRAPH
+@OUTPUT
+@renamed_option("--graph", "`fovea echo GRAPH NODE[.OUTPUT]`")
+@click.option("--count", default=0, type=FRAMES_OR_NONE, help="Leave after so many.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
+def echo(graph: str, output: str, count: int, as_json: bool) -> None:
+    """Print the messages of an output as they come."""
+    for item in listening.echo(clients.find(graph).listen(output), count):
+        if as_json:
+            print_json(listening.plain(item), compact=True)
+        else:
+            click.echo(harmless(listening.line(item), MOST_LINE))
+
+
+@click.command()
+@GRAPH
+@OUTPUT
+@renamed_option("--graph", "`fovea hz GRAPH NODE[.OUTPUT]`")
+@click.option("--duration-s", default=5.0, type=INTERVAL_S, show_default=True)
+@JSON
+def hz(graph: str, output: str, duration_s: float, as_json: bool) -> None:
+    """Measure rate, jitter and age of an output's messages."""
+    found = listening.rate(clients.find(graph).listen(output), duration_s)
+    if as_json:
+        print_json(found)
+    else:
+        click.echo(listening.rate_line(found, duration_s))
+
+
+def _looks(client: GraphClient, every_s: float) -> Iterator[tuple[Status, Status, float]]:
+    """The status, the one before it and the seconds between, until the graph ends."""
+    with client.watching() as look:
+        before, at_s = look(), time.monotonic()
+        time.sleep(min(every_s, 1.0))
+        while True:
+            try:
+                now, now_s = look(), time.monotonic()
+            except RunError:
+                if client.runs():
+                    raise
+                return
+            yield now, before, now_s - at_s
+            before, at_s = now, now_s
+            time.sleep(every_s)

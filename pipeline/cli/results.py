@@ -1,0 +1,48 @@
+"""Results of orders to running graphs, as lines for a terminal."""
+
+from pipeline.node.operator_state import lost_words
+from pipeline.protocol.codec import fields_of
+from pipeline.protocol.orders import ShadowReport, SwapResult, TopologyResult
+
+
+def topology_lines(result: TopologyResult) -> list[str]:
+    """What was changed.
+
+    >>> topology_lines(TopologyResult(added=["eye"], removed=[], connected=["a -> e.x"], cut=[]))
+    ['added: eye', 'connected: a -> e.x']
+    """
+    return [f"{kind}: {', '.join(names)}" for kind, names in fields_of(result).items() if names]
+
+
+def swap_lines(result: SwapResult) -> list[str]:
+    """How a swap went.
+
+    >>> swap_lines(SwapResult(node="a", hot=True, seq=7, gap_ms=1.25, state="none",
+    ...                       proven_frames=30))
+    ['a: swapped after frame 7, stood still for 1.2 ms, state none, 30 frames of probation']
+
+    What the operator kept and did not declare is a line of its own.
+    """
+    cut = f"after frame {result.seq}" if result.hot else "by stopping and starting"
+    words = [
+        f"{result.node}: swapped {cut}",
+        f"stood still for {result.gap_ms:.1f} ms",
+        *(f"left out {count} of {name}" for name, count in result.left_out.items() if count),
+        f"state {result.state}",
+        f"{result.proven_frames} frames of probation",
+    ]
+    warnings = [f"{result.node}: {lost_words(result.forgotten)}"] if result.forgotten else []
+    return [", ".join(words), *warnings, *_shadow_lines(result.shadow)]
+
+
+def _shadow_lines(shadow: ShadowReport | None) -> list[str]:
+    if shadow is None:
+        return []
+    apart = [
+        f"{name} in {d.frames} by up to {d.most:.3g}" for name, d in shadow.differences.items()
+    ]
+    line = (
+        f"shadow: {shadow.frames} frames, {shadow.identical} answered alike, "
+        f"{shadow.handler_ms:.1f} ms each" + (f", {shadow.missed} missed" if shadow.missed else "")
+    )
+    return [f"{line}; different: {', '.join(apart)}" if apart else line]

@@ -1,0 +1,208 @@
+"""Running graphs as tables, wherever they run: names and sentences stand as they came."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from pipeline.client.graph_client import Said, Status
+from pipeline.fleet.wire import EdgeState, HostState, NodeState, State
+from pipeline.protocol.questions import Health, NodeSettings
+from pipeline.terminal import brief, lean_table, losses, pair, rest
+
+LOST = "lost"
+Cell = str | Text
+
+
+def condition(said: Said) -> str:
+    """Of a host, for the nodes of which it says nothing: `lost`, `gone` or its part's phase."""
+    if isinstance(said, str):
+        return LOST
+    return said[0].phase if said else "gone"
+
+
+def absent(said: Said, nodes: Iterable[str]) -> list[str]:
+    """The nodes that were started on a host and are in none of its processes now."""
+    states = () if isinstance(said, str) else said
+    there = {name for state in states for process in state.processes for name in process.nodes}
+    return [name for name in nodes if name not in there]
+
+
+def nodes_of(nodes: Mapping[str, str], label: str) -> list[str]:
+    """Of nodes by label, those of a host."""
+    return [node for node, host in nodes.items() if host == label]
+
+
+def process_table(found: Iterable[Status]) -> Table:
+    """Every process of every graph, every host that is silent, every node that is not there."""
+    found = list(found)
+    several = any(label for status in found for label in status.hosts)
+    table = lean_table(
+        names=("graph", *(["host"] if several else []), "process"), words=("state", "nodes"),
+        figures=("pid", "CPU s", "RSS MB", "restarts"),
+        spare=("restarts", "CPU s", "RSS MB", "nodes", "pid"),
+    )  # fmt: skip
+    for status in found:
+        for label, said in status.hosts.items():
+            for host, *cells in _process_rows(label, said, nodes_of(status.nodes, label)):
+                _add(table, status.graph, *([host] if several else []), *cells)
+    return table
+
+
+def top_tables(before: Status, now: Status, seconds: float) -> Group:
+    """Edges, nodes and, where there are several, hosts; with rates since the time before."""
+    several = any(now.hosts)
+    where = ["host"] if several else []
+    edges = lean_table(
+        "edges, p50", names=("from", "to", *where),
+        figures=("Hz", "offered", "delivered", "rest", "age ms"),
+        spare=("delivered", "offered", *where, "rest", "age ms", "Hz"),
+    )  # fmt: skip
+    nodes = lean_table(
+        "nodes, p50/p99", names=("node", *where), words=("state",),
+        figures=("epoch", "handled", "last seq", "handler ms", "hop ms"),
+        spare=("last seq", "hop ms", "epoch", "handled", *where, "handler ms"),
+    )  # fmt: skip
+    clocks = ("round trip", "its clock is ahead")
+    hosts = lean_table("hosts", names=("host", "sees"), words=("",), figures=clocks)
+    told: list[Text] = []
+    earlier = _sent(before)
+    for label, said in now.hosts.items():
+        here = [label] if several else []
+        if isinstance(said, str):
+            _add(hosts, label, "", _red(LOST), "", "")
+        for state in () if isinstance(said, str) else said:
+            for edge in state.edges:
+                rate = (edge.sent - earlier.get((label, edge.end), edge.sent)) / seconds
+                _add(edges, edge.origin, edge.end, *here, *_edge_cells(edge, rate))
+                told += losses(edge.origin, edge.end, edge.account, broken=edge.broken)
+            for node in state.nodes:
+                _add(nodes, node.name, *here, *_node_cells(node))
+            for other in state.hosts:
+                _add(hosts, *_host_cells(label, other))
+        for name in absent(said, nodes_of(now.nodes, label)):
+            _add(nodes, name, *here, _red(condition(said)), *[""] * 5)
+    return Group(edges, *told, nodes, *([hosts] if several else []))
+
+
+def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
+    """A line per node: which does not answer, stalls, loses."""
+    table = lean_table(
+        names=("graph", "node"), words=("state", "what is wrong"),
+        figures=("pid", "epoch", "frame", "own MB"),
+        spare=("epoch", "own MB", "pid", "frame"),
+    )  # fmt: skip
+    for graph, nodes in found.items():
+        for node, health in nodes.items():
+            if health is None:
+                _add(table, graph, node, "", _red("no answer"), *[""] * 4)
+                continue
+            broken = [f"{end} lost messages it was promised" for end in health.broken]
+            wrong = "; ".join(filter(None, [health.problem, *broken]))
+            _add(
+                table, graph, node, health.state, wrong, str(health.pid), str(health.epoch),
+                str(health.last_seq), f"{health.own_mb:.0f}",
+            )  # fmt: skip
+    return table
+
+
+def settings_table(answer: NodeSettings) -> Table:
+    """Every setting of a node and whether it can be changed now."""
+    table = lean_table(names=("setting",), words=("value", "live"), spare=("live",))
+    for name, value in answer.settings.items():
+        _add(table, name, json.dumps(value), "yes" if name in answer.live else "")
+    return table
+
+
+def live_line(status: Status) -> str:
+    """A graph on one line: how far, how fast, what was lost."""
+    states = [
+        state for said in status.hosts.values() if not isinstance(said, str) for state in said
+    ]
+    nodes = [node for state in states for node in state.nodes]
+    edges = [edge for state in states for edge in state.edges]
+    loop = max((node.loop_ms for node in nodes), key=lambda times: times["p50"], default=None)
+    broken = [edge.end for edge in edges if edge.broken]
+    silent = [label for label, said in status.hosts.items() if isinstance(said, str)]
+    parts = [
+        f"frame {max((node.last_seq for node in nodes), default=0)}",
+        *([f"loop {pair(loop)} ms p50/p99"] if loop else []),
+        f"dropped {sum(sum(edge.account['dropped'].values()) for edge in edges)}",
+        *([f"broken: {', '.join(broken)}"] if broken else []),
+        *([f"lost: {', '.join(silent)}"] if silent else []),
+    ]
+    return "  ".join(parts)
+
+
+def _sent(status: Status) -> dict[tuple[str, str], int]:
+    return {
+        (label, edge.end): edge.sent
+        for label, said in status.hosts.items()
+        for state in (() if isinstance(said, str) else said)
+        for edge in state.edges
+    }
+
+
+def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tuple[Cell, ...]]:
+    """Host, process, state, nodes and figures: of processes, and of what should run and does not.
+
+    A host with more to tell than that its part runs has a line of its own.
+    """
+    figures = [""] * 4
+    if not said or isinstance(said, str):
+        yield (label, "", _red(condition(said), f" {said or ''}"), "", *figures)
+    for state in () if isinstance(said, str) else said:
+        if label:
+            yield (label, "", _told(state), "", *figures)
+        for process in state.processes:
+            seen = _red("gone") if not process.pid else Text("" if label else state.phase)
+            yield (
+                "" if label else label, process.name, seen, ", ".join(process.nodes),
+                *([str(process.pid), f"{process.cpu_s:.1f}", f"{process.rss_mb:.0f}"]
+                  if process.pid else [""] * 3),
+                str(process.restarts) if process.restarts >= 0 else "",
+            )  # fmt: skip
+    for node in absent(said, nodes):
+        yield ("", "", _red(condition(said)), node, *figures)
+
+
+def _add(table: Table, *cells: Cell) -> None:
+    """What comes from outside is no markup: `[/dev/video0]` would end a style that never began."""
+    table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in cells))
+
+
+def _red(word: str, rest: str = "") -> Text:
+    return Text.assemble((word, "red"), rest)
+
+
+def _told(state: State) -> Text:
+    said = _red(state.phase, f" {state.failure}") if state.failure else Text(state.phase)
+    away = [host.label for host in state.hosts if host.lost]
+    return said.append(f", does not see {', '.join(away)}") if away else said
+
+
+def _edge_cells(edge: EdgeState, rate: float) -> tuple[Cell, ...]:
+    error = f" ± {edge.age_error_ms:.1f}" if edge.age_error_ms else ""
+    account = edge.account
+    return (
+        f"{rate:.1f}", str(account["offered"]), str(account["delivered"]), rest(account),
+        f"{brief(edge.age_ms['p50'])}{error}",
+    )  # fmt: skip
+
+
+def _node_cells(node: NodeState) -> tuple[Cell, ...]:
+    return (
+        node.condition, str(node.epoch), str(node.handled), str(node.last_seq),
+        pair(node.handler_ms), pair(node.hop_ms),
+    )  # fmt: skip
+
+
+def _host_cells(label: str, other: HostState) -> tuple[Cell, ...]:
+    ahead = f"{other.clock_ahead_ms:.3f} ± {other.clock_error_ms:.3f} ms"
+    lost = _red(f"lost for {other.lost_for_s:.0f} s") if other.lost else "there"
+    return (
+        label, other.label, lost, f"{other.round_trip_ms:.2f} ms",
+        ahead if other.clock_error_ms else "not known",
+    )  # fmt: skip

@@ -1,0 +1,261 @@
+"""A graph that runs on this host: asked over its own bus, its figures read from the ledger."""
+
+import itertools
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import psutil
+
+from pipeline.bus.ledger import Ledger
+from pipeline.bus.tap import Tap
+from pipeline.class_cache import adapter
+from pipeline.client.described import Description
+from pipeline.client.graph_client import (
+    ORDER_S,
+    Edit,
+    GraphClient,
+    Listener,
+    Status,
+    Stopped,
+    output_of,
+)
+from pipeline.errors import GraphError, MessageError, RunError, SettingsError
+from pipeline.fleet.wire import EdgeState, NodeState, Process, State
+from pipeline.graph.plan import Plan
+from pipeline.node.wiring import key_of
+from pipeline.protocol.codec import decode, decode_answer, encode
+from pipeline.protocol.orders import (
+    GRAPH,
+    RESULT,
+    Done,
+    Order,
+    PlanOrder,
+    Refused,
+    Result,
+    StopOrder,
+    SwapOrder,
+    SwapResult,
+    TopologyResult,
+)
+from pipeline.protocol.questions import HEALTH, Health, HealthQuestion, NodeQuestion
+from pipeline.run.bus_client import ask_local, client_session
+from pipeline.run.logs import log_lines
+from pipeline.run.rundir import memory_of, running
+from pipeline.text import harmless
+
+QUICK_S = 3.0  # what transports answer by themselves; a process that is frozen does not
+STOP_S = 120.0  # what is under way may arrive, and operators close
+LOOK_S = 0.05
+D = TypeVar("D", SwapResult, TopologyResult)
+HERE = ""  # the label of a graph's only host
+UNKNOWN = -1  # restarts, of a graph that does not note them
+
+
+class LocalGraph(GraphClient):
+    """A graph that runs here, found by its name."""
+
+    def __init__(self, name: str, facts: Mapping[str, Any]) -> None:
+        """`facts`: what is noted of it (`pipeline.run.rundir.running`)."""
+        self.name, self._facts = name, facts
+        self._ledger: Ledger | None = None
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """What is noted of it now; raises `RunError` when it runs no more."""
+        now = running().get(self.name)
+        if now is None or now["run"] != self._facts["run"]:
+            raise RunError(f"{self.name}: the graph has ended")
+        self._facts = now
+        return now
+
+    def runs(self) -> bool:
+        """Whether it is still the run that was found."""
+        return bool(running().get(self.name, {}).get("run") == self._facts["run"])
+
+    def nodes(self) -> tuple[str, ...]:
+        """The names of its nodes here."""
+        return tuple(node["name"] for node in self._facts["nodes"])
+
+    def ask(self, node: str, question: NodeQuestion) -> bytes:
+        """One node's answer or refusal; raises `RunError` for no such node, or for silence."""
+        self.check_node(node)
+        return ask_local(self.name, self._facts["graph"], node, question)
+
+    def health(self) -> dict[str, Health | None]:
+        """What every node says; None for one that is silent."""
+        key = partial(key_of, self._facts["graph"])
+        wanted = {key(node, HEALTH): node for node in self.nodes()}
+        with client_session(self.name, "health") as session:
+            answers = session.ask_all(
+                key("*", HEALTH), encode(HealthQuestion()), QUICK_S,
+                lambda answers: wanted.keys() <= answers.keys(),
+            )  # fmt: skip
+        return {
+            node: decode_answer(Health, answers[key]) if key in answers else None
+            for key, node in wanted.items()
+        }
+
+    def status(self) -> Status:
+        """What `ps` and `top` show."""
+        facts = self.facts
+        if self._ledger is None:
+            self._ledger = Ledger.open(memory_of(dict(facts)))
+        state = state_from(facts, self._ledger)
+        return Status(
+            graph=self.name, hosts={HERE: (state,)}, nodes=dict.fromkeys(self.nodes(), HERE)
+        )
+
+    def swap(self, order: SwapOrder) -> SwapResult:
+        """Replace a node."""
+        return of_kind(SwapResult, self.tell(order))
+
+    def replan(self, edit: Edit) -> TopologyResult:
+        """Have it become what `edit` makes of its plan; raises `FoveaError`."""
+        facts = self.facts
+        wanted = edit(adapter(Plan).validate_python(facts["plan"]))
+        order = PlanOrder(plan=wanted, revision=facts["revision"])
+        return of_kind(TopologyResult, self.tell(order))
+
+    def add(self, file: Path) -> TopologyResult:
+        """Add the nodes of a file; their operators are looked for where the graph runs, too."""
+        try:
+            folder = psutil.Process(self._facts["pid"]).cwd()
+        except psutil.Error:
+            folder = ""
+        if folder and folder not in sys.path:
+            sys.path.insert(0, folder)
+        return super().add(file)
+
+    def stop(self) -> Stopped:
+        """End it as one Ctrl-C would, and wait for that; raises `RunError` when it takes long."""
+        self.tell(StopOrder())
+        late_s = time.monotonic() + STOP_S
+        while self.runs():
+            if time.monotonic() > late_s:
+                raise RunError(f"{self.name}: still runs after {STOP_S:.0f} s; see `fovea ps`")
+            time.sleep(LOOK_S)
+        return Stopped(graph=self.name)
+
+    def logs(self, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
+        """The last lines of a node's log, then what is added."""
+        return log_lines(self.name, node, lines, follow=follow)
+
+    def listen(self, output: str) -> Listener:
+        """A tap on `node` or `node.output`; raises `RunError` for an output that does not exist."""
+        return _BusTap(self, output)
+
+    def tell(self, order: Order) -> Done:
+        """Give it an order; its result when that is carried out."""
+        with client_session(self.name, "order") as session:
+            key = f"fovea/{self._facts['graph']}/{GRAPH}"
+            answer = session.ask(key, _written(order), ORDER_S, self.runs)
+        if answer is None and not self.runs():
+            raise RunError(f"{self.name}: ended before that was done")
+        if answer is None:
+            raise RunError(f"{self.name}: no answer for {ORDER_S:.0f} s; see `fovea ps`")
+        return judged(decode(RESULT, answer))
+
+
+class _BusTap(Listener):
+    """A tap over the graph's own bus."""
+
+    def __init__(self, client: LocalGraph, output: str) -> None:
+        self.graph, self.output, self._client = client.name, output, client
+        self._node, port, schema = output_of(client, output)
+        self._key = key_of(client._facts["graph"], self._node, port)
+        self.tap, self._open = Tap(Description(schema)), ExitStack()
+
+    def __enter__(self) -> "Listener":
+        session = self._open.enter_context(client_session(self.graph, "tap"))
+        self._open.callback(session.listen(self._key, self.tap.receive))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def over(self) -> str:
+        """Why nothing more will come, in a sentence; empty while something may."""
+        try:
+            facts = self._client.facts
+        except RunError as error:
+            return str(error)
+        if self._node not in [node["name"] for node in facts["nodes"]]:
+            return f"{self.graph}: {self._node} was removed"
+        return ""
+
+
+def state_from(facts: Mapping[str, Any], ledger: Ledger) -> State:
+    """A graph here as its facts and its ledger tell it, seen from another process."""
+    nodes = tuple(_node(node, ledger) for node in facts["nodes"])
+    waits = any(node.condition in ("absent", "starting") for node in nodes)
+    return State(
+        graph=facts["graph"],
+        label=HERE,
+        at_ns=time.monotonic_ns(),
+        phase="starting" if waits else "running",
+        failure="",
+        processes=tuple(_processes(facts)),
+        nodes=nodes,
+        edges=tuple(_edge(edge, ledger) for edge in facts["edges"]),
+        hosts=(),
+        network_bytes={},
+    )
+
+
+def judged(result: Result) -> Done:
+    """The result of an order that was carried out; raises for one that was refused."""
+    if isinstance(result, Refused):
+        raise (RunError if result.rolled_back else GraphError)(result.reason)
+    return result
+
+
+def of_kind(kind: type[D], done: Done) -> D:
+    """The result, which is of that kind; raises `MessageError` for another."""
+    if isinstance(done, kind):
+        return done
+    raise MessageError(f"expected a {kind.__name__}, got a {type(done).__name__}")
+
+
+def _processes(facts: Mapping[str, Any]) -> Iterator[Process]:
+    by_process = itertools.groupby(
+        sorted(facts["nodes"], key=lambda node: str(node["process"])), lambda node: node["process"]
+    )
+    names = {process: tuple(node["name"] for node in nodes) for process, nodes in by_process}
+    for process, pid in facts["pids"].items():
+        try:
+            seen = psutil.Process(pid)
+            cpu_s, rss_mb = sum(seen.cpu_times()[:2]), seen.memory_info().rss / 1e6
+        except psutil.Error:
+            pid, cpu_s, rss_mb = 0, 0.0, 0.0
+        yield Process(process, names.get(process, ()), pid, cpu_s, rss_mb, UNKNOWN)
+
+
+def _node(names: Mapping[str, Any], ledger: Ledger) -> NodeState:
+    account = ledger.nodes[names["index"]]
+    times = {name: h.summary() for name, h in account.histograms.items()}
+    return NodeState(
+        name=names["name"], condition=account.condition, epoch=account.epoch,
+        handled=account.handled, last_seq=account.last_seq, handler_ms=times["handler"],
+        hop_ms=times["hop"], loop_ms=times["loop"],
+    )  # fmt: skip
+
+
+def _edge(names: Mapping[str, Any], ledger: Ledger) -> EdgeState:
+    account = ledger.edges[names["index"]]
+    return EdgeState(
+        origin=names["from"], end=names["to"], account=account.report(),
+        age_ms=account.age.summary(), age_error_ms=0.0, broken=bool(account.broken),
+        sent=account.sent,
+    )  # fmt: skip
+
+
+def _written(order: Order) -> bytes:
+    try:
+        return encode(order)
+    except MessageError as error:
+        raise SettingsError(f"not an order: {harmless(str(error))}") from error

@@ -1,1 +1,0 @@
-"""What commands ask of graphs that run, and how it is shown."""
