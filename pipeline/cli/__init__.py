@@ -23,7 +23,7 @@ FLEET, TASKS = "pipeline.cli.fleet", "pipeline.cli.tasks"
 TABLE = {
     "add": (f"{CONTROL}:add", "Add the nodes of a FILE to a running graph."),
     "agent": (f"{FLEET}:agent_command", "Run parts of graphs on this host for those who may."),
-    "attach": (f"{FLEET}:attach_command", "Look after a graph that was deployed from elsewhere."),
+    "attach": (f"{FLEET}:attach_command", "Watch a graph that runs, or look after one on hosts."),
     "check": (f"{RUN}:check", "Check a graph without starting anything."),
     "completion": ("pipeline.cli.completion:completion", "Print what completes words in a SHELL."),
     "doctor": ("pipeline.doctor:doctor_command", "Say what is wrong with this installation."),
@@ -42,11 +42,13 @@ TABLE = {
     "schema": (f"{INSPECTION}:schema_command", "Print what a running node takes and gives."),
     "secure": (f"{FLEET}:secure_commands", "A private certificate authority for hosts and users."),
     "set": (f"{CONTROL}:set_command", "Change live settings of a running graph."),
+    "stop": (f"{CONTROL}:stop", "End a running graph, here or on all its hosts."),
     "swap": (f"{CONTROL}:swap", "Replace a node's operator, settings or model file."),
     "tell": (f"{CONTROL}:tell_command", "Have a running node do something."),
     "top": (f"{INSPECTION}:top", "Watch rates, latencies and drops of a running graph."),
     "train": (f"{TASKS}:train_command", "Train the networks of a task."),
     "up": (f"{FLEET}:up_command", "Start a graph on the hosts that its labels name."),
+    "version": ("pipeline.cli.version:version", "Print version and commit."),
     "weights": ("pipeline.weights:weights_commands", "Third-party networks: list them, pull them."),
 }
 

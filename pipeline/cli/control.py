@@ -17,9 +17,11 @@ from pipeline.cli.arguments import (
     print_json,
     second,
 )
+from pipeline.cli.detached import ended_line
 from pipeline.cli.results import swap_lines, topology_lines
 from pipeline.cli.tables import settings_table
-from pipeline.client.find import find
+from pipeline.client import detached
+from pipeline.client.find import find, graphs
 from pipeline.graph.overlay import shown_change
 from pipeline.protocol.codec import ControlMessage, fields_of
 from pipeline.protocol.orders import SwapOrder
@@ -110,6 +112,32 @@ def rewire(graph: str, wire: str, as_json: bool) -> None:
     """Let a node of a running graph read another output."""
     result = find(graph).rewire(wire)
     _tell(result, topology_lines(result), as_json=as_json)
+
+
+def end(graph: str, *, as_json: bool) -> None:
+    """Stop a graph and say how it ended; one that has ended detached is told of as well."""
+    ended = None if graph in graphs() else detached.noted(graph)
+    if ended is not None:
+        if as_json:
+            print_json(ended)
+        else:
+            click.echo(ended_line(ended))
+        return
+    result = find(graph).stop()
+    if as_json:
+        print_json(result)
+        return
+    status = f", exit status {result.exit_status}" if result.exit_status is not None else ""
+    report = f"; report: {result.report}" if result.report else ""
+    click.echo(f"{graph}: stopped{status}{report}")
+
+
+@click.command("stop")
+@GRAPH
+@JSON
+def stop(graph: str, as_json: bool) -> None:
+    """End a running graph, here or on all its hosts, and wait for that."""
+    end(graph, as_json=as_json)
 
 
 def _tell(result: ControlMessage, lines: list[str], *, as_json: bool) -> None:

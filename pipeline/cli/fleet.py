@@ -7,6 +7,11 @@ from typing import Any
 
 import click
 
+from pipeline.cli.arguments import GRAPH as GRAPH_NAME
+from pipeline.cli.arguments import JSON, print_json
+from pipeline.cli.control import end
+from pipeline.cli.detached import attach as attach_here
+from pipeline.client.find import find
 from pipeline.errors import RunError, SettingsError
 from pipeline.extras import need
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
@@ -17,10 +22,8 @@ from pipeline.fleet.deploy import (
     Fleet,
     attach,
     default_user,
-    down,
     known_addresses,
     read_hosts,
-    remembered,
     up,
 )
 from pipeline.fleet.export.bundle import Bundle, identities
@@ -32,6 +35,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.naming import check_name
 from pipeline.renamed import renamed_option
+from pipeline.run.rundir import running
 from pipeline.settings import suggest
 from pipeline.signals import Interruption
 
@@ -81,45 +85,62 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
 @click.option("--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node.")
+@JSON
 def up_command(
     graph: Path, words: tuple[str, ...], credentials: Path | None, again: bool,
-    source: Path | None, changes: tuple[str, ...], wanted: tuple[str, ...],
+    source: Path | None, changes: tuple[str, ...], wanted: tuple[str, ...], as_json: bool,
 ) -> None:  # fmt: skip
     """Start a graph on the hosts that its `host` labels name, through their agents."""
     plan = load(graph, Overlay(source, changes, "", wanted))
     with Fleet(read_hosts(words, credentials, plan.hosts)) as fleet:
         up(fleet, plan, again=again)
-    hosts = ", ".join(sorted({node.host for node in plan.nodes}))
-    click.echo(f"{plan.name}: {len(plan.nodes)} nodes run on {hosts}; see `fovea ps`")
+    hosts = sorted({node.host for node in plan.nodes})
+    if as_json:
+        nodes = {node.name: node.host for node in plan.nodes}
+        print_json({"graph": plan.name, "hosts": hosts, "nodes": nodes})
+    else:
+        on = ", ".join(hosts)
+        click.echo(f"{plan.name}: {len(plan.nodes)} nodes run on {on}; see `fovea ps`")
 
 
 @click.command("attach")
-@click.argument("graph")
+@GRAPH_NAME
 @click.option("--hosts", "words", multiple=True, metavar="LABEL=ADDRESS,…")
 @CREDENTIALS
 @renamed_option("--papers", "--credentials")
-def attach_command(graph: str, words: tuple[str, ...], credentials: Path | None) -> None:
-    """Look after a graph that was deployed from elsewhere: `ps`, `top`, `down` and the rest."""
+@JSON
+def attach_command(
+    graph: str, words: tuple[str, ...], credentials: Path | None, as_json: bool
+) -> None:
+    """Watch a graph that runs here until Ctrl-C, or look after one on hosts, deployed elsewhere.
+
+    Ctrl-C leaves the graph as it is. `ps`, `top`, `stop` and the rest reach a graph on hosts from
+    now on.
+    """
+    if not words and credentials is None and graph in running():
+        if as_json:
+            print_json(find(graph).status())
+        else:
+            click.echo(attach_here(find(graph)))
+        return
+    if not words and credentials is None:
+        where = "--hosts LABEL=ADDRESS or --credentials says where else"
+        raise RunError(f"no graph {graph} runs here{suggest(graph, running())}; {where}")
     known = known_addresses(credentials) if credentials else {}
     with Fleet(read_hosts(words, credentials, known)) as fleet:
         labels = attach(graph, fleet)
-    click.echo(f"{graph}: runs on {', '.join(labels)}")
+    if as_json:
+        print_json({"graph": graph, "hosts": labels})
+    else:
+        click.echo(f"{graph}: runs on {', '.join(labels)}")
 
 
 @click.command("down")
-@click.argument("graph")
-def down_command(graph: str) -> None:
-    """Stop a graph on all its hosts."""
-    known = remembered()
-    if graph not in known:
-        raise RunError(
-            f"no graph {graph} was brought up from here{suggest(graph, known)}; `fovea attach` "
-            "finds others"
-        )
-    missing = down(graph, known[graph])
-    if missing:
-        raise RunError("; ".join(missing))
-    click.echo(f"{graph}: down")
+@GRAPH_NAME
+@JSON
+def down_command(graph: str, as_json: bool) -> None:
+    """Stop a graph on all its hosts, as `fovea stop` does."""
+    end(graph, as_json=as_json)
 
 
 @click.command("export")

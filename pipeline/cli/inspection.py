@@ -19,8 +19,9 @@ from pipeline.cli.arguments import (
     print_json,
     second,
 )
+from pipeline.cli.detached import ended_line
+from pipeline.client import detached, listening
 from pipeline.client import find as clients
-from pipeline.client import listening
 from pipeline.client.graph_client import GraphClient, Status
 from pipeline.errors import RunError
 from pipeline.protocol.codec import fields_of
@@ -37,10 +38,15 @@ OUTPUT = second("output", "NODE[.OUTPUT]", form="GRAPH NODE[.OUTPUT]")
 def ps(as_json: bool) -> None:
     """List the running graphs and their processes, on all hosts."""
     found = clients.statuses()
+    names = {status.graph for status in found}
+    ended = {name: one for name, one in detached.all_noted().items() if name not in names}
     if as_json:
-        print_json({status.graph: status for status in found})
+        running = {status.graph: {"hosts": status.hosts, "nodes": status.nodes} for status in found}
+        print_json(running | {name: {"ended": one} for name, one in ended.items()})
         return
     Console().print(tables.process_table(found))
+    for one in ended.values():
+        click.echo(ended_line(one))
 
 
 @click.command()
@@ -102,14 +108,21 @@ def schema_command(graph: str, node: str) -> None:
 
 @click.command()
 @GRAPH
-@NODE
+@click.argument("node", required=False)
 @renamed_option("--graph", "`fovea logs GRAPH NODE`")
 @click.option("--follow", "-f", is_flag=True)
 @click.option("--lines", "-n", default=40, type=LINES, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
-def logs(graph: str, node: str, follow: bool, lines: int, as_json: bool) -> None:
-    """Show what a node wrote, also after it ended."""
-    for line in clients.logs(graph, node, lines, follow=follow):
+def logs(graph: str, node: str | None, follow: bool, lines: int, as_json: bool) -> None:
+    """Show what a node wrote, also after it ended; without NODE, what a detached run printed."""
+    if node is None and (follow or detached.noted(graph) is None):
+        raise click.UsageError(f"expected `fovea logs GRAPH NODE`, got {harmless(graph)} alone")
+    found = (
+        detached.words(graph, lines)
+        if node is None
+        else clients.logs(graph, node, lines, follow=follow)
+    )
+    for line in found:
         if as_json:
             print_json({"graph": graph, "node": node, "line": line}, compact=True)
         else:

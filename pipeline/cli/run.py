@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,10 @@ from rich.console import Console
 
 from pipeline import signals
 from pipeline.cli import running
-from pipeline.cli.arguments import DURATION_S, FRAMES
+from pipeline.cli.arguments import DURATION_S, FRAMES, JSON, print_json
+from pipeline.cli.detached import DetachedRun, start
 from pipeline.cli.files import try_recording, try_report, write_report
+from pipeline.client.detached import WORDS
 from pipeline.contract import INCOMPLETE
 from pipeline.errors import GraphError
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
@@ -22,7 +24,8 @@ from pipeline.graph.overlay import Overlay, manual_nodes
 from pipeline.graph.plan import Plan
 from pipeline.graph.schema import graph_schema
 from pipeline.graph.survey import survey
-from pipeline.run.report import print_report
+from pipeline.run.report import Report, print_report
+from pipeline.run.rundir import folder_of
 from pipeline.text import harmless
 
 console = Console()
@@ -52,15 +55,39 @@ def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
 @click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
 @click.option("--verbose", is_flag=True, help="Print every edge and stage below the verdict.")
-def run(
-    graph: Path, inline: bool, frames: int | None, duration_s: float | None,
-    save: Path | None, report: Path | None, verbose: bool, **laid: Any,
-) -> None:  # fmt: skip
-    """Run a graph in the foreground until its source ends, a limit, or Ctrl-C."""
-    if frames and duration_s:
+@click.option("--detach", is_flag=True, help="Return when it runs; `fovea stop` ends it.")
+@click.option("--json", "as_json", is_flag=True, help="With --detach: where it runs, as JSON.")
+@click.option("--detached", type=int, hidden=True)
+def run(detach: bool, as_json: bool, detached: int | None, **given: Any) -> None:
+    """Run a graph until its source ends, a limit, or Ctrl-C."""
+    if given["frames"] and given["duration_s"]:
         raise click.UsageError("--frames and --duration-s: give one of them")
-    if inline and (laid["clock"] == "realtime" or duration_s):
+    if given["inline"] and (given["clock"] == "realtime" or given["duration_s"]):
         raise click.UsageError("--inline runs in lockstep: limit it by --frames")
+    if detach and given["inline"]:
+        raise click.UsageError("--detach and --inline: give one of them")
+    if as_json and not detach:
+        raise click.UsageError("--json: goes with --detach; `--report FILE` writes the report")
+    if detach:
+        _detach(given, as_json=as_json)
+        return
+    own = DetachedRun(detached) if detached is not None else None
+    if own is None:
+        status = _run(**given)
+    else:
+        with own.noting() as note:
+            status = _run(when_it_runs=own.leave, note=note, **given)
+    if status:
+        sys.exit(status)
+
+
+def _run(
+    *, graph: Path, inline: bool, frames: int | None, duration_s: float | None,
+    save: Path | None, report: Path | None, verbose: bool,
+    when_it_runs: Callable[[str], None] | None = None,
+    note: Callable[[int, str, Report], None] = lambda *_: None, **laid: Any,
+) -> int:  # fmt: skip
+    """Run it here; the exit status."""
     if inline:
         laid["clock"] = "lockstep"
     if report:
@@ -74,7 +101,9 @@ def run(
         if inline:
             result = running.inline(plan, frames or 0, console, asked)
         else:
-            result = running.processes(plan, frames or 0, duration_s or 0.0, console, asked)
+            result = running.processes(
+                plan, frames or 0, duration_s or 0.0, console, asked, when_it_runs
+            )
         if report:
             unwritten = write_report(report, result, "--report")
         print_report(console, result, verbose=verbose)
@@ -85,8 +114,29 @@ def run(
     wrong = [why for why in (result.get("failure"), result.get(INCOMPLETE), unwritten) if why]
     for why in wrong:
         click.echo(f"Error: {harmless(str(why))}", err=True)
-    if asked.status or wrong:
-        sys.exit(asked.status or 2)
+    status = asked.status or (2 if wrong else 0)
+    note(status, harmless("; ".join(map(str, wrong))), result)
+    return status
+
+
+def _detach(given: Mapping[str, Any], *, as_json: bool) -> None:
+    options = {
+        "--source": given["source"], "--clock": given["clock"], "--frames": given["frames"],
+        "--duration-s": given["duration_s"], "--save": given["save"], "--report": given["report"],
+    }  # fmt: skip
+    words = [f"{name}={value}" for name, value in options.items() if value is not None]
+    words += [f"--set={change}" for change in given["changes"]]
+    words += [f"--with={node}" for node in given["wanted"]]
+    words += ["--verbose"] if given["verbose"] else []
+    graph, pid = start([*words, "--", str(given["graph"])])
+    file = folder_of(graph) / WORDS
+    if as_json:
+        print_json({"graph": graph, "pid": pid, "words": str(file)})
+        return
+    click.echo(
+        f"{graph}: runs, process {pid}, prints to {file}\n"
+        f"look at it: fovea attach {graph}; end it: fovea stop {graph}"
+    )
 
 
 @click.command()
@@ -94,16 +144,29 @@ def run(
 @overlaid
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of graph files.")
 @click.option("--no-import", is_flag=True, help="Look at the files alone, execute nothing of them.")
-def check(graph: Path | None, schema: bool, no_import: bool, **laid: Any) -> None:
+@JSON
+def check(graph: Path | None, schema: bool, no_import: bool, as_json: bool, **laid: Any) -> None:
     """Check a graph without starting anything."""
     if no_import:
-        _survey(graph, schema=schema, **laid)
+        _survey(graph, schema=schema, as_json=as_json, **laid)
         return
     plan = _load(graph, **laid) if graph else None
     if schema:
         click.echo(json.dumps(graph_schema(plan), indent=1))
     elif plan is None:
         raise click.UsageError("Missing argument 'GRAPH'.")
+    elif as_json:
+        print_json(
+            {
+                "file": str(graph),
+                "name": plan.name,
+                "clock": plan.clock,
+                "nodes": {node.name: node.operator for node in plan.nodes},
+                "processes": {p: [n.name for n in nodes] for p, nodes in plan.processes().items()},
+                "edges": [{"from": edge.origin, "to": edge.end} for edge in plan.edges],
+                "advice": list(running.advice(plan)),
+            }
+        )
     else:
         console.print(
             f"{harmless(str(graph))}: {plan.name}, {len(plan.nodes)} nodes in "
@@ -123,14 +186,18 @@ def draw(graph: Path, **laid: Any) -> None:
 
 
 def _survey(
-    graph: Path | None, *, schema: bool, source: Path | None, changes: tuple[str, ...],
-    clock: str | None, wanted: tuple[str, ...],
+    graph: Path | None, *, schema: bool, as_json: bool, source: Path | None,
+    changes: tuple[str, ...], clock: str | None, wanted: tuple[str, ...],
 ) -> None:  # fmt: skip
     if graph is None:
         raise click.UsageError("Missing argument 'GRAPH'.")
     if schema or changes or wanted:
         raise click.UsageError("--no-import: goes with --source and --clock alone")
-    for line in survey(graph, source=source, clock=clock or ""):
+    lines = list(survey(graph, source=source, clock=clock or ""))
+    if as_json:
+        print_json({"file": str(graph), "survey": [line.strip() for line in lines]})
+        return
+    for line in lines:
         console.print(harmless(line), markup=False, highlight=False, soft_wrap=True)
 
 

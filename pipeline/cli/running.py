@@ -1,7 +1,7 @@
 """`fovea run`: a plan, as processes or in line, with a live line; the report comes back."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from rich.console import Console
@@ -48,16 +48,21 @@ def inline(plan: Plan, frames: int, console: Console, asked: Interruption) -> Re
 
 def processes(
     plan: Plan, frames: int, duration_s: float, console: Console,
-    asked: Interruption | None = None,
+    asked: Interruption | None = None, when_it_runs: Callable[[str], None] | None = None,
 ) -> Report:  # fmt: skip
-    """Run as processes until the source ends, a limit, or it is asked to end."""
+    """Run as processes until the source ends, a limit, or it is asked to end.
+
+    `when_it_runs` is called with the graph's name once every process works.
+    """
     if asked is None:
         with Interruption() as asked:
-            return processes(plan, frames, duration_s, console, asked)
+            return processes(plan, frames, duration_s, console, asked, when_it_runs)
     with Supervisor(plan, frames=frames) as supervisor:
         supervisor.asked_to_end = asked.asked
         with console.status(Text(f"{plan.name}: starting {len(plan.processes())} processes")):
             supervisor.start()
+        if when_it_runs is not None and supervisor.begun:
+            when_it_runs(plan.name)
         shown_s = 0.0
         with Live(console=console, auto_refresh=False, transient=True) as live:
             while not supervisor.finished and not supervisor.end_requests:

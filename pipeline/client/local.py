@@ -14,6 +14,7 @@ import psutil
 from pipeline.bus.ledger import Ledger
 from pipeline.bus.tap import Tap
 from pipeline.class_cache import adapter
+from pipeline.client import detached
 from pipeline.client.described import Description
 from pipeline.client.graph_client import (
     ORDER_S,
@@ -139,7 +140,10 @@ class LocalGraph(GraphClient):
             if time.monotonic() > late_s:
                 raise RunError(f"{self.name}: still runs after {STOP_S:.0f} s; see `fovea ps`")
             time.sleep(LOOK_S)
-        return Stopped(graph=self.name)
+        ended = detached.await_end(self.name, self._facts["run"])
+        if ended is None:
+            return Stopped(graph=self.name)
+        return Stopped(graph=self.name, exit_status=ended.exit_status, report=ended.report)
 
     def logs(self, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
         """The last lines of a node's log, then what is added."""

@@ -28,7 +28,8 @@ _RUN_FILES = re.compile(
     rf"run\.json(\.part)?|clocks|{GRAMMAR}(\.\d+)?\.sock(\.lock)?|{GRAMMAR}\.\d+\.recv"
     rf"|{GRAMMAR}\.live(\.part)?"
 )
-_LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?")
+# of nodes, and of a detached run
+_LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?|run\.out|(detached|report)\.json(\.part)?")
 
 
 def cleanup() -> None:

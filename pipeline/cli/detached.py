@@ -1,0 +1,139 @@
+"""`fovea run --detach`: a run in a process without a terminal, which is left once it works.
+
+The process that stays is `fovea run` with the hidden option `--detached FD`. Until its graph runs,
+it prints where its parent does. Then it writes the graph's name to the descriptor, prints into the
+run folder from there on, and notes at its end how it ended.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from pipeline.cli.tables import live_line
+from pipeline.client import detached
+from pipeline.client.graph_client import GraphClient
+from pipeline.errors import FoveaError, RunError
+from pipeline.naming import is_name
+from pipeline.private_folder import PrivateFolder
+from pipeline.run.rundir import folder_of, running
+from pipeline.signals import Interruption
+from pipeline.text import error_text, harmless
+
+REFRESH_S = 0.5
+WAIT_S = 0.05
+
+
+def start(words: Sequence[str]) -> tuple[str, int]:
+    """Start `fovea run WORDS` on its own and wait until its graph runs; the graph, the process id.
+
+    Ends this process with the status of the other one when that ends before.
+    """
+    told, tells = os.pipe()
+    command = [sys.executable, "-m", "pipeline.entry", "run", "--detached", str(tells), *words]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, pass_fds=(tells,), start_new_session=True
+    ) as process:
+        os.close(tells)
+        try:
+            with os.fdopen(told, "rb") as file:
+                graph = file.read().decode()
+        except BaseException:  # Ctrl-C while it starts
+            process.terminate()
+            process.wait()
+            raise
+        if is_name(graph):
+            process.returncode = 0  # it goes on; this process does not wait for it
+            return graph, process.pid
+        process.wait()
+    sys.exit(process.returncode if process.returncode > 0 else 1)
+
+
+class DetachedRun:
+    """The run that stays."""
+
+    def __init__(self, tells: int) -> None:
+        self.graph, self._tells = "", tells
+        self._noted: detached.Detached | None = None
+        os.set_inheritable(tells, False)
+
+    @contextmanager
+    def noting(self) -> Iterator[Callable[[int, str, dict[str, Any]], None]]:
+        """Note how the run ended: what is told to the function given, or what is raised here."""
+        try:
+            yield self._end
+        except FoveaError as error:
+            self._end(1, str(error), None)
+            raise
+        except BaseException as error:
+            self._end(1, harmless(error_text(error)), None)
+            raise
+
+    def leave(self, graph: str) -> None:
+        """The graph runs: let the parent go, and print into the run folder from now on."""
+        self.graph = graph
+        facts = running().get(self.graph)
+        if facts is None:
+            raise RunError(f"{self.graph}: expected it to run, got no facts of it")
+        self._noted = detached.begin(self.graph, facts["run"], os.getpid())
+        folder = PrivateFolder(folder_of(self.graph))
+        folder.remove(detached.WORDS)
+        handle = folder.create(detached.WORDS)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for number in (1, 2):
+            os.dup2(handle, number)
+        os.close(handle)
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+        os.write(self._tells, self.graph.encode())
+        os.close(self._tells)
+
+    def _end(self, exit_status: int, why: str, report: dict[str, Any] | None) -> None:
+        """Note how it ended, once, if its graph ever ran."""
+        if self._noted is None or self._noted.ended:
+            return
+        try:
+            detached.end(self._noted, exit_status, why, report)
+        except OSError as error:
+            click.echo(f"{self.graph}: its end cannot be noted: {error.strerror}", err=True)
+
+
+def attach(client: GraphClient) -> str:
+    """Show a graph on one line until Ctrl-C, which leaves it as it is; what to say then."""
+    console = Console()
+    with (
+        Interruption() as asked,
+        client.watching() as look,
+        Live(console=console, auto_refresh=False, transient=True) as live,
+    ):
+        click.echo(f"{client.name}: Ctrl-C leaves it running")
+        shown_s = 0.0
+        while not asked.count and client.runs():
+            if console.is_terminal and time.monotonic() - shown_s > REFRESH_S:
+                shown_s = time.monotonic()
+                try:
+                    live.update(Text(f"{client.name}  {live_line(look())}"), refresh=True)
+                except RunError:  # it has just ended
+                    break
+            time.sleep(WAIT_S)
+    if client.runs():
+        return f"{client.name}: goes on; `fovea stop {client.name}` ends it"
+    ended = detached.noted(client.name)
+    return ended_line(ended) if ended and ended.ended else f"{client.name}: the graph has ended"
+
+
+def ended_line(found: detached.Detached) -> str:
+    """How a detached run ended."""
+    status = "was killed" if found.exit_status is None else f"exit status {found.exit_status}"
+    why = f": {found.why}" if found.why else ""
+    report = f"; report: {found.report}" if found.report else ""
+    return f"{found.graph}: ended {found.ended}, {status}{why}{report}"

@@ -1,0 +1,97 @@
+"""What a detached run leaves in its run folder: its words, how it ended, its report.
+
+run.out          what it printed since it ran
+detached.json    the process, and, once it has ended, its exit status
+report.json      its report
+"""
+
+import time
+from datetime import UTC, datetime
+from typing import Any
+
+import msgspec
+
+from pipeline.errors import RunError
+from pipeline.naming import is_name
+from pipeline.private_folder import PrivateFolder
+from pipeline.run.rundir import folder_of, run_folders
+
+WORDS, RECORD, REPORT = "run.out", "detached.json", "report.json"
+MOST_BYTES = 64 << 10  # of a record
+MOST_WORDS = 1 << 20  # bytes of words that are read
+WRITTEN_S = 20.0  # until a run that has ended has written so
+LOOK_S = 0.05
+
+
+class Detached(msgspec.Struct, kw_only=True):
+    """A run without a terminal."""
+
+    graph: str
+    run: str  # the id of the run
+    pid: int
+    started: str  # date and time
+    ended: str = ""
+    exit_status: int | None = None  # None: it runs, or was killed
+    why: str = ""  # of an exit status that is not 0
+    report: str = ""  # the file
+
+
+_READ = msgspec.json.Decoder(Detached)
+
+
+def begin(graph: str, run: str, pid: int) -> Detached:
+    """Note a run that begins to be one without a terminal."""
+    folder = PrivateFolder(folder_of(graph))
+    folder.remove(REPORT)
+    found = Detached(graph=graph, run=run, pid=pid, started=_now())
+    folder.write(RECORD, msgspec.json.encode(found))
+    return found
+
+
+def end(found: Detached, exit_status: int, why: str, report: dict[str, Any] | None) -> None:
+    """Note how it ended; raises `OSError` when that cannot be written."""
+    folder = PrivateFolder(folder_of(found.graph))
+    if report is not None:
+        folder.write(REPORT, msgspec.json.encode(report, enc_hook=str))
+        found.report = str(folder.path / REPORT)
+    found.ended, found.exit_status, found.why = _now(), exit_status, why
+    folder.write(RECORD, msgspec.json.encode(found))
+
+
+def noted(graph: str) -> Detached | None:
+    """The newest detached run of a graph; None when there was none."""
+    try:
+        folder = PrivateFolder(folder_of(graph))
+        found = _READ.decode(folder.read(RECORD, MOST_BYTES))
+    except (OSError, RunError, msgspec.MsgspecError, ValueError, RecursionError):
+        return None
+    return found if is_name(found.graph) else None
+
+
+def all_noted() -> dict[str, Detached]:
+    """The newest detached run of every graph, by name."""
+    found = {folder.path.name: noted(folder.path.name) for folder in run_folders()}
+    return {name: one for name, one in found.items() if one is not None}
+
+
+def await_end(graph: str, run: str) -> Detached | None:
+    """What is noted of a run that has just ended; None when it was not a detached one."""
+    late_s = time.monotonic() + WRITTEN_S
+    while (found := noted(graph)) is not None and found.run == run:
+        if found.ended or time.monotonic() > late_s:
+            return found
+        time.sleep(LOOK_S)
+    return None
+
+
+def words(graph: str, lines: int) -> list[str]:
+    """The last lines that a detached run printed; raises `RunError` when there is none."""
+    try:
+        data = PrivateFolder(folder_of(graph)).read(WORDS, MOST_WORDS)
+    except OSError as error:
+        raise RunError(f"{graph}: no detached run wrote anything: {error.strerror}") from error
+    return data.decode(errors="replace").splitlines()[-lines:] if lines else []
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

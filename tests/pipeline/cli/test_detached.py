@@ -1,0 +1,129 @@
+"""A run without a terminal: it goes on when its command has left, and how it ends can be found."""
+
+import json
+import secrets
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from pipeline.client import detached
+from pipeline.run.rundir import folder_of, running
+from tests.sample_graphs import CHAIN, until
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
+
+
+def fovea(*words: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [*FOVEA, *words], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Path:
+    path = tmp_path / "graph.yaml"
+    path.write_text(f"name: detach-{secrets.token_hex(3)}\n{CHAIN}")
+    return path
+
+
+@pytest.fixture
+def name(graph: Path) -> Iterator[str]:
+    name = graph.read_text().split()[1]
+    yield name
+    if name in running():  # a test that failed
+        psutil.Process(running()[name]["pid"]).kill()
+
+
+def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name: str) -> None:
+    begun = fovea("run", str(graph), "--detach", "--json")
+    where = json.loads(begun.stdout)
+    (pids,) = [running()[name]["pids"]]
+    again = fovea("run", str(graph), "--detach")
+    stopped = fovea("stop", name, "--json")
+
+    assert begun.returncode == 0, begun.stderr
+    assert where["graph"] == name
+    assert set(pids) == {"ticker", "count", "glance"}
+    assert again.returncode == 1
+    assert "already running" in again.stderr
+    assert json.loads(stopped.stdout)["exit_status"] == 0, stopped.stderr
+    assert not psutil.pid_exists(where["pid"]) or psutil.Process(where["pid"]).status() == "zombie"
+    report = json.loads(Path(json.loads(stopped.stdout)["report"]).read_text())
+    assert report["graph"] == name
+    assert "rate:" in fovea("logs", name).stdout
+    assert json.loads(fovea("ps", "--json").stdout)[name]["ended"]["exit_status"] == 0
+    assert f"{name}: ended" in fovea("ps").stdout
+    assert f"{name}: ended" in fovea("stop", name).stdout
+
+
+def test_a_run_that_ends_by_itself_leaves_its_status(graph: Path, name: str) -> None:
+    begun = fovea("run", str(graph), "--detach", "--set", "ticker.fail_at=30")
+
+    assert begun.returncode == 0, begun.stderr
+    until(lambda: (found := detached.noted(name)) is not None and found.ended)
+    found = detached.noted(name)
+    assert found is not None
+    assert (found.exit_status, found.why) == (2, "picture 30: torn")
+
+
+def test_what_cannot_begin_is_told_by_the_command_that_began_it(graph: Path, name: str) -> None:
+    wrong = fovea("run", str(graph), "--detach", "--set", "ticker.fail_a=3")
+    together = fovea("run", str(graph), "--detach", "--inline")
+
+    assert (wrong.returncode, together.returncode) == (2, 2)
+    assert "did you mean 'fail_at'" in wrong.stderr
+    assert "--detach and --inline: give one of them" in together.stderr
+    assert detached.noted(name) is None
+
+
+def test_attach_watches_until_ctrl_c_and_the_graph_goes_on(graph: Path, name: str) -> None:
+    fovea("run", str(graph), "--detach")
+    shown = json.loads(fovea("attach", name, "--json").stdout)
+    watching = subprocess.Popen([*FOVEA, "attach", name], stdout=subprocess.PIPE, text=True)
+    assert watching.stdout is not None
+    assert watching.stdout.readline() == f"{name}: Ctrl-C leaves it running\n"
+    watching.send_signal(signal.SIGINT)
+    said = watching.communicate(timeout=60)[0]
+
+    assert shown["hosts"][""][0]["phase"] == "running"
+    assert watching.returncode == 0
+    assert said.strip() == f"{name}: goes on; `fovea stop {name}` ends it"
+    assert name in running()
+    assert fovea("stop", name).returncode == 0
+
+
+def test_a_run_in_the_foreground_is_stopped_too_and_down_says_the_same(
+    graph: Path, name: str
+) -> None:
+    for verb in ("stop", "down"):
+        run = subprocess.Popen([*FOVEA, "run", str(graph)], stdout=subprocess.PIPE, text=True)
+        until(lambda: name in running() and not fovea("health", name).returncode)
+
+        stopped = fovea(verb, name)
+
+        assert stopped.stdout == f"{name}: stopped\n", stopped.stderr
+        assert "rate:" in run.communicate(timeout=60)[0]
+        assert run.returncode == 0
+
+
+def test_what_does_not_run_cannot_be_stopped_or_watched() -> None:
+    for verb in ("stop", "down", "attach"):
+        done = fovea(verb, "nowhere-at-all")
+
+        assert done.returncode == 1
+        assert "no graph nowhere-at-all runs" in done.stderr
+
+
+@pytest.mark.parametrize("data", [b"", b"{}", b"[1]", b'{"graph": 3}', b"\xff", b"{" * 3000])
+def test_a_record_that_no_run_wrote_is_none(data: bytes) -> None:
+    folder = folder_of(f"noise-{secrets.token_hex(3)}")
+    folder.mkdir(mode=0o700)
+    (folder / detached.RECORD).write_bytes(data)
+
+    assert detached.noted(folder.name) is None
+    assert folder.name not in detached.all_noted()
