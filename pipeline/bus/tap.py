@@ -88,6 +88,7 @@ class Tap:
         self._lock = threading.Lock()
         self._instances: dict[int, _Instance] = {}  # by epoch
         self._slow = self._refused = 0
+        self.skipped = 0  # of what came by way of a relay: for want of room there
         self._after_loss = False  # something was missed since the last one that was kept
 
     def receive(self, payload: bytes, at_ns: int = 0) -> None:
@@ -134,7 +135,8 @@ class Tap:
             for (_, before), (epoch, after) in pairwise(instances):
                 if after.first < first_of(epoch):  # it goes on with its predecessor's numbers
                     lost += max(0, after.first - before.last - 1)
-            return Missed(lost, self._slow, self._refused)
+            skipped = min(lost, self.skipped)
+            return Missed(lost - skipped, self._slow + skipped, self._refused)
 
     @property
     def instances(self) -> int:

@@ -1,13 +1,16 @@
 """A graph that runs on several hosts: everything asked of it goes through their agents."""
 
+import logging
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, cast
 
 import msgspec
 
+from pipeline.client.deployed_plan import changed, merged
 from pipeline.client.graph_client import (
     ORDER_S,
     Edit,
@@ -17,9 +20,22 @@ from pipeline.client.graph_client import (
     Stopped,
 )
 from pipeline.client.local import judged, of_kind
+from pipeline.client.relayed import RelayedTap
 from pipeline.errors import FoveaError, RunError, Silent
 from pipeline.fleet import wire
-from pipeline.fleet.deploy import Fleet, Hosts, carried, down, remembered, send_weights
+from pipeline.fleet.deploy import (
+    Fleet,
+    Hosts,
+    carried,
+    down,
+    portable,
+    remember,
+    remembered,
+    send_weights,
+)
+from pipeline.fleet.replanning import ends_of
+from pipeline.graph.editing import loaded_ports
+from pipeline.graph.plan import Plan
 from pipeline.protocol.codec import decode, decode_answer, encode
 from pipeline.protocol.orders import RESULT, SwapOrder, SwapResult, TopologyResult
 from pipeline.protocol.questions import (
@@ -35,6 +51,7 @@ ASK_S = 8.0  # the node's own timeout, and the way
 AT_ONCE = 4  # nodes; one that hangs must not hold up the others
 FOLLOW_S = 0.5  # between two looks at a log
 FOLLOWED = 1000  # lines of a log that are looked at each time
+log = logging.getLogger(__name__)
 
 
 class DeployedGraph(GraphClient):
@@ -115,10 +132,33 @@ class DeployedGraph(GraphClient):
             return of_kind(SwapResult, judged(decode(RESULT, said.payload)))
 
     def replan(self, edit: Edit) -> TopologyResult:
-        """Have it become what `edit` makes of its plan; raises `FoveaError`."""
-        raise RunError(
-            f"{self.name}: runs on several hosts; edit its file and `fovea up --replace`"
-        )
+        """Have it become what `edit` makes of its plan, host by host; all of it or nothing.
+
+        Raises `FoveaError`, also for an edge between hosts, which stays as it was deployed.
+        """
+        with Fleet(self.hosts) as fleet:
+            plans, revisions = self._plans(fleet)
+            whole = merged(plans)
+            wanted, files = portable(edit(whole))
+            parts = changed(whole, wanted, plans)
+            if not parts:
+                raise RunError(f"{self.name}: that changes nothing")
+            done: dict[str, TopologyResult] = {}
+            try:
+                for label, plan in parts.items():
+                    send_files(fleet, label, files)
+                    done[label] = self._change(fleet, label, plans[label], plan, revisions[label])
+            except BaseException:
+                self._take_back(fleet, {label: plans[label] for label in done})
+                raise
+        nodes = {node.name: node.host for node in wanted.nodes}
+        self.hosts = replace(self.hosts, nodes=nodes)
+        remember(self.name, self.hosts)
+        kinds = ("added", "removed", "connected", "cut")
+        return TopologyResult(
+            **{kind: [one for told in done.values() for one in getattr(told, kind)]
+               for kind in kinds}
+        )  # fmt: skip
 
     def stop(self) -> Stopped:
         """End it on all its hosts, and wait for that; raises `RunError` for those not reached."""
@@ -139,7 +179,40 @@ class DeployedGraph(GraphClient):
 
     def listen(self, output: str) -> Listener:
         """A tap on `node` or `node.output`; raises `RunError` for an output that does not exist."""
-        raise RunError(f"{self.name}: runs on several hosts; listen on the host of {output}")
+        return RelayedTap(self, self.hosts, output)
+
+    def _plans(self, fleet: Fleet) -> tuple[dict[str, Plan], dict[str, int]]:
+        """What every host was asked to run, and which revision of it runs there."""
+        asked = wire.Named(self.name)
+        told = {label: fleet.ask(label, "plan", asked, wire.Planned) for label in self.hosts.points}
+        plans = {label: wire.read_plan(one.plan) for label, one in told.items()}
+        return plans, {label: one.revision for label, one in told.items()}
+
+    def _change(
+        self, fleet: Fleet, label: str, before: Plan, plan: Plan, revision: int
+    ) -> TopologyResult:
+        had = {ends_of(edge) for edge in before.edges}
+        running = {node.name for node in before.nodes}
+        fingerprints = {}
+        for edge in plan.edges:
+            if ends_of(edge) not in had:
+                ports = self.ports if edge.source in running else loaded_ports(plan)
+                sent = ports(edge.source).outputs[edge.output]
+                fingerprints[edge.origin] = sent.fingerprint
+        asked = wire.Replan(
+            self.name, wire.write_plan(plan), wire.Versions.ours(), fingerprints, revision
+        )
+        said = fleet.ask(label, "replan", asked, wire.Said, ORDER_S)
+        return of_kind(TopologyResult, judged(decode(RESULT, said.payload)))
+
+    def _take_back(self, fleet: Fleet, plans: Mapping[str, Plan]) -> None:
+        """Let hosts run what they ran before, as far as they answer."""
+        for label, plan in plans.items():
+            try:
+                now, revisions = self._plans(fleet)
+                self._change(fleet, label, now[label], plan, revisions[label])
+            except FoveaError as error:
+                log.error("%s: could not be taken back: %s", label, error)
 
     def _ask(self, fleet: Fleet, label: str, node: str, question: NodeQuestion) -> bytes:
         key = cast(wire.Question, KEYS[type(question)])

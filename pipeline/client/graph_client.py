@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from pipeline.bus.tap import Tap
+from pipeline.bus.tap import Heard, Tap
 from pipeline.errors import RunError
 from pipeline.fleet.wire import State
 from pipeline.graph.editing import Ports, rewired, with_nodes, without_node
@@ -63,6 +63,10 @@ class Listener(ABC):
 
     @abstractmethod
     def __exit__(self, *_: object) -> None: ...
+
+    def age_ns(self, heard: Heard) -> int | None:
+        """How old an exposure was when its message came; None while its clock is not known."""
+        return heard.at_ns - heard.header.stamp_ns
 
     @abstractmethod
     def over(self) -> str:

@@ -79,6 +79,8 @@ def rate(listener: Listener, duration_s: float) -> Rate:
             else:
                 over = listener.over()
         found = figures(listener.output, heard, tap.missed, time.monotonic_ns(), duration_s)
+        ages = [age for one in heard if one.message and (age := listener.age_ns(one)) is not None]
+        found.age_ms_p50 = float(np.median(ages)) / 1e6 if ages else None
         found.instances, found.over = tap.instances, over
     return found
 
@@ -106,8 +108,6 @@ def figures(
     if silent_s > max(SILENT_S, SILENT_GAPS * gaps.max() / 1e3):
         span_s, sent, found.silent_s = span_s + silent_s, sent + 1, silent_s
     found.rate_hz = sent / span_s
-    ages = [(one.at_ns - one.header.stamp_ns) / 1e6 for one in messages]
-    found.age_ms_p50 = float(np.median(ages))
     if len(whole):
         found.gap_ms = {
             "shortest": float(whole.min()), "longest": float(whole.max()), "std": float(whole.std())
@@ -134,8 +134,9 @@ def rate_line(found: Rate, duration_s: float) -> str:
         if gap
         else "no two messages in a row"
     )
+    age = "not known" if found.age_ms_p50 is None else f"{found.age_ms_p50:.1f} ms p50"
     return (
-        f"{found.output}: {found.rate_hz:.2f} Hz, {jitter}, age {found.age_ms_p50:.1f} ms p50, "
+        f"{found.output}: {found.rate_hz:.2f} Hz, {jitter}, age {age}, "
         f"{found.messages} messages{extra}"
     )
 

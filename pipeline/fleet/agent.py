@@ -5,7 +5,6 @@ is answered by the main thread, what starts and stops by another, each from a bo
 and accounts, which cannot wait, are answered where they come in.
 """
 
-import hashlib
 import logging
 import queue
 import threading
@@ -39,8 +38,10 @@ from pipeline.fleet.names import (
 )
 from pipeline.fleet.node_gateway import NodeGateway
 from pipeline.fleet.placement import check_fingerprints, inspect
+from pipeline.fleet.replanning import change, identity_of, planned
 from pipeline.fleet.status import state_of
 from pipeline.fleet.store import GraphStore
+from pipeline.fleet.tap_relay import TapRelay
 from pipeline.fleet.wire import Named, Prepare, Prepared, Start
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
@@ -51,7 +52,7 @@ MOST_GRAPHS = 8
 MOST_LINES = 1000
 TICK_S = 0.1
 WARN_S = 1.0
-SLOW = ("prepare", "start", "down", "weights")  # what loads, begins, ends
+SLOW = ("prepare", "start", "down", "weights", "replan")  # what loads, begins, ends
 LATER = object()  # what is answered by another thread, when it is done
 
 log = logging.getLogger(__name__)
@@ -74,6 +75,7 @@ class Agent:
         self._credentials = own.credentials
         self._allowed = own.allowed
         self._gateway = NodeGateway(self._allowed, own.file.settings)
+        self._taps = TapRelay()
         self._looks: queue.Queue[_Question] = queue.Queue(WAITING)
         self._works: queue.Queue[_Question] = queue.Queue(WAITING)
         self._sending = threading.BoundedSemaphore(1)  # weights are big: one file at a time
@@ -100,6 +102,7 @@ class Agent:
         for hosted in self.hosted.values():
             self._guarded(hosted.end)
         self._gateway.close()
+        self._taps.close()
         self._session.close()
 
     def stop(self) -> None:
@@ -127,6 +130,7 @@ class Agent:
             try:
                 question = questions.get(timeout=TICK_S)
             except queue.Empty:
+                self._taps.tidy()
                 continue
             self._guarded(partial(self._answer, question))
 
@@ -181,7 +185,8 @@ class Agent:
             "about": self._about, "prepare": self._prepare, "start": self._start,
             "down": self._down, "state": self._state, "log": self._log, "weights": self._weights,
             "lacks": self._lacks, "node": partial(self._node, question),
-            "swap": partial(self._swap, question),
+            "swap": partial(self._swap, question), "plan": self._plan,
+            "replan": partial(self._replan, question), "tap": partial(self._tap, question),
         }  # fmt: skip
         of_hosts: Mapping[str, Callable[[bytes], Any]] = {"recall": partial(self._recall, question)}
         known = of_hosts if question.asker.startswith("host.") else verbs
@@ -271,6 +276,19 @@ class Agent:
         self._gateway.swap(self._hosted(asked.graph), asked.order, question.reply)
         return LATER
 
+    def _plan(self, data: bytes) -> wire.Planned:
+        return planned(self._hosted(wire.decode(Named, data).graph), self._store)
+
+    def _replan(self, question: _Question, data: bytes) -> object:
+        asked = wire.decode(wire.Replan, data)
+        self._check_versions(asked.versions)
+        change(self._hosted(asked.graph), asked, self._store, self._inspected, question.reply)
+        return LATER
+
+    def _tap(self, question: _Question, data: bytes) -> wire.Relayed:
+        asked = wire.decode(wire.Listen, data)
+        return self._taps.fetch(self._hosted(asked.graph), asked, question.asker)
+
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
         hosted = self._hosted(wire.decode(Named, data).graph)
         peer = hosted.peers.get(question.asker.removeprefix("host."))
@@ -317,7 +335,7 @@ class Agent:
         others = sorted({n.host for n in local.nodes} - {self.label})
         return HostedGraph(
             plan=local,
-            fingerprint=hashlib.sha256(asked.plan.encode()).hexdigest()[:16],
+            fingerprint=identity_of(asked),
             networks=networks(local, own, asked.endpoints, self._credentials),
             hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
             way=self._network((), permits=asker_permits(identity, others)),

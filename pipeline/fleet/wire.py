@@ -72,6 +72,7 @@ class Start(msgspec.Struct, forbid_unknown_fields=True):
     fingerprints: dict[str, str]  # as it was prepared for
     endpoints: dict[str, str]  # of all processes that listen
     hosts: dict[str, str]  # label -> end point of its agent
+    identity: str = ""  # of the graph, where nodes came and went since; else its plan tells
 
 
 class Named(msgspec.Struct, forbid_unknown_fields=True):
@@ -123,6 +124,41 @@ class Change(msgspec.Struct, forbid_unknown_fields=True):
 
     graph: str
     order: SwapOrder
+
+
+class Listen(msgspec.Struct, forbid_unknown_fields=True):
+    """What did an output send since this was asked before?"""
+
+    graph: str
+    node: str
+    output: str
+    tap: str  # a name of the asker's choice
+
+
+class Relayed(msgspec.Struct, forbid_unknown_fields=True):
+    """What it sent, as descriptors; pictures stay where they are."""
+
+    heard: tuple[tuple[int, bytes], ...]  # when it came by this host's clock, the descriptor
+    skipped: int  # for want of room, since the tap was opened
+    now_ns: int  # by this host's clock
+    ahead_ns: dict[str, int]  # by label: what to add to this host's time
+
+
+class Planned(msgspec.Struct, forbid_unknown_fields=True):
+    """What a host was asked to run."""
+
+    plan: str
+    revision: int  # of what runs
+
+
+class Replan(msgspec.Struct, forbid_unknown_fields=True):
+    """Nodes of a host, and edges between them, are to come or go."""
+
+    graph: str
+    plan: str
+    versions: Versions
+    fingerprints: dict[str, str]  # of outputs that new edges begin at
+    revision: int
 
 
 class Ping(msgspec.Struct, forbid_unknown_fields=True, array_like=True):

@@ -80,7 +80,7 @@ class TopologyOperation(Operation):
                 raise RunError(f"{node.name}.inputs.{name}: can only be connected from the start")
         self._plan.order()
         check_ports(self._plan, self._plan.is_here)
-        if not any(sources(self._plan)):
+        if not self._plan.here and not any(sources(self._plan)):
             raise RunError(f"{self._plan.name}: expected a node that makes frames, got none")
 
     def _change(self) -> Iterator[None]:

@@ -126,7 +126,7 @@ def test_a_graph_runs_without_any_extra(tmp_path: Path) -> None:
     done = python(MISSING, "run", "tracking", "--inline", "--frames", "2", cwd=tmp_path)
 
     assert done.returncode == 0, done.stderr
-    assert "frames: exposed 2" in done.stdout
+    assert "rate:" in done.stdout
 
 
 def test_an_unknown_graph_is_refused_with_those_that_are_shipped(tmp_path: Path) -> None:

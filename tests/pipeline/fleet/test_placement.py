@@ -117,7 +117,7 @@ def evil(plan: Plan, node: str, **changes: Any) -> Plan:
         ({"settings": {"sleep_s": "subprocess:run"}}, "subprocess:run is not on the allow list"),
         ({"settings": {"sleep_s": DIGEST_PREFIX + "0" * 64}}, "not on the allow list"),
         ({"settings": {"hold": -1.5}}, r"work\.hold"),
-        ({"index": 7}, "expected a node with a place of its own"),
+        ({"index": 99}, "expected a node with a place of its own"),
         ({"settings": {"sleep_s": "new.rrd"}}, "expected no path from outside"),
         ({"settings": {"sleep_s": {"a/b": 1}}}, "expected no path from outside"),
         ({"settings": {"sleep_s": "os:system "}}, "is not on the allow list"),

@@ -1,0 +1,252 @@
+"""A graph over several hosts is listened to and changed by the client that a local one has."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.bus.network import Network
+from pipeline.bus.session import Session
+from pipeline.client import listening
+from pipeline.client.described import Described
+from pipeline.client.find import find
+from pipeline.errors import FoveaError, RunError
+from pipeline.fleet import tap_relay, wire
+from pipeline.fleet.access import asker_permits
+from pipeline.fleet.deploy import Fleet, down, remembered, up
+from pipeline.fleet.names import agent_key, host_identity
+from pipeline.fleet.replanning import check_inside
+from tests.pipeline.fleet.agents import (
+    Running,
+    agents,
+    fleet_of,
+    handled,
+    host_of,
+    phases,
+    plan_of,
+    state_of,
+)
+from tests.sample_graphs import until
+
+DUO = """
+name: duo
+hosts: [eye, brain]
+nodes:
+  capture:
+    operator: tests.samples:Ticker
+    host: eye
+    settings: {rate_hz: 30}
+  work:
+    operator: tests.samples:Pass
+    host: brain
+    inputs: {frame: capture.context}
+  count:
+    operator: tests.samples:Count
+    host: brain
+    inputs: {frame: work}
+"""
+MORE = """
+nodes:
+  second:
+    operator: tests.samples:Pass
+    host: brain
+    inputs: {frame: work}
+  tally:
+    operator: tests.samples:Count
+    host: brain
+    inputs: {frame: second}
+  near:
+    operator: tests.samples:Count
+    host: eye
+    inputs: {frame: capture.roi}
+"""
+LABELS = ("eye", "brain")
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> Iterator[dict[str, Running]]:
+    with agents(tmp_path, *LABELS) as running:
+        yield running
+
+
+@pytest.fixture
+def fleet(two: dict[str, Running], tmp_path: Path) -> Iterator[Fleet]:
+    with fleet_of(*LABELS) as fleet:
+        up(fleet, plan_of(tmp_path, DUO))
+        yield fleet
+        down("duo", fleet.hosts)
+
+
+def more(folder: Path, text: str = MORE) -> Path:
+    path = folder / "more.yaml"
+    path.write_text(text)
+    return path
+
+
+def refusal(act: Callable[[], Any]) -> str:
+    with pytest.raises(FoveaError) as caught:
+        act()
+    return str(caught.value)
+
+
+def nodes_there(fleet: Fleet) -> dict[str, list[str]]:
+    return {label: [n.name for n in state_of(fleet, label, "duo").nodes] for label in LABELS}
+
+
+def goes_on(fleet: Fleet, label: str, node: str) -> None:
+    before = handled(fleet, label, node, "duo")
+    until(lambda: handled(fleet, label, node, "duo") > before + 5)
+
+
+def test_an_output_on_another_host_is_heard_and_its_rate_is_that_of_its_source(
+    fleet: Fleet,
+) -> None:
+    client = find("duo")
+    until(lambda: handled(fleet, "brain", "count", "duo") > 10)
+
+    heard = [
+        item for item in listening.echo(client.listen("work"), 20) if isinstance(item, Described)
+    ]
+    found = listening.rate(client.listen("capture.roi"), 2.0)
+
+    assert [item.header.seq for item in heard] == sorted({item.header.seq for item in heard})
+    assert len(heard) == 20
+    assert heard[0].values["pixels"].ndim == 3
+    assert found.rate_hz is not None
+    assert 15 < found.rate_hz < 45
+    assert found.age_ms_p50 is not None
+    assert 0 <= found.age_ms_p50 < 2000
+    assert "work has no output rio" in refusal(lambda: client.listen("work.rio"))
+    assert "no node wrk, did you mean 'work'" in refusal(lambda: client.listen("wrk"))
+
+
+def test_what_a_relay_has_no_room_for_is_told_as_missed(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tap_relay, "MOST_KEPT", 2)
+    monkeypatch.setattr("pipeline.client.relayed.POLL_S", 0.5)
+
+    found = listening.rate(find("duo").listen("capture.roi"), 3.0)
+
+    assert found.missed["slow"] > 5
+    assert found.rate_hz is not None
+    assert 15 < found.rate_hz < 45  # what was missed counts
+
+
+def test_taps_are_bounded_and_closed_when_nobody_asks(
+    two: dict[str, Running], fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(tap: str, output: str = "out") -> wire.Listen:
+        return wire.Listen("duo", "work", output, tap)
+
+    for number in range(tap_relay.MOST_TAPS):
+        fleet.ask("brain", "tap", asked(f"t{number}"), wire.Relayed)
+    with pytest.raises(RunError, match="busy: expected up to 8 taps"):
+        fleet.ask("brain", "tap", asked("one-more"), wire.Relayed)
+    with pytest.raises(RunError, match="listens to another output already"):
+        fleet.ask("brain", "tap", asked("t0", "other"), wire.Relayed)
+
+    monkeypatch.setattr(tap_relay, "IDLE_S", 0.0)
+    until(lambda: not two["brain"].agent._taps._taps)
+
+
+def test_nodes_are_added_on_both_hosts_rewired_and_removed_while_the_graph_runs(
+    two: dict[str, Running], fleet: Fleet, tmp_path: Path
+) -> None:
+    client = find("duo")
+    until(lambda: handled(fleet, "brain", "count", "duo") > 10)
+
+    added = client.add(more(tmp_path))
+
+    assert sorted(added.added) == ["near", "second", "tally"]
+    assert set(added.connected) == {
+        "capture.roi -> near.frame", "work -> second.frame", "second -> tally.frame"
+    }  # fmt: skip
+    goes_on(fleet, "brain", "tally")
+    goes_on(fleet, "eye", "near")
+    assert remembered()["duo"].nodes["near"] == "eye"
+    rewired = find("duo").rewire("tally.frame=work")
+    assert rewired.cut == ["second -> tally.frame"]
+    assert find("duo").remove("second").removed == ["second"]
+    goes_on(fleet, "brain", "tally")
+    assert "second" not in remembered()["duo"].nodes
+
+    two["brain"].stop()  # what changed is so after a restart; the edge between hosts holds
+    two["brain"] = Running(host_of("brain", LABELS, tmp_path))
+    until(lambda: phases(fleet, "brain", "duo") == ["running"])
+    goes_on(fleet, "brain", "tally")
+    assert {n.name for n in state_of(fleet, "brain", "duo").nodes} == {"work", "count", "tally"}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (MORE.replace("host: eye", "host: brain"), "an edge between hosts cannot be added"),
+        (MORE.replace("samples:Count", "samples:Tally"), r"Tally is not on the allow list"),
+        (MORE.replace("    host: eye\n", ""), r"near\.host: expected a host"),
+        (MORE.replace("second:", "work:"), "there is a node of that name already"),
+    ],
+)
+def test_what_may_not_run_is_refused_and_everything_stays(
+    fleet: Fleet, tmp_path: Path, text: str, said: str
+) -> None:
+    client = find("duo")
+    before = nodes_there(fleet)
+
+    with pytest.raises(FoveaError, match=said):
+        client.add(more(tmp_path, text))
+
+    assert nodes_there(fleet) == before
+    goes_on(fleet, "brain", "count")
+
+
+def test_an_edge_between_hosts_stays_as_it_was_deployed(fleet: Fleet) -> None:
+    client = find("duo")
+
+    assert refusal(lambda: client.rewire("work.frame=capture.roi")) == (
+        "duo: capture.context is on eye, work.frame on brain: an edge between hosts cannot be cut "
+        "while the graph runs; change the graph's file and bring it up again with "
+        "`fovea up FILE --replace`"
+    )
+    assert "reads it" in refusal(lambda: client.remove("capture"))
+
+
+def test_a_host_changes_nothing_but_its_own_nodes(fleet: Fleet, tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, DUO)
+    fewer = plan_of(tmp_path, DUO[: DUO.index("  count:")])
+    other = plan_of(tmp_path, DUO.replace("rate_hz: 30", "rate_hz: 20"))
+
+    check_inside(plan, fewer, "brain")
+    for wanted, label in ((fewer, "eye"), (other, "brain")):
+        with pytest.raises(RunError, match=r"expected the (nodes|edges) of other hosts"):
+            check_inside(plan, wanted, label)
+
+
+def test_a_host_may_not_listen_or_change_the_plan_and_noise_is_refused(fleet: Fleet) -> None:
+    permits = asker_permits(host_identity("brain"), ["eye"])
+    way = Network(connect=(fleet.hosts.points["eye"],), permits=permits)
+    session = Session.across(way)
+    try:
+        for verb in ("tap", "plan", "replan"):
+            said = session.ask(agent_key("eye", host_identity("brain"), verb), b"x", 5)
+            assert said is not None
+            with pytest.raises(RunError, match=rf"host\.brain may not {verb} here"):
+                wire.read_reply(wire.Relayed, "eye", said)
+    finally:
+        session.close()
+    for verb in ("tap", "plan", "replan"):
+        for data in (b"", b"{", b"[]", b"\xff" * 50):
+            with pytest.raises(FoveaError):
+                fleet.ask("eye", verb, data, wire.Relayed)
+
+
+def test_a_tap_ends_when_its_graph_is_taken_down(fleet: Fleet) -> None:
+    lines = listening.echo(find("duo").listen("work"), 0)
+    next(lines)
+    down("duo", fleet.hosts)
+
+    rest = list(lines)
+
+    assert isinstance(rest[-1], str)
+    assert "duo" in rest[-1]
