@@ -145,9 +145,9 @@ class Session:
     def ask(
         self, key: str, question: bytes, timeout_s: float, still: Callable[[], bool] = lambda: True
     ) -> bytes | None:
-        """The answer to a question; None when none came in time, or who asks wants it no `still`.
+        """Return the answer to a question; None when the deadline passes, or `still` is false.
 
-        Who is not there yet, or goes while he is asked, is asked again.
+        Retries until then, also while nothing answers at that key yet.
         """
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0 and still():
@@ -161,7 +161,7 @@ class Session:
         self, keys: str, question: bytes, timeout_s: float,
         enough: Callable[[Mapping[str, bytes]], bool],
     ) -> dict[str, bytes]:  # fmt: skip
-        """Everybody's answers under a wildcard, by key; until `enough` is true or time is up."""
+        """Return all answers under a wildcard, by key; until `enough` is true or time is up."""
         found: dict[str, bytes] = {}
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0:

@@ -7,8 +7,8 @@ from pathlib import Path
 from pipeline.errors import RunError
 from pipeline.fleet import secure
 from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
-from pipeline.fleet.names import host_identity, node_identity, user_identity
-from pipeline.fleet.placement import borders, place
+from pipeline.fleet.names import host_identity, user_identity
+from pipeline.fleet.placement import identities
 from pipeline.graph.plan import Plan
 
 
@@ -28,7 +28,7 @@ def issue_for(
         own = folder / host_identity(label)
         secure.issue(own, folder, host_identity(label))
         for plan in plans:
-            for identity in _identities(plan, label):
+            for identity in identities(plan, label):
                 secure.issue(own / "nodes" / identity, folder, identity)
         path = _agent_file(folder, label)
         if path.exists():
@@ -81,9 +81,3 @@ def _labels(addresses: Mapping[str, str], plans: Sequence[Plan]) -> list[str]:
 
 def _agent_file(folder: Path, label: str) -> Path:
     return folder / host_identity(label) / "agent.yaml"
-
-
-def _identities(plan: Plan, label: str) -> list[str]:
-    crossing = borders(plan)
-    here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
-    return list(dict.fromkeys(node_identity(plan.name, node) for node in here))
