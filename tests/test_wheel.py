@@ -97,7 +97,7 @@ def test_the_wheel_asks_for_what_the_main_job_needs_and_for_the_rest_by_extras(
 
     always = {word.partition(">")[0].partition("<")[0] for word in asked if "extra ==" not in word}
     assert {"numpy", "eclipse-zenoh", "onnxruntime"} <= always
-    extras = ("cryptography", "matplotlib", "torch", "tqdm", "onnx", "filterpy", "pyusb")
+    extras = ("cryptography", "matplotlib", "torch", "onnx", "filterpy", "pyusb")
     assert not always & set(extras)
 
 

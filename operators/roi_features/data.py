@@ -12,7 +12,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from drivers.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, Annotations, FrameSource
@@ -20,6 +19,7 @@ from operators.roi_features.crops import cut, to_squares
 from operators.roi_features.model import CLASSES
 from operators.training.arrays import outdated, read, write
 from operators.training.identity import Identity, of_code
+from operators.training.progress import tracked
 from operators.training.workers import pool_of
 from pipeline import Frame
 from pipeline.boxes import areas, centres, from_centres, intersections
@@ -204,8 +204,9 @@ def made_with(count: int, span: int) -> dict[str, str]:
 
 
 def render(
-    seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2
-) -> list[Path]:
+    seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2,
+    name: str = "draw crops",
+) -> list[Path]:  # fmt: skip
     """Crops of `count` moments of each seed's scene on disk; those already there are kept.
 
     Those that are damaged, or were rendered with other settings or code, are rendered anew.
@@ -216,7 +217,7 @@ def render(
     missing = outdated(wanted, made, print)
     with pool_of(workers) as pool:
         jobs = [pool.submit(_render_scene, path, count, span, made) for path in missing]
-        for job in tqdm(jobs, desc="crops", unit="scene", disable=not jobs):
+        for job in tracked(jobs, name):
             job.result()
     return wanted
 

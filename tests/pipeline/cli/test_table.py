@@ -32,7 +32,7 @@ from importlib.abc import MetaPathFinder
 
 class Nowhere(MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in ("cryptography", "matplotlib", "torch", "onnx", "tqdm"):
+        if name.partition(".")[0] in ("cryptography", "matplotlib", "torch", "onnx"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Nowhere())
