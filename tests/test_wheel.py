@@ -140,7 +140,7 @@ def test_the_shipped_graph_runs_from_any_folder(installed: Path, tmp_path: Path,
     done = fovea(installed, tmp_path, "run", "tracking", way, "--frames", "10")
 
     assert done.returncode == 0, done.stderr
-    assert "frames: exposed 10" in done.stdout
+    assert "frames/s over 10 frames" in done.stdout
     assert list(tmp_path.iterdir()) == []
 
 
