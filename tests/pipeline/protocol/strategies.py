@@ -12,9 +12,9 @@ from pipeline.bus.inbox import InboxPosition
 from pipeline.bus.network import Network
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
-from pipeline.protocol import codec, handover, orders, questions, supervision
+from pipeline.protocol import codec, fleet, handover, orders, questions, supervision
 
-MODULES = (codec, handover, orders, questions, supervision)
+MODULES = (codec, fleet, handover, orders, questions, supervision)
 PLAN = load(Path(__file__).parents[3] / "graphs" / "tracking.yaml")
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 WHOLE = st.integers(-(1 << 63), (1 << 64) - 1)
