@@ -3,12 +3,12 @@
 import time
 from collections.abc import Iterator, Mapping
 
+import msgspec
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
 from pipeline.errors import FoveaError, RunError, Silent
-from pipeline.fleet import wire
 from pipeline.fleet.deploy import Fleet, Hosts, remembered
 from pipeline.fleet.status_tables import (
     add_rows,
@@ -18,6 +18,7 @@ from pipeline.fleet.status_tables import (
     silence,
     top_tables,
 )
+from pipeline.protocol import fleet as wire
 
 
 def fleet_table(graphs: Mapping[str, Hosts]) -> Table:
@@ -41,7 +42,7 @@ def fleet_json(graphs: Mapping[str, Hosts]) -> bytes:
                 else said
                 for label, said in fleet.states(graph).items()
             }
-    return wire.encode(found)
+    return msgspec.json.encode(found)
 
 
 def known_graph(graph: str) -> tuple[str, Hosts] | None:

@@ -3,17 +3,16 @@
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet import wire
 from pipeline.fleet.deploy import READY_S, Fleet, carried, remembered, send_weights
-from pipeline.protocol.codec import decode, decode_answer, encode
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import decode, decode_answer
 from pipeline.protocol.orders import RESULT, Result, SwapOrder
 from pipeline.protocol.questions import (
-    KEYS,
     ConfigQuestion,
     Health,
     HealthQuestion,
@@ -59,7 +58,7 @@ def swap_there(graph: str, order: SwapOrder, timeout_s: float) -> Result:
         _send(fleet, label, files)
         order = msgspec.structs.replace(order, changes=changes)
         asked = wire.Change(graph, order)
-        said = fleet.ask(label, "swap", asked, wire.Said, max(timeout_s, READY_S))
+        said = fleet.ask(label, "swap", asked, wire.Relayed, max(timeout_s, READY_S))
         return decode(RESULT, said.payload)
 
 
@@ -83,13 +82,12 @@ def health_there(graph: str) -> dict[str, Health | None]:
 
 
 def _ask(fleet: Fleet, label: str, graph: str, node: str, question: NodeQuestion) -> bytes:
-    key = cast(wire.Question, KEYS[type(question)])
-    asked = wire.ToNode(graph, node, key, encode(question))
-    return fleet.ask(label, "node", asked, wire.Said, ASK_S).payload
+    asked = wire.ToNode(graph, node, question)
+    return fleet.ask(label, "node", asked, wire.Relayed, ASK_S).payload
 
 
 def _send(fleet: Fleet, label: str, files: Mapping[str, Any]) -> None:
-    lacking = fleet.ask(label, "lacks", wire.Lacks(tuple(files)), tuple[str, ...])
+    lacking = fleet.ask(label, "lacks", wire.Lacks(tuple(files)), wire.Missing).digests
     send_weights(fleet, label, lacking, files)
 
 

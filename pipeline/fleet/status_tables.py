@@ -6,7 +6,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.fleet.wire import EdgeState, HostState, NodeState, State
+from pipeline.protocol.fleet import EdgeState, HostState, NodeState, State
 from pipeline.terminal import brief, lean_table, losses, pair, rest
 
 Said = Sequence[State] | str  # of one host: what runs there, or why that is not known

@@ -5,8 +5,8 @@ import os
 from pathlib import Path
 
 from pipeline.errors import MessageError, RunError
-from pipeline.fleet import wire
-from pipeline.fleet.wire import Start
+from pipeline.protocol.codec import decode, encode
+from pipeline.protocol.fleet import Start
 
 
 class GraphStore:
@@ -21,13 +21,13 @@ class GraphStore:
 
     def keep(self, graph: str, asked: Start) -> None:
         """Note what was asked; raises `RunError` when that cannot be."""
-        self._write(self._folder / f"{graph}.graph", wire.encode(asked))
+        self._write(self._folder / f"{graph}.graph", encode(asked))
 
     def asked(self, graph: str) -> Start:
         """What was asked; raises `MessageError` for a file that does not say."""
         path = self._folder / f"{graph}.graph"
         try:
-            return wire.decode(Start, path.read_bytes())
+            return decode(Start, path.read_bytes())
         except (OSError, MessageError) as error:
             raise MessageError(f"{path}: not what an agent wrote: {error}") from error
 

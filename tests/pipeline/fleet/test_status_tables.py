@@ -13,7 +13,7 @@ from pipeline.fleet.status_tables import (
     silence,
     top_tables,
 )
-from pipeline.fleet.wire import Process, State
+from pipeline.protocol.fleet import Process, State
 from pipeline.protocol.questions import NodeSettings
 
 NODES = {"capture": "sensor", "saliency": "compute", "policy": "compute"}
