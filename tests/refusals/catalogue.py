@@ -49,6 +49,7 @@ class Part(Operator[WorkSettings, None]):
 RENAMED: Mapping[str, str] = {
     "--papers": "--credentials", "papers": "credentials", "--box": "--host", "box": "host",
     "boxes": "hosts", "--person": "--user", "people": "users",
+    "drivers.video:videofile": "drivers.datasets:videofile",
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.sequence import (
+from drivers.datasets.sequence import (
     NumberedPictures,
     Row,
     by_frame,

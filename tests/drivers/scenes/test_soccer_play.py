@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.soccer import SoccerScene
-from drivers.soccer.ball_path import CHUNK_S, RADIUS_M, ball_points, knot, legs
-from drivers.soccer.camera import (
+from drivers.scenes.soccer import SoccerScene
+from drivers.scenes.soccer.ball_path import CHUNK_S, RADIUS_M, ball_points, knot, legs
+from drivers.scenes.soccer.camera import (
     PITCH_M,
     Station,
     View,
@@ -18,7 +18,7 @@ from drivers.soccer.camera import (
     lowest_drop,
     view_at,
 )
-from drivers.soccer.play import make_chunk, moment
+from drivers.scenes.soccer.play import make_chunk, moment
 
 SEEDS = st.integers(0, 2**31)
 CHUNKS = st.integers(0, 10**6)

@@ -8,11 +8,11 @@ from math import ceil, log
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer.blend import extent, placed, smeared
-from drivers.soccer.camera import View
-from drivers.soccer.figures import Sprite
-from drivers.soccer.play import LABELS, Moment
-from drivers.soccer.skeleton import Pose, pose_at
+from drivers.scenes.soccer.blend import extent, placed, smeared
+from drivers.scenes.soccer.camera import View
+from drivers.scenes.soccer.figures import Sprite
+from drivers.scenes.soccer.play import LABELS, Moment
+from drivers.scenes.soccer.skeleton import Pose, pose_at
 from drivers.source import Annotations
 
 Image = NDArray[np.uint8]

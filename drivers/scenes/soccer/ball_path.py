@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer.camera import PITCH_M
+from drivers.scenes.soccer.camera import PITCH_M
 
 CHUNK_S = 10.0
 GRAVITY = 9.81

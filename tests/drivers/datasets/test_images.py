@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.images import ImageFolder
-from drivers.pictures import read_picture
+from drivers.datasets.images import ImageFolder
+from drivers.datasets.pictures import read_picture
 from pipeline.errors import DriverError
 from tests.drivers.sequences import write_pictures
 

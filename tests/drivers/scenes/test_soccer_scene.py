@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.soccer import SoccerScene
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import FrameSource
 from pipeline.errors import SettingsError
 

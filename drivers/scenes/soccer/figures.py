@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer.blend import extent
-from drivers.soccer.looks import Colour, Look
-from drivers.soccer.skeleton import DIRECTIONS, Pose, joints, turned
+from drivers.scenes.soccer.blend import extent
+from drivers.scenes.soccer.looks import Colour, Look
+from drivers.scenes.soccer.skeleton import DIRECTIONS, Pose, joints, turned
 
 Image = NDArray[np.uint8]
 Seen = dict[str, tuple[float, float, float]]  # joints: x, y in pixels of the drawing, nearer in m

@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.soccer.ball_path import CHUNK_S, FIRST, Leg, Metres, ball_points, legs
-from drivers.soccer.camera import PITCH_M
+from drivers.scenes.soccer.ball_path import CHUNK_S, FIRST, Leg, Metres, ball_points, legs
+from drivers.scenes.soccer.camera import PITCH_M
 
 GRID_HZ = 30.0
 MARGIN_S = 4.0

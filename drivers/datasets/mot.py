@@ -5,7 +5,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.sequence import NumberedPictures, Row, by_frame, no_objects, read_info, read_rows
+from drivers.datasets.sequence import (
+    NumberedPictures,
+    Row,
+    by_frame,
+    no_objects,
+    read_info,
+    read_rows,
+)
 from drivers.source import Annotations
 from pipeline.errors import DriverError
 

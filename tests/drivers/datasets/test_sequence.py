@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.sequence import span
+from drivers.datasets.sequence import span
 from pipeline.errors import SettingsError
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.video import VideoFile
+from drivers.datasets.video import VideoFile
 from pipeline.errors import DriverError
 from tests.shared_data import Footage
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer.looks import Colour
+from drivers.scenes.soccer.looks import Colour
 
 Image = NDArray[np.uint8]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.pictures import read_picture
+from drivers.datasets.pictures import read_picture
 from drivers.source import Annotations
 from pipeline.errors import DriverError, SettingsError
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from drivers.sequence import read_rows
-from drivers.soccernet import SoccerNetSequence, parse_role
+from drivers.datasets.sequence import read_rows
+from drivers.datasets.soccernet import SoccerNetSequence, parse_role
 from pipeline.errors import DriverError
 from tests.drivers.sequences import write_sequence
 from tests.shared_data import Footage

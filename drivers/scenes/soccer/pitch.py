@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer.camera import PITCH_M, Points, Station, lowest_drop
-from drivers.soccer.looks import Colour
-from drivers.soccer.stadium import WALL_M, WALL_PX_PER_M, wall
+from drivers.scenes.soccer.camera import PITCH_M, Points, Station, lowest_drop
+from drivers.scenes.soccer.looks import Colour
+from drivers.scenes.soccer.stadium import WALL_M, WALL_PX_PER_M, wall
 
 Image = NDArray[np.uint8]
 

@@ -4,15 +4,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer import ball, figures
-from drivers.soccer.blend import extent, odd, over
-from drivers.soccer.camera import View, draw_station, draw_style, view_at, zoom
-from drivers.soccer.looks import everybody
-from drivers.soccer.pitch import draw_canvas, draw_turf
-from drivers.soccer.play import Moment, moment
-from drivers.soccer.shadows import cast, contact, draw_light
-from drivers.soccer.skeleton import Pose
-from drivers.soccer.stage import BALL_ID, Actor, Cache, actors_at, truth_of
+from drivers.scenes.soccer import ball, figures
+from drivers.scenes.soccer.blend import extent, odd, over
+from drivers.scenes.soccer.camera import View, draw_station, draw_style, view_at, zoom
+from drivers.scenes.soccer.looks import everybody
+from drivers.scenes.soccer.pitch import draw_canvas, draw_turf
+from drivers.scenes.soccer.play import Moment, moment
+from drivers.scenes.soccer.shadows import cast, contact, draw_light
+from drivers.scenes.soccer.skeleton import Pose
+from drivers.scenes.soccer.stage import BALL_ID, Actor, Cache, actors_at, truth_of
 from drivers.source import Annotations
 from pipeline.errors import SettingsError
 

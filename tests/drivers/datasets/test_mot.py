@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.mot import MotSequence
+from drivers.datasets.mot import MotSequence
 from pipeline.errors import DriverError
 from tests.drivers.sequences import write_sequence
 

@@ -8,7 +8,14 @@ from drivers.source import FrameSource
 from pipeline.errors import SettingsError
 from pipeline.import_path import imported
 
-SCENES = {"soccer": "drivers.soccer:SoccerScene"}
+SCENES = {"soccer": "drivers.scenes:SoccerScene"}
+FORMER = {  # import paths of earlier versions
+    "drivers.images:ImageFolder": "drivers.datasets:ImageFolder",
+    "drivers.mot:MotSequence": "drivers.datasets:MotSequence",
+    "drivers.soccer:SoccerScene": "drivers.scenes:SoccerScene",
+    "drivers.soccernet:SoccerNetSequence": "drivers.datasets:SoccerNetSequence",
+    "drivers.video:VideoFile": "drivers.datasets:VideoFile",
+}
 
 
 def open_scene(
@@ -47,6 +54,8 @@ def scene_path(scene: str) -> str:
 
 def load_source(setting: str, path: str) -> Callable[..., FrameSource]:
     """The class behind `module:Class`; raises `SettingsError` naming the setting."""
+    if path in FORMER:
+        raise SettingsError(f"{setting}: {path}: renamed; expected {FORMER[path]}")
     found = imported(path, SettingsError, setting)
     if not callable(getattr(found, "picture", None)):
         raise SettingsError(f"{setting}: expected a FrameSource, got {path}")
