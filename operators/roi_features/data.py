@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.soccer import SoccerScene
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, Annotations, FrameSource
 from operators.roi_features.crops import cut, to_squares
 from operators.roi_features.model import CLASSES
@@ -199,7 +199,9 @@ def free(box: NDArray[np.float64], truth: Annotations, small: bool) -> bool:
 
 def made_with(count: int, span: int) -> dict[str, str]:
     """What decides the crops of a scene beside its seed."""
-    code = of_code("drivers.soccer", "operators.roi_features.data", "operators.roi_features.crops")
+    code = of_code(
+        "drivers.scenes.soccer", "operators.roi_features.data", "operators.roi_features.crops"
+    )
     return code | {"moments": str(count), "span": str(span)}
 
 

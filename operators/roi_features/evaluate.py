@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.sequence import span
-from drivers.soccer import SoccerScene
-from drivers.soccernet import SoccerNetSequence
+from drivers.datasets.sequence import span
+from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import FrameSource
 from operators.roi_features.data import FULL_PX, NOBODY, RATE_HZ, Candidates, candidates, whole
 from operators.roi_features.model import CLASSES

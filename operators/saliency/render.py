@@ -13,9 +13,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from drivers.sequence import span
-from drivers.soccer import SoccerScene
-from drivers.soccernet import SoccerNetSequence
+from drivers.datasets.sequence import span
+from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, FrameSource
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
 from operators.training.arrays import outdated, write
@@ -58,7 +58,7 @@ def moments(seed: int, count: int, span: int) -> list[int]:
 
 def made_with(count: int, span: int) -> dict[str, str]:
     """What decides the pictures of a scene beside its seed."""
-    code = of_code("drivers.soccer", "operators.saliency.render")
+    code = of_code("drivers.scenes.soccer", "operators.saliency.render")
     return code | {"moments": str(count), "span": str(span)}
 
 

@@ -4,10 +4,10 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from pipeline.errors import RunError
+from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
-from pipeline.fleet.names import host_identity, user_identity
+from pipeline.fleet.names import endpoint, host_identity, user_identity
 from pipeline.fleet.placement import identities
 from pipeline.graph.plan import Plan
 
@@ -40,7 +40,20 @@ def issue_for(
 
 
 def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
-    """Raise `RunError` for a host that is new and has no address."""
+    """Raise `RunError` for a host that is new and has no address.
+
+    Raises `SettingsError` for an address that is none, and for one that two hosts have.
+    """
+    taken: dict[str, str] = {}
+    for label, address in {**_addresses_known(folder), **addresses}.items():
+        if address:
+            point = endpoint(address, f"--host {label}")
+            if point in taken:
+                raise SettingsError(
+                    f"--host {label}={address}: expected an address or port of its own, got that "
+                    f"of {taken[point]}"
+                )
+            taken[point] = label
     for label in _labels(addresses, plans):
         if not addresses.get(label) and not _agent_file(folder, label).exists():
             raise RunError(f"{label}: expected --host {label}=ADDRESS, got none")
@@ -77,6 +90,14 @@ def agent_yaml(
 
 def _labels(addresses: Mapping[str, str], plans: Sequence[Plan]) -> list[str]:
     return list(dict.fromkeys([*addresses, *(host for plan in plans for host in plan.hosts)]))
+
+
+def _addresses_known(folder: Path) -> dict[str, str]:
+    """What was noted for the users of an authority: label -> address."""
+    known: dict[str, str] = {}
+    for note in sorted(folder.glob(f"*/{secure.ADDRESSES}")):
+        known |= json.loads(note.read_text())
+    return known
 
 
 def _agent_file(folder: Path, label: str) -> Path:

@@ -83,7 +83,10 @@ class Credentials:
 def create(folder: Path) -> None:
     """Make the authority; raises `RunError` where there is one already."""
     if (folder / "ca.pem").exists():
-        raise RunError(f"{folder}: expected a folder without an authority, got one with ca.pem")
+        raise RunError(
+            f"{folder}: expected a folder without an authority, got one with ca.pem; `fovea secure "
+            "add` makes credentials below it"
+        )
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     key = _key(folder / "ca.key")
     name = _name(COMMON_NAME)
