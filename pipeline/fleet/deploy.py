@@ -30,6 +30,7 @@ from pipeline.fleet.placement import check_labels, fingerprints
 from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
+from pipeline.whole_file import write_whole
 
 TIMEOUT_S = 5.0  # until an agent must have answered
 DOWN_S = END_S + 5.0
@@ -329,10 +330,8 @@ def _alone() -> Iterator[None]:
 
 
 def _write(graphs: Mapping[str, Hosts]) -> None:
-    part = _memory().with_suffix(".part")
     document = {
         g: {"points": dict(h.points), "credentials": h.credentials, "nodes": dict(h.nodes)}
         for g, h in graphs.items()
     }
-    part.write_text(json.dumps(document))
-    part.replace(_memory())
+    write_whole(_memory(), json.dumps(document))
