@@ -31,6 +31,7 @@ from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, decode_answer, encode
+from pipeline.whole_file import write_whole
 
 TIMEOUT_S = 5.0  # until an agent must have answered
 DOWN_S = END_S + 5.0
@@ -331,10 +332,8 @@ def _alone() -> Iterator[None]:
 
 
 def _write(graphs: Mapping[str, Hosts]) -> None:
-    part = _memory().with_suffix(".part")
     document = {
         g: {"points": dict(h.points), "credentials": h.credentials, "nodes": dict(h.nodes)}
         for g, h in graphs.items()
     }
-    part.write_text(json.dumps(document))
-    part.replace(_memory())
+    write_whole(_memory(), json.dumps(document))

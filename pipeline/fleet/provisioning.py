@@ -10,6 +10,7 @@ from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, str
 from pipeline.fleet.names import endpoint, host_identity, user_identity
 from pipeline.fleet.placement import identities
 from pipeline.graph.plan import Plan
+from pipeline.whole_file import write_whole
 
 
 def issue_for(
@@ -22,7 +23,7 @@ def issue_for(
         secure.issue(own, folder, user_identity(name))
         note = own / secure.ADDRESSES
         before = json.loads(note.read_text()) if note.exists() else {}
-        note.write_text(json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
+        write_whole(note, json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
         yield f"{folder / user_identity(name)}: credentials of {name}, who may deploy"
     for label in labels:
         own = folder / host_identity(label)
@@ -35,7 +36,7 @@ def issue_for(
             yield f"{own}: credentials of host {label}; its agent.yaml stays as it was"
             continue
         others = [other for other in labels if other != label]
-        path.write_text(agent_yaml(label, addresses[label], users, others, plans))
+        write_whole(path, agent_yaml(label, addresses[label], users, others, plans))
         yield f"{own}: credentials and agent.yaml of host {label}, which allows what graphs need"
 
 
