@@ -43,6 +43,7 @@ nodes:
     inputs: {{frame: {{from: metronome, depth: 60}}}}
   second:
     operator: bench.samples:Forward
+    restart: {{backoff_s: 0.001}}
     inputs: {{frame: {{from: first, depth: 60}}}}
   sink:
     operator: bench.samples:Sink

@@ -25,6 +25,7 @@ from pipeline.extras import need
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.run.supervisor import Supervisor
+from pipeline.whole_file import write_whole
 
 LAST_WORDS_S = 3.0  # until the watcher has told of the last frames of a span
 
@@ -86,10 +87,8 @@ def write(
     picture: Path | None,
 ) -> None:  # fmt: skip
     """Everything known so far, in one step."""
-    part = out.with_name(f"{out.name}.part")
     found = {**told, "restarts": restarts, "ends": ends(rows), "rows": rows}
-    part.write_text(json.dumps(found, indent=1) + "\n")
-    part.replace(out)
+    write_whole(out, json.dumps(found, indent=1) + "\n")
     if picture and rows:
         plot(rows, picture, f"{told['graph']}, seed {told['seed']}")
 

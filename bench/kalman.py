@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.machine import facts
-from drivers.sequence import read_rows
-from drivers.soccernet import read_tracklets
+from drivers.datasets.sequence import read_rows
+from drivers.datasets.soccernet import read_tracklets
 from operators.association import Association, AssociationSettings
 from pipeline import Detections
 from pipeline.errors import FoveaError

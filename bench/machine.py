@@ -1,19 +1,20 @@
 """Where a figure was measured: processor, system, library versions and the commit of the code."""
 
 import platform
-import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-ROOT = Path(__file__).resolve().parent.parent
+from pipeline.version import revision
+
 LIBRARIES = ("eclipse-zenoh", "numpy", "onnxruntime", "opencv-python-headless", "filterpy")
 
 
 def facts(libraries: tuple[str, ...] = LIBRARIES) -> dict[str, Any]:
     """What a result file says of its origin; JSON-ready. Absent libraries are left out."""
+    commit, changed = revision()
     return {
         "machine": {
             "cpu": cpu_name(),
@@ -24,7 +25,8 @@ def facts(libraries: tuple[str, ...] = LIBRARIES) -> dict[str, Any]:
         },
         "python": platform.python_version(),
         "libraries": versions(libraries),
-        **revision(),
+        "commit": commit,
+        "dirty": changed,
     }
 
 
@@ -46,23 +48,3 @@ def versions(libraries: tuple[str, ...]) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def revision(folder: Path = ROOT) -> dict[str, Any]:
-    """Commit of the code in `folder` and whether it was changed since; empty where git knows none.
-
-    Only tracked files count as changes.
-    """
-    commit = _git(folder, "rev-parse", "HEAD").strip()
-    changed = _git(folder, "status", "--porcelain", "--untracked-files=no").strip()
-    return {"commit": commit, "dirty": bool(changed)}
-
-
-def _git(folder: Path, *words: str) -> str:
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(folder), *words], capture_output=True, text=True, check=False
-        )
-    except FileNotFoundError:
-        return ""
-    return done.stdout if done.returncode == 0 else ""

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.machine import facts
-from drivers.soccer import SoccerScene
-from drivers.soccernet import SoccerNetSequence
+from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import Annotations, FrameSource
 from pipeline.errors import FoveaError
 

@@ -43,6 +43,20 @@ class ScoreSettings:
             raise SettingsError(f"least_visible: must be within 0..1, got {self.least_visible}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class ScoreState:
+    """What was counted, and which object is compared with."""
+
+    total: float
+    recent: float
+    frames: int
+    answered: int
+    object: int
+    followed_id: int
+    rival: int
+    rival_frames: int
+
+
 class Score(Operator[ScoreSettings, None]):
     """Answers nothing; its figure is shown while the graph runs, and in the report."""
 
@@ -85,6 +99,26 @@ class Score(Operator[ScoreSettings, None]):
         self._total += value
         self._frames += 1
         self._answered += len(percept.boxes) > 0
+
+    def state(self) -> ScoreState:
+        """A successor goes on counting."""
+        return ScoreState(
+            total=self._total,
+            recent=self._recent,
+            frames=self._frames,
+            answered=self._answered,
+            object=self._object,
+            followed_id=self._followed_id,
+            rival=self._rival,
+            rival_frames=self._rival_frames,
+        )
+
+    def restore(self, state: ScoreState) -> None:
+        """Count on; the policy tells again what it shows."""
+        self._total, self._recent = state.total, state.recent
+        self._frames, self._answered = state.frames, state.answered
+        self._object, self._followed_id = state.object, state.followed_id
+        self._rival, self._rival_frames = state.rival, state.rival_frames
 
     def headline(self) -> str:
         """The figure of now."""

@@ -93,7 +93,10 @@ class Operator(Generic[S, Out]):
         self.settings = settings
 
     def state(self) -> object | None:
-        """What must survive a swap, as one dataclass of plain values and arrays."""
+        """What must survive a swap, as one dataclass of plain values and arrays.
+
+        One of its own that returns None says that nothing must: what changes is room to work in.
+        """
         return None
 
     def restore(self, state: Any) -> None:

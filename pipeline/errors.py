@@ -9,7 +9,7 @@ FoveaError
 ├── WeightsError    a network's weights are absent or not the ones named
 ├── InstallError    a package that an extra brings is not installed
 └── RunError        a running graph cannot go on
-    └── Silent      who was asked does not answer in time
+    └── Silent      no answer came in time
 
 A message says where, what, what was expected and what was got.
 """

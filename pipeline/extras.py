@@ -10,9 +10,9 @@ EXTRAS = {
     "matplotlib": "eval",
     "onnx": "train",
     "torch": "train",
-    "tqdm": "train",
 }
-INDEX = {"train": "https://download.pytorch.org/whl/cpu"}  # else pip takes torch with CUDA
+INDEX = {"train": "https://download.pytorch.org/whl/cpu"}
+WHY = "torch for processors alone; without the index pip takes CUDA along, 5.4 GB"
 
 
 def remedy(error: ModuleNotFoundError) -> str:
@@ -27,7 +27,7 @@ def remedy(error: ModuleNotFoundError) -> str:
     extra = EXTRAS.get(package)
     if extra is None:
         return ""
-    index = f" --extra-index-url {INDEX[extra]}" if extra in INDEX else ""
+    index = f" --extra-index-url {INDEX[extra]} ({WHY})" if extra in INDEX else ""
     return f"expected the package {package}, got none: pip install 'fovea[{extra}]'{index}"
 
 

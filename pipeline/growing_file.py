@@ -24,6 +24,7 @@ class GrowingFile:
 
     def __init__(self, path: Path, flush: Callable[[float], bool]) -> None:
         self._path, self._flush = path, flush
+        self._identity: tuple[int, int] | None = None  # of the file that the library has opened
         self._whole_bytes = self._bytes()
         self._seen_bytes = self._whole_bytes
         self._whole_seq: int | None = None
@@ -67,7 +68,12 @@ class GrowingFile:
 
     def _give_up(self) -> None:
         with contextlib.suppress(OSError):
-            os.truncate(self._path, self._whole_bytes)
+            handle = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                if self._is_it(os.fstat(handle)):
+                    os.ftruncate(handle, self._whole_bytes)
+            finally:
+                os.close(handle)
         why = "the disk is full" if self._is_full() else "its writer stopped"
         until = "nothing of it can be read"
         if self._whole_seq is not None:
@@ -75,10 +81,18 @@ class GrowingFile:
         self.failure = f"{self._path}: {why}; {until}"
 
     def _bytes(self) -> int:
+        """As many as it has; 0 when it is gone, or another file has taken its name."""
         try:
-            return self._path.stat().st_size
+            found = self._path.stat()
         except OSError:
             return 0
+        return found.st_size if self._is_it(found) else 0
+
+    def _is_it(self, found: os.stat_result) -> bool:
+        """Whether it is the recording: the file that was seen first."""
+        if self._identity is None:
+            self._identity = found.st_dev, found.st_ino
+        return self._identity == (found.st_dev, found.st_ino)
 
     def _is_full(self) -> bool:
         try:

@@ -21,7 +21,7 @@ _PATH = re.compile(PATTERN)
 def is_import_path(value: object) -> bool:
     """Whether a value is written like an import path.
 
-    >>> is_import_path("drivers.video:VideoFile"), is_import_path("http://x"), is_import_path(5)
+    >>> is_import_path("drivers.datasets:VideoFile"), is_import_path("http://x"), is_import_path(5)
     (True, False, False)
     """
     return isinstance(value, str) and _PATH.fullmatch(value) is not None

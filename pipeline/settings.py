@@ -17,12 +17,11 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pipeline.cause import cause_of
 from pipeline.class_cache import cached_by_class
 from pipeline.errors import FoveaError, SettingsError
-from pipeline.text import harmless
+from pipeline.text import WHOLE_HIGH, WHOLE_LOW, harmless
 from pipeline.wording import shown, shown_key
 
 T = TypeVar("T")
 DEEPEST = 32  # levels of a value
-WHOLE_LOW, WHOLE_HIGH = -(1 << 63), (1 << 64) - 1  # what messages can carry
 
 
 class WrongSetting(SettingsError):

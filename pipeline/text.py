@@ -10,6 +10,7 @@ from typing import Any
 
 MOST_CHARS = 1000  # of a sentence that is shown; the whole text is in the node's log
 MOST_DEPTH = 32  # of nested figures
+WHOLE_LOW, WHOLE_HIGH = -(1 << 63), (1 << 64) - 1  # what messages can carry
 _UNPRINTABLE = {"Cc", "Cs", "Cf", "Co", "Cn", "Zl", "Zp"}
 
 
@@ -53,6 +54,8 @@ def plain(value: Any, depth: int = MOST_DEPTH) -> Any:
     """
     if isinstance(value, str):
         return harmless(value, lines=True)
+    if isinstance(value, int) and not WHOLE_LOW <= value <= WHOLE_HIGH:
+        return harmless(str(value))
     if not isinstance(value, (Mapping, list)):
         return value
     if depth == 0:

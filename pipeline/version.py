@@ -37,17 +37,18 @@ def version(root: Path = ROOT) -> str:
 def commit(root: Path = ROOT) -> str:
     """The commit, `+` behind it where tracked files differ; empty where nothing tells."""
     if (root / ".git").exists():  # a folder, or the file of a worktree
-        return _commit_of(root)
+        found, changed = revision(root)
+        return f"{found[:SHOWN]}+" if changed else found[:SHOWN]
     try:
         return (root / "pipeline" / RECORD).read_text(encoding="utf-8").strip()
     except OSError:
         return ""
 
 
-def _commit_of(root: Path) -> str:
-    found = _git(root, "rev-parse", f"--short={SHOWN}", "HEAD")
-    changed = _git(root, "status", "--porcelain", "--untracked-files=no") if found else ""
-    return f"{found}+" if changed else found
+def revision(root: Path = ROOT) -> tuple[str, bool]:
+    """The commit of a folder, empty where git knows none; and whether tracked files differ."""
+    found = _git(root, "rev-parse", "HEAD")
+    return found, bool(found and _git(root, "status", "--porcelain", "--untracked-files=no"))
 
 
 def _git(root: Path, *words: str) -> str:

@@ -7,13 +7,11 @@ fetched unless `fovea weights pull` is asked to, and nothing is used unless its 
 import difflib
 import hashlib
 import http.client
-import os
 import re
-import tempfile
 import tomllib
 import urllib.request
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import IO, Any
@@ -24,6 +22,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, Trans
 from rich.table import Table
 
 from pipeline.errors import WeightsError
+from pipeline.whole_file import whole_file
 
 MANIFEST = Path(__file__).resolve().parents[1] / "operators" / "weights.toml"
 CHUNK_BYTES = 1 << 16
@@ -197,10 +196,8 @@ def _addressed(entry: Entry, timeout_s: float) -> Iterator[tuple[IO[bytes], str]
 
 def _take(source: IO[bytes], origin: str, target: Path, entry: Entry, advance: Advance) -> None:
     """Copy, check, then rename: the target is whole and right or is not there."""
-    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".pull-")
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            size_bytes, sha256 = _copy(source, file, entry.size_bytes, advance)
+    with whole_file(target) as file:
+        size_bytes, sha256 = _copy(source, file, entry.size_bytes, advance)
         if size_bytes != entry.size_bytes:
             got = f"more than {entry.size_bytes}" if size_bytes > entry.size_bytes else size_bytes
             raise WeightsError(
@@ -210,10 +207,6 @@ def _take(source: IO[bytes], origin: str, target: Path, entry: Entry, advance: A
             raise WeightsError(
                 f"{entry.name}: {origin}: expected sha256 {entry.sha256}, got {sha256}"
             )
-        os.replace(name, target)
-    finally:
-        with suppress(FileNotFoundError):
-            os.unlink(name)
 
 
 def _copy(

@@ -16,7 +16,6 @@ PAGES = sorted(
     and path.relative_to(ROOT).parts[0] not in ("runs", "weights")
 )
 READMES = [path for path in PAGES if path.name == "README.md"]
-BENCH = ("python", "-m")
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from bench.fuzz.tally import Tally
 from pipeline import codec
 from pipeline.bus.envelope import MESSAGE, NOTHING, Envelope
 from pipeline.bus.pool import SlotRef
-from pipeline.fleet import wire
+from pipeline.graph.plan import Plan
 from pipeline.messages import Detections, Frame, Header, Message, Percept, RoiSchedule
+from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, Kind, Refused, decode, encode
 from pipeline.protocol.orders import ORDER, RESULT, StopOrder, StopResult, SwapOrder, SwapResult
 from pipeline.protocol.questions import (
@@ -25,7 +26,9 @@ from pipeline.protocol.questions import (
     NodeSettings,
     Outcome,
 )
+from pipeline.protocol.supervision import EVENT, INSTRUCTION, Cut, Go, Standing, Summary
 
+PLAN = Plan(name="g", clock="realtime", nodes=(), edges=())
 Reader = Callable[[bytes], Any]
 Case = tuple[bytes, Reader]  # valid bytes and what reads them
 HEADER = Header(stream="fuzz", seq=7, stamp_ns=1)
@@ -57,12 +60,6 @@ def known() -> Mapping[str, Case]:
     )  # fmt: skip
     for told, kind in control_messages():
         found[type(told).__name__] = encode(told), _control_reader(kind)
-    for asked in (
-        wire.Named("g"), wire.Lines("g", "n"), wire.Ping(1), wire.ToNode("g", "n", "@health", b"x"),
-        wire.Prepare("{}", wire.Versions.ours(), {"a": "b"}), wire.Lacks(("0" * 64,)),
-        wire.Accounts(1, "m", True, {0: (1, 2)}, {1: (3,)}),
-    ):  # fmt: skip
-        found[type(asked).__name__] = wire.encode(asked), _decoder(type(asked))
     return found
 
 
@@ -85,6 +82,22 @@ def control_messages() -> tuple[tuple[ControlMessage, Kind[Any] | type[Any]], ..
         (Outcome(answer={"a": [1, 2.5]}), Outcome),
         (NodeSettings(settings={"a": 1}, live=("a",)), NodeSettings),
         (health, Health),
+        *(
+            (asked, type(asked))
+            for asked in (
+                wire.Named("g"),
+                wire.Lines("g", "n"),
+                wire.Ping(1),
+                wire.Lacks(("0" * 64,)),
+                wire.ToNode("g", "n", HealthQuestion()),
+                wire.Prepare(PLAN, wire.Versions.ours(), {"a": "b"}),
+                wire.Accounts(1, "m", True, {0: (1, 2)}, {1: (3,)}),
+            )
+        ),
+        (Go(), INSTRUCTION),
+        (Cut(node="work", receiver="here", heard={"frame": 3}), INSTRUCTION),
+        (Summary("work", {"mean": 1.5}), EVENT),
+        (Standing("work", {"frame": 3}), EVENT),
     )
 
 
@@ -122,7 +135,3 @@ def _opener(cls: type[Any]) -> Reader:
 
 def _control_reader(kind: Kind[Any] | type[Any]) -> Reader:
     return lambda data: decode(kind, data)
-
-
-def _decoder(cls: type[Any]) -> Reader:
-    return lambda data: wire.decode(cls, data)

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.whole_file import write_whole
+
 ROOT = Path(__file__).resolve().parents[2]
 HEAD_BYTES = 64
 WARM_UP = 10  # messages sent first and not counted
@@ -251,6 +253,4 @@ def two_processes(module: str) -> Callable[[Task], None]:
 
 
 def _put(path: Path, report: dict[str, Any]) -> None:
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(report))
-    part.replace(path)  # the other side looks for it while it is written
+    write_whole(path, json.dumps(report))  # the other side looks for it while it is written

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.sequence import read_info
-from drivers.soccer import SoccerScene
-from drivers.soccernet import SoccerNetSequence
+from drivers.datasets.sequence import read_info
+from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import Annotations, FrameSource
 from pipeline.errors import DriverError, SettingsError
 

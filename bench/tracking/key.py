@@ -11,7 +11,7 @@ from bench.tracking.cases import Case, Protocol
 from bench.tracking.classes import planned
 from bench.tracking.clip import ClipName, frames_of
 from bench.tracking.stages import NEEDED
-from drivers.sequence import read_info
+from drivers.datasets.sequence import read_info
 from operators.training.identity import of_code, of_nodes
 from pipeline.errors import DriverError
 from pipeline.fleet.allow import file_digest

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from bench.tracking.budgets import parsed
 from bench.tracking.replaced import PARTS, Replaced
 from bench.tracking.targets import KINDS
-from drivers.sequence import span
+from drivers.datasets.sequence import span
 from pipeline.errors import SettingsError
 
 ALL = ("full", "oracle", "foveated", "centred", "round_robin", "spatial", "temporal", "exposure")

@@ -6,6 +6,8 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
+from pipeline.whole_file import write_whole
+
 KEEP_S = 20.0  # between writings of a unit that is not finished: what an interruption may cost
 Episode = dict[str, Any]  # start, iou, kept, shown, state, read_px, full_px
 Unit = dict[str, Any]  # clip, case, target, kind, episodes
@@ -58,7 +60,4 @@ def _read(path: Path, kind: type) -> Any:
 
 
 def _write(path: Path, content: Any) -> None:
-    """Whole or not at all."""
-    unfinished = path.with_suffix(f"{path.suffix}.new")
-    unfinished.write_text(json.dumps(content))
-    unfinished.rename(path)
+    write_whole(path, json.dumps(content))

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from drivers.simulated.scenes import check_arguments, scene_path
+from drivers.simulated.sources import check_arguments, scene_path
 from drivers.simulated.strategies import (
     STRATEGIES,
     Sampling,
@@ -25,7 +25,7 @@ class SimulatedSensorSettings:
     """What a graph may set. Exactly one of `scene` and `source` says what there is to see."""
 
     scene: str = ""  # soccer, or an import path module:Class
-    source: str = ""  # import path of a recording, e.g. drivers.video:VideoFile
+    source: str = ""  # import path of a recording, e.g. drivers.datasets:VideoFile
     path: str = ""  # the recording's file or folder
     source_options: Mapping[str, Any] = field(default_factory=dict)  # further keyword arguments
     size_px: tuple[int, int] = (0, 0)  # of the whole field; 0: the source's own

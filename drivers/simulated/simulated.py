@@ -20,8 +20,8 @@ from drivers.simulated.coverage import Coverage, where
 from drivers.simulated.playback import Playback, Timing
 from drivers.simulated.prefetch import Ready
 from drivers.simulated.readout import Readout
-from drivers.simulated.scenes import open_recording, open_scene, scene_path, shown_by
 from drivers.simulated.settings import RATES_HZ, SimulatedSensorSettings
+from drivers.simulated.sources import open_recording, open_scene, scene_path, shown_by
 from drivers.source import Annotations, FrameSource
 from pipeline.boxes import roi_window
 from pipeline.contract import HEADLINE, RATE, Loan

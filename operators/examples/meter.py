@@ -26,6 +26,16 @@ class MeterSettings:
             raise SettingsError(f"alarm_above: must be at least 0, got {self.alarm_above}")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """All that a successor needs to go on counting."""
+
+    frames: int
+    alarms: int
+    means: tuple[float, ...]
+    seqs: tuple[int, ...]
+
+
 class Meter(Operator[MeterSettings, None]):
     """Measure the mean brightness of every frame; count those above a limit."""
 
@@ -45,6 +55,18 @@ class Meter(Operator[MeterSettings, None]):
         self._kept.append((mean, frame.header.seq))
         self._frames += 1
         self._alarms += mean > self.settings.alarm_above
+
+    def state(self) -> Measured:
+        """What a successor takes over."""
+        means, seqs = [mean for mean, _ in self._kept], [seq for _, seq in self._kept]
+        return Measured(
+            frames=self._frames, alarms=self._alarms, means=tuple(means), seqs=tuple(seqs)
+        )
+
+    def restore(self, state: Measured) -> None:
+        """Count on."""
+        self._kept.extend(zip(state.means, state.seqs, strict=True))
+        self._frames, self._alarms = state.frames, state.alarms
 
     def do_brightest(self, count: int = 1) -> Mapping[str, Any]:
         """The brightest of the last frames: their numbers and means."""

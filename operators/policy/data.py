@@ -14,11 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from operators.training import arrays as files
 from operators.training.arrays import Arrays
 from operators.training.identity import Identity, of_code, of_plan
+from operators.training.progress import tracked
 from operators.training.workers import pool_of
 from pipeline import Geometry, RoiFeatures, Tracks, Truth
 from pipeline.errors import DriverError
@@ -147,6 +147,7 @@ def record(
     workers: int = 2,
     changes: tuple[str, ...] = (),
     say: Callable[[str], None] = print,
+    name: str = "record clips",
 ) -> list[Path]:
     """Record the first `frames` frames of each seed's scene; clips already there are kept.
 
@@ -159,7 +160,7 @@ def record(
     missing = files.outdated(wanted, made, say)
     with pool_of(workers) as pool:
         jobs = [pool.submit(_record, path, frames, changes, made) for path in missing]
-        for job in tqdm(jobs, desc="record", unit="clip", disable=not jobs):
+        for job in tracked(jobs, name):
             job.result()
     return wanted
 

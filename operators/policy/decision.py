@@ -57,7 +57,7 @@ def observe(
     looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
     candidates = encode_objects(tracks, looks[:-1])
     candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
-    if carrier_row(target, tracks) >= 0:  # where it was going before is nowhere
+    if carrier_row(target, tracks) >= 0:  # a carried target has no path of its own
         candidates = without(candidates, candidates.ids == target.bound_id)
     spot = encode_place(target, spec, tracks, looks[-1], patience=rules.patience)
     if spot is not None:

@@ -46,15 +46,15 @@ class LearnedPolicySettings:
     weights: str = ""  # an ONNX file of operators.policy.train; empty: the shipped one
     selection: Selection = "argmax"  # the likeliest object, or one drawn by its probability
     seed: int = 0  # of what is drawn
-    target_prior: float = 30.0  # see `decision.with_prior`; 1: the network alone
-    least_genuine: float = 0.2  # below it an object that was looked at is believed false
+    target_prior: float = Rules.target_prior  # see `decision.with_prior`; 1: the network alone
+    least_genuine: float = Rules.least_genuine  # below it a look says false object
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id
     prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
     carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
     horizon: int = 16  # Tp, frames planned
     observed: int = 4  # To, frames of looks that are remembered
-    place_patience: int = 64  # frames for which the last place stays worth a look
+    place_patience: int = Rules.patience  # frames for which the last place stays worth a look
     threads: int = 1
 
     def __post_init__(self) -> None:

@@ -12,10 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from operators.policy.conditioning import CONDITION
-from operators.policy.tokens import BOX, CLASSES
+from operators.policy.tokens import BOX, CLASSES, PARTS
 from operators.training.onnx_files import write
 
-PARTS = ("roi", "global", "motion")  # what an ablation may leave out
 WIDTHS = {"roi": 64, "global": 64, "detection": 32, "motion": 32}
 EMBEDDED, HEADS, LAYERS, FEED_FORWARD = 128, 4, 2, 256
 HIDDEN = 96  # of the convolutions along time

@@ -205,7 +205,7 @@ def _again(tracks: Tracks, spec: TargetSpec, now: TargetState, chosen: Choice) -
 
 
 def _near(tracks: Tracks, row: int, now: TargetState) -> bool:
-    """Whether the target may have gone there since it was seen; nothing is near nowhere."""
+    """Whether the target may have gone there since it was seen; False for one never placed."""
     if not now.placed:
         return False
     gone = tracks.header.seq - now.seen_seq

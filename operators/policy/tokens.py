@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline import Geometry, Tracks
 
+PARTS = ("roi", "global", "motion")  # what an ablation may leave out
 MOST_OBJECTS = 25
 BOX = 4  # numbers of one encoded box
 CLASSES = 8  # of a detector that have a place of their own

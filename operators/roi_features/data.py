@@ -12,14 +12,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from drivers.soccer import SoccerScene
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, Annotations, FrameSource
 from operators.roi_features.crops import cut, to_squares
 from operators.roi_features.model import CLASSES
 from operators.training.arrays import outdated, read, write
 from operators.training.identity import Identity, of_code
+from operators.training.progress import tracked
 from operators.training.workers import pool_of
 from pipeline import Frame
 from pipeline.boxes import areas, centres, from_centres, intersections
@@ -199,13 +199,16 @@ def free(box: NDArray[np.float64], truth: Annotations, small: bool) -> bool:
 
 def made_with(count: int, span: int) -> dict[str, str]:
     """What decides the crops of a scene beside its seed."""
-    code = of_code("drivers.soccer", "operators.roi_features.data", "operators.roi_features.crops")
+    code = of_code(
+        "drivers.scenes.soccer", "operators.roi_features.data", "operators.roi_features.crops"
+    )
     return code | {"moments": str(count), "span": str(span)}
 
 
 def render(
-    seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2
-) -> list[Path]:
+    seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2,
+    name: str = "draw crops",
+) -> list[Path]:  # fmt: skip
     """Crops of `count` moments of each seed's scene on disk; those already there are kept.
 
     Those that are damaged, or were rendered with other settings or code, are rendered anew.
@@ -216,7 +219,7 @@ def render(
     missing = outdated(wanted, made, print)
     with pool_of(workers) as pool:
         jobs = [pool.submit(_render_scene, path, count, span, made) for path in missing]
-        for job in tqdm(jobs, desc="crops", unit="scene", disable=not jobs):
+        for job in tracked(jobs, name):
             job.result()
     return wanted
 

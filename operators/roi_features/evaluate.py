@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from drivers.sequence import span
-from drivers.soccer import SoccerScene
-from drivers.soccernet import SoccerNetSequence
+from drivers.datasets.sequence import span
+from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import FrameSource
 from operators.roi_features.data import FULL_PX, NOBODY, RATE_HZ, Candidates, candidates, whole
 from operators.roi_features.model import CLASSES
 from operators.roi_features.roi_features import Encoder, RoiEncoderSettings, verdicts
 from operators.training.command_line import count, in_a_sentence
+from operators.training.progress import each_of
 from pipeline.errors import SettingsError
 
 SEEDS = {"validation": range(55_000, 55_020), "test": range(65_000, 65_030)}
@@ -195,7 +195,7 @@ def main(words: Sequence[str] | None = None) -> None:
     if given.data:
         pairs = of_sequence(given.data, given.stride, given.frames)
     team_of = teams_of(given.data) if given.data else team_in_scene
-    table = report(encoders, tqdm(pairs, desc="score", unit="pair"), team_of, given.least)
+    table = report(encoders, each_of(pairs, "score"), team_of, given.least)
     for name, row in table.items():
         print(name, *(f"{figure} {value:.3f}" for figure, value in row.items()))
     if given.json:

@@ -71,6 +71,9 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
     def open(self) -> None:
         self._encoder = Encoder(self.settings)
 
+    def state(self) -> None:
+        """Nothing must survive: what changes is room for a batch."""
+
     def on_roi_tracks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
         if roi.pixels.size and (roi.pixels.ndim != 3 or roi.pixels.dtype != np.uint8):
             raise MessageError(

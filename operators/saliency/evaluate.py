@@ -14,16 +14,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
-from drivers.sequence import span
-from drivers.soccer import SoccerScene
-from drivers.soccernet import SoccerNetSequence
+from drivers.datasets.sequence import span
+from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.scenes.soccer import SoccerScene
 from operators.saliency.example import BALL, NAMES, Example
 from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
 from operators.saliency.saliency import SHIPPED, Detector, Saliency, SaliencySettings
 from operators.training.command_line import count, in_a_sentence
 from operators.training.onnx_files import describe
+from operators.training.progress import each_of
 from pipeline import Detections, Frame, SettingsError
 from pipeline.boxes import centres, iou
 from pipeline.executor import Executor
@@ -254,11 +254,11 @@ def main(words: Sequence[str] | None = None) -> None:
     Detector(settings)  # refused now, and not after the drawing
     result: dict[str, object] = {"weights": given.weights.name, "side_share": given.side_share}
     if given.choose:
-        validation = tqdm(scenes(SEEDS["validation"], given.moments), desc="choose")
+        validation = each_of(scenes(SEEDS["validation"], given.moments), "choose")
         result["thresholds"] = choose(given.weights, validation, given.threads, given.side_share)
     test = scenes(SEEDS["test"], given.moments)
     source = sequence(given.data, given.stride, given.frames) if given.data else test
-    table = report(tqdm(source, desc="score"), settings, given.side_share)
+    table = report(each_of(source, "score"), settings, given.side_share)
     result |= {"on": given.data.name if given.data else "test scenes", "figures": table}
     for name, row in table.items():
         print(f"{name:12}", *(f"{figure} {value:.3f}" for figure, value in row.items()))

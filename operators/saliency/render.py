@@ -12,16 +12,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tqdm import tqdm
 
-from drivers.sequence import span
-from drivers.soccer import SoccerScene
-from drivers.soccernet import SoccerNetSequence
+from drivers.datasets.sequence import span
+from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, FrameSource
 from operators.saliency.example import CONTEXT_PX, NAMES, Example
 from operators.training.arrays import outdated, write
 from operators.training.command_line import in_a_sentence
 from operators.training.identity import Identity, of_code
+from operators.training.progress import tracked
 from operators.training.workers import pool_of
 from pipeline.errors import DriverError, SettingsError
 
@@ -58,11 +58,14 @@ def moments(seed: int, count: int, span: int) -> list[int]:
 
 def made_with(count: int, span: int) -> dict[str, str]:
     """What decides the pictures of a scene beside its seed."""
-    code = of_code("drivers.soccer", "operators.saliency.render")
+    code = of_code("drivers.scenes.soccer", "operators.saliency.render")
     return code | {"moments": str(count), "span": str(span)}
 
 
-def render(seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2) -> None:
+def render(
+    seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2,
+    name: str = "draw scenes",
+) -> None:  # fmt: skip
     """Render `count` moments of each seed's scene into `folder`; seeds already there are kept.
 
     Those that are damaged, or were rendered with other settings or code, are rendered anew.
@@ -72,7 +75,7 @@ def render(seeds: Iterable[int], count: int, span: int, folder: Path, workers: i
     missing = outdated((folder / f"{seed}.npz" for seed in seeds), made, print)
     with pool_of(workers) as pool:
         jobs = [pool.submit(_render_scene, path, count, span, made) for path in missing]
-        for job in tqdm(jobs, desc="render", unit="scene"):
+        for job in tracked(jobs, name):
             job.result()
 
 
@@ -92,7 +95,7 @@ def convert(footage: Path, frames: tuple[int, int], folder: Path) -> int:
     if not 1 <= first <= last <= (source.length or 0):
         raise SettingsError(f"frames: expected 1 to {source.length}, got {first}-{last}")
     folder.mkdir(parents=True, exist_ok=True)
-    examples = [example(source, k - 1) for k in tqdm(range(first, last + 1), desc="read")]
+    examples = [example(source, k - 1) for k in tracked(range(first, last + 1), "read frames")]
     source.close()
     _write(examples, folder / f"{first}.npz", {})
     return len(examples)

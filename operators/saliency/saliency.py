@@ -88,6 +88,9 @@ class Saliency(Operator[SaliencySettings, Detections]):
     def open(self) -> None:
         self._detector = Detector(self.settings)
 
+    def state(self) -> None:
+        """Nothing must survive: what changes is room for a picture."""
+
     def on_frame(self, frame: Frame) -> Detections:
         detector = self._detector
         if not frame.pixels.size:

@@ -1,40 +1,18 @@
 """Train the shipped detector on procedural scenes: `python -m operators.saliency.train --help`.
 
-Renders what is missing, trains in bfloat16, keeps a running mean of the weights,
-writes a checkpoint now and then and goes on from it when started again. `--export` writes
-the ONNX file that fovea ships.
+What may be asked of a training; the training itself, which needs torch, is in `training_run.py`.
 """
 
 # mypy: disallow-untyped-decorators=False
 import argparse
 import json
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
-import torch
-from torch import Tensor
-from tqdm import tqdm
-
-from operators.saliency.data import Batch, rendered_in, stream
-from operators.saliency.example import DOMAIN, INPUT_PX, NAMES
-from operators.saliency.losses import losses
-from operators.saliency.model import DetectorNet, Exported
-from operators.saliency.render import made_with, render
-from operators.training import checkpoint
 from operators.training.command_line import GOES_ON, add_numbers, in_a_sentence
-from operators.training.device import DEVICES, device_of
-from operators.training.identity import of_settings
-from operators.training.log import EVERY, note, shorten
-from operators.training.onnx_files import fused, write
-from operators.training.ranges import above_zero, at_least
-from operators.training.schedule import warmed_cosine
-from pipeline.fleet.allow import file_digest
-
-TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
+from operators.training.ranges import DEVICES, above_zero, at_least, known_device
+from pipeline.extras import need
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,132 +40,7 @@ class TrainSettings:
         at_least(1, self, "moments", "span", "steps", "batch", "threads")
         at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
         above_zero(self, "rate", "minutes")
-        device_of(self.device)  # refused now, and not after the drawing
-
-
-class Run(checkpoint.Progress):
-    """Everything that a checkpoint holds."""
-
-    def __init__(self, settings: TrainSettings) -> None:
-        torch.manual_seed(settings.seed)
-        self.settings, self.device = settings, device_of(settings.device)
-        self.net = DetectorNet().to(self.device, memory_format=torch.channels_last)
-        self.mean = DetectorNet().to(self.device)
-        self.mean.load_state_dict(self.net.state_dict())
-        matrices = [p for p in self.net.parameters() if p.ndim > 1]
-        others = [p for p in self.net.parameters() if p.ndim <= 1]
-        groups = [
-            {"params": matrices, "weight_decay": settings.decay},
-            {"params": others, "weight_decay": 0.0},
-        ]
-        self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
-        parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        pictures = made_with(settings.moments, settings.span) | {"data": contents(given(settings))}
-        super().__init__(settings.out, parts, of_settings(settings) | pictures)
-        if settings.init is not None:
-            checkpoint.take(settings.init, {"mean": self.mean})
-            self.net.load_state_dict(self.mean.state_dict())
-
-    @torch.no_grad()
-    def follow(self) -> None:
-        """Move the mean weights towards the newest, faster while young."""
-        keep = min(0.9993, (1 + self.step) / (10 + self.step))
-        new = self.net.state_dict()
-        for name, old in self.mean.state_dict().items():
-            if old.dtype.is_floating_point:
-                old.lerp_(new[name], 1 - keep)
-            else:
-                old.copy_(new[name])
-
-
-def drawn(settings: TrainSettings) -> list[Path]:
-    """Files of the scenes that are drawn for this training; others may lie beside them."""
-    seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
-    return [settings.data[0] / f"{seed}.npz" for seed in seeds]
-
-
-def given(settings: TrainSettings) -> list[Path]:
-    """Files of the folders that are taken as they are; one named twice counts twice."""
-    folders = settings.data[1:] if settings.scenes else settings.data
-    return [path for folder in folders for path in rendered_in(folder)]
-
-
-def contents(files: Sequence[Path]) -> str:
-    """What is in files, and how often."""
-    known = {path: file_digest(path) + file_digest(path.with_suffix(".npy")) for path in set(files)}
-    whole = sha256("".join(known[path] for path in files).encode()).hexdigest()
-    return f"{len(files)} files, {whole[:16]}" if files else "as drawn"
-
-
-def train(settings: TrainSettings) -> Run:
-    """Render what is missing, train until the steps or the minutes are used up."""
-    torch.set_num_threads(settings.threads)
-    settings.out.mkdir(parents=True, exist_ok=True)
-    run = Run(settings)
-    run.resume()  # another training is refused now, and not after the drawing
-    seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
-    render(seeds, settings.moments, settings.span, settings.data[0], settings.threads)
-    run.net.train()
-    forward = torch.compile(run.net) if settings.compiled else run.net
-    started = time.monotonic() - run.elapsed_s
-    log = settings.out / "log.csv"
-    shorten(log, run.step)
-    # a training that its minutes ended is over: its weights must stay what they are
-    over = run.elapsed_s > settings.minutes * 60
-    steps = range(run.step, run.step if over else settings.steps)
-    # beside a GPU the processors have nothing else to do
-    workers = 1 if run.device.type == "cpu" else settings.threads
-    files = [*drawn(settings), *given(settings)]
-    batches = stream(files, settings.batch, steps, seed=settings.seed, workers=workers)
-    bar = tqdm(batches, initial=run.step, total=settings.steps, mininterval=5)
-    for batch in bar:
-        parts = advance(run, forward, batch)
-        run.elapsed_s = time.monotonic() - started
-        if run.step % EVERY == 0:
-            figures = {name: float(part) for name, part in parts.items()}
-            note(log, run.step, run.elapsed_s, figures)
-            bar.set_postfix_str(" ".join(f"{n} {v:.4f}" for n, v in figures.items()))
-        run.save_when_due()
-        if run.elapsed_s > settings.minutes * 60:
-            break
-    run.save()
-    return run
-
-
-def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
-    """One step of the optimiser; returns the parts of the loss."""
-    s, batch = run.settings, batch.to(run.device)
-    for group in run.optimiser.param_groups:
-        group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
-    pictures = batch.pictures.float().div_(255)
-    with torch.autocast(run.device.type, torch.bfloat16):
-        raw = forward(pictures)
-    parts = losses(raw, batch)
-    run.optimiser.zero_grad(set_to_none=True)
-    torch.stack(list(parts.values())).sum().backward()
-    torch.nn.utils.clip_grad_norm_(run.net.parameters(), 10.0)
-    run.optimiser.step()
-    run.step += 1
-    run.follow()
-    return {name: part.detach() for name, part in parts.items()}
-
-
-def export(net: DetectorNet, path: Path) -> None:
-    """Write the detector as ONNX."""
-    net = fused(net).to(memory_format=torch.contiguous_format)
-    width, height = INPUT_PX
-    write(
-        Exported(net),
-        {"images": torch.zeros(1, 3, height, width)},
-        path,
-        ("output", "features"),
-        names=str(dict(enumerate(NAMES))),
-        stride="32",
-        task="detect",
-        format="yolo",
-        domain=DOMAIN,
-        trained_on="pictures of soccer matches",
-    )
+        known_device(self.device)
 
 
 def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
@@ -209,6 +62,11 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
 def main(words: Sequence[str] | None = None) -> None:
     """Command line."""
     settings, target = asked(words)
+    need("torch", "train")
+    from operators.saliency.model import DetectorNet
+    from operators.saliency.training_run import export, train
+    from operators.training import checkpoint
+
     if target is not None:
         net = DetectorNet()
         checkpoint.take(checkpoint.path_in(settings.out), {"mean": net})

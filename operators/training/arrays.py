@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from operators.training.identity import Identity, differing
 from pipeline.errors import DriverError
+from pipeline.whole_file import whole_file
 
 Arrays = dict[str, NDArray[Any]]
 MADE_WITH = "made_with"
@@ -18,10 +19,9 @@ MADE_WITH = "made_with"
 
 def write(path: Path, arrays: Mapping[str, NDArray[Any]], made: Identity) -> None:
     """Keep arrays, and what they were made with."""
-    unfinished = path.with_suffix(".part.npz")
     told = {MADE_WITH: np.array(json.dumps(dict(made)))}
-    np.savez(unfinished, allow_pickle=False, **arrays, **told)
-    unfinished.rename(path)
+    with whole_file(path) as file:
+        np.savez(file, allow_pickle=False, **arrays, **told)
 
 
 def read(path: Path) -> Arrays:

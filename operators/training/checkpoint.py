@@ -9,6 +9,7 @@ import torch
 
 from operators.training.identity import Identity, differing
 from pipeline.errors import SettingsError, WeightsError
+from pipeline.whole_file import whole_file
 
 EVERY_S = 30.0  # with the roll-outs of a round, which are repeated, it is less than a minute
 
@@ -35,9 +36,8 @@ class Progress:
         """Write everything."""
         facts = {"step": self.step, "elapsed_s": self.elapsed_s, "settings": self.identity}
         parts = {name: part.state_dict() for name, part in self.parts.items()}
-        unfinished = self.path.with_suffix(".part")
-        torch.save(parts | facts, unfinished)
-        unfinished.rename(self.path)
+        with whole_file(self.path) as file:
+            torch.save(parts | facts, file)
         self._saved_s = time.monotonic()
 
     def save_when_due(self) -> None:

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
-from tqdm import tqdm
-
 from pipeline.errors import FoveaError
+from pipeline.extras import remedy
 
 GOES_ON = "interrupted; the same command goes on where it was"
 REFUSED, INTERRUPTED, STOPPED = 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
@@ -42,6 +41,10 @@ def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
         yield
     except FoveaError as error:
         _end(str(error), REFUSED)
+    except ModuleNotFoundError as error:
+        if not (why := remedy(error)):
+            raise
+        _end(why, REFUSED)
     except (FileExistsError, NotADirectoryError) as error:
         _end(f"{error.filename}: expected a folder, got a file", REFUSED)
     except OSError as error:  # a full disk, a file that is not ours
@@ -53,5 +56,5 @@ def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
 
 
 def _end(sentence: str, status: int) -> NoReturn:
-    tqdm.write(f"fovea: {sentence}", file=sys.stderr)  # not into the line of a progress bar
+    print(f"fovea: {sentence}", file=sys.stderr)
     sys.exit(status)

@@ -1,14 +1,10 @@
 """Where a training computes: a device's name -> the device, and tensors on their way to it."""
 
-import re
-
 import torch
 from torch import Tensor
 
+from operators.training.ranges import known_device
 from pipeline.errors import SettingsError
-
-DEVICES = "auto, cpu, cuda, cuda:N or mps"
-KNOWN = re.compile(r"cpu|mps|cuda(:\d+)?")
 
 
 def device_of(name: str) -> torch.device:
@@ -19,10 +15,9 @@ def device_of(name: str) -> torch.device:
     >>> device_of("cpu")
     device(type='cpu')
     """
+    known_device(name)
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
-    if not KNOWN.fullmatch(name):
-        raise SettingsError(f"device: expected {DEVICES}, got {name}")
     device = torch.device(name)
     seen = torch.cuda.device_count()
     if device.type == "cuda" and (device.index or 0) >= seen:

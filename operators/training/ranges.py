@@ -1,8 +1,18 @@
-"""Refuse settings that are out of range, in a sentence."""
+"""Refuse settings that are out of range, in a sentence; no torch is needed for it."""
 
 import math
+import re
 
 from pipeline.errors import SettingsError
+
+DEVICES = "auto, cpu, cuda, cuda:N or mps"
+_DEVICE = re.compile(r"auto|cpu|mps|cuda(:\d+)?")
+
+
+def known_device(name: str) -> None:
+    """Raise `SettingsError` for the name of no device; whether it is there, `device_of` says."""
+    if not _DEVICE.fullmatch(name):
+        raise SettingsError(f"device: expected {DEVICES}, got {name}")
 
 
 def at_least(least: float, settings: object, *names: str) -> None:

@@ -100,6 +100,9 @@ class Visualise(Operator[VisualiseSettings, None]):
         if s.save:
             self._file = GrowingFile(Path(s.save).absolute(), partial(flushed, self._recording))
 
+    def state(self) -> None:
+        """Nothing must survive: trails grow again."""
+
     def summary(self) -> Mapping[str, Any]:
         """Whether the recording is whole, and if not, up to where."""
         if self._file is not None:

@@ -10,7 +10,7 @@ from pipeline.bus.pool import SlotRef
 VERSION = 2  # also below, where a type checker wants the number itself
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
 HANDSHAKE, MESSAGE, NOTHING = 0, 1, 2
-# bodies of handshakes: by who took over and lost nothing, and by who has lost something just now
+# bodies of handshakes: of an instance that took over without a loss, and of one after a loss
 GOES_ON, LOST = msgspec.msgpack.encode(True), msgspec.msgpack.encode(False)
 
 EPOCH_BITS = 32

@@ -12,7 +12,7 @@ from pipeline.errors import SettingsError
 
 Deed = Literal["put", "declare_subscriber", "query", "reply", "declare_queryable"]
 LOCAL = "unixsock-stream/"
-LARGEST_BYTES = 256 << 20  # no message is longer than this, whoever sends it
+LARGEST_BYTES = 256 << 20  # no message is longer than this
 AGENT_PORT = 7447  # where an agent listens unless it is told otherwise
 NODE_PORTS = (7500, 7599)  # first and last, of nodes with an edge to another host, likewise
 MOST_SESSIONS = 64

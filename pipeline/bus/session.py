@@ -7,6 +7,7 @@ through `pipeline.bus.pool`.
 """
 
 import json
+import re
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -22,6 +23,8 @@ OnBytes = Callable[[bytes], None]
 OnQuestion = Callable[[bytes, OnBytes], None]  # the question, and how to reply
 LOGGED = "error,zenoh::net::protocol::gossip=off"  # which mistakes a peer that leaves for a fault
 PANIC = "PanicException"  # how Rust fails without descriptors or threads; it has no other name here
+_SOURCE_LINE = re.compile(r" at /\S+\.rs:\d+\.?")  # where Zenoh was compiled
+_TAKEN = re.compile("acquire lock|in use", re.IGNORECASE)
 AGAIN_S = 0.05  # a new session does not know at once who answers
 
 
@@ -145,9 +148,9 @@ class Session:
     def ask(
         self, key: str, question: bytes, timeout_s: float, still: Callable[[], bool] = lambda: True
     ) -> bytes | None:
-        """The answer to a question; None when none came in time, or who asks wants it no `still`.
+        """Return the answer to a question; None when the deadline passes, or `still` is false.
 
-        Who is not there yet, or goes while he is asked, is asked again.
+        Retries until then, also while nothing answers at that key yet.
         """
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0 and still():
@@ -161,7 +164,7 @@ class Session:
         self, keys: str, question: bytes, timeout_s: float,
         enough: Callable[[Mapping[str, bytes]], bool],
     ) -> dict[str, bytes]:  # fmt: skip
-        """Everybody's answers under a wildcard, by key; until `enough` is true or time is up."""
+        """Return all answers under a wildcard, by key; until `enough` is true or time is up."""
         found: dict[str, bytes] = {}
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0:
@@ -232,4 +235,14 @@ def _open(config: dict[str, object], what: str) -> zenoh.Session:
     except BaseException as error:
         if not isinstance(error, zenoh.ZError) and type(error).__name__ != PANIC:
             raise
-        raise RunError(f"{what}: {error}") from error
+        raise RunError(f"{what}: {reason(error)}") from error
+
+
+def reason(error: BaseException) -> str:
+    """What Zenoh says of a session that cannot be opened, without lines of its source.
+
+    >>> reason(ValueError("no such host at /build/zenoh/src/unicast.rs:356."))
+    'no such host'
+    """
+    said = _SOURCE_LINE.sub("", str(error))
+    return f"{said}; another process listens there" if _TAKEN.search(said) else said

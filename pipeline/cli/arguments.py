@@ -68,7 +68,10 @@ def second(name: str, metavar: str = "", *, form: str) -> Callable[..., Any]:
         if word is None and not context.resilient_parsing:
             first = context.params.get("graph")
             only = f", got {shown_change(str(first))} alone" if first else ""
-            raise click.UsageError(f"expected `fovea {context.info_name} {form}`{only}")
+            raise click.UsageError(
+                f"Missing argument {(metavar or name.upper())!r}: expected "
+                f"`fovea {context.info_name} {form}`{only}"
+            )
         return word or ""
 
     return click.argument(name, required=False, metavar=metavar or name.upper(), callback=check)

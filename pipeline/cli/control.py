@@ -22,6 +22,7 @@ from pipeline.cli.results import swap_lines, topology_lines
 from pipeline.cli.tables import settings_table
 from pipeline.client import detached
 from pipeline.client.find import find, graphs
+from pipeline.errors import RunError
 from pipeline.graph.overlay import shown_change
 from pipeline.protocol.codec import ControlMessage, fields_of
 from pipeline.protocol.orders import SwapOrder
@@ -123,7 +124,11 @@ def end(graph: str, *, as_json: bool) -> None:
         else:
             click.echo(ended_line(ended))
         return
-    result = find(graph).stop()
+    try:
+        client = find(graph)
+    except RunError as error:
+        raise RunError(f"{error}; `fovea attach` finds what was deployed elsewhere") from error
+    result = client.stop()
     if as_json:
         print_json(result)
         return

@@ -1,16 +1,19 @@
 """Files that a command writes: tried before anything runs, written whole or not at all."""
 
+import contextlib
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import SettingsError
 from pipeline.text import said_by
+from pipeline.whole_file import try_beside, write_whole
 
 
 def try_recording(path: Path, option: str) -> None:
-    """Raise `SettingsError` unless a file can be written there; what is there stays as it is."""
+    """Raise `SettingsError` unless a file can be written there; nothing there is changed."""
     try:
         _try(path)
     except (OSError, ValueError) as error:
@@ -18,30 +21,26 @@ def try_recording(path: Path, option: str) -> None:
 
 
 def try_report(path: Path, option: str) -> None:
-    """Likewise for `write_report`; folders on the way there are made."""
+    """Likewise for `write_report`, which makes missing folders; those made here are removed."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if _is_special(path):
+        with _folders_made(path.parent):
             _try(path)
-        else:
-            _try(_target(path))
-            _try(_part(path))
+            if not _is_special(path):
+                try_beside(path.resolve())
     except (OSError, ValueError) as error:
         raise SettingsError(_sentence(option, path, error)) from error
 
 
 def write_report(path: Path, report: dict[str, Any], option: str) -> str:
     """Write a report, an older one staying until it is whole; returns why it is not written."""
-    text, part = json.dumps(report, indent=1), _part(path)
+    text = json.dumps(report, indent=1)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         if _is_special(path):
             path.write_text(text)
-            return ""
-        part.write_text(text)
-        part.replace(_target(path))
+        else:
+            write_whole(path.resolve(), text)  # a link stays a link
     except (OSError, ValueError) as error:
-        if not _is_special(path):
-            part.unlink(missing_ok=True)
         return _sentence(option, path, error)
     return ""
 
@@ -49,28 +48,32 @@ def write_report(path: Path, report: dict[str, Any], option: str) -> str:
 def _try(path: Path) -> None:
     if path.is_dir():
         raise IsADirectoryError(0, "expected a file, got a folder")
-    flags = os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC
     try:
-        handle = os.open(path, flags | os.O_CREAT | os.O_EXCL, 0o666)
-    except FileExistsError:
-        os.close(os.open(path, flags))
-    else:
-        os.close(handle)
-        path.unlink()
+        os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC))
+    except FileNotFoundError:
+        try_beside(path.resolve())
+
+
+@contextlib.contextmanager
+def _folders_made(folder: Path) -> Iterator[None]:
+    """With this folder and those above it; what had to be made for it goes again."""
+    missing = [f for f in (folder, *folder.parents) if not f.exists()]
+    made: list[Path] = []
+    try:
+        for one in reversed(missing):
+            with contextlib.suppress(FileExistsError):  # someone else made it meanwhile
+                one.mkdir()
+                made.append(one)
+        yield
+    finally:
+        for one in reversed(made):
+            with contextlib.suppress(OSError):  # someone has put something there
+                one.rmdir()
 
 
 def _is_special(path: Path) -> bool:
     """Whether it is a device or a pipe, which nothing can take the place of."""
     return path.exists() and not path.is_file() and not path.is_dir()
-
-
-def _target(path: Path) -> Path:
-    return path.resolve()  # a link stays a link
-
-
-def _part(path: Path) -> Path:
-    target = _target(path)
-    return target.with_name(f"{target.name}.part")
 
 
 def _sentence(option: str, path: Path, error: Exception) -> str:

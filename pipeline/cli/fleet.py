@@ -26,10 +26,11 @@ from pipeline.fleet.deploy import (
     read_hosts,
     up,
 )
-from pipeline.fleet.export.bundle import Bundle, identities
+from pipeline.fleet.export.bundle import Bundle
 from pipeline.fleet.export.export import KINDS, engines
 from pipeline.fleet.export.systemd import agent_unit
 from pipeline.fleet.names import check_identity, check_user, user_identity
+from pipeline.fleet.placement import identities
 from pipeline.fleet.provisioning import check_addressed, issue_for
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -213,13 +214,3 @@ def _add(
         click.echo(line)
     click.echo(f"copy each host's folder to it, keep {folder / 'ca.key'} away from all of them")
     click.echo(f"deploy with --credentials {folder / user_identity(names[0])}")
-
-
-fleet_commands = (
-    agent_command,
-    up_command,
-    attach_command,
-    down_command,
-    secure_commands,
-    export_command,
-)

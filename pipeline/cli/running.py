@@ -41,7 +41,7 @@ def inline(plan: Plan, frames: int, console: Console, asked: Interruption) -> Re
                 if asked.count:
                     break
             report = runner.report()
-    except (SystemExit, KeyboardInterrupt) as error:  # no signal raises these here
+    except (SystemExit, KeyboardInterrupt, OSError) as error:  # neither a signal nor a lost reader
         raise RunError(f"{plan.name}: an operator raised {error_text(error)}") from error
     return report if report is not None else runner.report(summaries=False)
 

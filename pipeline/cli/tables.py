@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.client.graph_client import Said, Status
-from pipeline.fleet.wire import EdgeState, HostState, NodeState, State
+from pipeline.protocol.fleet import EdgeState, HostState, NodeState, State
 from pipeline.protocol.questions import Health, NodeSettings
 from pipeline.terminal import brief, lean_table, losses, pair, rest
 

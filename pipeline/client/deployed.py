@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 
@@ -22,7 +22,6 @@ from pipeline.client.graph_client import (
 from pipeline.client.local import judged, of_kind
 from pipeline.client.relayed import RelayedTap
 from pipeline.errors import FoveaError, RunError, Silent
-from pipeline.fleet import wire
 from pipeline.fleet.deploy import (
     Fleet,
     Hosts,
@@ -36,10 +35,10 @@ from pipeline.fleet.deploy import (
 from pipeline.fleet.replanning import ends_of
 from pipeline.graph.editing import loaded_ports
 from pipeline.graph.plan import Plan
-from pipeline.protocol.codec import decode, decode_answer, encode
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import decode, decode_answer
 from pipeline.protocol.orders import RESULT, SwapOrder, SwapResult, TopologyResult
 from pipeline.protocol.questions import (
-    KEYS,
     ConfigQuestion,
     Health,
     HealthQuestion,
@@ -128,7 +127,7 @@ class DeployedGraph(GraphClient):
             send_files(fleet, label, files)
             order = msgspec.structs.replace(order, changes=changes)
             asked = wire.Change(self.name, order)
-            said = fleet.ask(label, "swap", asked, wire.Said, ORDER_S)
+            said = fleet.ask(label, "swap", asked, wire.Relayed, ORDER_S)
             return of_kind(SwapResult, judged(decode(RESULT, said.payload)))
 
     def replan(self, edit: Edit) -> TopologyResult:
@@ -185,7 +184,7 @@ class DeployedGraph(GraphClient):
         """What every host was asked to run, and which revision of it runs there."""
         asked = wire.Named(self.name)
         told = {label: fleet.ask(label, "plan", asked, wire.Planned) for label in self.hosts.points}
-        plans = {label: wire.read_plan(one.plan) for label, one in told.items()}
+        plans = {label: one.plan for label, one in told.items()}
         return plans, {label: one.revision for label, one in told.items()}
 
     def _change(
@@ -199,10 +198,8 @@ class DeployedGraph(GraphClient):
                 ports = self.ports if edge.source in running else loaded_ports(plan)
                 sent = ports(edge.source).outputs[edge.output]
                 fingerprints[edge.origin] = sent.fingerprint
-        asked = wire.Replan(
-            self.name, wire.write_plan(plan), wire.Versions.ours(), fingerprints, revision
-        )
-        said = fleet.ask(label, "replan", asked, wire.Said, ORDER_S)
+        asked = wire.PlanChange(self.name, plan, wire.Versions.ours(), fingerprints, revision)
+        said = fleet.ask(label, "replan", asked, wire.Relayed, ORDER_S)
         return of_kind(TopologyResult, judged(decode(RESULT, said.payload)))
 
     def _take_back(self, fleet: Fleet, plans: Mapping[str, Plan]) -> None:
@@ -215,9 +212,8 @@ class DeployedGraph(GraphClient):
                 log.error("%s: could not be taken back: %s", label, error)
 
     def _ask(self, fleet: Fleet, label: str, node: str, question: NodeQuestion) -> bytes:
-        key = cast(wire.Question, KEYS[type(question)])
-        asked = wire.ToNode(self.name, node, key, encode(question))
-        return fleet.ask(label, "node", asked, wire.Said, ASK_S).payload
+        asked = wire.ToNode(self.name, node, question)
+        return fleet.ask(label, "node", asked, wire.Relayed, ASK_S).payload
 
     def _log(self, fleet: Fleet, label: str, node: str, lines: int) -> tuple[str, ...]:
         return fleet.ask(label, "log", wire.Lines(self.name, node, lines), wire.Log).lines
@@ -247,7 +243,7 @@ class DeployedGraph(GraphClient):
 
 def send_files(fleet: Fleet, label: str, files: Mapping[str, Any]) -> None:
     """Give a host those of the files that it allows and lacks."""
-    lacking = fleet.ask(label, "lacks", wire.Lacks(tuple(files)), tuple[str, ...])
+    lacking = fleet.ask(label, "lacks", wire.Lacks(tuple(files)), wire.Missing).digests
     send_weights(fleet, label, lacking, files)
 
 

@@ -10,11 +10,11 @@ import msgspec
 
 from pipeline.bus.tap import Heard, Tap
 from pipeline.errors import RunError
-from pipeline.fleet.wire import State
 from pipeline.graph.editing import Ports, rewired, with_nodes, without_node
 from pipeline.graph.loader import Sent
 from pipeline.graph.plan import Plan
 from pipeline.protocol.codec import decode_answer
+from pipeline.protocol.fleet import State
 from pipeline.protocol.orders import SwapOrder, SwapResult, TopologyResult
 from pipeline.protocol.questions import (
     Command,

@@ -26,10 +26,10 @@ from pipeline.client.graph_client import (
     output_of,
 )
 from pipeline.errors import GraphError, MessageError, RunError, SettingsError
-from pipeline.fleet.wire import EdgeState, NodeState, Process, State
 from pipeline.graph.plan import Plan
 from pipeline.node.wiring import key_of
 from pipeline.protocol.codec import decode, decode_answer, encode
+from pipeline.protocol.fleet import EdgeState, NodeState, Process, State
 from pipeline.protocol.orders import (
     GRAPH,
     RESULT,

@@ -8,9 +8,9 @@ from pipeline.bus.tap import Heard, Tap
 from pipeline.client.described import Description
 from pipeline.client.graph_client import GraphClient, Listener, output_of
 from pipeline.errors import FoveaError
-from pipeline.fleet import wire
 from pipeline.fleet.deploy import Fleet, Hosts
 from pipeline.fleet.tap_relay import new_name
+from pipeline.protocol import fleet as wire
 
 POLL_S = 0.1
 
@@ -53,12 +53,12 @@ class RelayedTap(Listener):
         return heard.at_ns - self._behind_ns + ahead - heard.header.stamp_ns
 
     def _listen(self, fleet: Fleet) -> None:
-        asked = wire.Listen(self.graph, self._node, self._port, new_name())
+        asked = wire.TapQuestion(self.graph, self._node, self._port, new_name())
         label = self._hosts.nodes[self._node]
         try:
             while not self._stop.is_set():
                 before_ns = time.monotonic_ns()
-                found = fleet.ask(label, "tap", asked, wire.Relayed)
+                found = fleet.ask(label, "tap", asked, wire.TapMessages)
                 if self._behind_ns is None:  # told once, so that gaps are as they were there
                     self._behind_ns = (before_ns + time.monotonic_ns()) // 2 - found.now_ns
                 self._ahead_ns = found.ahead_ns

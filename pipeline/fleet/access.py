@@ -47,7 +47,7 @@ def agent_permits(label: str, identities: Iterable[str]) -> tuple[Permit, ...]:
 
 
 def asker_permits(identity: str, labels: Sequence[str]) -> tuple[Permit, ...]:
-    """Of somebody who speaks with agents: he asks and tells, and hears only answers."""
+    """Of a client of agents: it asks and publishes, and receives answers only."""
     return tuple(
         Permit(
             identity=host_identity(label),

@@ -17,7 +17,6 @@ from typing import Any
 from pipeline.bus.network import Network
 from pipeline.bus.session import OnBytes, Session
 from pipeline.errors import FoveaError, MessageError, RunError
-from pipeline.fleet import wire
 from pipeline.fleet.access import agent_permits, asker_permits
 from pipeline.fleet.agent_file import HostConfig
 from pipeline.fleet.allow import DIGEST_PREFIX
@@ -42,10 +41,13 @@ from pipeline.fleet.replanning import change, identity_of, planned
 from pipeline.fleet.status import state_of
 from pipeline.fleet.store import GraphStore
 from pipeline.fleet.tap_relay import TapRelay
-from pipeline.fleet.wire import Named, Prepare, Prepared, Start
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import MOST_BYTES, ControlMessage, decode, encode, refused
+from pipeline.protocol.fleet import Named, Prepare, Prepared, Start
 from pipeline.run.logs import log_lines
+from pipeline.text import error_text
 
 WAITING = 64  # questions; more are refused at once
 MOST_GRAPHS = 8
@@ -53,8 +55,8 @@ MOST_LINES = 1000
 TICK_S = 0.1
 WARN_S = 1.0
 SLOW = ("prepare", "start", "down", "weights", "replan")  # what loads, begins, ends
-LATER = object()  # what is answered by another thread, when it is done
 
+Act = Callable[[bytes], ControlMessage | None]
 log = logging.getLogger(__name__)
 
 
@@ -150,17 +152,17 @@ class Agent:
         if verb == "ping" and len(data) < 64:
             came_ns = time.monotonic_ns()
             try:
-                sent_ns = wire.decode(wire.Ping, data).sent_ns
+                sent_ns = decode(wire.Ping, data).sent_ns
             except MessageError:
                 return
-            reply(wire.encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
+            reply(encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
             return
         weights = verb == "weights" and not identity.startswith("host.")
-        if len(data) > wire.MOST_BYTES and not weights:
-            reply(wire.refused(f"expected up to {wire.MOST_BYTES} bytes, got {len(data)}"))
+        if len(data) > MOST_BYTES and not weights:
+            reply(encode(refused(f"expected up to {MOST_BYTES} bytes, got {len(data)}")))
             return
         if weights and not self._sending.acquire(blocking=False):
-            reply(wire.refused("busy: it takes weights from somebody else"))
+            reply(encode(refused("busy: it takes weights from somebody else")))
             return
         try:
             queue_ = self._works if verb in SLOW else self._looks
@@ -168,7 +170,7 @@ class Agent:
         except queue.Full:
             if weights:
                 self._sending.release()
-            reply(wire.refused("busy: too many questions wait"))
+            reply(encode(refused("busy: too many questions wait")))
 
     def _told(self, label: str, key: str, data: bytes) -> None:
         """Likewise: another host tells of its accounts."""
@@ -176,32 +178,32 @@ class Agent:
         if hosted is None:
             return
         try:
-            hosted.hear(label, wire.decode(wire.Accounts, data))
+            hosted.hear(label, decode(wire.Accounts, data))
         except MessageError as error:
             self._warn_once(f"accounts of {label}: {error}")
 
     def _answer(self, question: _Question) -> None:
-        verbs: Mapping[str, Callable[[bytes], Any]] = {
+        verbs: Mapping[str, Act] = {
             "about": self._about, "prepare": self._prepare, "start": self._start,
             "down": self._down, "state": self._state, "log": self._log, "weights": self._weights,
             "lacks": self._lacks, "node": partial(self._node, question),
             "swap": partial(self._swap, question), "plan": self._plan,
             "replan": partial(self._replan, question), "tap": partial(self._tap, question),
         }  # fmt: skip
-        of_hosts: Mapping[str, Callable[[bytes], Any]] = {"recall": partial(self._recall, question)}
+        of_hosts: Mapping[str, Act] = {"recall": partial(self._recall, question)}
         known = of_hosts if question.asker.startswith("host.") else verbs
         try:
             if question.verb not in known:
                 raise RunError(f"{question.asker} may not {question.verb} here")
             answer = known[question.verb](question.data)
-            if answer is not LATER:
-                question.reply(wire.answered(answer))
+            if answer is not None:  # else another thread answers, when it is done
+                question.reply(encode(answer))
         except FoveaError as error:
             self._warn_once(f"refused {question.verb} to {question.asker}: {error}")
-            question.reply(wire.refused(str(error)))
+            question.reply(encode(refused(str(error))))
         except Exception as error:  # by what code or settings of a graph do: the others go on
             log.exception("%s of %s broke", question.verb, question.asker)
-            question.reply(wire.refused(f"{question.verb} broke: {type(error).__name__}: {error}"))
+            question.reply(encode(refused(f"{question.verb} broke: {error_text(error)}")))
         finally:
             if question.sends:
                 self._sending.release()
@@ -213,13 +215,13 @@ class Agent:
             log.warning("%s", why)
 
     def _about(self, data: bytes) -> wire.About:
-        wire.decode(wire.Nothing, data)
+        decode(wire.Nothing, data)
         return wire.About(self.label, wire.Versions.ours(), tuple(self.hosted))
 
     def _prepare(self, data: bytes) -> Prepared:
-        asked = wire.decode(Prepare, data)
+        asked = decode(Prepare, data)
         self._check_versions(asked.versions)
-        plan = wire.read_plan(asked.plan)
+        plan = asked.plan
         missing = self._missing(plan)
         if missing:
             return Prepared({}, missing)
@@ -227,70 +229,69 @@ class Agent:
         local = self._inspected(plan, asked.fingerprints)
         return Prepared(self._free_end_points(local))
 
-    def _start(self, data: bytes) -> None:
-        asked = wire.decode(Start, data)
+    def _start(self, data: bytes) -> wire.Accepted:
+        asked = decode(Start, data)
         hosted = self._hosted_of(asked)  # before anything that runs is touched
         if (before := self.hosted.get(hosted.plan.name)) is not None:
             before.end()
         self._store.keep(hosted.plan.name, asked)
         self.hosted[hosted.plan.name] = hosted
         hosted.begin()
+        return wire.Accepted()
 
-    def _down(self, data: bytes) -> None:
-        graph = check_name(wire.decode(Named, data).graph, "graph")
+    def _down(self, data: bytes) -> wire.Accepted:
+        graph = check_name(decode(Named, data).graph, "graph")
         hosted = self.hosted.get(graph)
         self._store.forget(graph)
         if hosted is None:
             raise RunError(f"no graph {graph} runs here")
         hosted.end()
         del self.hosted[graph]
+        return wire.Accepted()
 
-    def _state(self, data: bytes) -> tuple[wire.State, ...]:
-        graph = wire.decode(Named, data).graph
-        return tuple(
-            state_of(hosted) for name, hosted in list(self.hosted.items()) if graph in ("", name)
-        )
+    def _state(self, data: bytes) -> wire.States:
+        graph = decode(Named, data).graph
+        hosted = [h for name, h in list(self.hosted.items()) if graph in ("", name)]
+        return wire.States(tuple(map(state_of, hosted)))
 
     def _log(self, data: bytes) -> wire.Log:
-        asked = wire.decode(wire.Lines, data)
+        asked = decode(wire.Lines, data)
         hosted = self._hosted(asked.graph)
         if asked.node not in {n.name for n in hosted.plan.nodes if hosted.plan.is_here(n)}:
             raise RunError(f"{asked.graph}: no node {asked.node} here")
         count = max(1, min(asked.count, MOST_LINES))
         return wire.Log(tuple(log_lines(hosted.folder, asked.node, count, follow=False)))
 
-    def _weights(self, data: bytes) -> str:
-        return self._allowed.keep(data)
+    def _weights(self, data: bytes) -> wire.Accepted:
+        return wire.Accepted(self._allowed.keep(data))
 
-    def _lacks(self, data: bytes) -> tuple[str, ...]:
-        digests = wire.decode(wire.Lacks, data).digests
-        return self._allowed.missing([DIGEST_PREFIX + digest for digest in digests])
+    def _lacks(self, data: bytes) -> wire.Missing:
+        digests = decode(wire.Lacks, data).digests
+        return wire.Missing(self._allowed.missing([DIGEST_PREFIX + d for d in digests]))
 
-    def _node(self, question: _Question, data: bytes) -> object:
-        asked = wire.decode(wire.ToNode, data)
+    def _node(self, question: _Question, data: bytes) -> None:
+        asked = decode(wire.ToNode, data)
         self._gateway.ask(self._hosted(asked.graph), asked, question.reply)
-        return LATER
 
-    def _swap(self, question: _Question, data: bytes) -> object:
-        asked = wire.decode(wire.Change, data)
+    def _swap(self, question: _Question, data: bytes) -> None:
+        asked = decode(wire.Change, data)
         self._gateway.swap(self._hosted(asked.graph), asked.order, question.reply)
-        return LATER
 
     def _plan(self, data: bytes) -> wire.Planned:
-        return planned(self._hosted(wire.decode(Named, data).graph), self._store)
+        return planned(self._hosted(decode(Named, data).graph), self._store)
 
-    def _replan(self, question: _Question, data: bytes) -> object:
-        asked = wire.decode(wire.Replan, data)
+    def _replan(self, question: _Question, data: bytes) -> None:
+        asked = decode(wire.PlanChange, data)
         self._check_versions(asked.versions)
-        change(self._hosted(asked.graph), asked, self._store, self._inspected, question.reply)
-        return LATER
+        hosted = self._hosted(asked.graph)
+        change(hosted, asked, self._store, self._inspected, question.reply)
 
-    def _tap(self, question: _Question, data: bytes) -> wire.Relayed:
-        asked = wire.decode(wire.Listen, data)
+    def _tap(self, question: _Question, data: bytes) -> wire.TapMessages:
+        asked = decode(wire.TapQuestion, data)
         return self._taps.fetch(self._hosted(asked.graph), asked, question.asker)
 
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
-        hosted = self._hosted(wire.decode(Named, data).graph)
+        hosted = self._hosted(decode(Named, data).graph)
         peer = hosted.peers.get(question.asker.removeprefix("host."))
         if peer is None or hosted.supervisor is None:
             raise RunError(f"{hosted.plan.name}: nothing is shared with {question.asker}")
@@ -325,7 +326,7 @@ class Agent:
     def _hosted_of(self, asked: Start) -> HostedGraph:
         """What is asked for, checked and not begun."""
         self._check_versions(asked.versions)
-        plan = wire.read_plan(asked.plan)
+        plan = asked.plan
         self._check_free(plan, replace=True)
         self._check_partners(plan, asked)
         local = self._inspected(plan, asked.fingerprints)

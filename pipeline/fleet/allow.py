@@ -14,6 +14,7 @@ from typing import Any
 
 from pipeline.bus.network import LARGEST_BYTES
 from pipeline.errors import SettingsError, WeightsError
+from pipeline.whole_file import write_whole
 
 ANY = "any"  # instead of a checksum: whatever version is installed
 DIGEST_PREFIX = "sha256:"
@@ -88,9 +89,7 @@ class Allowed:
         if digest not in self.weights or len(data) > MOST_WEIGHTS_BYTES:
             raise WeightsError(f"weights {digest[:12]}… are not on the allow list")
         self.store.mkdir(mode=0o700, parents=True, exist_ok=True)
-        part = self.store / f"{digest}.part"
-        part.write_bytes(data)
-        part.replace(self.store / digest)
+        write_whole(self.store / digest, data)
         return digest
 
 

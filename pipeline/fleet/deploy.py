@@ -20,7 +20,6 @@ import msgspec
 from pipeline.bus.network import Network
 from pipeline.bus.session import Session
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, Silent
-from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
 from pipeline.fleet.agent_file import local_endpoint
 from pipeline.fleet.allow import DIGEST_PREFIX, MOST_WEIGHTS_BYTES, file_digest, is_path
@@ -30,6 +29,9 @@ from pipeline.fleet.placement import check_labels, fingerprints
 from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import ControlMessage, decode_answer, encode
+from pipeline.whole_file import write_whole
 
 TIMEOUT_S = 5.0  # until an agent must have answered
 DOWN_S = END_S + 5.0
@@ -102,17 +104,18 @@ class Fleet:
         self._session.close()
 
     def ask(
-        self, label: str, verb: str, question: Any, cls: type[T], timeout_s: float = TIMEOUT_S
-    ) -> T:
+        self, label: str, verb: str, question: ControlMessage | bytes, answer: type[T],
+        timeout_s: float = TIMEOUT_S,
+    ) -> T:  # fmt: skip
         """What an agent answers; raises `RunError` with its reason, `Silent` when there is none."""
-        data = question if isinstance(question, bytes) else wire.encode(question)
+        data = question if isinstance(question, bytes) else encode(question)
         found = self._session.ask(agent_key(label, self._identity, verb), data, timeout_s)
         if found is None:
             raise Silent(
                 f"{label}: no agent answers at {self.hosts.points[label]} within "
                 f"{timeout_s:.0f} s; it does not run, or {self._identity} may not ask it"
             )
-        return wire.read_reply(cls, label, found)
+        return decode_answer(answer, found, label)
 
     def states(self, graph: str = "", timeout_s: float = 1.5) -> dict[str, list[wire.State] | str]:
         """What runs on every host, or why it is not known."""
@@ -120,8 +123,8 @@ class Fleet:
         for label in self.hosts.points:
             try:
                 question = wire.Named(graph)
-                states = self.ask(label, "state", question, tuple[wire.State, ...], timeout_s)
-                found[label] = list(states)
+                answer = self.ask(label, "state", question, wire.States, timeout_s)
+                found[label] = list(answer.states)
             except FoveaError as error:
                 found[label] = str(error)
         return found
@@ -132,8 +135,8 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
     check_labels(plan, fleet.hosts.points)
     used = sorted({node.host for node in plan.nodes})
     plan, files = portable(plan)
-    text, schemas = wire.write_plan(plan), fingerprints(plan)
-    question = wire.Prepare(text, wire.Versions.ours(), schemas, again)
+    schemas = fingerprints(plan)
+    question = wire.Prepare(plan, wire.Versions.ours(), schemas, again)
     for label in used:
         fleet.ask(label, "about", wire.Nothing(), wire.About)
     endpoints: dict[str, str] = {}
@@ -149,8 +152,8 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
         for label in used:
             others = {other: point for other, point in points.items() if other != label}
             started.append(label)
-            order = wire.Start(text, wire.Versions.ours(), schemas, endpoints, others)
-            fleet.ask(label, "start", order, type(None), READY_S)
+            order = wire.Start(plan, wire.Versions.ours(), schemas, endpoints, others)
+            fleet.ask(label, "start", order, wire.Accepted, READY_S)
         _await(fleet, plan.name, used)
     except BaseException:  # Ctrl-C too
         left = [why for label in started if (why := _down(fleet, label, plan.name))]
@@ -237,7 +240,7 @@ def send_weights(
                 f"{label}: {files[digest]}: expected up to {MOST_WEIGHTS_BYTES >> 20} MiB of "
                 f"weights to send, got {size >> 20}; copy the file there and name it in agent.yaml"
             )
-        fleet.ask(label, "weights", files[digest].read_bytes(), str, READY_S)
+        fleet.ask(label, "weights", files[digest].read_bytes(), wire.Accepted, READY_S)
 
 
 def remembered() -> dict[str, Hosts]:
@@ -286,7 +289,7 @@ def _await(fleet: Fleet, graph: str, labels: Iterable[str]) -> None:
     waiting, deadline = set(labels), time.monotonic() + READY_S
     while waiting:
         for label in sorted(waiting):
-            states = fleet.ask(label, "state", wire.Named(graph), tuple[wire.State, ...])
+            states = fleet.ask(label, "state", wire.Named(graph), wire.States).states
             if not states:
                 raise RunError(f"{label}: {graph} does not run there any more")
             if states[0].phase in ("failed", "stopped"):
@@ -300,7 +303,7 @@ def _await(fleet: Fleet, graph: str, labels: Iterable[str]) -> None:
 
 def _down(fleet: Fleet, label: str, graph: str) -> str:
     try:
-        fleet.ask(label, "down", wire.Named(graph), type(None), DOWN_S)
+        fleet.ask(label, "down", wire.Named(graph), wire.Accepted, DOWN_S)
     except FoveaError as error:
         return str(error) if isinstance(error, Silent) or _is_on(fleet, label, graph) else ""
     return ""
@@ -329,10 +332,8 @@ def _alone() -> Iterator[None]:
 
 
 def _write(graphs: Mapping[str, Hosts]) -> None:
-    part = _memory().with_suffix(".part")
     document = {
         g: {"points": dict(h.points), "credentials": h.credentials, "nodes": dict(h.nodes)}
         for g, h in graphs.items()
     }
-    part.write_text(json.dumps(document))
-    part.replace(_memory())
+    write_whole(_memory(), json.dumps(document))

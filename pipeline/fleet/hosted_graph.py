@@ -11,9 +11,9 @@ from pipeline.bus.network import Network
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.peer import Peer
 from pipeline.fleet.replication import Replication, adopt
-from pipeline.fleet.wire import Accounts
 from pipeline.graph.plan import Plan
 from pipeline.node.wiring import CLOCKS
+from pipeline.protocol.fleet import Accounts
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.supervisor import Supervisor
 

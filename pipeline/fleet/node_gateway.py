@@ -11,12 +11,12 @@ from typing import Any
 import msgspec
 
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet import wire
 from pipeline.fleet.allow import Allowed
 from pipeline.fleet.hosted_graph import HostedGraph
-from pipeline.protocol.codec import decode, encode
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import encode, refused
 from pipeline.protocol.orders import SwapOrder
-from pipeline.protocol.questions import KEYS, QUESTION, Command, ConfigQuestion, NodeQuestion
+from pipeline.protocol.questions import Command, ConfigQuestion, NodeQuestion
 from pipeline.run.bus_client import ask_local
 from pipeline.settings import suggest
 
@@ -58,24 +58,22 @@ class NodeGateway:
         order = msgspec.structs.replace(order, changes=changes)
 
         def done(result: bytes) -> None:
-            reply(wire.answered(wire.Said(result)))
+            reply(encode(wire.Relayed(result)))
 
         supervisor.control.ask(encode(order), done)
 
     def _ask(self, hosted: HostedGraph, node: str, question: NodeQuestion, reply: Reply) -> None:
         try:
             said = ask_local(hosted.folder, hosted.plan.name, node, question)
-            reply(wire.answered(wire.Said(said)))
+            reply(encode(wire.Relayed(said)))
         except FoveaError as error:
-            reply(wire.refused(str(error)))
+            reply(encode(refused(str(error))))
         finally:
             self._room.release()
 
     def _cleared(self, asked: wire.ToNode) -> NodeQuestion:
         """The question without anything that must not come from outside; raises `FoveaError`."""
-        question = decode(QUESTION, asked.payload)
-        if KEYS[type(question)] != asked.question:
-            raise RunError(f"{asked.node}: expected a question for {asked.question}, got another")
+        question = asked.question
         if isinstance(question, ConfigQuestion):
             return ConfigQuestion(self._cleared_values(asked.node, question.changes))
         if isinstance(question, Command):

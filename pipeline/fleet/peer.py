@@ -8,10 +8,11 @@ from pipeline.bus.clocks import Reading
 from pipeline.bus.network import Network
 from pipeline.bus.session import Sender, Session
 from pipeline.errors import FoveaError, MessageError
-from pipeline.fleet import wire
 from pipeline.fleet.clock import Estimate, Offset
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.fleet.replication import Replication
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import decode, decode_answer, encode
 
 PING_S = 0.2
 LOST_S = 1.2  # without an answer for this long a host is lost
@@ -55,7 +56,7 @@ class Peer:
         """Send the other host what it is to know, if there is anything."""
         accounts = self.replication.tell(ready=ready, anyway=anyway)
         if accounts is not None and self._telling.matching():
-            self._telling.send(wire.encode(accounts))
+            self._telling.send(encode(accounts))
 
     def hear(self, accounts: wire.Accounts) -> None:
         """The other host tells its accounts; while it counts as lost nobody listens."""
@@ -64,10 +65,10 @@ class Peer:
 
     def recall(self) -> wire.Accounts | None:
         """What the other host knows of the edges between the two; None when it knows nothing."""
-        question = wire.encode(wire.Named(self._graph))
+        question = encode(wire.Named(self._graph))
         data = self._session.ask(self._key("recall"), question, RECALL_S)
         try:
-            return wire.read_reply(wire.Accounts, self.label, data) if data else None
+            return decode_answer(wire.Accounts, data, self.label) if data else None
         except FoveaError:
             return None  # it does not run there
 
@@ -103,13 +104,13 @@ class Peer:
             self._reading.error_ns = self.estimate.error_ns
 
     def _ping(self) -> None:
-        ping = wire.encode(wire.Ping(time.monotonic_ns()))
+        ping = encode(wire.Ping(time.monotonic_ns()))
         data = self._session.ask(self._key("ping"), ping, LOST_S / 3)
         back_ns = time.monotonic_ns()
         if data is None:
             return
         try:
-            pong = wire.decode(wire.Pong, data)
+            pong = decode(wire.Pong, data)
         except MessageError:
             return
         self.answered_s = time.monotonic()

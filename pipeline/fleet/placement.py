@@ -13,6 +13,7 @@ from pipeline import settings as checked
 from pipeline.contract import inputs_of, outputs_of, settings_of
 from pipeline.errors import GraphError
 from pipeline.fleet.allow import Allowed
+from pipeline.fleet.names import node_identity
 from pipeline.fleet.validation import validate_plan
 from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.graph.ports import check_ports
@@ -54,6 +55,13 @@ def borders(plan: Plan) -> dict[str, frozenset[str]]:
 def place(node: Node) -> str:
     """`label/process`."""
     return f"{node.host}/{node.process}"
+
+
+def identities(plan: Plan, label: str) -> list[str]:
+    """The nodes of a host that have credentials: those with an edge to another one."""
+    crossing = borders(plan)
+    here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
+    return list(dict.fromkeys(node_identity(plan.name, node) for node in here))
 
 
 def listeners(plan: Plan, label: str) -> list[str]:

@@ -4,12 +4,13 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from pipeline.errors import RunError
+from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
-from pipeline.fleet.names import host_identity, node_identity, user_identity
-from pipeline.fleet.placement import borders, place
+from pipeline.fleet.names import endpoint, host_identity, user_identity
+from pipeline.fleet.placement import identities
 from pipeline.graph.plan import Plan
+from pipeline.whole_file import write_whole
 
 
 def issue_for(
@@ -22,25 +23,38 @@ def issue_for(
         secure.issue(own, folder, user_identity(name))
         note = own / secure.ADDRESSES
         before = json.loads(note.read_text()) if note.exists() else {}
-        note.write_text(json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
+        write_whole(note, json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
         yield f"{folder / user_identity(name)}: credentials of {name}, who may deploy"
     for label in labels:
         own = folder / host_identity(label)
         secure.issue(own, folder, host_identity(label))
         for plan in plans:
-            for identity in _identities(plan, label):
+            for identity in identities(plan, label):
                 secure.issue(own / "nodes" / identity, folder, identity)
         path = _agent_file(folder, label)
         if path.exists():
             yield f"{own}: credentials of host {label}; its agent.yaml stays as it was"
             continue
         others = [other for other in labels if other != label]
-        path.write_text(agent_yaml(label, addresses[label], users, others, plans))
+        write_whole(path, agent_yaml(label, addresses[label], users, others, plans))
         yield f"{own}: credentials and agent.yaml of host {label}, which allows what graphs need"
 
 
 def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
-    """Raise `RunError` for a host that is new and has no address."""
+    """Raise `RunError` for a host that is new and has no address.
+
+    Raises `SettingsError` for an address that is none, and for one that two hosts have.
+    """
+    taken: dict[str, str] = {}
+    for label, address in {**_addresses_known(folder), **addresses}.items():
+        if address:
+            point = endpoint(address, f"--host {label}")
+            if point in taken:
+                raise SettingsError(
+                    f"--host {label}={address}: expected an address or port of its own, got that "
+                    f"of {taken[point]}"
+                )
+            taken[point] = label
     for label in _labels(addresses, plans):
         if not addresses.get(label) and not _agent_file(folder, label).exists():
             raise RunError(f"{label}: expected --host {label}=ADDRESS, got none")
@@ -79,11 +93,13 @@ def _labels(addresses: Mapping[str, str], plans: Sequence[Plan]) -> list[str]:
     return list(dict.fromkeys([*addresses, *(host for plan in plans for host in plan.hosts)]))
 
 
+def _addresses_known(folder: Path) -> dict[str, str]:
+    """What was noted for the users of an authority: label -> address."""
+    known: dict[str, str] = {}
+    for note in sorted(folder.glob(f"*/{secure.ADDRESSES}")):
+        known |= json.loads(note.read_text())
+    return known
+
+
 def _agent_file(folder: Path, label: str) -> Path:
     return folder / host_identity(label) / "agent.yaml"
-
-
-def _identities(plan: Plan, label: str) -> list[str]:
-    crossing = borders(plan)
-    here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
-    return list(dict.fromkeys(node_identity(plan.name, node) for node in here))

@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import msgspec
 
+from pipeline.codec import to_bytes
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet import wire
 from pipeline.fleet.hosted_graph import HostedGraph
 from pipeline.fleet.store import GraphStore
 from pipeline.graph.plan import Edge, Plan
-from pipeline.protocol.codec import decode, encode
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import decode, encode, refused
 from pipeline.protocol.orders import RESULT, PlanOrder, Refused
 
 Inspect = Callable[[Plan, Mapping[str, str]], Plan]  # what it would run here; raises for what not
@@ -31,7 +32,7 @@ def planned(hosted: HostedGraph, store: GraphStore) -> wire.Planned:
 
 
 def change(
-    hosted: HostedGraph, asked: wire.Replan, store: GraphStore, inspect: Inspect,
+    hosted: HostedGraph, asked: wire.PlanChange, store: GraphStore, inspect: Inspect,
     reply: Callable[[bytes], None],
 ) -> None:  # fmt: skip
     """Have this host's part become another one and reply when it is; raises `FoveaError`."""
@@ -39,10 +40,9 @@ def change(
     if supervisor is None:
         raise RunError(f"{name}: does not run just now, try again")
     before = store.asked(name)
-    wanted = wire.read_plan(asked.plan)
-    check_inside(wire.read_plan(before.plan), wanted, hosted.plan.here)
+    check_inside(before.plan, asked.plan, hosted.plan.here)
     fingerprints = {**before.fingerprints, **asked.fingerprints}
-    local = inspect(wanted, fingerprints)
+    local = inspect(asked.plan, fingerprints)
     start = msgspec.structs.replace(
         before, plan=asked.plan, fingerprints=fingerprints, identity=identity_of(before)
     )
@@ -53,9 +53,9 @@ def change(
             try:
                 store.keep(name, start)
             except FoveaError as error:
-                reply(wire.refused(f"it was changed, but a restart will not know: {error}"))
+                reply(encode(refused(f"it was changed, but a restart will not know: {error}")))
                 return
-        reply(wire.answered(wire.Said(result)))
+        reply(encode(wire.Relayed(result)))
 
     supervisor.control.ask(encode(PlanOrder(plan=local, revision=asked.revision)), done)
 
@@ -87,4 +87,4 @@ def ends_of(edge: Edge) -> Ends:
 
 def identity_of(start: wire.Start) -> str:
     """What hosts know a deployed graph by; it stays while nodes come and go."""
-    return start.identity or hashlib.sha256(start.plan.encode()).hexdigest()[:16]
+    return start.identity or hashlib.sha256(to_bytes(start.plan)).hexdigest()[:16]

@@ -9,8 +9,8 @@ it had counted before.
 from collections.abc import Iterable, Mapping
 
 from pipeline.bus.ledger import DROPS, EdgeAccount, Ledger
-from pipeline.fleet.wire import Accounts
 from pipeline.graph.plan import Edge, Plan
+from pipeline.protocol.fleet import Accounts
 
 WRITTEN = ("sent", "overrun", "broken", "writer_epoch")
 READ = (

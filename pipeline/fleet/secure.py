@@ -12,7 +12,6 @@ go by these names, never by addresses.
 from __future__ import annotations
 
 import datetime
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING
 from pipeline.errors import RunError, SettingsError
 from pipeline.extras import LateModule
 from pipeline.fleet.names import check_identity
+from pipeline.whole_file import write_whole
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -83,7 +83,10 @@ class Credentials:
 def create(folder: Path) -> None:
     """Make the authority; raises `RunError` where there is one already."""
     if (folder / "ca.pem").exists():
-        raise RunError(f"{folder}: expected a folder without an authority, got one with ca.pem")
+        raise RunError(
+            f"{folder}: expected a folder without an authority, got one with ca.pem; `fovea secure "
+            "add` makes credentials below it"
+        )
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     key = _key(folder / "ca.key")
     name = _name(COMMON_NAME)
@@ -156,7 +159,7 @@ def _certify(own: Path, folder: Path, identity: str, days: int) -> None:
         .add_extension(x509.SubjectAlternativeName([x509.DNSName(identity)]), critical=False)
         .sign(authority_key, hashes.SHA256())
     )  # fmt: skip
-    (own / "ca.pem").write_bytes((folder / "ca.pem").read_bytes())
+    write_whole(own / "ca.pem", (folder / "ca.pem").read_bytes())
     _publish(own / "own.pem", certificate)
 
 
@@ -164,7 +167,7 @@ def _key(path: Path) -> ec.EllipticCurvePrivateKey:
     """The key that is there, or a new one; raises `SettingsError` for something else."""
     if not path.exists():
         key = ec.generate_private_key(ec.SECP256R1())
-        _write(path, _private(key))
+        write_whole(path, _private(key), secret=True)  # to others not for a moment
         return key
     return _read_key(path)
 
@@ -224,16 +227,4 @@ def _private(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _publish(path: Path, certificate: x509.Certificate) -> None:
-    part = path.with_name(f"{path.name}.part")
-    part.write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
-    part.rename(path)
-
-
-def _write(path: Path, secret: bytes) -> None:
-    """Never readable by others, not even for a moment, and never half of it."""
-    part = path.with_name(f"{path.name}.part")
-    part.unlink(missing_ok=True)
-    handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(handle, "wb") as file:
-        file.write(secret)
-    part.rename(path)
+    write_whole(path, certificate.public_bytes(serialization.Encoding.PEM))

@@ -6,7 +6,7 @@ import psutil
 
 from pipeline.fleet.hosted_graph import HostedGraph, HostedSupervisor
 from pipeline.fleet.peer import Peer
-from pipeline.fleet.wire import EdgeState, HostState, NodeState, Process, State
+from pipeline.protocol.fleet import EdgeState, HostState, NodeState, Process, State
 
 
 def state_of(hosted: HostedGraph) -> State:

@@ -1,12 +1,12 @@
 """The persisted state of an agent: the graphs it runs, so that they resume after a restart."""
 
 import json
-import os
 from pathlib import Path
 
 from pipeline.errors import MessageError, RunError
-from pipeline.fleet import wire
-from pipeline.fleet.wire import Start
+from pipeline.protocol.codec import decode, encode
+from pipeline.protocol.fleet import Start
+from pipeline.whole_file import write_whole
 
 
 class GraphStore:
@@ -21,13 +21,13 @@ class GraphStore:
 
     def keep(self, graph: str, asked: Start) -> None:
         """Note what was asked; raises `RunError` when that cannot be."""
-        self._write(self._folder / f"{graph}.graph", wire.encode(asked))
+        self._write(self._folder / f"{graph}.graph", encode(asked))
 
     def asked(self, graph: str) -> Start:
         """What was asked; raises `MessageError` for a file that does not say."""
         path = self._folder / f"{graph}.graph"
         try:
-            return wire.decode(Start, path.read_bytes())
+            return decode(Start, path.read_bytes())
         except (OSError, MessageError) as error:
             raise MessageError(f"{path}: not what an agent wrote: {error}") from error
 
@@ -52,13 +52,7 @@ class GraphStore:
 
     def _write(self, path: Path, data: bytes) -> None:
         """All of it or nothing, also when the power fails."""
-        part = path.with_name(f"{path.name}.part")
         try:
-            with part.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(path)
+            write_whole(path, data, durable=True)
         except OSError as error:
-            part.unlink(missing_ok=True)
             raise RunError(f"{path}: cannot be written: {error.strerror}") from error

@@ -12,10 +12,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from pipeline.errors import RunError
-from pipeline.fleet import wire
 from pipeline.fleet.hosted_graph import HostedGraph, HostedSupervisor
 from pipeline.naming import check_name
 from pipeline.node.wiring import key_of
+from pipeline.protocol import fleet as wire
 from pipeline.run.bus_client import client_session
 from pipeline.settings import suggest
 
@@ -78,7 +78,7 @@ class TapRelay:
             for key in [key for key, tap in self._taps.items() if tap.asked_s < late_s]:
                 self._taps.pop(key).open.close()
 
-    def fetch(self, hosted: HostedGraph, asked: wire.Listen, asker: str) -> wire.Relayed:
+    def fetch(self, hosted: HostedGraph, asked: wire.TapQuestion, asker: str) -> wire.TapMessages:
         """What an output sent since the last time; raises `RunError`."""
         supervisor = hosted.supervisor
         nodes = [n.name for n in hosted.plan.nodes if hosted.plan.is_here(n)]
@@ -98,7 +98,7 @@ class TapRelay:
         clocks = supervisor.clocks
         ahead = {label: clocks.ahead_ns(label) for label in hosted.plan.hosts}
         known = {label: ns for label, ns in ahead.items() if ns is not None}
-        return wire.Relayed(kept, skipped, time.monotonic_ns(), known)
+        return wire.TapMessages(kept, skipped, time.monotonic_ns(), known)
 
     def _tap(self, key: Key, place: str) -> _Tap:
         tap = self._taps.get(key)

@@ -75,7 +75,7 @@ def rewired(plan: Plan, wire: str, ports_of: PortsOf | None = None) -> Plan:
     try:
         wanted.order()
     except GraphError as error:
-        raise GraphError(f"{wire}: {error}") from error
+        raise GraphError(f"{plan.name}: {wire}: {error}") from error
     return wanted
 
 

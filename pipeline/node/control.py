@@ -1,4 +1,4 @@
-"""A node's end of the socket to its supervisor: lines in, events out, both private to the node.
+"""A node's end of the socket to its supervisor: instructions in, events out.
 
 The process is started with the socket as its standard input. It is moved to a descriptor of its own
 that no program started by an operator inherits; whatever an operator does with its standard streams
@@ -6,18 +6,20 @@ then concerns its log alone.
 """
 
 import contextlib
-import json
 import os
 import select
 import socket
 import threading
 from collections.abc import Iterator
-from typing import Any
 
+import msgspec
+
+from pipeline.protocol.codec import decode, encode
+from pipeline.protocol.lines import as_line, from_line
+from pipeline.protocol.supervision import INSTRUCTION, Event, Instruction
 from pipeline.text import harmless
 
 MOST_WORDS = 2000  # characters of a headline, an error, a reason; the log has them whole
-MOST_LINE = 1 << 20  # bytes of one event: a summary that is longer is left out
 LOOK_S = 1.0  # between two looks whether the supervisor lives
 _CHUNK = 1 << 16
 
@@ -41,27 +43,23 @@ class Control:
         os.close(nothing)
         return control
 
-    def say(self, event: str, **more: Any) -> None:
+    def say(self, event: Event) -> None:
         """Tell the supervisor; words are bounded. Nothing happens when it has died.
 
-        Raises `TypeError` or `ValueError` for figures that JSON does not know.
+        Raises `MessageError` for figures that cannot travel.
         """
-        line = json.dumps({"event": event, **{k: _bounded(v) for k, v in more.items()}})
-        if len(line) > MOST_LINE:
-            left_out = f"expected up to {MOST_LINE} bytes, got {len(line)}"
-            brief = {"event": event, "node": more.get("node"), "left_out": left_out}
-            line = json.dumps({**brief, "figures": {}, "words": "", "error": left_out})
+        line = as_line(encode(_bounded(event)))
         with self._saying, contextlib.suppress(OSError):
-            self._end.sendall(line.encode() + b"\n")
+            self._end.sendall(line)
 
-    def lines(self) -> Iterator[str]:
-        """Yield what the supervisor sends, a line at a time, until it ends or dies."""
+    def instructions(self) -> Iterator[Instruction]:
+        """Yield what the supervisor sends until it ends or dies."""
         with contextlib.suppress(OSError):
             while self._readable() and (data := self._end.recv(_CHUNK)):
                 *whole, rest = data.split(b"\n")
                 for line in whole:
                     complete, self._partial = self._partial + line, bytearray()
-                    yield complete.decode(errors="replace")
+                    yield decode(INSTRUCTION, from_line(bytes(complete)))
                 self._partial += rest
         self.alone = True
 
@@ -75,5 +73,7 @@ class Control:
         return True
 
 
-def _bounded(value: Any) -> Any:
-    return harmless(value, MOST_WORDS) if isinstance(value, str) else value
+def _bounded(event: Event) -> Event:
+    """The event with its texts cut to a length and in printable characters."""
+    texts = {k: v for k in event.__struct_fields__ if isinstance(v := getattr(event, k), str)}
+    return msgspec.structs.replace(event, **{k: harmless(v, MOST_WORDS) for k, v in texts.items()})

@@ -10,15 +10,12 @@ import logging
 import queue
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import msgspec
-
 from pipeline import codec
-from pipeline.bus.envelope_buffer import DropCounts, EdgeCut
-from pipeline.bus.inbox import InboxPosition
+from pipeline.bus.envelope_buffer import DropCounts
 from pipeline.bus.ledger import NodeAccount, private_ledger
 from pipeline.bus.local_transport import LocalReceiver, connect
 from pipeline.errors import FoveaError, MessageError, RunError
@@ -26,39 +23,28 @@ from pipeline.node.operator_runner import OperatorRunner
 from pipeline.node.operator_state import UndeclaredState, class_of, lost_words, restore
 from pipeline.node.shadow import Heard, Shadow
 from pipeline.private_folder import PrivateFolder
+from pipeline.protocol.codec import decode, encode
+from pipeline.protocol.handover import HandoverState
+from pipeline.protocol.supervision import (
+    Answered,
+    Cut,
+    CutMade,
+    CutRefused,
+    Event,
+    Resumed,
+    Shadowed,
+    Standing,
+    TakenOver,
+)
 from pipeline.text import error_text
 
 HANDOVER_CHANNEL = 0xFFFFFFFF  # the "edge" on which a successor gets the state
 REST_S = 0.005
 MOST_STATE_BYTES = 1 << 30
 MARGIN = 64  # descriptors kept beyond what the other instance can have waiting
-Say = Callable[..., None]
+Say = Callable[[Event], None]
 Listen = Callable[[Heard], Callable[[], None]]  # to the working part's outputs; how to stop
 log = logging.getLogger(__name__)
-
-
-class HandoverState(msgspec.Struct, forbid_unknown_fields=True):
-    """What the predecessor hands to its successor."""
-
-    edges: dict[str, EdgeCut]  # by input
-    position: InboxPosition
-    stopped_ns: int  # monotonic
-    state: str  # file in the memory folder, "" for none
-    shadow: int = 0  # frames to try before; the other works on
-    operator: str = ""  # class of the one that stopped, module:Class
-    forgotten: list[str] = []  # its attributes that changed while it ran, when it tells no state
-
-
-_READ = msgspec.msgpack.Decoder(HandoverState)
-
-
-class Cut(msgspec.Struct, forbid_unknown_fields=True):
-    """The order to stop: at frame `at` or later, once everything the successor lacks is done."""
-
-    receiver: str  # of the successor
-    heard: dict[str, int]  # by input: it lacks what came up to this ordinal
-    at: int = 0
-    shadow: int = 0  # frames: do not stop, only say how far it is
 
 
 class Takeover(NamedTuple):
@@ -119,14 +105,14 @@ class Handover:
         ):
             self._told = True
             heard = {
-                name: port.buffer.complete_after for name, port in ports.items() if port.buffer
+                name: port.buffer.complete_after or 0 for name, port in ports.items() if port.buffer
             }
-            self._say("standing", node=self._runner.name, heard=heard)
+            self._say(Standing(self._runner.name, heard))
         receiver.wait(REST_S)
         if self._shadow is not None:
             self._try(self._shadow)
         if self._received:
-            handover, self._received = _READ.decode(self._received), b""
+            handover, self._received = decode(HandoverState, self._received), b""
             if handover.shadow:
                 self._begin_trial(handover)
             else:
@@ -147,9 +133,7 @@ class Handover:
             first, self._first = self._first, None
             left_out = {name: port.dropped - first.dropped[name] for name, port in ports.items()}
             answered_ms = (time.monotonic_ns() - first.stopped_ns) / 1e6
-            self._say(
-                "answered", node=self._runner.name, left_out=left_out, answered_ms=answered_ms
-            )
+            self._say(Answered(self._runner.name, left_out, answered_ms))
         if self._requested is not None and self._may_stop(self._requested):
             cut, self._requested = self._requested, None
             try:
@@ -157,7 +141,7 @@ class Handover:
             except (FoveaError, OSError) as error:
                 if self.inactive:
                     self.resume(self._runner.epoch)
-                self._say("uncut", node=self._runner.name, reason=str(error))
+                self._say(CutRefused(self._runner.name, str(error)))
 
     def resume(self, epoch: int) -> None:
         """Go on after all, after what the successor has finished."""
@@ -170,7 +154,7 @@ class Handover:
         for port in runner.ports.values():
             port.replay()
         self._activate()
-        self._say("resumed", node=runner.name)
+        self._say(Resumed(runner.name))
 
     def confirm(self) -> None:
         """The other instance is not needed any more."""
@@ -193,9 +177,10 @@ class Handover:
             with link:
                 edges = {name: port.here() for name, port in runner.ports.items()}
                 handover = HandoverState(
-                    edges, runner.inbox.position(), 0, state, cut.shadow, class_of(runner.operator)
-                )
-                link.send(msgspec.msgpack.encode(handover))
+                    edges=edges, position=runner.inbox.position(), state=state, shadow=cut.shadow,
+                    operator=class_of(runner.operator),
+                )  # fmt: skip
+                link.send(encode(handover))
             return
         self._before = {name: DropCounts(account) for name, account in runner.edges.items()}
         position = runner.inbox.position()
@@ -206,10 +191,11 @@ class Handover:
             for out in runner.outs.values():
                 out.let_go()
             handover = HandoverState(
-                edges, position, time.monotonic_ns(), state, 0, class_of(runner.operator), forgotten
-            )
-            link.send(msgspec.msgpack.encode(handover))
-        self._say("cut", node=runner.name, seq=int(self._account.last_seq))
+                edges=edges, position=position, stopped_ns=time.monotonic_ns(), state=state,
+                operator=class_of(runner.operator), forgotten=forgotten,
+            )  # fmt: skip
+            link.send(encode(handover))
+        self._say(CutMade(runner.name, int(self._account.last_seq)))
         self._queryables.undeclare()
 
     def _take_over(self, handover: HandoverState) -> None:
@@ -231,8 +217,10 @@ class Handover:
             port.take_over(handover.edges[name])
         gap_ms = (time.monotonic_ns() - handover.stopped_ns) / 1e6
         self._say(
-            "taken", node=runner.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state,
-            forgotten=forgotten,
+            TakenOver(
+                node=runner.name, seq=int(self._account.last_seq), gap_ms=gap_ms, state=state,
+                forgotten=forgotten,
+            )
         )  # fmt: skip
         self._activate()
 
@@ -252,7 +240,7 @@ class Handover:
 
     def _end_trial(self) -> None:
         if self._shadow is not None:
-            self._say("shadowed", node=self._runner.name, **self._shadow.end())
+            self._say(Shadowed(self._runner.name, self._shadow.end()))
             self._unlisten()
             self._shadow = None
 
@@ -299,11 +287,6 @@ class Handover:
             raise RunError(f"{self._runner.name}: the state cannot be read: {error}") from error
         finally:
             self._memory.remove(name)
-
-
-def read_cut(order: Mapping[str, object]) -> Cut:
-    """The order as it came; raises `MessageError`."""
-    return codec.parse(lambda o: msgspec.convert(o, Cut), order, "not an order to stop")  # type: ignore[arg-type]
 
 
 def _nowhere() -> NodeAccount:

@@ -1,31 +1,24 @@
 """What a swap carries over of an operator's state, and what it loses.
 
 An operator that declares `state()` says itself what has to survive. For one that does not, its
-attributes are compared with what `open` left: what `open` alone rebuilds, such as a model, is
-unchanged.
+attributes (and those of its class) are compared with what `open` left: what `open` alone rebuilds,
+such as a model, is unchanged.
 """
 
 import dataclasses
-import sys
 import types
 import typing
-import zlib
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Union
 
-import numpy as np
-
 from pipeline import codec
-from pipeline.contract import Operator
+from pipeline.contract import Input, Operator, Output
 from pipeline.errors import MessageError, RunError
+from pipeline.node.fingerprint import Fingerprint
 from pipeline.text import error_text
 
-DEEPEST = 4  # containers and objects within one another
-MOST_ITEMS = 5000  # looked at in one attribute
-MOST_BYTES = 1 << 20  # of an array whose values are compared; a bigger one counts by identity
+OPAQUE = " (cannot be looked into)"  # behind the name of an attribute
 _OWN = frozenset(vars(Operator(None)))  # what the base class sets
-_PLAIN = (bool, int, float, complex, str, bytes, type(None))
 
 
 def restore(operator: Operator[Any, Any], data: bytes, *, must: bool = False) -> str:
@@ -59,9 +52,18 @@ def class_of(operator: Operator[Any, Any]) -> str:
 
 
 def lost_words(attributes: Sequence[str]) -> str:
-    """What a successor begins without, in a sentence."""
+    """What a successor begins without, in a sentence.
+
+    >>> print(lost_words(["seen", f"filter{OPAQUE}"]).partition(";")[0])
+    begins without what its predecessor kept in seen, and perhaps in filter (cannot be looked into)
+    """
+    known = [a for a in attributes if not a.endswith(OPAQUE)]
+    opaque = [a for a in attributes if a.endswith(OPAQUE)]
+    where = f"in {', '.join(known)}" if known else ""
+    if opaque:
+        where += f"{', and ' if known else ''}perhaps in {', '.join(opaque)}"
     return (
-        f"begins without what its predecessor kept in {', '.join(attributes)}; what has to survive "
+        f"begins without what its predecessor kept {where}; what has to survive "
         "is to be given by state() and taken over by restore()"
     )
 
@@ -84,10 +86,12 @@ class UndeclaredState:
     def __init__(self, operator: Operator[Any, Any]) -> None:
         self._operator = operator
         self._declared = type(operator).state is not Operator.state
-        self._opened = {} if self._declared else _digests(operator)
+        self._opened = {} if self._declared else _looked(operator)
 
     def names(self) -> list[str]:
         """The attributes that changed since, sorted; none of an operator that declares its state.
+
+        One that nobody can look into, and that is the same object still, is named as that.
 
         >>> from pipeline import Operator
         >>> operator = Operator(None)
@@ -99,49 +103,33 @@ class UndeclaredState:
         """
         if self._declared:
             return []
-        now = _digests(self._operator)
-        return sorted(n for n, digest in now.items() if self._opened.get(n) != digest)
+        found = []
+        for name, (value, opaque) in _looked(self._operator).items():
+            if name not in self._opened or self._opened[name][0] != value:
+                found.append(name)
+            elif opaque:
+                found.append(f"{name}{OPAQUE}")
+        return sorted(found)
 
 
-def _digests(operator: Operator[Any, Any]) -> dict[str, int]:
-    """A number for the value of every attribute of the operator's own."""
-    return {n: _Look().of(v) for n, v in vars(operator).items() if n not in _OWN}
+def _looked(operator: Operator[Any, Any]) -> dict[str, tuple[int, bool]]:
+    """A number for every attribute, also of the class, and whether it is opaque."""
+    found = {}
+    for name, value in {**_of_classes(type(operator)), **vars(operator)}.items():
+        if name not in _OWN:
+            look = Fingerprint()
+            found[name] = look.of(value), look.opaque
+    return found
 
 
-class _Look:
-    """One look at a value, within bounds."""
-
-    def __init__(self) -> None:
-        self._left = MOST_ITEMS
-
-    def of(self, value: Any, depth: int = 0) -> int:
-        """A number that is another one for another value."""
-        self._left -= 1
-        if isinstance(value, (*_PLAIN, np.generic)):
-            return hash((type(value).__name__, repr(value)))
-        if isinstance(value, np.ndarray) and not value.dtype.hasobject:
-            same = (value.shape, value.dtype.str)
-            small = value.nbytes <= MOST_BYTES
-            return hash((*same, zlib.crc32(value.tobytes()) if small else id(value)))
-        if depth >= DEEPEST or self._left <= 0:
-            return id(value)
-        return self._of_many(value, depth + 1)
-
-    def _of_many(self, value: Any, depth: int) -> int:
-        if isinstance(value, Mapping):
-            items = [(self.of(k, depth), self.of(v, depth)) for k, v in self._some(value.items())]
-            return hash((len(value), *items))
-        if isinstance(value, (list, tuple, deque)):
-            return hash((len(value), *(self.of(v, depth) for v in self._some(value))))
-        if isinstance(value, (set, frozenset)):
-            return hash((len(value), frozenset(self.of(v, depth) for v in self._some(value))))
-        package = type(value).__module__.partition(".")[0]
-        inside = getattr(value, "__dict__", None)
-        if not isinstance(inside, dict) or package in sys.stdlib_module_names:
-            return id(value)
-        items = [(n, self.of(v, depth)) for n, v in self._some(inside.items())]
-        return hash((type(value).__qualname__, *items))
-
-    def _some(self, items: Any) -> list[Any]:
-        """As many items as may still be looked at."""
-        return [item for item, _ in zip(items, range(max(0, self._left)), strict=False)]
+def _of_classes(cls: type[Operator[Any, Any]]) -> dict[str, Any]:
+    """What its classes keep for all instances: no functions, ports or names of Python's own."""
+    found: dict[str, Any] = {}
+    for base in reversed(cls.__mro__[: cls.__mro__.index(Operator)]):
+        found |= {
+            name: value
+            for name, value in vars(base).items()
+            if not (name.startswith("__") or hasattr(value, "__get__"))
+            and not isinstance(value, (Input, Output))
+        }
+    return found

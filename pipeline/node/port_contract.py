@@ -1,21 +1,12 @@
 """What a running graph expects of an operator's ports: messages that come in and must go out."""
 
-from dataclasses import dataclass
 from typing import Any
 
 from pipeline.contract import Operator, Source, inputs_of, outputs_of
 from pipeline.errors import GraphError
 from pipeline.graph.plan import Edge, Node, Plan, is_source, load_operator
+from pipeline.protocol.supervision import PortContract
 from pipeline.settings import suggest
-
-
-@dataclass(frozen=True, kw_only=True)
-class PortContract:
-    """Message types (`module:Class`) by input and output, so that nobody has to import others."""
-
-    inputs: dict[str, str]
-    outputs: dict[str, str]
-    source: bool
 
 
 def contract_of(plan: Plan, node: Node) -> PortContract:

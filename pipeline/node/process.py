@@ -1,7 +1,7 @@
-"""A node process: a plan on its standard input, operators of one group run until told to stop.
+"""A node process: an assignment on its standard input, operators of one group run until `Stop`.
 
-The supervisor speaks over a socket (`go`, `finish`, `stop`, end of file: it died) and hears events
-as JSON lines, the last of them `leaving`; everything an operator prints goes to the log.
+It gives the supervisor's instructions to its operators' threads and tells it what happens
+(`pipeline.protocol.supervision`); everything an operator prints goes to the log.
 """
 
 import contextlib
@@ -24,19 +24,41 @@ from typing import Any, NoReturn
 from pipeline import settings as checked
 from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import Session
-from pipeline.class_cache import adapter
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
-from pipeline.graph.plan import Node, Plan, load_operator
+from pipeline.graph.plan import Node, load_operator
 from pipeline.node.control import Control
-from pipeline.node.handover import read_cut
+from pipeline.node.handover import Say
 from pipeline.node.logfile import log_to
 from pipeline.node.operator_runner import OperatorRunner
 from pipeline.node.port_contract import check_fit
 from pipeline.node.source import SourceRunner
-from pipeline.node.wiring import ASIDE, Assignment, Wiring
+from pipeline.node.wiring import ASIDE, Wiring
+from pipeline.node.wiring import settings_of as node_settings
 from pipeline.private_folder import PrivateFolder
-from pipeline.text import error_text, said_by
+from pipeline.protocol.supervision import (
+    MOST_EVENT_BYTES,
+    Assignment,
+    Confirm,
+    Cut,
+    Failed,
+    Finish,
+    Finished,
+    Fits,
+    Go,
+    Headline,
+    Idle,
+    Instruction,
+    Leaving,
+    NodeInstruction,
+    Ready,
+    Replan,
+    Resume,
+    Stop,
+    Summary,
+    Uncut,
+)
+from pipeline.text import error_text, harmless, plain, said_by
 
 ASIDE_NICENESS = 5  # of processes that no sensor command waits for
 AHEAD_NICENESS = 19  # of imports that nobody waits for yet
@@ -48,9 +70,7 @@ log = logging.getLogger(__name__)
 class Process:
     """The nodes of one group in this process."""
 
-    def __init__(
-        self, job: Assignment, say: Callable[..., None], look: Callable[[], None] = lambda: None
-    ) -> None:
+    def __init__(self, job: Assignment, say: Say, look: Callable[[], None] = lambda: None) -> None:
         """`say` tells the supervisor of an event; `look` is called about once a second."""
         self._job, self.say, self._look = job, say, look
         self._nodes = list(job.nodes)
@@ -70,7 +90,7 @@ class Process:
         try:
             self._check()
             if self._job.trial:
-                return self.say("fits")
+                return self.say(Fits())
             for node in self._nodes:
                 if not self._job.standby:
                     account = self._ledger.nodes[node.index]
@@ -88,7 +108,7 @@ class Process:
             ]
             gc.collect()
             gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
-            self.say("ready", load_s=loaded_s - began_s)
+            self.say(Ready(loaded_s - began_s))
             self._run_all()
         except BaseException as error:  # an operator may raise SystemExit, a library panic
             self.report(error)
@@ -114,29 +134,29 @@ class Process:
             if isinstance(runner, SourceRunner):
                 runner.end()
 
-    def do(self, order: Mapping[str, Any]) -> None:
+    def do(self, told: NodeInstruction) -> None:
         """What the supervisor wants of one node, done between two calls of its handlers."""
-        kind, node = order.get("do"), str(order.get("node"))
-        runner = next((h for h in self._runners if h.name == node), None)
-        if runner is not None and kind == "replan" and self._wiring is not None:
-            plan = adapter(Plan).validate_python(order["plan"])
-            runner.between(partial(self._wiring.replan, node, plan), must=True)
-            return
-        handover = self._wiring.handovers.get(node) if self._wiring else None
-        if runner is None or handover is None:
-            log.error("%s: cannot %s %s", self._job.process, kind, node)
-        elif kind == "cut":
-            runner.between(partial(handover.request, read_cut(order["cut"])), must=True)
-        elif kind == "uncut":
+        runner = next((r for r in self._runners if r.name == told.node), None)
+        wiring = self._wiring
+        handover = wiring.handovers.get(told.node) if wiring else None
+        if runner is None or wiring is None:
+            log.error("%s: no node %s here", self._job.process, harmless(told.node, 100))
+        elif isinstance(told, Replan):
+            runner.between(partial(wiring.replan, told.node, told.plan), must=True)
+        elif handover is None:
+            log.error("%s: %s: cannot %s", self._job.process, told.node, type(told).__name__)
+        elif isinstance(told, Cut):
+            runner.between(partial(handover.request, told), must=True)
+        elif isinstance(told, Uncut):
             runner.between(partial(handover.request, None), must=True)
-        elif kind == "resume":
-            runner.between(partial(handover.resume, int(order["epoch"])), must=True)
-        elif kind == "confirm":
+        elif isinstance(told, Resume):
+            runner.between(partial(handover.resume, told.epoch), must=True)
+        elif isinstance(told, Confirm):
             runner.between(handover.confirm, must=True)
 
     def _make(self, node: Node) -> Operator[Any, Any]:
         cls = load_operator(node.operator)
-        operator = cls(checked.build(settings_of(cls), self._job.settings(node), node.name))
+        operator = cls(checked.build(settings_of(cls), node_settings(self._job, node), node.name))
         if isinstance(operator, Source):
             operator.realtime = self._job.plan.clock == "realtime"
         return operator
@@ -164,12 +184,12 @@ class Process:
             words = str(operator.headline())
             if words != self._headlines.get(node.name, ""):
                 self._headlines[node.name] = words
-                self.say("headline", node=node.name, words=words)
+                self.say(Headline(node.name, words))
 
     def _guard(self, runner: OperatorRunner) -> None:
         try:
             if isinstance(runner, SourceRunner):
-                runner.on_finished = lambda: self.say("finished", node=runner.name)
+                runner.on_finished = lambda: self.say(Finished(runner.name))
                 while not self.go.is_set():
                     runner.attend()
             runner.run()
@@ -187,11 +207,11 @@ class Process:
         expected = isinstance(error, FoveaError)
         if not self.failed:
             said = said_by(error) if expected else error_text(error)
-            self.say("failed", error=said, expected=expected)
+            self.say(Failed(said, expected))
         self.failed = True
 
     def _tell_summary(self, node: Node, operator: Operator[Any, Any]) -> None:
-        self.say("summary", node=node.name, figures=_plain(operator.summary()))
+        self.say(_summary(node.name, operator.summary()))
 
     def _close(self) -> None:
         for node, operator in zip(self._nodes, self._operators, strict=False):
@@ -206,7 +226,7 @@ class Process:
         for runner in self._runners:
             runner.account.enter("stopped")
             if isinstance(runner, SourceRunner):
-                self.say("summary", node=runner.name, figures=runner.figures())
+                self.say(_summary(runner.name, runner.figures()))
         if self._wiring is not None:
             self._wiring.close()
         for session in (self._session, self._border):
@@ -221,9 +241,9 @@ def main() -> None:
         failed = _work(control)
     except BaseException as error:  # before there is an operator to blame
         traceback.print_exc()
-        control.say("failed", error=error_text(error), expected=False)
+        control.say(Failed(error_text(error), False))
         failed = True
-    control.say("leaving")
+    control.say(Leaving())
     _leave(1 if failed else 0, alone=control.alone)
 
 
@@ -233,12 +253,11 @@ def _work(control: Control) -> bool:
     loader.start()
     loader.join()
     _level()
-    control.say("idle")
-    lines = control.lines()
-    line = next(lines, "")
-    if not line:
+    control.say(Idle())
+    instructions = control.instructions()
+    job = next(instructions, None)
+    if not isinstance(job, Assignment):
         _leave(0, alone=True)  # a spare that was not needed
-    job = adapter(Assignment).validate_json(line)
     first = max(job.epochs.values()) == 1 and not job.trial
     file = log_to(Path(job.run_folder) / f"{job.process}.log", fresh=first)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
@@ -254,7 +273,7 @@ def _work(control: Control) -> bool:
 
     process = Process(job, control.say, look)
     threading.excepthook = partial(_on_thread, process)
-    threading.Thread(target=_obey, args=(process, control, lines), daemon=True).start()
+    threading.Thread(target=_obey, args=(process, control, instructions), daemon=True).start()
     process.run()
     return process.failed
 
@@ -293,25 +312,27 @@ def _level() -> None:
             os.setpriority(os.PRIO_PROCESS, int(thread), os.getpriority(os.PRIO_PROCESS, 0))
 
 
-def _obey(process: Process, control: Control, lines: Iterator[str]) -> None:
-    for line in lines:
-        word = line.strip()
-        if word == "go":
+def _obey(process: Process, control: Control, instructions: Iterator[Instruction]) -> None:
+    for told in instructions:
+        if isinstance(told, Go):
             process.go.set()
-        elif word == "finish":
+        elif isinstance(told, Finish):
             process.finish()
-        elif word == "stop":
+        elif isinstance(told, Stop):
             break
-        elif word.startswith("{"):
-            process.do(json.loads(word))
+        elif not isinstance(told, Assignment):
+            process.do(told)
     process.stop()
     threading.Event().wait(FAREWELL_S)
     _leave(2, alone=control.alone)
 
 
-def _plain(figures: Mapping[str, Any]) -> dict[str, Any]:
-    plain: dict[str, Any] = json.loads(json.dumps(dict(figures)))
-    return plain
+def _summary(node: str, figures: Mapping[str, Any]) -> Summary:
+    """The figures of a node as plain values; none of them where they are too many."""
+    text = json.dumps(dict(figures))
+    if len(text) > MOST_EVENT_BYTES:
+        return Summary(node, {}, f"expected up to {MOST_EVENT_BYTES} bytes, got {len(text)}")
+    return Summary(node, plain(json.loads(text)))
 
 
 if __name__ == "__main__":

@@ -8,9 +8,7 @@ import queue
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Any
 
-import msgspec
 import numpy as np
 
 from pipeline.bus.envelope_buffer import EdgeCut
@@ -20,17 +18,11 @@ from pipeline.contract import fresh_memory
 from pipeline.executor import carried
 from pipeline.messages import Message, altered
 from pipeline.node.operator_runner import OperatorRunner
+from pipeline.protocol.orders import Difference, ShadowReport
 
 MOST_WAITING = 64  # answers of either side whose counterpart has not come
 
 Heard = queue.SimpleQueue[tuple[str, Arrival]]  # output, what the working part sent there
-
-
-class Difference(msgspec.Struct):
-    """How a field of the answers differed."""
-
-    frames: int = 0
-    most: float = 0.0  # of numbers in arrays of equal shape
 
 
 class Shadow:
@@ -77,18 +69,18 @@ class Shadow:
             while len(side) > MOST_WAITING:
                 del side[next(iter(side))]
 
-    def end(self) -> dict[str, Any]:
+    def end(self) -> ShadowReport:
         """Let go of everything; the figures."""
         self._runner.executor.allocate_from(self._memory)
         for port in self._runner.ports.values():
             port.also = None
-        return {
-            "missed": sum(port.dropped for port in self._ports),  # it holds no slot
-            "frames": self.frames,
-            "identical": self.identical,
-            "differences": msgspec.to_builtins(self.differences),
-            "handler_ms": round(float(np.median(self._times_ms)), 3) if self._times_ms else 0.0,
-        }
+        return ShadowReport(
+            missed=sum(port.dropped for port in self._ports),  # it holds no slot
+            frames=self.frames,
+            identical=self.identical,
+            differences=self.differences,
+            handler_ms=round(float(np.median(self._times_ms)), 3) if self._times_ms else 0.0,
+        )
 
     def _deliver(self, name: str) -> Callable[[Arrival], None]:
         return lambda arrival: self._inbox.offer(name, arrival, time.monotonic_ns())
@@ -113,9 +105,8 @@ class Shadow:
         found = differences(mine, theirs)
         self.identical += not found
         for name, most in found.items():
-            known = self.differences.setdefault(name, Difference())
-            known.frames += 1
-            known.most = max(known.most, most)
+            known = self.differences.get(name, Difference(0, 0.0))
+            self.differences[name] = Difference(known.frames + 1, max(known.most, most))
 
 
 def differences(mine: Message | None, theirs: Message | None) -> dict[str, float]:

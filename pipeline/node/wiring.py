@@ -1,16 +1,16 @@
 """Connects the operators of a process: nodes and edges to runners, ports, sockets and keys."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from pipeline.bus.clocks import Clocks
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import Ledger, private_ledger
 from pipeline.bus.local_transport import LocalReceiver, LocalSender
-from pipeline.bus.network import Network
 from pipeline.bus.outport import BYTES_SUFFIX, Arrival, OutPort, Reader
 from pipeline.bus.pool import PoolReader, PoolWriter
 from pipeline.bus.pool_tap import PoolTap
@@ -21,64 +21,13 @@ from pipeline.node.answers import Answers
 from pipeline.node.handover import HANDOVER_CHANNEL, Handover, Say
 from pipeline.node.live import Live, kept
 from pipeline.node.operator_runner import OperatorRunner
-from pipeline.node.port_contract import PortContract
 from pipeline.node.shadow import MOST_WAITING, Heard
 from pipeline.node.source import SourceRunner
 from pipeline.private_folder import PrivateFolder
+from pipeline.protocol.supervision import Assignment, Replanned
 
 CLOCKS = "clocks"  # the file in the run's folder that tells what other hosts' clocks show
-
-
 ASIDE = "--aside"  # said to a process that nobody waits for yet
-
-
-@dataclass(frozen=True, kw_only=True)
-class Assignment:
-    """What the supervisor gives a process to do."""
-
-    plan: Plan
-    process: str
-    run_folder: str
-    memory_folder: str
-    epochs: dict[str, int]  # by node
-    frames: int = 0
-    network: Network | None = None  # to the nodes on other hosts, where an edge leads there
-    standby: bool = False  # another instance works until this one is told to take over
-    trial: bool = False  # only say whether operators and settings fit, and leave
-    contracts: dict[str, PortContract] = field(default_factory=dict)  # checked before the start
-
-    def kept_in(self, node: Node) -> Path:
-        """The file of settings that were changed while the node ran."""
-        return Path(self.run_folder) / f"{node.name}.live"
-
-    def settings(self, node: Node) -> dict[str, Any]:
-        """What the graph says, and what a predecessor was told since.
-
-        Who stands by for a swap has both in its plan, and what the swap changes.
-        """
-        return {**node.settings, **({} if self.standby else kept(self.kept_in(node)))}
-
-    @property
-    def nodes(self) -> tuple[Node, ...]:
-        """The nodes of the process."""
-        here = filter(self.plan.is_here, self.plan.nodes)
-        return tuple(node for node in here if node.process == self.process)
-
-    def receiver(self, node: str, instance: int) -> Path:
-        """Where an instance of a node receives."""
-        return Path(self.run_folder) / f"{node}.{instance}.recv"
-
-    @property
-    def instance(self) -> str:
-        """The name of this instance of the process on the bus."""
-        return f"{self.process}.{max(self.epochs.values())}"
-
-    def sockets(self) -> list[str]:
-        """The names of what this instance may leave in the run folder when it is killed."""
-        if self.trial:
-            return []  # it opens none, and bears the epoch of the instance that works
-        receivers = [self.receiver(node, epoch).name for node, epoch in self.epochs.items()]
-        return [*receivers, f"{self.instance}.sock", f"{self.instance}.sock.lock"]
 
 
 class Wiring:
@@ -134,7 +83,7 @@ class Wiring:
             else OperatorRunner(node.name, operator, **common)
         )
         runner.clocks = self._clocks
-        live = Live(node.name, operator, job.settings(node), job.kept_in(node))
+        live = Live(node.name, operator, settings_of(job, node), live_file(job, node))
         answers = Answers(plan, node, operator, runner, live, self._ledger)
         key = partial(key_of, plan.name, node.name)
         queryables = _Queryables(lambda: answers.serve(self._session, key))
@@ -156,7 +105,7 @@ class Wiring:
 
     def replan(self, node: str, plan: Plan) -> None:
         """Connect a running node as another plan has it; its operator and settings stay."""
-        self._job = replace(self._job, plan=plan)
+        self._job = msgspec.structs.replace(self._job, plan=plan)
         runner, receiver, answers = self._running[node]
         answers.plan = plan
         declared = inputs_for(plan, plan.node(node))
@@ -168,7 +117,7 @@ class Wiring:
         for output, port_out in runner.outs.items():
             edges = plan.readers(node, output)
             port_out.change_readers(self._readers(edges), slots(edges))
-        self._say("replanned", node=node)
+        self._say(Replanned(node))
 
     def _readers(self, edges: tuple[Edge, ...]) -> list[Reader]:
         return [
@@ -303,6 +252,19 @@ class _Both:
 
     def matching(self) -> bool:
         return any(sender.matching() for sender in self._senders)
+
+
+def live_file(job: Assignment, node: Node) -> Path:
+    """The file of settings that were changed while the node ran."""
+    return Path(job.run_folder) / f"{node.name}.live"
+
+
+def settings_of(job: Assignment, node: Node) -> dict[str, Any]:
+    """What the graph says, and what a predecessor was told since.
+
+    One that stands by for a swap has both in its plan, and what the swap changes.
+    """
+    return {**node.settings, **({} if job.standby else kept(live_file(job, node)))}
 
 
 def clocks_of(job: Assignment) -> Clocks:

@@ -5,12 +5,15 @@ started and that inherited it, costs the supervisor a bounded buffer and nothing
 """
 
 import contextlib
-import json
 import selectors
 import socket
 import time
 from collections import deque
-from typing import Any
+
+from pipeline.errors import FoveaError
+from pipeline.protocol.codec import ControlMessage, decode, encode
+from pipeline.protocol.lines import as_line, from_line
+from pipeline.protocol.supervision import EVENT, Event
 
 MOST_UNSENT = 8 << 20  # bytes that a node has not read: several plans; more and it is deaf
 MOST_LINE = 4 << 20  # bytes of one event
@@ -21,7 +24,7 @@ _CHUNK = 1 << 16
 
 
 class Channel:
-    """Lines to a node, events from it."""
+    """Instructions to a node, events from it, each on a line of its own."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
@@ -29,7 +32,7 @@ class Channel:
         self._unsent = bytearray()
         self._partial = bytearray()
         self._skipping = False  # the rest of a line that was too long
-        self._events: deque[dict[str, Any]] = deque(maxlen=2 * MOST_LINES_S)
+        self._events: deque[Event] = deque(maxlen=2 * MOST_LINES_S)
         self._allowed, self._allowed_s = float(MOST_LINES_S), time.monotonic()
         self.left_out = 0  # lines that were too many, too long or no event
         self.deaf = False  # the node does not read what it is sent
@@ -52,9 +55,9 @@ class Channel:
         self._allowed, self._allowed_s = min(self._allowed + earned, MOST_LINES_S), now_s
         return self._allowed < LEAST_ALLOWED
 
-    def send(self, line: str) -> None:
-        """Send a line, at once or as soon as the node reads; a deaf node is sent nothing more."""
-        data = line.encode() + b"\n"
+    def send(self, message: ControlMessage) -> None:
+        """Send it, at once or as soon as the node reads; a deaf node is sent nothing more."""
+        data = as_line(encode(message))
         if self.deaf or len(self._unsent) + len(data) > MOST_UNSENT:
             self.deaf = True
             return
@@ -73,7 +76,7 @@ class Channel:
                 return
             del self._unsent[:sent]
 
-    def events(self) -> list[dict[str, Any]]:
+    def events(self) -> list[Event]:
         """Read what has come and return the events in it."""
         self._receive()
         found = list(self._events)
@@ -124,12 +127,9 @@ class Channel:
 
     def _understand(self, line: bytes) -> None:
         self._allowed -= 1
-        event = None
-        with contextlib.suppress(ValueError, RecursionError):
-            event = json.loads(line)
-        if isinstance(event, dict) and isinstance(event.get("event"), str):
-            self._events.append(event)
-        else:
+        try:
+            self._events.append(decode(EVENT, from_line(line)))
+        except FoveaError:
             self.left_out += 1
 
 

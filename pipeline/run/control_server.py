@@ -7,11 +7,11 @@ import logging
 import os
 import queue
 from collections.abc import Callable
-from typing import Any
 
 from pipeline.errors import FoveaError, RunError
 from pipeline.protocol.codec import decode, encode, refused
 from pipeline.protocol.orders import ORDER, Order, Result, StopOrder, StopResult, SwapOrder
+from pipeline.protocol.supervision import Event
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation
 from pipeline.run.process_handle import ProcessHandle
@@ -82,7 +82,7 @@ class ControlServer:
         self._manager.stop_orders += 1
         reply(StopResult(graph=plan.name, pid=os.getpid()))
 
-    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
+    def on_event(self, pid: int, event: Event) -> bool:
         """Whether an event of a process concerns the order under way alone."""
         return self._operation is not None and self._operation.on_event(pid, event)
 

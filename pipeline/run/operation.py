@@ -1,48 +1,44 @@
-"""Something that a supervisor carries out step by step while everything else goes on."""
+"""An order that a supervisor carries out, a little with each of its ticks, while the graph runs."""
 
 import logging
-import time
-from collections.abc import Callable, Iterator
 from typing import Any
 
-from pipeline.errors import FoveaError, RunError
+from pipeline.errors import FoveaError
 from pipeline.protocol.codec import refused
 from pipeline.protocol.orders import Done, Refused, Result
+from pipeline.protocol.supervision import Event
 from pipeline.run.managed_process import ManagedProcess
-from pipeline.run.process_handle import ProcessHandle, ending
-from pipeline.run.process_manager import ProcessManager
+from pipeline.run.process_events import ProcessEvents
+from pipeline.run.process_handle import ProcessHandle
 from pipeline.text import error_text
 
 log = logging.getLogger(__name__)
 
 
 class Operation:
-    """An order under way, driven by the supervisor's ticks; `result` is there when it is over."""
+    """An order under way; `result` is there when it is over."""
 
     kind = "order"
-    subject = ""  # the node that it is about
 
-    def __init__(self, manager: ProcessManager, steps: Iterator[None]) -> None:
-        self.manager, self._steps = manager, steps
+    def __init__(self) -> None:
+        self.events = ProcessEvents()
         self.result: Result | None = None
-        self.facts: dict[str, Any] = {}
-        self._said: dict[int, dict[str, dict[str, Any]]] = {}  # pid -> event -> what
+        self.facts: dict[str, Any] = {}  # fields of the result, as they become known
 
-    def tick(self) -> None:
-        """Go one step on."""
-        try:
-            next(self._steps)
-        except StopIteration:
-            self._finish("")
-        except FoveaError as error:
-            self._finish(str(error))
-        except Exception as error:  # an order must not end the graph
-            log.exception("%s broke", self.kind)
-            self._finish(f"it broke: {error_text(error)}")
+    def advance(self) -> bool:
+        """Do what can be done now; True at the end. Raises `FoveaError` for why it failed."""
+        raise NotImplementedError
 
-    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
-        """Take note of an event; True when nobody else needs it."""
-        self._said.setdefault(pid, {})[str(event.get("event"))] = event
+    def done(self) -> Done:
+        """The result, at the end."""
+        raise NotImplementedError
+
+    def clear_up(self, *, failed: bool) -> None:
+        """Give back what the operation holds, whatever became of it."""
+
+    def on_event(self, pid: int, event: Event) -> bool:
+        """Take note of an event; True when nothing else needs it."""
+        self.events.note(pid, event)
         return False
 
     def owns(self, managed: ManagedProcess) -> bool:
@@ -50,46 +46,28 @@ class Operation:
         return False
 
     def abort(self) -> list[ProcessHandle]:
-        """The run ends: processes that nobody else knows of."""
+        """The run ends: processes that only this operation knows."""
         return []
 
-    def heard(self, handle: ProcessHandle) -> dict[str, dict[str, Any]]:
-        """What a process has said, by event."""
-        return self._said.setdefault(handle.pid, {})
-
-    def until(
-        self, done: Callable[[], bool], limit_s: float, what: str, *,
-        of: ProcessHandle | None = None, must: bool = True,
-    ) -> Iterator[None]:  # fmt: skip
-        """Wait for something; raises `RunError` when it takes too long or that process ends."""
-        late_s = time.monotonic() + limit_s
-        while not done():
-            if of is not None and (status := of.ended()) is not None:
-                yield from self.last_words(of)
-                if done():
-                    return
-                said = self.heard(of).get("failed", {}).get("error")
-                raise RunError(said or f"{of.name}: it ended by {ending(status)}")
-            if time.monotonic() > late_s:
-                if must:
-                    raise RunError(f"{self.subject or self.kind}: {what} within {limit_s:.0f} s")
-                return
-            yield
-
-    def last_words(self, handle: ProcessHandle) -> Iterator[None]:
-        """Hear all that an ended process said: why it failed, or what it did."""
-        handle.bury()  # its socket is read to the end; the next tick hears what was in it
-        yield
-
-    def done(self) -> Done:
-        """The result, once every step was taken."""
-        raise NotImplementedError
+    def tick(self) -> None:
+        """Go on; where that ends it, there is a result."""
+        self.events.tick()
+        try:
+            if self.advance():
+                self._finish("")
+        except FoveaError as error:
+            self._finish(str(error))
+        except Exception as error:  # an order must not end the graph
+            log.exception("%s broke", self.kind)
+            self._finish(f"it broke: {error_text(error)}")
 
     def _finish(self, why: str) -> None:
-        rolled_back = bool(self.facts.get("rolled_back"))
+        self.clear_up(failed=bool(why))
+        rolled_back = bool(self.facts.pop("rolled_back", False))
         self.result = refused(why, rolled_back=rolled_back) if why else self.done()
         words = ", ".join(f"{k} {v}" for k, v in self.facts.items())
-        log.log(
-            logging.ERROR if why else logging.INFO, "%s: %s%s", self.kind, words,
-            f": {self.result.reason}" if isinstance(self.result, Refused) else "",
-        )  # fmt: skip
+        if isinstance(self.result, Refused):
+            back = ", rolled back" if rolled_back else ""
+            log.error("%s: %s%s: %s", self.kind, words, back, self.result.reason)
+        else:
+            log.info("%s: %s", self.kind, words)

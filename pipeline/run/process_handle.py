@@ -1,7 +1,6 @@
 """One node process as its supervisor holds it: started, spoken to, listened to, ended."""
 
 import contextlib
-import json
 import logging
 import os
 import signal
@@ -12,12 +11,11 @@ import time
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import psutil
 
-from pipeline.class_cache import adapter
-from pipeline.node.wiring import ASIDE, Assignment
+from pipeline.node.wiring import ASIDE
+from pipeline.protocol.supervision import Assignment, Event, Instruction, Leaving
 from pipeline.run.channel import Channel, Exchange
 from pipeline.run.descendants import TAG_VARIABLE, end_group, end_tagged, new_tag
 
@@ -147,7 +145,7 @@ class ProcessHandle:
         # a killed instance cannot remove them, and Zenoh leaves the file of a closed one
         self._sockets = [Path(job.run_folder) / name for name in job.sockets()]
         exchange.add(process.channel)
-        self._write(adapter(Assignment).dump_json(job).decode())
+        self.tell(job)
 
     @property
     def pid(self) -> int:
@@ -168,23 +166,19 @@ class ProcessHandle:
         """Return the exit status, negative for a signal; None while it lives."""
         return self._process.ended()
 
-    def events(self) -> list[dict[str, Any]]:
+    def events(self) -> list[Event]:
         """Return what it has said since the last time."""
         channel = self._process.channel
         found = channel.events()
         if channel.left_out and not self._told_left_out:
             self._told_left_out = True
             log.warning("%s: says more than can be heard; the rest is left out", self.name)
-        self.left = self.left or any(event["event"] == "leaving" for event in found)
+        self.left = self.left or any(isinstance(event, Leaving) for event in found)
         return found
 
-    def tell(self, word: str) -> None:
-        """Say `go`, `finish` or `stop`."""
-        self._write(word)
-
-    def order(self, do: str, **more: Any) -> None:
-        """Have something done to one node (`pipeline.node.process.Process.do`)."""
-        self._write(json.dumps({"do": do, **more}))
+    def tell(self, instruction: Instruction) -> None:
+        """Send an instruction; one that does not read gets none."""
+        self._process.channel.send(instruction)
 
     def kill(self, *, with_traceback: bool = False) -> None:
         """End it at once; first have it write where it stands, when asked."""
@@ -218,9 +212,6 @@ class ProcessHandle:
             return None
         cpu_s, own_mb = times.user + times.system, (memory.rss - memory.shared) / 1e6
         return Sample(time.monotonic(), cpu_s, memory.rss / 1e6, own_mb, stopped, self.pid)
-
-    def _write(self, line: str) -> None:
-        self._process.channel.send(line)
 
 
 def ending(status: int) -> str:

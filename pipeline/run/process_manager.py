@@ -15,7 +15,7 @@ from pipeline.class_cache import adapter
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan, is_source
 from pipeline.node.port_contract import contract_of
-from pipeline.node.wiring import Assignment
+from pipeline.protocol.supervision import Assignment, Finish, Go
 from pipeline.run.channel import Exchange
 from pipeline.run.health import HealthMonitor
 from pipeline.run.managed_process import ManagedProcess
@@ -206,9 +206,9 @@ class ProcessManager:
         """Let a process that is ready begin, if it may."""
         if managed.handle is not None and self._may_go(managed):
             managed.handle.going, managed.going_since_s = True, time.monotonic()
-            managed.handle.tell("go")
+            managed.handle.tell(Go())
             if self.ending:
-                managed.handle.tell("finish")
+                managed.handle.tell(Finish())
 
     def _is_first(self, managed: ManagedProcess) -> bool:
         return managed.epoch == self._first_epoch + 1

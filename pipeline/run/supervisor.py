@@ -12,6 +12,16 @@ from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
 from pipeline.protocol.orders import GRAPH
+from pipeline.protocol.supervision import (
+    Event,
+    Failed,
+    Finish,
+    Finished,
+    Headline,
+    Ready,
+    Stop,
+    Summary,
+)
 from pipeline.run.control_server import ControlServer
 from pipeline.run.descendants import end_tagged
 from pipeline.run.health import late
@@ -106,7 +116,7 @@ class Supervisor(ProcessManager):
         self.ending = True
         for managed in self.processes.values():
             if managed.sources and managed.handle and managed.handle.going:
-                managed.handle.tell("finish")
+                managed.handle.tell(Finish())
         began_s = moved_s = now_s = time.monotonic()
         ends = self.ledger.ends()
         while now_s - moved_s < DRAIN_S and now_s - began_s < LONGEST_DRAIN_S:
@@ -153,7 +163,7 @@ class Supervisor(ProcessManager):
         handles = {managed.handle for managed in self.processes.values() if managed.handle}
         handles |= {*self.control.abort(), *self._leaving}
         for handle in handles:
-            handle.tell("stop")
+            handle.tell(Stop())
         self._await_ends(handles, STOP_S)
         for handle in handles:
             if handle.ended() is None and not self.in_haste:
@@ -205,49 +215,45 @@ class Supervisor(ProcessManager):
     def _hear(self) -> None:
         for handle in list(self.handles):
             for event in handle.events():
-                try:
-                    self._take_note(handle, event)
-                except (KeyError, TypeError, ValueError) as error:
-                    log.warning("%s: an event that is none: %r", handle.name, error)
+                self._take_note(handle, event)
             if handle.gone:
                 self.handles.remove(handle)
 
-    def _take_note(self, handle: ProcessHandle, event: dict[str, Any]) -> None:
-        managed, kind, node = (
-            self.processes.get(handle.name),
-            event["event"],
-            str(event.get("node")),
-        )
+    def _take_note(self, handle: ProcessHandle, event: Event) -> None:
+        managed = self.processes.get(handle.name)
         if self.control.on_event(handle.pid, event):
             return
-        if kind == "summary" and node in handle.nodes:
-            self._keep_summary(handle, node, event)
+        if isinstance(event, Summary):
+            self._keep_summary(handle, event)
         elif managed is None or managed.handle is not handle:
             return  # of a node that was removed, of a process that was replaced
-        elif kind == "ready":
-            handle.ready, handle.load_s = True, float(event.get("load_s", 0))
-        elif kind == "finished" and node in handle.nodes:
-            self._finished.add(node)
-        elif kind == "headline" and node in handle.nodes:
-            self.headlines[node] = harmless(str(event["words"]), MOST_HEADLINE)
-        elif kind == "failed":
+        elif isinstance(event, Ready):
+            handle.ready, handle.load_s = True, event.load_s
+        elif isinstance(event, Finished) and event.node in handle.nodes:
+            self._finished.add(event.node)
+        elif isinstance(event, Headline) and event.node in handle.nodes:
+            self.headlines[event.node] = harmless(event.words, MOST_HEADLINE)
+        elif isinstance(event, Failed):
             self._note_failure(managed, event)
 
-    def _keep_summary(self, handle: ProcessHandle, node: str, event: dict[str, Any]) -> None:
+    def _keep_summary(self, handle: ProcessHandle, event: Summary) -> None:
         """Keep what the newest process says, which a source does twice."""
+        node = event.node
+        if node not in handle.nodes:
+            return
         if self._summed.get(node) != handle.pid:
             self._summed[node], self.summaries[node] = handle.pid, {}
             self.left_out.pop(node, None)
-        if why := event.get("left_out"):
-            self.left_out[node] = harmless(str(why))
+        if event.left_out:
+            self.left_out[node] = harmless(event.left_out)
             log.warning("%s: its summary is left out: %s", node, self.left_out[node])
-        self.summaries[node].update(plain(dict(event["figures"])))
+        self.summaries[node].update(plain(event.figures))
 
-    def _note_failure(self, managed: ManagedProcess, event: dict[str, Any]) -> None:
+    def _note_failure(self, managed: ManagedProcess, event: Failed) -> None:
         """What starting it again cannot mend ends the run: a graph that never began, a source."""
         unborn = self._is_first(managed) and not (managed.handle and managed.handle.ready)
-        error = harmless(str(event.get("error")))
-        if event.get("expected") and (unborn or managed.sources) and not self.failure:
+        error = harmless(event.error)
+        if event.expected and (unborn or managed.sources) and not self.failure:
             self.failure = error
         elif not self.failure:
             managed.last_words = error

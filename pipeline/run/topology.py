@@ -4,15 +4,15 @@ Nodes that stay and whose edges change are told between two calls of their handl
 started anew but what is added.
 """
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
-from pipeline.class_cache import adapter
 from pipeline.errors import RunError
 from pipeline.graph.plan import Edge, Node, Plan, sources
 from pipeline.graph.ports import check_ports
 from pipeline.protocol.orders import PlanOrder, TopologyResult
+from pipeline.protocol.supervision import Event, Failed, Finished, Replan, Replanned, Stop
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation, log
 from pipeline.run.process_handle import ProcessHandle
@@ -21,6 +21,7 @@ from pipeline.run.process_manager import ProcessManager
 START_S = 60.0
 TELL_S = 5.0
 REST_S = 1.0
+DONE = object()
 
 
 class TopologyOperation(Operation):
@@ -46,7 +47,8 @@ class TopologyOperation(Operation):
         self._edges_removed = [e for e in manager.plan.edges if e not in self._plan.edges]
         self._check()
         self._mine: list[ManagedProcess] = []  # that come or go
-        super().__init__(manager, self._change())
+        super().__init__()
+        self.manager, self._steps = manager, self._change()
         self.facts |= {
             "added": [n.name for n in self._added],
             "removed": [n.name for n in self._removed],
@@ -58,11 +60,15 @@ class TopologyOperation(Operation):
         """Whoever comes or goes is no crash."""
         return managed in self._mine
 
-    def on_event(self, pid: int, event: dict[str, Any]) -> bool:
+    def on_event(self, pid: int, event: Event) -> bool:
         """That one of them fails, or makes no more frames, concerns this change alone."""
         super().on_event(pid, event)
         mine = any(managed.handle and managed.handle.pid == pid for managed in self._mine)
-        return mine and event.get("event") in ("failed", "finished")
+        return mine and isinstance(event, (Failed, Finished))
+
+    def advance(self) -> bool:
+        """Go one step on."""
+        return next(self._steps, DONE) is DONE
 
     def done(self) -> TopologyResult:
         """What came and went."""
@@ -110,11 +116,13 @@ class TopologyOperation(Operation):
         manager.note()
 
     def _ready(self, managed: ManagedProcess) -> Iterator[None]:
-        handle = managed.handle
+        handle, late_s = managed.handle, time.monotonic() + START_S
         assert handle is not None
-        yield from self.until(
-            lambda: handle.ready, START_S, f"{managed.name} was not ready", of=handle
-        )
+        while not handle.ready:
+            self.events.check_alive(handle)
+            if time.monotonic() > late_s:
+                raise RunError(f"topology: {managed.name} was not ready within {START_S:.0f} s")
+            yield
 
     def _address(self) -> None:
         """Edges between nodes that run already: who speaks and who listens there now."""
@@ -138,14 +146,14 @@ class TopologyOperation(Operation):
         handle = self.manager.processes[self._plan.node(name).process].handle
         if handle is None:
             return  # it starts with the new plan
-        said = self.heard(handle)
-        said.pop("replanned", None)
-        handle.order("replan", node=name, plan=adapter(Plan).dump_python(self._plan, mode="json"))
-        yield from self.until(
-            lambda: said.get("replanned", {}).get("node") == name or handle.ended() is not None,
-            TELL_S, "", must=False,
-        )  # fmt: skip
-        if said.get("replanned", {}).get("node") != name:
+
+        def replanned() -> bool:
+            return self.events.heard(handle, Replanned) == Replanned(name)
+
+        self.events.forget(handle, Replanned)
+        handle.tell(Replan(name, self._plan))
+        yield from _until(lambda: replanned() or handle.ended() is not None, TELL_S)
+        if not replanned():
             log.error("%s: does not connect anew; killed", name)
             handle.kill()
 
@@ -155,22 +163,20 @@ class TopologyOperation(Operation):
         self._mine = gone
         for managed in gone:
             if managed.handle is not None:
-                managed.handle.tell("stop")
+                managed.handle.tell(Stop())
         handles: list[ProcessHandle] = [managed.handle for managed in gone if managed.handle]
-        yield from self.until(
-            lambda: all(c.ended() is not None for c in handles), TELL_S, "", must=False
-        )
+        yield from _until(lambda: all(c.ended() is not None for c in handles), TELL_S)
         self._end(gone)
         manager.change_plan(self._plan)
         accounts = {e.end: manager.ledger.edges[e.index] for e in self._edges_removed}
         dead = {n.name for n in self._removed}
-        yield from self.until(
+        yield from _until(
             lambda: all(
                 manager.ledger.edges[e.index].in_flight == 0 or e.target in dead
                 for e in self._edges_removed
             ),
-            REST_S, "", must=False,
-        )  # fmt: skip
+            REST_S,
+        )
         for end, account in accounts.items():
             log.info("topology: %s ends with %s", end, account.report())
             account.clear()
@@ -181,6 +187,13 @@ class TopologyOperation(Operation):
                 managed.handle.kill()
                 self.manager.dismiss(managed.handle)
                 managed.handle = None
+
+
+def _until(done: Callable[[], bool], limit_s: float) -> Iterator[None]:
+    """Wait for something, for so long at most."""
+    late_s = time.monotonic() + limit_s
+    while not done() and time.monotonic() <= late_s:
+        yield
 
 
 def _numbered(manager: ProcessManager, plan: Plan) -> Plan:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.scene import ball_box, measure, summary, table
-from drivers.soccer import SoccerScene
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import Annotations
 
 

@@ -325,17 +325,17 @@ def test_configure_refuses_what_it_cannot(mode: Mode, named: str) -> None:
             "budget: context 0.0625 and ROI 0.25 take 0.3125 of the field, expected at most 0.125",
         ),
         (
-            {"scene": "", "source": "drivers.soccernet:SoccerNetSequence"},
-            "path: required by drivers.soccernet:SoccerNetSequence, got nothing",
+            {"scene": "", "source": "drivers.datasets:SoccerNetSequence"},
+            "path: required by drivers.datasets:SoccerNetSequence, got nothing",
         ),
         (
             {
                 "scene": "",
-                "source": "drivers.mot:MotSequence",
+                "source": "drivers.datasets:MotSequence",
                 "path": "x",
                 "source_options": {"n": 1},
             },
-            "source: drivers.mot:MotSequence takes path, got n",
+            "source: drivers.datasets:MotSequence takes path, got n",
         ),
         ({"scene": "", "source": "nowhere:Nothing"}, "source: nowhere:Nothing cannot be imported"),
         (

@@ -12,8 +12,8 @@ from pipeline.errors import SettingsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.settings import build
+from tests.drivers.datasets.test_soccernet import GAME, GT
 from tests.drivers.sequences import write_pictures, write_sequence
-from tests.drivers.test_soccernet import GAME, GT
 from tests.shared_data import Footage
 
 SOURCES = Path(__file__).resolve().parents[2] / "graphs" / "sources"

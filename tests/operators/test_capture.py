@@ -118,8 +118,8 @@ def test_closing_and_asking_for_figures_is_safe_when_it_never_opened() -> None:
         ({"sensor": "nowhere:Sensor"}, r"capture\.sensor: nowhere:Sensor cannot be imported"),
         ({"sensor": "pathlib:Path"}, r"capture\.sensor: expected a DualStreamSensor"),
         (
-            {"options": {"source": "drivers.video:VideoFile", "path": ""}},
-            r"capture\.options\.path: required by drivers\.video:VideoFile, got nothing",
+            {"options": {"source": "drivers.datasets:VideoFile", "path": ""}},
+            r"capture\.options\.path: required by drivers\.datasets:VideoFile, got nothing",
         ),
     ],
 )

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.simulated.mosaic import to_rggb
+from drivers.simulated.readout import to_rggb
 from operators.downsample import Downsample, DownsampleSettings, fitted
 from pipeline.errors import MessageError, SettingsError
 from pipeline.messages import Frame

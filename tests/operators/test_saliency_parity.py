@@ -13,7 +13,7 @@ import torch
 from operators.saliency.example import BALL, NAMES
 from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.saliency import SHIPPED as SHIPPED_DETECTOR
-from operators.saliency.train import export
+from operators.saliency.training_run import export
 from operators.training.onnx_files import fused
 from pipeline.inference import Network
 

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from pipeline.cli import commands
-from pipeline.version import ROOT, commit, described, version
+from pipeline.version import ROOT, commit, described, revision, version
 
 PROJECT = '[project]\nname = "fovea"\nversion = "7.8.9"\n'
 
@@ -65,3 +65,22 @@ def test_the_command_line_says_both() -> None:
 
     assert said == f"fovea {described()}\n"
     assert said.startswith(f"fovea {version(ROOT)}")
+
+
+def test_a_revision_is_the_whole_commit_and_whether_the_code_was_changed_since(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "a").write_text("1")
+    git(tmp_path, "init")
+    git(tmp_path, "add", "a")
+    git(tmp_path, "commit", "-m", "first")
+    clean = revision(tmp_path)
+    (tmp_path / "a").write_text("2")
+
+    assert len(clean[0]) == 40
+    assert not clean[1]
+    assert revision(tmp_path) == (clean[0], True)
+
+
+def test_code_outside_any_repository_has_no_revision(tmp_path: Path) -> None:
+    assert revision(tmp_path / "nowhere") == ("", False)

@@ -13,8 +13,7 @@ from ruamel.yaml.compat import StringIO
 from ruamel.yaml.scalarstring import walk_tree
 
 from pipeline.bus.network import AGENT_PORT
-from pipeline.fleet.names import node_identity, user_identity
-from pipeline.fleet.placement import borders, place
+from pipeline.fleet.names import user_identity
 from pipeline.graph.plan import Plan, slots
 
 IMAGE = "fovea:latest"
@@ -50,13 +49,6 @@ def memory_mb(plan: Plan, label: str) -> int:
     outputs = {(e.source, e.output) for e in plan.edges if plan.node(e.source).host == label}
     count = sum(slots(plan.readers(*output)) for output in outputs)
     return SPARE_MB + math.ceil(count * LARGEST_FRAME_MB)
-
-
-def identities(plan: Plan, label: str) -> list[str]:
-    """The nodes of a host that have credentials: those with an edge to another one."""
-    crossing = borders(plan)
-    here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
-    return list(dict.fromkeys(node_identity(plan.name, node) for node in here))
 
 
 def run_words() -> list[str]:

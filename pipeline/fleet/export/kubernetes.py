@@ -20,12 +20,12 @@ from pipeline.fleet.export.bundle import (
     Bundle,
     comments,
     credentials_words,
-    identities,
     memory_mb,
     run_words,
     to_yaml,
     up_words,
 )
+from pipeline.fleet.placement import identities
 from pipeline.graph.plan import Plan
 
 _DNS = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")

@@ -13,21 +13,13 @@ import torch
 from click.testing import CliRunner
 
 from operators.policy import pool
-from operators.policy import train as training
+from operators.policy import training_run as training
 from operators.policy.data import Recording
 from operators.policy.model import PolicyNet, export
 from operators.policy.network import PolicyNetwork
 from operators.policy.rollout import Late
-from operators.policy.train import (
-    Clips,
-    Run,
-    TrainSettings,
-    advance,
-    command,
-    loss_of,
-    round_of,
-    train,
-)
+from operators.policy.train import TrainSettings, command
+from operators.policy.training_run import Clips, Run, advance, loss_of, round_of, train
 from operators.training import checkpoint
 from pipeline import SettingsError
 from pipeline.errors import RunError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="needs the train extra")
-from drivers.soccer import SoccerScene
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import Annotations
 from operators.roi_features.data import (
     BACKGROUND,

@@ -20,7 +20,7 @@ from operators.roi_features.model import (
     load_imagenet,
 )
 from operators.roi_features.roi_features import SHIPPED
-from operators.roi_features.train import export
+from operators.roi_features.training_run import export
 from pipeline import WeightsError
 from pipeline.inference import Network
 

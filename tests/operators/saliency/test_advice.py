@@ -50,7 +50,7 @@ def test_a_detector_that_says_nothing_is_told_of_and_fits_everything() -> None:
 
 def test_the_shipped_detector_says_what_it_is_for() -> None:
     scene = CaptureSettings(options={"scene": "soccer"})
-    video = CaptureSettings(options={"source": "drivers.video:VideoFile", "path": "walk.mp4"})
+    video = CaptureSettings(options={"source": "drivers.datasets:VideoFile", "path": "walk.mp4"})
 
     fitting, other = (
         list(Saliency.advise(SaliencySettings(), {SOURCE: source})) for source in (scene, video)
@@ -64,10 +64,10 @@ def test_the_shipped_detector_says_what_it_is_for() -> None:
 @pytest.mark.parametrize(
     ("source", "shows"),
     [
-        ("drivers.soccernet:SoccerNetSequence", "soccer"),
-        ("drivers.mot:MotSequence", ""),
-        ("drivers.video:VideoFile", ""),
-        ("drivers.images:ImageFolder", ""),
+        ("drivers.datasets:SoccerNetSequence", "soccer"),
+        ("drivers.datasets:MotSequence", ""),
+        ("drivers.datasets:VideoFile", ""),
+        ("drivers.datasets:ImageFolder", ""),
     ],
 )
 def test_sources_say_what_they_show(source: str, shows: str) -> None:

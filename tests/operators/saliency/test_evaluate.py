@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("onnx", reason="needs the train extra")
-pytest.importorskip("tqdm", reason="needs the train extra")
 
 from operators.saliency.evaluate import (
     Tally,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.soccer import SoccerScene
+from drivers.scenes.soccer import SoccerScene
 from drivers.source import Annotations
 from operators.saliency import Saliency
 from pipeline import Detections, Frame

@@ -11,10 +11,11 @@ pytest.importorskip("torch", reason="needs the train extra")
 pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 
-from operators.saliency import train as training
+from operators.saliency import training_run as training
 from operators.saliency.data import Batch, Rendered, rendered_in
 from operators.saliency.example import INPUT_PX, NAMES
-from operators.saliency.train import Run, TrainSettings, advance, asked, drawn, main, train
+from operators.saliency.train import TrainSettings, asked, main
+from operators.saliency.training_run import Run, advance, drawn, train
 from pipeline import SettingsError
 from pipeline.errors import DriverError
 from tests.operators.training.elsewhere import PLACE, pretended

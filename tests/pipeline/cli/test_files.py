@@ -79,6 +79,37 @@ def test_trying_changes_nothing(tmp_path: Path, attempt: object) -> None:
     assert old.read_text() == "old"
 
 
+def test_trying_a_report_leaves_no_folder_and_writing_it_makes_them(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "b" / "c" / "report.json"
+
+    try_report(path, "--report")
+
+    assert list(tmp_path.iterdir()) == []
+    assert write_report(path, {"a": 1}, "--report") == ""
+    assert json.loads(path.read_text()) == {"a": 1}
+
+
+def test_folders_that_were_there_stay(tmp_path: Path) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+
+    try_report(tmp_path / "a" / "b" / "c" / "report.json", "--report")
+
+    assert [p.name for p in (tmp_path / "a").iterdir()] == ["b"]
+    assert list((tmp_path / "a" / "b").iterdir()) == []
+
+
+def test_a_run_that_is_refused_leaves_no_folder(graph: Path, tmp_path: Path) -> None:
+    graph.write_text("nodes: {}")
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--report", str(tmp_path / "new" / "deep" / "report.json")],
+        capture_output=True, check=False,
+    )  # fmt: skip
+
+    assert done.returncode == 2
+    assert [p.name for p in tmp_path.iterdir()] == ["graph.yaml"]
+
+
 def test_an_old_report_stays_when_the_graph_is_wrong(graph: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.json"
     report.write_text("old")

@@ -4,7 +4,7 @@ from rich.console import Console, RenderableType
 
 from pipeline.cli.tables import health_table, process_table, settings_table, top_tables
 from pipeline.client.graph_client import Said, Status
-from pipeline.fleet.wire import Process, State
+from pipeline.protocol.fleet import Process, State
 from pipeline.protocol.questions import NodeSettings
 
 NODES = {"capture": "sensor", "saliency": "compute", "policy": "compute"}

@@ -5,13 +5,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from pipeline.fleet import wire
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, HostConfig
 from pipeline.fleet.allow import ANY
 from pipeline.fleet.deploy import Fleet, read_hosts
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
+from pipeline.protocol import fleet as wire
 
 SAMPLES = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")
 ALLOWED = {f"tests.samples:{name}": ANY for name in SAMPLES}
@@ -91,7 +91,7 @@ def phases(fleet: Fleet, label: str, graph: str = "trio") -> list[str]:
 
 
 def state_of(fleet: Fleet, label: str, graph: str = "trio") -> wire.State:
-    (state,) = fleet.ask(label, "state", wire.Named(graph), tuple[wire.State, ...])
+    (state,) = fleet.ask(label, "state", wire.Named(graph), wire.States).states
     return state
 
 

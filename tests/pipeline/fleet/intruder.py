@@ -12,8 +12,11 @@ from collections import Counter
 
 from pipeline.bus.network import Network
 from pipeline.bus.session import Session
-from pipeline.fleet import wire
+from pipeline.graph.plan import Plan
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import encode
 
+PLAN = Plan(name="trio", clock="realtime", nodes=(), edges=())
 HALF_OPEN = 10  # links to each end point; Zenoh rests for 0.1 s after each that comes to nothing
 READ = ("fovea/trio/capture/roi/bytes", "fovea/trio/capture/context/bytes", "fovea/**")
 FORGED = ("fovea/trio/steer/out/bytes", "fovea/trio/capture/context/bytes")
@@ -75,10 +78,10 @@ def main(credentials: str, points: list[str], seconds: float) -> dict[str, objec
 def question(verb: str) -> bytes:
     """What an agent would have to answer, if it answered him."""
     if verb == "about":
-        return wire.encode(wire.Nothing())
+        return encode(wire.Nothing())
     if verb == "start":
-        return wire.encode(wire.Start("{}", wire.Versions.ours(), {}, {}, {}))
-    return wire.encode(wire.Named("trio"))
+        return encode(wire.Start(PLAN, wire.Versions.ours(), {}, {}, {}))
+    return encode(wire.Named("trio"))
 
 
 def flood_of_connections(points: list[str]) -> list[socket.socket]:

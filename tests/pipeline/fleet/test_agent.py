@@ -15,7 +15,6 @@ from pipeline.bus.network import LOCAL, Network
 from pipeline.bus.session import Session
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet import wire
 from pipeline.fleet.access import asker_permits
 from pipeline.fleet.deploy import (
     Fleet,
@@ -28,6 +27,8 @@ from pipeline.fleet.deploy import (
 )
 from pipeline.fleet.hosted_graph import HostedSupervisor
 from pipeline.fleet.names import agent_key, host_identity
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import decode_answer
 from pipeline.protocol.orders import SwapOrder
 from pipeline.run.rundir import base
 from tests.pipeline.fleet.agents import (
@@ -104,7 +105,7 @@ def test_what_one_host_refuses_starts_on_none(
 
 def test_another_version_is_refused_before_anything_starts(fleet: Fleet, tmp_path: Path) -> None:
     old = wire.Versions("0.0.1", "1.0", 1)
-    question = wire.Prepare(wire.write_plan(plan_of(tmp_path)), old, {})
+    question = wire.Prepare(plan_of(tmp_path), old, {})
 
     with pytest.raises(RunError, match=r"expected fovea 0\.0\.1, Zenoh 1\.0, envelope 1, got"):
         fleet.ask("sensor", "prepare", question, wire.Prepared)
@@ -130,7 +131,7 @@ def test_a_host_that_asks_what_it_may_not_holds_up_nobody(fleet: Fleet, tmp_path
             said = session.ask(agent_key("sensor", host_identity("viewer"), verb), b"x", 5)
             assert said is not None
             with pytest.raises(RunError, match=f"host.viewer may not {verb} here"):
-                wire.read_reply(wire.Prepared, "sensor", said)
+                decode_answer(wire.Prepared, said, "sensor")
     finally:
         session.close()
 
@@ -325,11 +326,11 @@ def test_weights_that_a_host_allows_and_has_not_are_sent(tmp_path: Path) -> None
     try:
         with fleet_of("sensor") as fleet:
             lacks = wire.Lacks((digest, "0" * 64))
-            assert fleet.ask("sensor", "lacks", lacks, tuple[str, ...]) == (digest,)
+            assert fleet.ask("sensor", "lacks", lacks, wire.Missing).digests == (digest,)
             send_weights(fleet, "sensor", (digest,), {digest: file})
-            assert fleet.ask("sensor", "lacks", lacks, tuple[str, ...]) == ()
+            assert fleet.ask("sensor", "lacks", lacks, wire.Missing).digests == ()
             with pytest.raises(FoveaError, match="not on the allow list"):
-                fleet.ask("sensor", "weights", b"another", str)
+                fleet.ask("sensor", "weights", b"another", wire.Accepted)
     finally:
         running.stop()
         (own.state / "weights" / digest).unlink()

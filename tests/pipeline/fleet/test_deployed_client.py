@@ -12,11 +12,13 @@ from pipeline.client import listening
 from pipeline.client.described import Described
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet import tap_relay, wire
+from pipeline.fleet import tap_relay
 from pipeline.fleet.access import asker_permits
 from pipeline.fleet.deploy import Fleet, down, remembered, up
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.fleet.replanning import check_inside
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import decode_answer
 from tests.pipeline.fleet.agents import (
     Running,
     agents,
@@ -137,15 +139,15 @@ def test_what_a_relay_has_no_room_for_is_told_as_missed(
 def test_taps_are_bounded_and_closed_when_nobody_asks(
     two: dict[str, Running], fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def asked(tap: str, output: str = "out") -> wire.Listen:
-        return wire.Listen("duo", "work", output, tap)
+    def asked(tap: str, output: str = "out") -> wire.TapQuestion:
+        return wire.TapQuestion("duo", "work", output, tap)
 
     for number in range(tap_relay.MOST_TAPS):
-        fleet.ask("brain", "tap", asked(f"t{number}"), wire.Relayed)
+        fleet.ask("brain", "tap", asked(f"t{number}"), wire.TapMessages)
     with pytest.raises(RunError, match="busy: expected up to 8 taps"):
-        fleet.ask("brain", "tap", asked("one-more"), wire.Relayed)
+        fleet.ask("brain", "tap", asked("one-more"), wire.TapMessages)
     with pytest.raises(RunError, match="listens to another output already"):
-        fleet.ask("brain", "tap", asked("t0", "other"), wire.Relayed)
+        fleet.ask("brain", "tap", asked("t0", "other"), wire.TapMessages)
 
     monkeypatch.setattr(tap_relay, "IDLE_S", 0.0)
     until(lambda: not two["brain"].agent._taps._taps)
@@ -232,13 +234,13 @@ def test_a_host_may_not_listen_or_change_the_plan_and_noise_is_refused(fleet: Fl
             said = session.ask(agent_key("eye", host_identity("brain"), verb), b"x", 5)
             assert said is not None
             with pytest.raises(RunError, match=rf"host\.brain may not {verb} here"):
-                wire.read_reply(wire.Relayed, "eye", said)
+                decode_answer(wire.TapMessages, said)
     finally:
         session.close()
     for verb in ("tap", "plan", "replan"):
         for data in (b"", b"{", b"[]", b"\xff" * 50):
             with pytest.raises(FoveaError):
-                fleet.ask("eye", verb, data, wire.Relayed)
+                fleet.ask("eye", verb, data, wire.TapMessages)
 
 
 def test_a_tap_ends_when_its_graph_is_taken_down(fleet: Fleet) -> None:

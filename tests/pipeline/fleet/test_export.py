@@ -269,6 +269,29 @@ def test_a_host_without_an_address_is_told_before_anything_is_made(tmp_path: Pat
         check_addressed(tmp_path, {"sensor": "a", "compute": "b"}, [plan_of(tmp_path)])
 
 
+@pytest.mark.parametrize(
+    "addresses",
+    [
+        {"near": "10.0.0.1", "far": "10.0.0.1"},
+        {"near": "10.0.0.1", "far": "10.0.0.1:7447"},
+        {"far": "10.0.0.9:7000"},
+    ],
+)
+def test_two_hosts_of_one_address_are_told_before_anything_is_made(
+    tmp_path: Path, addresses: dict[str, str]
+) -> None:
+    note = tmp_path / "user.alice" / secure.ADDRESSES
+    note.parent.mkdir()
+    note.write_text('{"old": "10.0.0.9:7000"}')
+
+    with pytest.raises(SettingsError, match=r"--host far=\S+: expected an address or port of its"):
+        check_addressed(tmp_path, addresses, [])
+
+
+def test_hosts_of_one_machine_have_a_port_each(tmp_path: Path) -> None:
+    check_addressed(tmp_path, {"near": "10.0.0.1:7447", "far": "10.0.0.1:7448"}, [])
+
+
 def test_an_authority_is_made_once_and_credentials_are_their_identity(tmp_path: Path) -> None:
     secure.create(tmp_path / "ca")
     with pytest.raises(RunError, match="without an authority"):

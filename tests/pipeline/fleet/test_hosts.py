@@ -74,9 +74,9 @@ def test_ps_shows_every_host_and_logs_come_from_the_host_that_has_them(world: Wo
 
     assert all(label in shown for label in ("sensor", "viewer", "capture", "count"))
     assert "hosts" in world.fovea("top", "trio", "--once")
-    assert world.fovea("logs", "count") is not None
-    with pytest.raises(RunError, match="no log of a node cuont"):
-        world.fovea("logs", "cuont")
+    assert world.fovea("logs", "trio", "count") is not None
+    with pytest.raises(RunError, match=r"no node cuont, did you mean .count."):
+        world.fovea("logs", "trio", "cuont")
 
 
 def test_a_lost_host_is_reported_before_its_links_end_and_its_nodes_come_back(world: World) -> None:
@@ -217,9 +217,9 @@ def deploy(world: World, graph: Path) -> str:
 
 
 def test_down_stops_the_graph_on_every_host_and_leaves_nothing(world: World) -> None:
-    assert "trio: down" in world.fovea("down", "trio")
+    assert "trio: stopped" in world.fovea("down", "trio")
 
     left = [p for label in world.plan.hosts for p in world.home(label).rglob("*.recv")]
     assert left == []
-    with pytest.raises(RunError, match="no graph trio was brought up from here"):
+    with pytest.raises(RunError, match="no graph trio runs"):
         world.fovea("down", "trio")

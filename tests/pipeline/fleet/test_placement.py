@@ -1,12 +1,12 @@
 """Nodes are placed by label, and a host runs only what it allows: nothing by the wire's word."""
 
 import hashlib
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from pipeline.bus.ledger import private_ledger
@@ -23,9 +23,10 @@ from pipeline.fleet.placement import (
     plan_for,
 )
 from pipeline.fleet.replication import READ, WRITTEN, Replication, adopt
-from pipeline.fleet.wire import Accounts, read_plan, write_plan
 from pipeline.graph.plan import Plan
 from pipeline.node.port_contract import contract_of
+from pipeline.protocol.codec import MARKER, TAG, VERSION, decode, encode
+from pipeline.protocol.fleet import Accounts, Prepare, Versions
 from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
 
 
@@ -76,7 +77,7 @@ def test_only_edges_between_hosts_carry_bytes(tmp_path: Path) -> None:
 def test_a_plan_is_the_same_after_the_wire(tmp_path: Path) -> None:
     plan = plan_of(tmp_path)
 
-    assert read_plan(write_plan(plan)) == plan
+    assert decode(Prepare, encode(Prepare(plan, Versions.ours(), {}))).plan == plan
 
 
 def test_a_node_lets_others_do_what_the_graph_says_and_nothing_else(tmp_path: Path) -> None:
@@ -170,11 +171,13 @@ def test_the_code_of_another_host_is_never_loaded_here(tmp_path: Path) -> None:
 def test_what_no_file_may_say_is_refused_over_the_wire_too(
     part: str, change: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
-    written = json.loads(write_plan(plan_of(tmp_path)))
-    written[part][1] |= change
+    sent = encode(Prepare(plan_of(tmp_path), Versions.ours(), {}))
+    written = msgspec.msgpack.decode(sent[2:])
+    written["plan"][part][1] |= change
+    assert written[TAG] == "Prepare"
 
     with pytest.raises(FoveaError, match=said):
-        read_plan(json.dumps(written))
+        decode(Prepare, bytes((MARKER, VERSION)) + msgspec.msgpack.encode(written))
 
 
 def test_an_edge_to_an_input_that_is_not_declared_is_refused(tmp_path: Path) -> None:

@@ -9,10 +9,10 @@ import pytest
 
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, GraphError, RunError, Silent
-from pipeline.fleet import wire
 from pipeline.fleet.agent_file import AgentFile, HostConfig
 from pipeline.fleet.allow import ANY, MOST_WEIGHTS_BYTES
 from pipeline.fleet.deploy import Fleet, Hosts, down, forget, remember, remembered, send_weights, up
+from pipeline.protocol import fleet as wire
 from tests.pipeline.fleet.agents import Running, fleet_of, plan_of
 
 ALLOWED = {"tests.samples:Ticker": ANY, "tests.samples:Model": ANY}
@@ -80,7 +80,7 @@ def test_a_file_for_a_live_setting_goes_along_and_any_other_is_refused(
     with pytest.raises(RunError, match=r"look\.spare: cannot change .* `fovea swap remote look"):
         find("remote").configure("look", {"spare": str(old)})
     lacking = wire.Lacks((hashlib.sha256(OLD).hexdigest(),))
-    assert fleet.ask("brain", "lacks", lacking, tuple[str, ...])  # it was not sent
+    assert fleet.ask("brain", "lacks", lacking, wire.Missing).digests  # it was not sent
     refused = r"look\.weights: weights .* are not on the allow list"
     with pytest.raises(FoveaError, match=refused):
         find("remote").configure("look", {"weights": str(foreign)})
@@ -104,7 +104,7 @@ def test_the_health_of_a_deployed_graph_is_that_of_its_nodes_on_all_hosts(
 
 
 def test_a_graph_is_down_when_no_host_has_it_any_more(fleet: Fleet) -> None:
-    fleet.ask("brain", "down", wire.Named("remote"), type(None))
+    fleet.ask("brain", "down", wire.Named("remote"), wire.Accepted)
 
     assert down("remote", fleet.hosts) == []
     assert "remote" not in remembered()

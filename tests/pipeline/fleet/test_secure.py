@@ -73,7 +73,7 @@ def test_a_name_that_no_certificate_can_bear_is_told_before_anything_is_made(
     graph, folder = tmp_path / "graph.yaml", tmp_path / "ca"
     text = TRIO.replace("name: trio", f"name: {'a' * LONGEST_NAME}")
     graph.write_text(text.replace("capture", "c" * LONGEST_NAME))
-    hosts = [f"--host={label}=h" for label in ("sensor", "compute", "viewer")]
+    hosts = [f"--host={label}={label}" for label in ("sensor", "compute", "viewer")]
 
     with pytest.raises(SettingsError, match=r"expected a name of up to 64 characters, .* got 70"):
         CliRunner().invoke(

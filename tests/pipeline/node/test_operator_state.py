@@ -1,10 +1,21 @@
 """What a swap would lose of an operator is known, and what `open` rebuilds is not called lost."""
 
+import array
+import functools
+import itertools
+import logging
+import queue
+import random
+import socket
+import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 import pytest
 
@@ -64,6 +75,130 @@ def test_an_attribute_that_changed_since_it_was_opened_is_named_and_no_other(nam
     CHANGES[name](operator)
 
     assert before.names() == [name]
+
+
+class Slots:
+    """An object without a dictionary."""
+
+    __slots__ = ("gain", "rows")
+
+    def __init__(self) -> None:
+        self.gain, self.rows = 1.0, [1.0]
+
+
+class Sharing(Forgetful):
+    """Keeps something for all its instances."""
+
+    total = 0
+    every_seen: ClassVar[list[int]] = []
+
+
+def deep(value: int, levels: int) -> Any:
+    return {"next": [deep(value, levels - 1)]} if levels else value
+
+
+HIDDEN: dict[str, tuple[Callable[[], Any], Callable[[Any], object]]] = {
+    "big array, one pixel": (
+        lambda: np.zeros((1000, 700, 3), np.uint8),
+        lambda v: v.__setitem__((901, 17, 1), 1),
+    ),
+    "big array, rolled": (
+        lambda: np.arange(900_000.0),
+        lambda v: v.__setitem__(slice(None), np.roll(v, 1)),
+    ),
+    "big array, strided": (
+        lambda: np.zeros((2000, 2000), np.float32)[:, ::2],
+        lambda v: v.__setitem__((slice(100, 200), slice(100, 200)), 1),
+    ),
+    "huge array, a region": (
+        lambda: np.zeros((9000, 9000), np.uint8),
+        lambda v: v.__setitem__((slice(700, 900), slice(700, 900)), 1),
+    ),
+    "bytearray": (lambda: bytearray(9), lambda v: v.__setitem__(3, 1)),
+    "array of numbers": (lambda: array.array("d", [1, 2]), lambda v: v.__setitem__(0, 3)),
+    "numpy generator": (lambda: np.random.default_rng(1), lambda v: v.random()),
+    "numpy legacy generator": (lambda: np.random.RandomState(1), lambda v: v.rand()),
+    "generator of random": (lambda: random.Random(1), lambda v: v.random()),
+    "slots": (Slots, lambda v: setattr(v, "gain", 2.0)),
+    "list in a slot": (Slots, lambda v: v.rows.append(2.0)),
+    "count": (itertools.count, next),
+    "iterator": (lambda: iter([1, 2, 3]), next),
+    "generator": (lambda: (n for n in range(9)), next),
+    "queue": (queue.Queue, lambda v: v.put(1)),
+    "partial": (lambda: functools.partial(print, [1]), lambda v: v.args[0].append(2)),
+    "namespace": (lambda: SimpleNamespace(a=1), lambda v: setattr(v, "a", 2)),
+    "end of a long list": (lambda: [0.0] * 90_000, lambda v: v.__setitem__(89_999, 1.0)),
+    "middle of a long list": (lambda: [0.0] * 90_000, lambda v: v.__setitem__(45_678, 1.0)),
+    "end of a very long list": (lambda: [[0]] * 200_000, lambda v: v.__setitem__(-1, [1])),
+    "middle of a very long list": (
+        lambda: [0] * 300_000,
+        lambda v: v.__setitem__(slice(140_000, 150_000), [1] * 10_000),
+    ),
+    "newest of a long dictionary": (
+        lambda: {n: (n,) for n in range(20_000)},
+        lambda v: v.__setitem__(19_999, (0,)),
+    ),
+    "depth": (lambda: deep(1, 5), lambda v: v.__setitem__("next", [deep(2, 4)])),
+    "minus one": (lambda: [-1], lambda v: v.__setitem__(0, -2)),
+    "objects in an array": (
+        lambda: np.array([[1], None], dtype=object),
+        lambda v: v[0].append(1),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_change_in_place_is_found_wherever_it_is_kept(name: str) -> None:
+    make, change = HIDDEN[name]
+    operator: Any = kept()
+    operator.hidden = make()
+    before = UndeclaredState(operator)
+    assert before.names() == []
+
+    change(operator.hidden)
+
+    assert before.names() == ["hidden"]
+
+
+def test_what_a_class_keeps_for_its_instances_is_found() -> None:
+    operator = Sharing(WorkSettings())
+    operator.open()
+    before = UndeclaredState(operator)
+    assert before.names() == []
+
+    Sharing.total += 1
+    Sharing.every_seen.append(1)
+
+    assert before.names() == ["every_seen", "total"]
+
+
+def test_what_nobody_can_look_into_is_named_as_that() -> None:
+    operator: Any = kept()
+    operator.kalman = cv2.KalmanFilter(4, 2)
+    operator.inner.background = cv2.createBackgroundSubtractorMOG2()
+    before = UndeclaredState(operator)
+
+    operator.seen = 1
+
+    assert before.names() == [
+        "inner (cannot be looked into)", "kalman (cannot be looked into)", "seen"
+    ]  # fmt: skip
+
+
+def test_what_belongs_to_the_process_is_no_state(tmp_path: Path) -> None:
+    operator: Any = kept()
+    ours, theirs = socket.socketpair()
+    with (tmp_path / "file").open("wb") as file, ours, theirs:
+        operator.file, operator.socket = file, ours
+        operator.lock, operator.event = threading.Lock(), threading.Event()
+        operator.thread = threading.Thread(target=print)
+        operator.log, operator.call = logging.getLogger("x"), print
+        before = UndeclaredState(operator)
+
+        file.write(b"x")
+        operator.event.set()
+
+        assert before.names() == []
 
 
 def test_what_is_as_open_left_it_is_not_lost() -> None:

@@ -8,11 +8,13 @@ from typing import Annotated, Any, Literal, Union
 import msgspec
 from hypothesis import strategies as st
 
+from pipeline.bus.inbox import InboxPosition
+from pipeline.bus.network import Network
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
-from pipeline.protocol import codec, orders, questions
+from pipeline.protocol import codec, fleet, handover, orders, questions, supervision
 
-MODULES = (codec, orders, questions)
+MODULES = (codec, fleet, handover, orders, questions, supervision)
 PLAN = load(Path(__file__).parents[3] / "graphs" / "tracking.yaml")
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 WHOLE = st.integers(-(1 << 63), (1 << 64) - 1)
@@ -69,4 +71,6 @@ def _limited(hint: Any, meta: Any) -> st.SearchStrategy[Any]:
 SIMPLE: dict[Any, st.SearchStrategy[Any]] = {
     Any: PLAIN, str: TEXT, int: WHOLE, float: st.floats(allow_nan=False), bool: st.booleans(),
     bytes: st.binary(max_size=8), type(None): st.none(), Plan: st.just(PLAN),
+    Network: st.just(Network(listen=("tls/a:1",), credentials="here")),
+    InboxPosition: st.just(InboxPosition("s", ["r"], 3, {"frame": 2})),
 }  # fmt: skip

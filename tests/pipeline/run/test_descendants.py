@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.protocol.supervision import Uncut
 from pipeline.run.descendants import TAG_VARIABLE, end_tagged, new_tag, tagged
 from pipeline.run.leftovers import cleanup
 from pipeline.run.rundir import running
@@ -128,7 +129,7 @@ def test_a_tick_never_waits_for_a_stopped_node_that_is_told_more_than_its_socket
         assert handle is not None
         for _ in range(20):
             began_s = time.monotonic()
-            handle.order("replan", node="nobody", plan="x" * 1_000_000)
+            handle.tell(Uncut("x" * 1_000_000))
             supervisor.tick()
             longest.append(time.monotonic() - began_s)
         recovers(supervisor)

@@ -1,15 +1,14 @@
 """What an order waits for may be said by a process that has ended already."""
 
-from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import pytest
 
 from pipeline.protocol.orders import Refused, StopResult
+from pipeline.protocol.supervision import Event, Failed, Fits
 from pipeline.run.operation import Operation
 from pipeline.run.process_handle import ProcessHandle
-from pipeline.run.process_manager import ProcessManager
 from tests.sample_graphs import reasons
 
 ENDED = cast(ProcessHandle, SimpleNamespace(name="work", pid=7, ended=lambda: 0, bury=bool))
@@ -18,24 +17,20 @@ ENDED = cast(ProcessHandle, SimpleNamespace(name="work", pid=7, ended=lambda: 0,
 class Checked(Operation):
     """Waits for a trial to say that it fits."""
 
-    def __init__(self) -> None:
-        super().__init__(cast(ProcessManager, None), self._steps_of_it())
+    def advance(self) -> bool:
+        fits = self.events.heard(ENDED, Fits) is not None
+        if not fits:
+            self.events.check_alive(ENDED)
+        return fits
 
     def done(self) -> StopResult:
         return StopResult(graph="g", pid=1)
 
-    def _steps_of_it(self) -> Iterator[None]:
-        yield from self.until(lambda: "fits" in self.heard(ENDED), 60, "no answer", of=ENDED)
-
 
 @pytest.mark.parametrize(
-    ("word", "refused"),
-    [
-        ({"event": "fits"}, ""),
-        ({"event": "failed", "error": "it does not fit"}, "it does not fit"),
-    ],
+    ("word", "refused"), [(Fits(), ""), (Failed("it does not fit", True), "it does not fit")]
 )
-def test_its_last_words_count(word: dict[str, Any], refused: str) -> None:
+def test_its_last_words_count(word: Event, refused: str) -> None:
     order = Checked()
     order.tick()
     assert order.result is None
@@ -43,14 +38,31 @@ def test_its_last_words_count(word: dict[str, Any], refused: str) -> None:
     order.on_event(ENDED.pid, word)
     order.tick()
 
-    assert isinstance(order.result, Refused if refused else StopResult)
+    assert order.result is not None
     assert reasons([order.result]) == [refused]
 
 
-def test_who_ends_without_a_word_has_failed() -> None:
+def test_a_process_that_ends_without_a_word_has_failed() -> None:
     order = Checked()
 
     order.tick()
     order.tick()
 
     assert order.result == Refused("work: it ended by exit status 0")
+
+
+def test_an_order_that_breaks_is_refused_and_cleared_up() -> None:
+    cleared: list[bool] = []
+
+    class Broken(Checked):
+        def advance(self) -> bool:
+            raise ZeroDivisionError("by design")
+
+        def clear_up(self, *, failed: bool) -> None:
+            cleared.append(failed)
+
+    order = Broken()
+    order.tick()
+
+    assert order.result == Refused("it broke: ZeroDivisionError: by design")
+    assert cleared == [True]

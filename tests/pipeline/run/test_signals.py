@@ -182,17 +182,18 @@ def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("words", [("top",), ("echo", "steer"), ("logs", "work", "-f")])
+@pytest.mark.parametrize(
+    "words", [("top", "NAME"), ("echo", "NAME", "steer"), ("logs", "NAME", "work", "-f")]
+)
 def test_a_signal_ends_a_command_that_looks(
     tmp_path: Path, number: int, words: tuple[str, ...]
 ) -> None:
     graph = written(tmp_path, LOOP)
     name = name_of(graph)
-    options = () if words[0] == "top" else ("--graph", name)
     with fovea("run", str(graph)) as process:
         until(lambda: len(nodes_of(name)) == 4)
         time.sleep(1)
-        with fovea(*words, *([name] if words[0] == "top" else []), *options) as looking:
+        with fovea(*(name if word == "NAME" else word for word in words)) as looking:
             until(lambda: answers_signals(looking.pid))
             time.sleep(2)
             assert looking.poll() is None
@@ -233,7 +234,7 @@ def test_a_reader_that_leaves_ends_a_command_that_only_shows(tmp_path: Path) -> 
     name = name_of(graph)
     with fovea("run", str(graph)) as process:
         until(lambda: len(nodes_of(name)) == 4)
-        with fovea("echo", "steer", "--graph", name) as looking:
+        with fovea("echo", name, "steer") as looking:
             assert looking.stdout is not None
             assert "windows" in looking.stdout.readline()
             looking.stdout.close()
@@ -278,7 +279,7 @@ def test_a_visitor_that_is_frozen_does_not_hold_up_the_end(tmp_path: Path) -> No
     name = name_of(graph)
     with fovea("run", str(graph)) as process:
         until(lambda: len(nodes_of(name)) == 4)
-        with fovea("echo", "steer", "--graph", name) as looking:
+        with fovea("echo", name, "steer") as looking:
             assert looking.stdout is not None
             assert "windows" in looking.stdout.readline()
             looking.send_signal(signal.SIGSTOP)

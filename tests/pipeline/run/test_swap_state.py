@@ -49,6 +49,21 @@ def test_declared_state_and_another_operator_are_no_reason_to_warn(tmp_path: Pat
     assert [swapped(r).state for r in results] == ["none", "carried over"]
 
 
+def test_a_part_that_has_to_be_stopped_and_started_begins_anew_and_says_why(tmp_path: Path) -> None:
+    counter = GRAPH.format(cls="Counter").replace("  work:\n", "  work:\n    group: hand\n")
+    beside = (
+        "  beside:\n    group: hand\n    operator: tests.samples:Pass\n    inputs: {frame: work}\n"
+    )
+    plan, results = plan_of(tmp_path, counter + beside), Results()
+
+    go(plan, 0, swapping(results, SwapOrder(node="work", probation=5)))
+
+    assert reasons(results) == [""]
+    assert not swapped(results[0]).hot
+    assert swapped(results[0]).state == "begins anew: it was stopped and started"
+    assert "begins anew: it was stopped and started" in swap_lines(swapped(results[0]))[0]
+
+
 @pytest.mark.parametrize(
     ("cls", "said"),
     [

@@ -12,7 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.protocol.orders import Result, SwapOrder
+from pipeline.protocol.codec import MARKER, VERSION, encode
+from pipeline.protocol.lines import as_line
+from pipeline.protocol.orders import Result, StopOrder, SwapOrder
+from pipeline.protocol.supervision import Event, Failed, Resumed, Uncut
 from pipeline.run.channel import MOST_LINE, MOST_LINES_S, MOST_UNSENT, Channel, Exchange
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
@@ -20,6 +23,7 @@ from pipeline.text import harmless, plain
 from tests.sample_graphs import assert_accounts_add_up, go, handled, reasons, wait_for
 from tests.unruly_graphs import name_of, recovers, unruly_file, unruly_plan
 
+NEXT = Resumed("work")
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 
@@ -149,6 +153,10 @@ def test_a_part_that_prints_without_end_fills_no_disk(tmp_path: Path) -> None:
     assert logs[0] < 20 << 20
 
 
+def line_of(event: Event) -> bytes:
+    return as_line(encode(event))
+
+
 def ends() -> tuple[Channel, socket.socket]:
     ours, theirs = socket.socketpair()
     return Channel(ours), theirs
@@ -158,7 +166,7 @@ def test_a_flood_of_events_is_heard_in_part_and_counted() -> None:
     channel, node = ends()
     with node:
         node.setblocking(False)
-        node.send(b'{"event": "x"}\n' * 5000)
+        node.send(line_of(NEXT) * 5000)
         heard = len(channel.events())
 
         assert MOST_LINES_S <= heard < 3 * MOST_LINES_S
@@ -168,14 +176,24 @@ def test_a_flood_of_events_is_heard_in_part_and_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    "line", [b"no json", b"[]", b'{"event": 3}', b"[" * 100_000, b"\xff\xfe", b"9" * 10_000]
+    "line",
+    [
+        b"no message",
+        b"[]",
+        b"\xf5",
+        b"[" * 100_000,
+        b"\xff\xfe",
+        b"9" * 10_000,
+        bytes((MARKER, VERSION + 1)) + encode(NEXT)[2:].replace(b"\n", b""),
+        encode(StopOrder()),
+    ],
 )
 def test_a_line_that_is_no_event_is_counted_and_left_out(line: bytes) -> None:
     channel, node = ends()
     with node:
-        node.sendall(line + b'\n{"event": "next"}\n')
+        node.sendall(line + b"\n" + line_of(NEXT))
 
-        assert channel.events() == [{"event": "next"}]
+        assert channel.events() == [NEXT]
         assert channel.left_out == 1
         channel.close()
 
@@ -189,9 +207,9 @@ def test_a_line_without_an_end_takes_no_more_memory_than_is_allowed() -> None:
             sent += node.send(b"x" * 60_000)
             assert channel.events() == []
         node.setblocking(True)
-        node.sendall(b'\n{"event": "next"}\n')
+        node.sendall(b"\n" + line_of(NEXT))
 
-        assert channel.events() == [{"event": "next"}]
+        assert channel.events() == [NEXT]
         channel.close()
 
 
@@ -199,7 +217,7 @@ def test_a_node_that_does_not_read_is_deaf_and_blocks_nobody() -> None:
     channel, node = ends()
     with node:
         for _ in range(2 + MOST_UNSENT // 1_000_000):
-            channel.send("x" * 1_000_000)
+            channel.send(Uncut("x" * 1_000_000))
 
         assert channel.deaf
         channel.close()
@@ -207,12 +225,13 @@ def test_a_node_that_does_not_read_is_deaf_and_blocks_nobody() -> None:
 
 def test_what_was_said_last_is_heard_after_the_end() -> None:
     channel, node = ends()
-    node.sendall(b'{"event": "failed"}\n')
+    failed = Failed("a\nb\x1b0", False)  # with what ends a line, and what stands for it
+    node.sendall(line_of(failed))
     node.close()
 
     channel.close()
 
-    assert channel.events() == [{"event": "failed"}]
+    assert channel.events() == [failed]
 
 
 def test_an_exchange_wakes_for_words_and_for_whoever_wakes_it() -> None:
@@ -220,7 +239,7 @@ def test_an_exchange_wakes_for_words_and_for_whoever_wakes_it() -> None:
     channel, node = ends()
     exchange.add(channel)
     with node:
-        for wake in (lambda: node.sendall(b'{"event": "x"}\n'), exchange.wake):
+        for wake in (lambda: node.sendall(line_of(NEXT)), exchange.wake):
             began_s = time.monotonic()
             wake()
             exchange.wait(120)

@@ -1,0 +1,117 @@
+"""A SoccerNet Tracking sequence: its folder in, pictures and truth by role out.
+
+The class of a track stands in gameinfo.ini, not in gt.txt: `trackletID_7= player team right;34`.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.datasets.sequence import (
+    NumberedPictures,
+    Row,
+    by_frame,
+    no_objects,
+    read_info,
+    read_ini,
+    read_rows,
+)
+from drivers.source import Annotations
+from pipeline.errors import DriverError
+
+_KEY = re.compile(r"trackletID_(\d+)")
+_REFEREES = {"main": "main referee", "side": "assistant referee"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracklet:
+    """Who a track is."""
+
+    label: str  # ball, player, goalkeeper, main referee, assistant referee
+    team: str  # left, right, or empty
+    mark: str  # shirt number, or a letter where it was never read
+
+
+class SoccerNetSequence:
+    """A `FrameSource` over `<folder>/{seqinfo.ini, gameinfo.ini, img1/, gt/gt.txt}`.
+
+    `tracklets` says who each id is. A sequence without gt/gt.txt has no truth.
+    """
+
+    shows = "soccer"
+
+    def __init__(self, *, path: str) -> None:
+        folder = Path(path)
+        info = read_info(folder)
+        self.size_px, self.rate_hz = info.size_px, info.rate_hz
+        self.length: int | None = info.length
+        self._pictures = NumberedPictures(info)
+        self.tracklets = read_tracklets(folder / "gameinfo.ini")
+        self._truth = _read_truth(folder / "gt" / "gt.txt", self.tracklets)
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        return self._pictures.picture(index)
+
+    def truth(self, index: int) -> Annotations | None:
+        """Boxes of everybody in frame `index`; how visible they are is not known and reads 1."""
+        return None if self._truth is None else self._truth.get(index, no_objects())
+
+    def close(self) -> None:
+        """Nothing is held open between pictures."""
+
+
+def read_tracklets(path: Path) -> dict[int, Tracklet]:
+    """Who each track id is; raises `DriverError` naming file and line of an unknown role."""
+    found = {}
+    for key, value in read_ini(path).items():
+        if match := _KEY.fullmatch(key):
+            try:
+                found[int(match[1])] = parse_role(value)
+            except ValueError as error:
+                raise DriverError(f"{path}:{_line_of(path, key)}: {key}: {error}") from error
+    return found
+
+
+def parse_role(text: str) -> Tracklet:
+    """`<role>;<label>` as gameinfo.ini writes it; raises ValueError for a role not known.
+
+    >>> parse_role("goalkeepers team left;1")
+    Tracklet(label='goalkeeper', team='left', mark='1')
+    >>> parse_role("referee;side bottom").label
+    'assistant referee'
+    """
+    role, _, mark = (part.strip() for part in text.partition(";"))
+    words = role.lower().split()
+    team = words[-1] if words[-1:] in (["left"], ["right"]) else ""
+    first, place = (words or [""])[0], mark.lower().split()[:1]
+    if first in ("player", "players", "goalkeeper", "goalkeepers") and team:
+        return Tracklet(label=first.removesuffix("s"), team=team, mark=mark)
+    if first == "ball":
+        return Tracklet(label="ball", team="", mark=mark)
+    if first == "referee" and place and place[0] in _REFEREES:
+        return Tracklet(label=_REFEREES[place[0]], team="", mark=mark)
+    raise ValueError(
+        "expected player team, goalkeepers team (left or right), referee;main, referee;side … or "
+        f"ball, got {text!r}"
+    )
+
+
+def _read_truth(path: Path, tracklets: dict[int, Tracklet]) -> dict[int, Annotations] | None:
+    if not path.is_file():
+        return None
+    rows: list[Row] = list(read_rows(path, columns=6))
+    for row in rows:
+        if row.id not in tracklets:
+            raise DriverError(
+                f"{path}:{row.line}: expected a tracklet that gameinfo.ini names, got {row.id}"
+            )
+    return by_frame(rows, [tracklets[r.id].label for r in rows], [1.0] * len(rows))
+
+
+def _line_of(path: Path, key: str) -> int:
+    lines = path.read_text("utf-8-sig").split("\n")
+    return next(n for n, line in enumerate(lines, 1) if line.partition("=")[0].strip() == key)

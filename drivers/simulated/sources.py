@@ -1,0 +1,86 @@
+"""Scenes and recordings by name: settings values in, an open FrameSource out."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from drivers.source import FrameSource
+from pipeline.errors import SettingsError
+from pipeline.import_path import imported
+
+SCENES = {"soccer": "drivers.scenes:SoccerScene"}
+FORMER = {  # import paths of earlier versions
+    "drivers.images:ImageFolder": "drivers.datasets:ImageFolder",
+    "drivers.mot:MotSequence": "drivers.datasets:MotSequence",
+    "drivers.soccer:SoccerScene": "drivers.scenes:SoccerScene",
+    "drivers.soccernet:SoccerNetSequence": "drivers.datasets:SoccerNetSequence",
+    "drivers.video:VideoFile": "drivers.datasets:VideoFile",
+}
+
+
+def open_scene(
+    scene: str,
+    *,
+    size_px: tuple[int, int],
+    rate_hz: float,
+    seed: int,
+    length: int | None,
+    options: Mapping[str, Any],
+) -> FrameSource:
+    """A procedural scene; (0, 0) and 0 leave its own size and rate."""
+    values: dict[str, Any] = {"seed": seed, "length": length, **options}
+    if size_px != (0, 0):
+        values["size_px"] = size_px
+    if rate_hz:
+        values["rate_hz"] = rate_hz
+    return _build("scene", scene_path(scene), values)
+
+
+def open_recording(source: str, *, path: str, options: Mapping[str, Any]) -> FrameSource:
+    """A recording; raises `DriverError` where the files are not what they should be."""
+    return _build("source", source, {"path": path, **options} if path else dict(options))
+
+
+def scene_path(scene: str) -> str:
+    """The import path behind a scene's name; an import path stands for itself."""
+    if ":" in scene:
+        return scene
+    if scene not in SCENES:
+        raise SettingsError(
+            f"scene: expected {', '.join(SCENES)} or an import path module:Class, got {scene!r}"
+        )
+    return SCENES[scene]
+
+
+def load_source(setting: str, path: str) -> Callable[..., FrameSource]:
+    """The class behind `module:Class`; raises `SettingsError` naming the setting."""
+    if path in FORMER:
+        raise SettingsError(f"{setting}: {path}: renamed; expected {FORMER[path]}")
+    found = imported(path, SettingsError, setting)
+    if not callable(getattr(found, "picture", None)):
+        raise SettingsError(f"{setting}: expected a FrameSource, got {path}")
+    return found  # type: ignore[no-any-return]
+
+
+def shown_by(path: str) -> str:
+    """The kind of scene that a source's class says it shows, empty for none."""
+    return str(getattr(load_source("source", path), "shows", ""))
+
+
+def check_arguments(setting: str, path: str, names: Mapping[str, Any]) -> None:
+    """Raise `SettingsError` unless the source takes these names and lacks no other."""
+    parameters = inspect.signature(load_source(setting, path)).parameters
+    open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    for name in names:
+        if name not in parameters and not open_ended:
+            known = ", ".join(parameters)
+            raise SettingsError(f"{setting}: {path} takes {known}, got {name}")
+    for name, parameter in parameters.items():
+        plain = parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+        if plain and parameter.default is parameter.empty and name not in names:
+            raise SettingsError(f"{name}: required by {path}, got nothing")
+
+
+def _build(setting: str, path: str, values: dict[str, Any]) -> FrameSource:
+    check_arguments(setting, path, values)
+    return load_source(setting, path)(**values)

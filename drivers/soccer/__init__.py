@@ -1,5 +1,0 @@
-"""A procedural soccer broadcast in a stadium that does not exist, with exact truth."""
-
-from drivers.soccer.scene import SoccerScene
-
-__all__ = ["SoccerScene"]

@@ -1,0 +1,200 @@
+"""The training of the ROI encoder on procedural scenes.
+
+Two objectives, for the two things the loop asks of it. *What is it?*, false candidates included: a
+ball in the context is four pixels, and so is a boot; at full resolution the two can be told apart.
+*Who is it?*, by a supervised contrast (Khosla et al. 2020) among those of one scene: a policy that
+was shown somebody must know them again, and of eleven alike only number, skin, hair and build tell.
+
+With `--head-of CHECKPOINT` the features stay what they are, so that policies trained on them stay
+valid, and only the verdict on candidates is learned anew.
+"""
+
+# mypy: disallow-untyped-decorators=False
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional as F
+
+from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, made_with, render
+from operators.roi_features.model import CLASSES, EncoderNet, load_imagenet
+from operators.roi_features.train import OF_SCENE, TrainSettings
+from operators.training import checkpoint
+from operators.training.device import device_of, moved
+from operators.training.identity import of_settings
+from operators.training.log import EVERY, note, shorten
+from operators.training.onnx_files import fused, write
+from operators.training.photometric import degrade, recolour
+from operators.training.progress import Phases, bar
+from operators.training.schedule import warmed_cosine
+
+PHASES = Phases("draw crops", "train")
+TRAIN_SEEDS = 20_000  # no other part of the project uses them
+TEMPERATURE = 0.1
+# crops of one scene in a batch: that many people, twice each, the ball, and false candidates
+PEOPLE, BALLS = 7, 3
+
+
+def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Rows of a batch: some scenes, of each some people at two moments, the ball, false ones."""
+    rows: list[NDArray[np.intp]] = []
+    for scene in rng.choice(np.unique(crops.scenes), size // OF_SCENE, replace=False):
+        own = np.flatnonzero(crops.scenes == scene)
+        ball = own[crops.kinds[own] == CLASSES.index("ball")]
+        false = own[crops.kinds[own] == CLASSES.index("background")]
+        persons, times = np.unique(crops.persons[own], return_counts=True)
+        twice = rng.permutation(persons[(persons != NOBODY) & (times > 1)])[:PEOPLE]
+        chosen = [rng.choice(own[crops.persons[own] == p], 2, replace=False) for p in twice]
+        chosen.append(rng.choice(ball, BALLS) if len(ball) else ball)
+        chosen.append(rng.choice(false, OF_SCENE - sum(map(len, chosen))))
+        rows += chosen
+    return np.concatenate(rows)
+
+
+def changed(
+    picture: NDArray[np.uint8], light: int, rng: np.random.Generator, *, mirror: bool
+) -> NDArray[np.uint8]:
+    """One crop as it is never seen twice: shifted, zoomed, coarser, relit, softened, mirrored.
+
+    Crops of the same `light` are relit alike: one camera shows a shirt in one colour.
+    """
+    side, zoom = -1 if mirror else 1, np.exp(rng.uniform(-0.2, 0.2))
+    shift = CROP_PX / 2 * (1 - np.array([side * zoom, zoom])) + rng.uniform(-7, 7, 2)
+    matrix = np.array([[side * zoom, 0, shift[0]], [0, zoom, shift[1]]])
+    size = (CROP_PX, CROP_PX)
+    moved = cv2.warpAffine(picture, matrix, size, borderMode=cv2.BORDER_REFLECT_101)
+    if rng.random() < 0.3:  # a ball of ten pixels, a player of forty
+        few = int(rng.integers(10, 50))
+        coarse = cv2.resize(moved, (few, few), interpolation=cv2.INTER_AREA)
+        moved = cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)
+    lit = recolour(np.asarray(moved, np.uint8), np.random.default_rng([light, 13]))
+    return degrade(lit, rng)
+
+
+def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
+    """Supervised contrast of people's features (n, d) among those of their own scene."""
+    known = persons != NOBODY
+    vectors = F.normalize(vectors[known], dim=1)
+    persons, scenes = persons[known], scenes[known]
+    likeness = vectors @ vectors.T / TEMPERATURE
+    other = ~torch.eye(len(vectors), dtype=torch.bool, device=vectors.device)
+    rivals = (scenes[:, None] == scenes) & other
+    same = rivals & (persons[:, None] == persons)
+    spread = likeness.masked_fill(~rivals, -1e4).logsumexp(1, keepdim=True)
+    each = ((likeness - spread) * same).sum(1) / same.sum(1).clamp(min=1)
+    return -each[same.any(1)].mean()
+
+
+def losses(net: EncoderNet, given: dict[str, Tensor], weight: float) -> dict[str, Tensor]:
+    """Both objectives; their sum is lowered."""
+    # in bfloat16 the filters of single channels are slower, and a step takes twice as long
+    features, kinds = net(given["pictures"])
+    what = F.cross_entropy(kinds, given["kinds"], label_smoothing=0.02)
+    who = identity_loss(features, given["persons"], given["scenes"])
+    return {"what": what, "who": weight * who}  # of kept features it is only told
+
+
+class Run(checkpoint.Progress):
+    """Network, optimiser and place in the plan; a checkpoint holds all of it."""
+
+    def __init__(self, settings: TrainSettings) -> None:
+        torch.manual_seed(settings.seed)
+        self.settings, self.device = settings, device_of(settings.device)
+        self.net = EncoderNet()
+        if settings.init is not None:
+            load_imagenet(self.net, settings.init)
+        if settings.head_of is not None:
+            checkpoint.take(settings.head_of, {"net": self.net})
+            self.net.features.requires_grad_(False)
+        self.net = self.net.to(self.device, memory_format=torch.channels_last)
+        self.optimiser = torch.optim.AdamW(
+            [p for p in self.net.parameters() if p.requires_grad],
+            lr=settings.rate,
+            weight_decay=settings.decay,
+        )
+        parts = {"net": self.net, "optimiser": self.optimiser}
+        crops = made_with(settings.moments, settings.span)
+        super().__init__(settings.out, parts, of_settings(settings) | crops)
+
+    def prepare(self) -> None:
+        """Learn from here on; what is kept keeps its averages too."""
+        self.net.train()
+        if self.settings.head_of is not None:
+            self.net.features.eval()
+
+
+def train(settings: TrainSettings) -> EncoderNet:
+    """Render what is missing, train what is left, write checkpoint and log; returns the network."""
+    torch.set_num_threads(settings.threads)
+    settings.out.mkdir(parents=True, exist_ok=True)
+    run = Run(settings)
+    run.resume()  # another training is refused now, and not after the drawing
+    seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
+    files = render(
+        seeds, settings.moments, settings.span, settings.data, settings.threads,
+        PHASES["draw crops"],
+    )  # fmt: skip
+    crops = load(files)
+    run.prepare()
+    began = time.monotonic() - run.elapsed_s
+    log = settings.out / "log.csv"
+    shorten(log, run.step)
+    with bar(PHASES["train"], settings.steps, run.step) as shown:
+        while run.step < settings.steps and run.elapsed_s < settings.minutes * 60:
+            figures = advance(run, crops)
+            run.elapsed_s = time.monotonic() - began
+            if run.step % EVERY == 0:
+                note(log, run.step, run.elapsed_s, figures)
+            shown.step(" ".join(f"{name} {value:.3f}" for name, value in figures.items()))
+            run.save_when_due()
+    run.save()
+    return run.net
+
+
+def advance(run: Run, crops: Crops) -> dict[str, float]:
+    """One step of the optimiser: the parts of the loss."""
+    s = run.settings
+    rng = np.random.default_rng([s.seed, 12, run.step])
+    rows = batch_rows(crops, s.batch, rng)
+    # a number in a mirror is another one
+    mirrored = (crops.persons[rows] == NOBODY) & (rng.random(len(rows)) < 0.5)
+    pictures = [
+        changed(
+            crops.pictures[row], run.step << 20 | int(crops.scenes[row]), rng, mirror=bool(turn)
+        )
+        for row, turn in zip(rows, mirrored, strict=True)
+    ]
+    drawn = {
+        "pictures": torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2),
+        "kinds": torch.from_numpy(crops.kinds[rows]),
+        "persons": torch.from_numpy(crops.persons[rows]),
+        "scenes": torch.from_numpy(crops.scenes[rows]),
+    }
+    given = {name: moved(values, run.device) for name, values in drawn.items()}
+    given["pictures"] = given["pictures"].float().div_(255)
+    for group in run.optimiser.param_groups:
+        group["lr"] = warmed_cosine(run.step, peak=s.rate, warmup=s.warmup, steps=s.steps)
+    parts = losses(run.net, given, s.identity)
+    run.optimiser.zero_grad(set_to_none=True)
+    torch.stack(list(parts.values())).sum().backward()
+    torch.nn.utils.clip_grad_norm_(run.net.parameters(), 5.0)
+    run.optimiser.step()
+    run.step += 1
+    return {name: float(part.detach()) for name, part in parts.items()}
+
+
+def export(net: EncoderNet, path: Path) -> None:
+    """What runs live, as ONNX: crops (n, 3, 96, 96) -> features (n, 576), classes (n, 4)."""
+    crops = torch.zeros(2, 3, CROP_PX, CROP_PX)
+    write(
+        fused(net).to(memory_format=torch.contiguous_format),
+        {"crops": crops},
+        path,
+        ("features", "classes"),
+        open_sides={name: {0: "n"} for name in ("crops", "features", "classes")},
+        classes=" ".join(CLASSES),
+    )

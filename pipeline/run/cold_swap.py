@@ -1,0 +1,248 @@
+"""A swap with a stop, of a node that shares its process, makes frames or sends whole messages.
+
+WARMING      the spare process finishes its imports: two imports cost a graph twice
+   | launch a trial
+CHECKING     it says whether operator and settings fit  ------> refused: nothing was touched
+   | Fits: end it
+REWARMING    the next spare process, while the node still works
+   | stop the node
+STOPPING     it ends, or is killed
+   | start it by the new plan
+STARTING     it opens its operators         ---------------+
+   | Ready                                                 |
+RUNNING      its first frame                               | failed
+   | frame, or none comes                                  |
+PROVING      its first frames are watched   ---------------+
+   | enough frames                                         |
+DONE                                         STOPPING_BACK   if it runs: it ends, or is killed
+                                                | start it by the old plan
+                                             STARTING_BACK
+                                                | Ready
+                                             RUNNING_BACK, then refused
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from enum import Enum, auto
+from typing import Any
+
+from pipeline.errors import RunError
+from pipeline.graph.plan import Plan
+from pipeline.protocol.orders import SwapOrder
+from pipeline.protocol.supervision import Fits, Stop
+from pipeline.run.probation import QUIET_S, Probation
+from pipeline.run.process_events import ProcessEvents
+from pipeline.run.process_handle import KILLED_S, ProcessHandle
+from pipeline.run.swap_target import SwapTarget
+
+SPARE_S = 10.0
+START_S = 60.0
+STOP_S = 5.0
+LEAVE_S = 1.0  # for a process that only checked whether a part fits
+
+
+class ColdState(Enum):
+    """Where a cold swap is."""
+
+    WARMING = auto()
+    CHECKING = auto()
+    REWARMING = auto()
+    STOPPING = auto()
+    STARTING = auto()
+    RUNNING = auto()
+    PROVING = auto()
+    DONE = auto()
+    STOPPING_BACK = auto()
+    STARTING_BACK = auto()
+    RUNNING_BACK = auto()
+
+
+S = ColdState
+UNDONE = (S.STOPPING, S.STARTING, S.RUNNING, S.PROVING)  # a failure there is rolled back
+
+
+class ColdSwap:
+    """One cold swap: `advance` is called with every tick of the supervisor."""
+
+    def __init__(
+        self, target: SwapTarget, order: SwapOrder, events: ProcessEvents, facts: dict[str, Any],
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self._target, self._order, self._events, self._now = target, order, events, now
+        self.facts = facts
+        self.state, self._since_s = S.WARMING, now()
+        self.other: ProcessHandle | None = None  # the trial
+        self.owned = False  # exits of the node's process belong to the swap
+        self.gone: set[int] = set()  # processes that were told to stop
+        self._before: Plan = target.plan
+        self._failure = ""  # why it is rolled back
+        self._killed = False
+        target.refresh_spare()
+        self._steps: Mapping[ColdState, Callable[[], ColdState]] = {
+            S.WARMING: self._warming, S.CHECKING: self._checking, S.REWARMING: self._rewarming,
+            S.STOPPING: self._stopping, S.STARTING: self._starting, S.RUNNING: self._running,
+            S.PROVING: self._proving, S.STOPPING_BACK: self._stopping_back,
+            S.STARTING_BACK: self._starting_back, S.RUNNING_BACK: self._running_back,
+        }  # fmt: skip
+
+    def advance(self) -> bool:
+        """Go on as far as possible; True when it is done. Raises `FoveaError` for a refusal."""
+        while self.state is not S.DONE:
+            try:
+                following = self._steps[self.state]()
+            except RunError as error:
+                if self.state not in UNDONE:
+                    raise
+                following = self._roll_back(str(error))
+            if following is self.state:
+                return False
+            self.state, self._since_s = following, self._now()
+        return True
+
+    def give_back(self, *, failed: bool) -> None:
+        """At the end: a node that could not be started is left to the process manager."""
+        self._target.send_also_to(0)
+        if self.owned:
+            self._target.retry_soon()
+        self.owned = False
+
+    # to the new operator
+
+    def _warming(self) -> ColdState:
+        if not self._spare_is_done():
+            return S.WARMING
+        self._before = self._target.plan
+        self.other = self._target.launch_trial(self._target.changed(self._order))
+        return S.CHECKING
+
+    def _checking(self) -> ColdState:
+        trial = self.other
+        if trial is not None and not self._events.heard(trial, Fits):
+            self._events.check_alive(trial)
+            if self._late(START_S):
+                raise RunError(f"{self._name}: it was not checked within {START_S:.0f} s")
+            return S.CHECKING
+        self.other = None
+        if trial is not None:
+            self._target.dismiss(trial, LEAVE_S)
+        self._target.refresh_spare()
+        return S.REWARMING
+
+    def _rewarming(self) -> ColdState:
+        if not self._spare_is_done():
+            return S.REWARMING
+        self._begin_stop()
+        return S.STOPPING
+
+    def _stopping(self) -> ColdState:
+        if not self._has_stopped():
+            return S.STOPPING
+        plan = self._target.changed(self._order)  # with all that it was told until its end
+        self._target.forget_settings()
+        self.facts["state"] = "begins anew: it was stopped and started"
+        self._start(plan)
+        return S.STARTING
+
+    def _starting(self) -> ColdState:
+        return S.RUNNING if self._is_ready() else S.STARTING
+
+    def _running(self) -> ColdState:
+        if not self._has_run():
+            return S.RUNNING
+        self._probation = Probation(self._target, self._order, self._events, self._now)
+        return S.PROVING
+
+    def _proving(self) -> ColdState:
+        if not self._probation.over(self._target.working()):
+            return S.PROVING
+        self.facts["proven_frames"] = self._probation.frames
+        return S.DONE
+
+    # back to the old one
+
+    def _roll_back(self, why: str) -> ColdState:
+        self._failure = f"{why}; the old part was started again"
+        self.facts["rolled_back"] = True
+        self._target.keep_settings()
+        if self._runs():
+            self._begin_stop()
+        return S.STOPPING_BACK
+
+    def _stopping_back(self) -> ColdState:
+        if self._runs() and not self._has_stopped():
+            return S.STOPPING_BACK
+        self._target.keep_settings()  # without what the new part was told
+        self._start(self._before)
+        return S.STARTING_BACK
+
+    def _starting_back(self) -> ColdState:
+        return S.RUNNING_BACK if self._is_ready() else S.STARTING_BACK
+
+    def _running_back(self) -> ColdState:
+        if not self._has_run():
+            return S.RUNNING_BACK
+        raise RunError(self._failure)
+
+    # what several states do
+
+    @property
+    def _name(self) -> str:
+        return self._target.node.name
+
+    def _late(self, limit_s: float) -> bool:
+        return self._now() - self._since_s > limit_s
+
+    def _runs(self) -> bool:
+        try:
+            self._target.working()
+        except RunError:
+            return False
+        return True
+
+    def _spare_is_done(self) -> bool:
+        if self._target.spare_is_warming():
+            if not self._late(SPARE_S):
+                return False
+            self._target.drop_spare()  # it hangs
+        return True
+
+    def _begin_stop(self) -> None:
+        handle = self._target.working()
+        self._stopped_s, self._killed, self.owned = self._now(), False, True
+        self.gone.add(handle.pid)
+        handle.tell(Stop())
+
+    def _has_stopped(self) -> bool:
+        handle = self._target.working()
+        if handle.ended() is None and not self._late(STOP_S + KILLED_S):
+            if self._late(STOP_S) and not self._killed:
+                self._killed = True
+                handle.kill()
+            return False
+        handle.kill()
+        self._target.vacate()
+        return True
+
+    def _start(self, plan: Plan) -> None:
+        self._handled = self._target.account.handled
+        self._plan, self._handle = plan, self._target.start(plan)
+
+    def _is_ready(self) -> bool:
+        if not self._handle.ready:
+            self._events.check_alive(self._handle)
+            if self._late(START_S):
+                raise RunError(f"{self._name}: it was not ready within {START_S:.0f} s")
+            return False
+        self._target.change_plan(self._plan)
+        return True
+
+    def _has_run(self) -> bool:
+        """Whether a frame was handled, or none comes."""
+        if not self._handle.going:
+            self._target.let_go()
+        ran = self._handle.going and self._target.account.handled > self._handled
+        if not ran and not self._late(QUIET_S):
+            self._events.check_alive(self._handle)
+            return False
+        self.facts["gap_ms"] = round(1000 * (self._now() - self._stopped_s), 1)
+        return True

@@ -1,0 +1,306 @@
+"""A swap without a stop: a successor stands by and takes over between two frames.
+
+    WARMING        the spare process finishes its imports: two imports cost a graph twice
+       | launch the successor
+    LOADING        it opens its operator                        ---------------+
+       | Ready: writers send to both                                           |
+    CONNECTING     its inputs get their handshakes              ---------------+
+       | Standing                                                              |
+    SHADOWING      if asked: both answer the same frames        ---------------+
+       | Shadowed: tell the predecessor to cut                                 | refused: the
+    CUTTING        the predecessor stops between two frames     ---------------+ predecessor has
+       |   | it does not: tell it not to                                       | worked all the
+       |  TAKING_BACK   its cut may cross that order            ---------------+ time
+       | CutMade <-'
+    TAKING_OVER    the successor goes on from there             --------+
+       | TakenOver: switch to it                                        |
+    PROVING        its first frames are watched                 --------+ failed: kill it
+       | enough frames                                                  |
+    ANSWERING      its first answer is awaited                  --------+
+       | Answered: confirm                                              |
+    DRAINING       what the predecessor sent arrives, then its    KILLING       it ends
+       | stop it   sending is refused                                | resume the predecessor
+    LEAVING        it ends                                        RESUMING      it works again
+       |                                                             |
+    DONE                                                          DRAINING_BACK, then refused
+
+`pipeline.node.handover` is what the two instances do.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from enum import Enum, auto
+from typing import Any
+
+from pipeline.errors import RunError
+from pipeline.graph.plan import Plan
+from pipeline.protocol.orders import SwapOrder
+from pipeline.protocol.supervision import (
+    Answered,
+    Confirm,
+    Cut,
+    CutMade,
+    CutRefused,
+    Resume,
+    Resumed,
+    Shadowed,
+    Standing,
+    Stop,
+    TakenOver,
+    Uncut,
+)
+from pipeline.run.probation import QUIET_S, Probation
+from pipeline.run.process_events import ProcessEvents
+from pipeline.run.process_handle import KILLED_S, ProcessHandle
+from pipeline.run.swap_target import Successor, SwapTarget
+
+SPARE_S = 10.0
+START_S = 60.0
+CONNECT_S = 10.0
+SHADOW_S = 1.0  # per frame, at most
+CUT_S = 30.0
+UNCUT_S = 0.5  # in which a cut may cross the order that takes it back
+ANSWER_S = 5.0
+DRAIN_S = 5.0
+
+
+class HotState(Enum):
+    """Where a hot swap is."""
+
+    WARMING = auto()
+    LOADING = auto()
+    CONNECTING = auto()
+    SHADOWING = auto()
+    CUTTING = auto()
+    TAKING_BACK = auto()
+    TAKING_OVER = auto()
+    PROVING = auto()
+    ANSWERING = auto()
+    DRAINING = auto()
+    LEAVING = auto()
+    DONE = auto()
+    KILLING = auto()
+    RESUMING = auto()
+    DRAINING_BACK = auto()
+
+
+S = HotState
+UNDONE = (S.TAKING_OVER, S.PROVING, S.ANSWERING)  # a failure there is rolled back
+
+
+class HotSwap:
+    """One hot swap: `advance` is called with every tick of the supervisor."""
+
+    def __init__(
+        self, target: SwapTarget, order: SwapOrder, events: ProcessEvents, facts: dict[str, Any],
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self._target, self._order, self._events, self._now = target, order, events, now
+        self.facts = facts
+        self.state, self._since_s = S.WARMING, now()
+        self.other: ProcessHandle | None = None  # the one of the two that does not work
+        self.owned = False  # exits of the working process belong to the swap
+        self._old = target.working()
+        self._before: Plan = target.plan
+        self._failure = ""  # why it is rolled back
+        target.refresh_spare()
+        self._steps: Mapping[HotState, Callable[[], HotState]] = {
+            S.WARMING: self._warming, S.LOADING: self._loading, S.CONNECTING: self._connecting,
+            S.SHADOWING: self._shadowing, S.CUTTING: self._cutting,
+            S.TAKING_BACK: self._taking_back, S.TAKING_OVER: self._taking_over,
+            S.PROVING: self._proving, S.ANSWERING: self._answering, S.DRAINING: self._draining,
+            S.LEAVING: self._leaving, S.KILLING: self._killing, S.RESUMING: self._resuming,
+            S.DRAINING_BACK: self._draining_back,
+        }  # fmt: skip
+
+    def advance(self) -> bool:
+        """Go on as far as possible; True when it is done. Raises `FoveaError` for a refusal."""
+        while self.state is not S.DONE:
+            try:
+                following = self._steps[self.state]()
+            except RunError as error:
+                if self.state not in UNDONE:
+                    raise
+                following = self._roll_back(str(error))
+            if following is self.state:
+                return False
+            self.state, self._since_s = following, self._now()
+        return True
+
+    def give_back(self, *, failed: bool) -> None:
+        """At the end: no writer sends to a second instance, and the old one goes on if it works."""
+        self._target.send_also_to(0)
+        self.owned = False
+        if failed and self._target.is_working(self._old):
+            self._old.tell(Uncut(self._name))
+
+    # to the successor
+
+    def _warming(self) -> HotState:
+        if self._target.spare_is_warming():
+            if not self._late(SPARE_S):
+                return S.WARMING
+            self._target.drop_spare()  # it hangs
+        self._old, self._before = self._target.working(), self._target.plan
+        self._plan = self._target.changed(self._order)
+        self._new: Successor = self._target.launch_successor(self._plan)
+        self.other = self._new.handle
+        return S.LOADING
+
+    def _loading(self) -> HotState:
+        if not self._beside(self._new.handle.ready, START_S, "it was not ready"):
+            return S.LOADING
+        self._target.send_also_to(self._new.epoch)
+        return S.CONNECTING
+
+    def _connecting(self) -> HotState:
+        standing = self._events.heard(self._new.handle, Standing)
+        ready = self._beside(standing, CONNECT_S, "its inputs got no handshake")
+        if standing is None or not ready:
+            return S.CONNECTING
+        self.facts["ready_seq"] = int(self._target.account.last_seq)
+        self._heard = standing.heard
+        if self._order.shadow:
+            self._old.tell(self._cut(shadow=self._order.shadow))
+            return S.SHADOWING
+        return self._begin_cut()
+
+    def _shadowing(self) -> HotState:
+        shadowed = self._events.heard(self._new.handle, Shadowed)
+        self._check_cut()
+        limit_s = QUIET_S + SHADOW_S * self._order.shadow
+        if not self._beside(shadowed, limit_s, "the shadow run did not end") or shadowed is None:
+            return S.SHADOWING
+        self.facts["shadow"] = shadowed.report
+        return self._begin_cut()
+
+    def _cutting(self) -> HotState:
+        if self._events.heard(self._old, CutMade):
+            return S.TAKING_OVER
+        self._check_cut()
+        ended = self._old.ended() is not None or self._new.handle.ended() is not None
+        if not ended and not self._late(CUT_S):
+            return S.CUTTING
+        self._old.tell(Uncut(self._name))
+        return S.TAKING_BACK
+
+    def _taking_back(self) -> HotState:
+        if self._events.heard(self._old, CutMade):
+            return S.TAKING_OVER
+        if not self._late(UNCUT_S) and not self._events.over(self._old):
+            return S.TAKING_BACK
+        self.owned = False
+        raise RunError(f"{self._name}: it did not come to a frame where it could be cut")
+
+    def _taking_over(self) -> HotState:
+        taken = self._events.heard(self._new.handle, TakenOver)
+        self._await(taken, ANSWER_S, "it did not take over", self._new.handle)
+        if taken is None:
+            return S.TAKING_OVER
+        self.facts |= {
+            "seq": taken.seq, "gap_ms": taken.gap_ms, "state": taken.state,
+            "forgotten": taken.forgotten,
+        }  # fmt: skip
+        if self._target.told_since():
+            raise RunError(f"{self._name}: its settings were changed meanwhile, try again")
+        self._target.switch(self._new, self._plan)
+        self.other = self._old
+        self._probation = Probation(self._target, self._order, self._events, self._now)
+        return S.PROVING
+
+    def _proving(self) -> HotState:
+        if not self._probation.over(self._new.handle):
+            return S.PROVING
+        self.facts["proven_frames"] = self._probation.frames
+        return S.ANSWERING
+
+    def _answering(self) -> HotState:
+        answered = self._events.heard(self._new.handle, Answered)
+        if answered is None and self._probation.frames and not self._late(ANSWER_S):
+            self._events.check_alive(self._new.handle)
+            return S.ANSWERING
+        if answered is not None:
+            self.facts |= {"left_out": answered.left_out, "answered_ms": answered.answered_ms}
+        self._new.handle.tell(Confirm(self._name))
+        self._sent = self._target.sent()
+        return S.DRAINING
+
+    def _draining(self) -> HotState:
+        if not self._target.arrived(self._sent) and not self._late(DRAIN_S):
+            return S.DRAINING
+        self._target.fence(self._new.epoch)
+        self._old.tell(Stop())
+        return S.LEAVING
+
+    def _leaving(self) -> HotState:
+        return S.DONE if self._old.ended() is not None or self._late(ANSWER_S) else S.LEAVING
+
+    # back to the predecessor
+
+    def _roll_back(self, why: str) -> HotState:
+        self._failure = f"{why}; the old part goes on"
+        self._new.handle.kill()
+        return S.KILLING
+
+    def _killing(self) -> HotState:
+        if self._new.handle.ended() is None and not self._late(KILLED_S):
+            return S.KILLING
+        self._target.dismiss(self._new.handle)
+        self.other = None
+        self._epoch = self._target.switch_back(self._old, self._before)
+        self.facts["rolled_back"] = True
+        self._old.tell(Resume(self._name, self._epoch))
+        return S.RESUMING
+
+    def _resuming(self) -> HotState:
+        resumed = self._events.heard(self._old, Resumed)
+        if not self._await(resumed, ANSWER_S, "the old part did not go on", self._old):
+            return S.RESUMING
+        self._target.read_by(self._epoch)
+        self._sent = self._target.sent()
+        return S.DRAINING_BACK
+
+    def _draining_back(self) -> HotState:
+        if not self._target.arrived(self._sent) and not self._late(DRAIN_S):
+            return S.DRAINING_BACK
+        self._target.fence(self._epoch)
+        raise RunError(self._failure)
+
+    # what several states do
+
+    @property
+    def _name(self) -> str:
+        return self._target.node.name
+
+    def _late(self, limit_s: float) -> bool:
+        return self._now() - self._since_s > limit_s
+
+    def _await(self, done: object, limit_s: float, what: str, of: ProcessHandle) -> bool:
+        """Whether it is done; raises `RunError` when that takes too long or a process ends."""
+        if done:
+            return True
+        self._events.check_alive(of)
+        if self._late(limit_s):
+            raise RunError(f"{self._name}: {what} within {limit_s:.0f} s")
+        return False
+
+    def _beside(self, done: object, limit_s: float, what: str) -> bool:
+        """Likewise of the successor, for as long as its predecessor works."""
+        if not self._target.is_working(self._old) or self._old.ended() is not None:
+            raise RunError(f"{self._name}: it ended meanwhile and starts again; try again")
+        return self._await(done, limit_s, what, self._new.handle)
+
+    def _cut(self, *, at: int = 0, shadow: int = 0) -> Cut:
+        return Cut(
+            node=self._name, receiver=self._new.receiver, heard=self._heard, at=at, shadow=shadow
+        )
+
+    def _begin_cut(self) -> HotState:
+        self._old.tell(self._cut(at=self._order.at))
+        self.owned = True
+        return S.CUTTING
+
+    def _check_cut(self) -> None:
+        """Raise `RunError` when the predecessor says that it could not do as it was told."""
+        if refusal := self._events.heard(self._old, CutRefused):
+            raise RunError(f"{self._name}: {refusal.reason}")
