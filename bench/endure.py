@@ -70,7 +70,7 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
         "events": 0, "looks": looks,
     }  # fmt: skip
     with Supervisor(plan) as supervisor:
-        supervisor.max_restarts = kills + 10
+        supervisor.allow_restarts(kills + 10)
         supervisor.start()
         traces = Traces.of(plan.name)
         _until(supervisor, lambda: _handled(supervisor, LAST) > 50)

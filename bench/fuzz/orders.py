@@ -113,7 +113,7 @@ def _answered(kind: type[Q], act: Callable[[Q], ControlMessage], data: bytes) ->
 
 def _to_graph(plan: Plan, count: int, rng: random.Random, tally: Tally) -> None:
     with Supervisor(plan) as supervisor:
-        supervisor.max_restarts = count
+        supervisor.allow_restarts(count)
         supervisor.start()
         for _ in range(count):
             order = _order(supervisor, plan, rng)
@@ -127,7 +127,7 @@ def _order(supervisor: Supervisor, plan: Plan, rng: random.Random) -> bytes:
     document: Mapping[str, Any] = SWAP
     if rng.random() < 0.6:
         what = running if rng.random() < 0.8 else wanted
-        document = {TAG: "PlanOrder", "plan": what, "revision": supervisor.revision}
+        document = {TAG: "PlanOrder", "plan": what, "revision": supervisor.manager.revision}
     kind = rng.random()
     if kind < 0.01:
         return _framed(document)

@@ -91,7 +91,7 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
         *([f"loop {pair(loop)} ms p50/p99"] if plan.clock == "realtime" else []),
         f"dropped {dropped}",
         f"restarts {sum(supervisor.restarts.values())}",
-        *(words for words in supervisor.headlines.values() if words),
+        *(words for words in supervisor.reports.headlines.values() if words),
     ]
     return "  ".join([*parts, *(["broken: " + ", ".join(broken)] if broken else [])])
 

@@ -111,9 +111,9 @@ def account_of(supervisor: Supervisor, duration_s: float) -> Report:
     return compose(
         supervisor.plan,
         supervisor.ledger,
-        supervisor.summaries,
+        supervisor.reports.summaries,
         {name: supervisor.samples(name) for name in supervisor.plan.processes()},
         duration_s=duration_s,
         restarts=supervisor.restarts,
-        left_out=supervisor.left_out,
+        left_out=supervisor.reports.left_out,
     )

@@ -47,12 +47,12 @@ def test_a_running_graph_tells_its_overlap_with_the_truth() -> None:
     with Supervisor(load(GRAPH)) as supervisor:
         supervisor.start()
         until_s = time.monotonic() + 60
-        while not supervisor.headlines.get("score") and time.monotonic() < until_s:
+        while not supervisor.reports.headlines.get("score") and time.monotonic() < until_s:
             supervisor.tick()
         line = status_line(supervisor, 1.0)
         supervisor.stop()
 
-    assert supervisor.headlines["score"].startswith("IoU 0.")
+    assert supervisor.reports.headlines["score"].startswith("IoU 0.")
     assert "IoU 0." in line
 
 

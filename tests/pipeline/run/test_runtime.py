@@ -342,7 +342,7 @@ def test_a_graph_runs_once_at_a_time(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOOP)
 
     with Supervisor(plan) as supervisor:
-        supervisor.note()
+        supervisor.manager.note()
         with pytest.raises(RunError, match="already running"):
             Supervisor(plan)
 

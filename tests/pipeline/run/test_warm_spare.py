@@ -51,7 +51,7 @@ def test_a_node_that_cannot_be_started_is_tried_again_and_the_others_go_on(
 
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 5)
-        supervisor.spare.dismiss()
+        supervisor.manager.spare.dismiss()
         with monkeypatch.context() as patch:
             patch.setattr("pipeline.run.process_manager.spawn", refuse)
             send_signal(supervisor, "steer", signal.SIGKILL)
