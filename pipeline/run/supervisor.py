@@ -78,6 +78,11 @@ class Supervisor:
         return self.manager.ledger
 
     @property
+    def revision(self) -> int:
+        """How often the plan was changed."""
+        return self.manager.revision
+
+    @property
     def processes(self) -> dict[str, ManagedProcess]:
         """The processes of the plan by name."""
         return self.manager.processes
