@@ -34,8 +34,8 @@ def run(tmp_path: Path, *words: str) -> dict[str, Any]:
 
 
 def test_in_line_and_as_processes_the_sensor_gets_the_same_commands(tmp_path: Path) -> None:
-    inline = run(tmp_path, "--inline", "--frames", "25")
-    processes = run(tmp_path, "--clock", "lockstep", "--frames", "25")
+    inline = run(tmp_path, "--inline", "--frames", "15")
+    processes = run(tmp_path, "--clock", "lockstep", "--frames", "15")
 
     assert inline["schedule_sha256"] == processes["schedule_sha256"]
     assert inline["roi_coverage"] == processes["roi_coverage"]

@@ -1,13 +1,16 @@
 """An end that a node did not announce is a crash, whatever its status; so is any exception."""
 
+import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from pipeline.errors import RunError
+from pipeline.run.report import Report
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
-from tests.sample_graphs import assert_accounts_add_up, go, handled, wait_for
+from tests.sample_graphs import assert_accounts_add_up, go, handled, plan_of, wait_for
 from tests.unruly_graphs import UNRULY, recovers, unruly_plan
 
 KINDS = {
@@ -23,17 +26,77 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_part_that_leaves_without_being_asked_is_restarted(
-    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    report = go(unruly_plan(tmp_path, kind=kind, once=tmp_path / "once"), 0, recovers)
+PART = """\
+  {kind}:
+    operator: tests.faulty_samples:Unruly
+    restart: {{backoff_s: 0.01}}
+    settings: {{kind: {kind}, once: {once}}}
+    inputs: {{frame: {{from: ticker.context, depth: 40}}}}
+  after_{kind}:
+    operator: tests.samples:Count
+    group: after
+    inputs: {{frame: {{from: {kind}, depth: 60}}}}
+"""
 
-    assert report["failure"] == ""
-    assert report["restarts"] == {"unruly": 1}
-    assert KINDS[kind] in caplog.text
-    assert "unruly ended by exit status" in caplog.text
-    assert_accounts_add_up(report)
+
+@dataclass(frozen=True)
+class Left:
+    """What became of a graph whose parts all leave without being asked, each in its own way."""
+
+    report: Report
+    log: str
+
+
+@pytest.fixture(scope="module")
+def left(tmp_path_factory: pytest.TempPathFactory) -> Left:
+    """One run for all of them: each has come back, and frames have arrived behind it."""
+    folder = tmp_path_factory.mktemp("left")
+    text = UNRULY[: UNRULY.index("  unruly:")]
+    for kind in KINDS:
+        text += PART.format(kind=kind, once=folder / f"once-{kind}")
+
+    def come_back(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: all(supervisor.restarts.get(kind) for kind in KINDS))
+        seen = {kind: handled(supervisor, f"after_{kind}") for kind in KINDS}
+        for kind in KINDS:
+            wait_for(
+                supervisor,
+                lambda kind=kind: handled(supervisor, f"after_{kind}") > seen[kind] + 5,  # type: ignore[misc]
+            )
+        supervisor.finish()
+
+    with Words() as words:
+        report = go(plan_of(folder, text), 0, come_back)
+    return Left(report, "\n".join(words.lines))
+
+
+class Words(logging.Handler):
+    """Everything that is logged meanwhile: `caplog` lives as long as one test."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.append(record.getMessage())
+
+    def __enter__(self) -> "Words":
+        logging.getLogger().addHandler(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        logging.getLogger().removeHandler(self)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_part_that_leaves_without_being_asked_is_restarted(left: Left, kind: str) -> None:
+    lines = [line for line in left.log.splitlines() if line.startswith(f"{kind}: ")]
+
+    assert left.report["failure"] == ""
+    assert left.report["restarts"][kind] == 1
+    assert KINDS[kind] in "\n".join(lines)
+    assert f"{kind} ended by exit status" in left.log
+    assert_accounts_add_up(left.report)
 
 
 def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(
