@@ -35,4 +35,4 @@ def named_value(word: str) -> tuple[str, Any]:
     name, equals, text = word.partition("=")
     if not equals or not name:
         raise click.UsageError(f"{shown_change(word)}: expected NAME=VALUE")
-    return name, read_value(text)
+    return name, read_value(text, name)
