@@ -92,7 +92,7 @@ def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = No
         supervisor.stop()
         report = compose(
             plan, supervisor.ledger, supervisor.reports.summaries, {}, duration_s=1,
-            restarts=supervisor.restarts,
+            restarts=supervisor.restarts, crashes=supervisor.crashes,
         )  # fmt: skip
         report["failure"] = supervisor.failure
         report["summaries"] = supervisor.reports.summaries

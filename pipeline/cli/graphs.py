@@ -9,7 +9,7 @@ from typing import Any
 import click
 from rich.console import Console
 
-from pipeline import signals
+from pipeline import output, signals
 from pipeline.console import running
 from pipeline.console.arguments import DURATION_S, FRAMES
 from pipeline.console.files import try_recording, try_report, write_report
@@ -22,9 +22,12 @@ from pipeline.graph.overlay import Overlay, manual_nodes
 from pipeline.graph.plan import Plan
 from pipeline.graph.schema import graph_schema
 from pipeline.graph.survey import survey
+from pipeline.run.reaper import Reaper
 from pipeline.run.report import print_report
+from pipeline.run.verdict import crashed
 from pipeline.text import harmless
 
+CRASHED = 3  # the exit status of a run that came to its end although processes crashed
 console = Console()
 GRAPH = click.argument("graph", type=GRAPH_FILE)
 
@@ -72,9 +75,11 @@ def run(
         console.print(line, markup=False)
     with signals.Interruption(last=True) as asked:
         if inline:
-            result = running.inline(plan, frames or 0, console, asked)
+            result = running.inline(plan, frames or 0, console, asked, verbose=verbose)
         else:
-            result = running.processes(plan, frames or 0, duration_s or 0.0, console, asked)
+            result = running.processes(
+                plan, frames or 0, duration_s or 0.0, console, asked, Reaper()
+            )
         if report:
             unwritten = write_report(report, result, "--report")
         print_report(console, result, verbose=verbose)
@@ -84,9 +89,12 @@ def run(
             console.print(f"recording: {save}, open it with: rerun {save}", markup=False)
     wrong = [why for why in (result.get("failure"), result.get(INCOMPLETE), unwritten) if why]
     for why in wrong:
-        click.echo(f"Error: {harmless(str(why))}", err=True)
+        output.complain(f"Error: {harmless(str(why))}")
     if asked.status or wrong:
         sys.exit(asked.status or 2)
+    if said := crashed(result):
+        output.complain(f"Error: {plan.name} ran to its end, but {harmless(said)}")
+        sys.exit(CRASHED)
 
 
 @click.command()

@@ -15,6 +15,7 @@ from pipeline.graph.plan import Plan
 from pipeline.node.wiring import CLOCKS
 from pipeline.protocol.fleet import Accounts
 from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.reaper import Reaper
 from pipeline.run.supervisor import Supervisor
 from pipeline.text import error_text
 
@@ -37,6 +38,7 @@ class HostedGraph:
     hosts: Mapping[str, str]  # label -> end point of the agent
     way: Network  # to those agents, without end points
     begins: Callable[[], int]  # counts one more start, also beyond the end of the agent
+    reaper: Reaper | None = None  # of the agent
     phase: str = "starting"
     failure: str = ""
     supervisor: Supervisor | None = None
@@ -105,7 +107,7 @@ class HostedGraph:
             self._proven = self._proven or starts > 1
             supervisor = Supervisor(
                 self.plan, folder=self.folder, first_epoch=starts * STARTS_EPOCHS,
-                may_go=self._may_go,
+                may_go=self._may_go, reaper=self.reaper,
             )  # fmt: skip
             with supervisor:
                 self._begin_clocks(supervisor)

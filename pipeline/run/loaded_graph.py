@@ -98,7 +98,7 @@ def run_processes(plan: Plan, frames: int, duration_s: float) -> Report:
             if duration_s and time.monotonic() - began_s >= duration_s:
                 break
             supervisor.tick()
-        elapsed_s = time.monotonic() - began_s
+        elapsed_s = supervisor.exposed_s
         supervisor.finish()
         supervisor.stop()
         if supervisor.failure:
@@ -115,5 +115,7 @@ def account_of(supervisor: Supervisor, duration_s: float) -> Report:
         {name: supervisor.samples(name) for name in supervisor.plan.processes()},
         duration_s=duration_s,
         restarts=supervisor.restarts,
+        crashes=supervisor.crashes,
+        source_names=supervisor.manager.source_names,
         left_out=supervisor.reports.left_out,
     )

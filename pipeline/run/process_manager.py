@@ -5,7 +5,7 @@ What supervises them, and what changes them while they run, stand on this.
 
 import logging
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -13,12 +13,14 @@ from pipeline.bus.ledger import EdgeAccount, Ledger
 from pipeline.bus.network import Network
 from pipeline.class_cache import adapter
 from pipeline.errors import RunError
-from pipeline.graph.plan import Plan, is_source
+from pipeline.graph.plan import Node, Plan
+from pipeline.graph.ports import Ports, declared_ports
 from pipeline.node.port_contract import contract_of
-from pipeline.protocol.supervision import Assignment, Finish, Go
+from pipeline.protocol.supervision import Assignment, Finish, Go, Imported
 from pipeline.run.channel import Exchange
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_handle import KILLED_S, NodeProcess, ProcessHandle, spawn
+from pipeline.run.reaper import Reaper
 from pipeline.run.run_folder import RunFolder
 from pipeline.run.rundir import check_addresses, folder_of
 from pipeline.run.warm_spare import WarmSpare
@@ -37,17 +39,20 @@ class ProcessManager:
 
     def __init__(
         self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0,
-        may_go: MayGo = always,
+        may_go: MayGo = always, reaper: Reaper | None = None,
     ) -> None:  # fmt: skip
         """`folder`: where it runs, else the graph's name; epochs begin after the first one.
 
         `may_go`: what a process that is ready waits for beyond the readers of its sources.
+        `reaper`: of this process, if it may adopt what nodes leave behind.
         """
-        self._may_go = may_go
+        self._may_go, self.reaper = may_go, reaper
         self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
         self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
         names = [name for n in plan.nodes for name in (n.name, n.process)]
         check_addresses(folder_of(folder or plan.name), names)
+        here = filter(plan.is_here, plan.nodes)  # what loaded the plan has imported them
+        self._ports = {n.operator: declared_ports(n.operator) for n in here}
         self.run_folder = RunFolder.claim(folder or plan.name)
         try:
             self.ledger = Ledger.create(self.run_folder.memory, len(plan.edges), len(plan.nodes))
@@ -63,15 +68,11 @@ class ProcessManager:
         self.stop_orders = 0  # likewise, by clients
         self.spare = WarmSpare(partial(self._spawn, wanted=False))
         self.processes = {
-            name: ManagedProcess(
-                name,
-                nodes,
-                epoch=first_epoch,
-                sources=frozenset(n.name for n in nodes if is_source(n)),
-            )
+            name: ManagedProcess(name, nodes, epoch=first_epoch, sources=self._sources_of(nodes))
             for name, nodes in plan.processes().items()
         }
         self.revision = 0  # of the plan
+        self.exposing_since_s = 0.0  # since the first source began, monotonic
         self.failure = ""
         self.ending = False  # sources shall make no more frames
         self.finished_sources: set[str] = set()
@@ -89,8 +90,13 @@ class ProcessManager:
     @property
     def finished(self) -> bool:
         """Every source has made its last frame, or the run has failed."""
-        wanted = set().union(*(managed.sources for managed in self.processes.values()))
+        wanted = self.source_names
         return bool(self.failure) or (bool(wanted) and wanted <= self.finished_sources)
+
+    @property
+    def source_names(self) -> frozenset[str]:
+        """The nodes here that make frames."""
+        return frozenset().union(*(managed.sources for managed in self.processes.values()))
 
     def begin_all(self) -> None:
         """Start every process; the caller goes on with `tick`."""
@@ -125,7 +131,7 @@ class ProcessManager:
         trial: bool = False,
     ) -> Assignment:
         """The assignment of that process; `checked`: it must fit the edges that run now."""
-        mine = self.plan.processes()[managed.name]
+        mine = managed.nodes
         return Assignment(
             plan=plan,
             process=managed.name,
@@ -136,8 +142,28 @@ class ProcessManager:
             network=self.networks.get(managed.name),
             standby=standby or trial,
             trial=trial,
-            contracts={n.name: contract_of(self.plan, n) for n in mine} if checked or trial else {},
+            contracts={
+                node.name: contract_of(self.plan, node, self.ports_of)
+                for node in mine
+                if (checked or trial) and node in self.plan.nodes
+            },
         )
+
+    def ports_of(self, node: Node) -> Ports:
+        """The ports of a node's operator; raises `RunError` unless a process has told them."""
+        try:
+            return self._ports[node.operator]
+        except KeyError:
+            raise RunError(f"{node.name}: no process has imported {node.operator}") from None
+
+    def learn(self, handle: ProcessHandle, imported: Imported) -> None:
+        """Take note of what a process has imported: ports of its operators, files of its code."""
+        for operator in handle.operators & imported.ports.keys():
+            self._ports[operator] = imported.ports[operator]
+        self.spare.watch(imported.files)
+
+    def _sources_of(self, nodes: Iterable[Node]) -> frozenset[str]:
+        return frozenset(node.name for node in nodes if self.ports_of(node).source)
 
     def accounts(self, managed: ManagedProcess, *, outgoing: bool = False) -> list[EdgeAccount]:
         """Of the edges into a process, or out of it."""
@@ -172,7 +198,7 @@ class ProcessManager:
         for name, nodes in plan.processes().items():
             managed = self.processes.setdefault(name, ManagedProcess(name, nodes))
             managed.nodes = nodes
-            managed.sources = frozenset(n.name for n in nodes if is_source(n))
+            managed.sources = self._sources_of(nodes)
         for name in self.processes.keys() - plan.processes().keys():
             if self.processes[name].handle is None:
                 del self.processes[name]
@@ -213,13 +239,16 @@ class ProcessManager:
                     self.leaving[handle] = float("inf")  # it is buried when it ends after all
 
     def _spawn(self, modules: Collection[str], *, wanted: bool) -> NodeProcess:
-        return spawn(self.run_folder.run_id, self.run_folder.folder.path, modules, wanted=wanted)
+        folder = self.run_folder
+        return spawn(folder.run_id, folder.folder.path, modules, wanted=wanted, reaper=self.reaper)
 
     def let_go(self, managed: ManagedProcess) -> None:
         """Let a process that is ready begin, if it may."""
         if managed.handle is not None and self._is_heard(managed) and self._may_go(managed):
             managed.handle.going, managed.going_since_s = True, time.monotonic()
             managed.handle.tell(Go())
+            if managed.sources and not self.exposing_since_s:
+                self.exposing_since_s = managed.going_since_s
             if self.ending:
                 managed.handle.tell(Finish())
 

@@ -20,6 +20,7 @@ class Restarts:
     def __init__(self, manager: ProcessManager) -> None:
         self._manager = manager
         self.counts: dict[str, int] = {}  # by process
+        self.crashes: dict[str, int] = {}  # ends that nobody asked for, by process
         self.at_least = 0  # allowed whatever the graph says
 
     def begin_again(self, managed: ManagedProcess, now_s: float) -> None:
@@ -39,12 +40,19 @@ class Restarts:
         how = ending(status) + ("" if announced or status else ", which it did not announce")
         last, managed.last_words = managed.last_words, ""
         self._count(managed, now_s)
+        succeeded = announced and status == 0
+        if not succeeded:
+            self.count_crash(managed.name)
         if self._manager.failure:
             return
         log.warning("%s ended by %s, see `fovea logs %s`", managed.name, how, managed.name)
-        why = self._follow(managed, how, now_s, succeeded=announced and status == 0)
+        why = self._follow(managed, how, now_s, succeeded=succeeded)
         if why:
             self._manager.failure = f"{managed.name} {why}" + (f": {last}" if last else "")
+
+    def count_crash(self, process: str) -> None:
+        """A process has ended without being asked to."""
+        self.crashes[process] = self.crashes.get(process, 0) + 1
 
     def _follow(self, managed: ManagedProcess, how: str, now_s: float, *, succeeded: bool) -> str:
         """Let it start again, or let it be; why neither can be, when the run has to end."""

@@ -6,6 +6,7 @@ Only this process writes who reads and who speaks for a node now (`reader_epoch`
 """
 
 import logging
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from pipeline.protocol.supervision import (
     Failed,
     Finish,
     Finished,
+    Fits,
     Ready,
     Stop,
 )
@@ -30,6 +32,7 @@ from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.node_reports import NodeReports
 from pipeline.run.process_handle import KILLED_S, ProcessHandle, Sample, ending
 from pipeline.run.process_manager import MayGo, ProcessManager, always
+from pipeline.run.reaper import Reaper
 from pipeline.run.restarts import Restarts
 from pipeline.text import harmless
 
@@ -38,6 +41,7 @@ SAMPLE_S = 1.0
 DRAIN_S = 5.0  # without a message that meets its end
 LONGEST_DRAIN_S = 60.0
 STOP_S = 4.0
+KILLED, TOO_LATE = -signal.SIGKILL, 2  # how a node ends that does not stop: by us, or by itself
 CLOSE_S = 3.0  # for the bus to be left: a frozen visitor may hold it up
 log = logging.getLogger(__name__)
 
@@ -47,12 +51,13 @@ class Supervisor:
 
     def __init__(
         self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0,
-        may_go: MayGo = always,
+        may_go: MayGo = always, reaper: Reaper | None = None,
     ) -> None:  # fmt: skip
         """As for a `ProcessManager`; takes orders from now on."""
         self.manager = ProcessManager(
-            plan, frames=frames, folder=folder, first_epoch=first_epoch, may_go=may_go
-        )
+            plan, frames=frames, folder=folder, first_epoch=first_epoch, may_go=may_go,
+            reaper=reaper,
+        )  # fmt: skip
         self.health = HealthMonitor(self.manager.ledger)
         try:
             self._hub = Session(self.manager.run_folder.folder.path, "hub")
@@ -101,6 +106,16 @@ class Supervisor:
     def restarts(self) -> dict[str, int]:
         """How often each process was started again."""
         return self._restarts.counts
+
+    @property
+    def crashes(self) -> dict[str, int]:
+        """How often each process ended without being asked to, started again or not."""
+        return self._restarts.crashes
+
+    @property
+    def exposed_s(self) -> float:
+        """For how long frames have been made."""
+        return time.monotonic() - (self.manager.exposing_since_s or self.started_s)
 
     def allow_restarts(self, count: int) -> None:
         """Allow so many at least, whatever the graph says; for tests that kill on purpose."""
@@ -237,13 +252,17 @@ class Supervisor:
             handle.kill()
         self._await_ends(handles, KILLED_S, hurries=False)
         for handle in handles:
-            handle.bury(descendants=False)
+            handle.bury(outside=False)
         if self.manager.handles:
             end_tagged(self.manager.run_folder.run_id)
+            self._end_orphans()
         self._hear()
         for handle in handles:
             status = handle.ended()
-            if status is not None and status >= 0 and not handle.left:
+            if status in (None, KILLED, TOO_LATE) or (status == 0 and handle.left):
+                continue
+            self._restarts.count_crash(handle.name)
+            if not handle.left:
                 log.warning("%s: ended by %s while it was stopped", handle.name, ending(status))
         for managed in self.processes.values():
             managed.handle = None
@@ -287,6 +306,8 @@ class Supervisor:
 
     def _take_note(self, handle: ProcessHandle, event: Event) -> None:
         managed = self.processes.get(handle.name)
+        if isinstance(event, Fits | Ready):
+            self.manager.learn(handle, event.imported)
         if self.control.on_event(handle.pid, event):
             return
         present = managed is not None and managed.handle is handle
@@ -335,3 +356,8 @@ class Supervisor:
             sample = managed.handle.sample() if managed.handle else None
             if sample:
                 managed.samples.append(sample)
+        self._end_orphans()
+
+    def _end_orphans(self) -> None:
+        if self.manager.reaper is not None:
+            self.manager.reaper.end()

@@ -1,6 +1,9 @@
 """An end that a node did not announce is a crash, whatever its status; so is any exception."""
 
+import json
 import logging
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +14,9 @@ from pipeline.run.report import Report
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import assert_accounts_add_up, go, handled, plan_of, wait_for
-from tests.unruly_graphs import UNRULY, recovers, unruly_plan
+from tests.unruly_graphs import UNRULY, name_of, recovers, unruly_file, unruly_plan
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 KINDS = {
     "exit_0": "",
@@ -94,6 +99,7 @@ def test_a_part_that_leaves_without_being_asked_is_restarted(left: Left, kind: s
 
     assert left.report["failure"] == ""
     assert left.report["restarts"][kind] == 1
+    assert left.report["crashes"][kind] == 1
     assert KINDS[kind] in "\n".join(lines)
     assert f"{kind} ended by exit status" in left.log
     assert_accounts_add_up(left.report)
@@ -105,6 +111,45 @@ def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(
     go(unruly_plan(tmp_path, kind="exit_0", once=tmp_path / "once"), 0, recovers)
 
     assert "unruly ended by exit status 0, which it did not announce" in caplog.text
+
+
+def test_a_part_that_may_not_restart_and_leaves_is_a_crash_in_the_report(tmp_path: Path) -> None:
+    text = UNRULY.replace("restart: {backoff_s: 0.01}", "restart: never")
+
+    report = go(unruly_plan(tmp_path, text=text, kind="exit_0"), 30)
+
+    assert (report["failure"], report["restarts"]) == ("", {})
+    assert report["crashes"] == {"unruly": 1}
+    (found,) = (f for f in report["verdict"] if f["about"] == "processes")
+    assert (found["held"], found["sentence"]) == (False, "1 process crashed: unruly once")
+
+
+def test_a_run_in_which_nothing_crashed_says_nothing_of_crashes(tmp_path: Path) -> None:
+    report = go(unruly_plan(tmp_path), 10)
+
+    assert report["crashes"] == {}
+    assert not [f for f in report["verdict"] if f["about"] == "processes"]
+
+
+@pytest.mark.parametrize("restart", ["{backoff_s: 0.01}", "never"])
+def test_a_run_that_came_to_its_end_although_a_part_left_ends_with_3(
+    tmp_path: Path, restart: str
+) -> None:
+    text = UNRULY.replace("{backoff_s: 0.01}", restart)
+    once, path = tmp_path / "once", tmp_path / "report.json"
+    graph = unruly_file(tmp_path, text=text, kind="exit_0", once=once)
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--frames", "60", "--report", str(path)],
+        capture_output=True, text=True, check=False, timeout=100,
+    )  # fmt: skip
+
+    assert done.returncode == 3, done.stderr
+    assert done.stderr.endswith(
+        f"Error: {name_of(graph)} ran to its end, but 1 process crashed: unruly once\n"
+    )
+    assert "processes: 1 process crashed: unruly once" in done.stdout
+    assert json.loads(path.read_text())["crashes"] == {"unruly": 1}
 
 
 def test_in_lockstep_an_exit_with_status_0_ends_the_run_with_an_error(tmp_path: Path) -> None:
@@ -140,6 +185,7 @@ def test_a_part_that_leaves_while_it_is_stopped_is_told_of_and_takes_nothing_alo
     }
     assert said[kind] in caplog.text
     assert report["failure"] == ""
+    assert report["crashes"] == {"unruly": 1}
     assert report["summaries"]["after"]["seen"] == list(range(20))
 
 

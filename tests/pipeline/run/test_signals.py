@@ -195,8 +195,9 @@ def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) ->
     with fovea("run", str(graph), "--inline") as process:
         _, err = process.communicate(timeout=60)
 
-    assert process.returncode == 1
-    assert err.endswith(": an operator raised SystemExit: 0\n")
+    assert process.returncode == 2
+    assert err.startswith("Error: unruly: ")
+    assert err.endswith(": it exits: 0\n")
 
 
 @pytest.fixture(scope="module")
