@@ -74,11 +74,8 @@ class Tunable(Operator[TunableSettings, None]):
 
 def fuzz_orders(count: int, folder: Path, *, seed: int = 0) -> Tally:
     """Give so many orders, half of them to the supervisor and half to a node."""
-    rng, tally, watch = (
-        random.Random(seed),
-        Tally(),
-        Watch(folder, base(), begins=f"{MEMORY}/fovea-{os.geteuid()}-"),
-    )
+    rng, tally = random.Random(seed), Tally()
+    watch = Watch(folder, base(), begins=f"{MEMORY}/fovea-{os.geteuid()}-")
     path, home = folder.resolve() / "graph.yaml", folder.resolve() / "home"
     path.write_text(GRAPH)
     home.mkdir()
