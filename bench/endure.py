@@ -131,7 +131,7 @@ def look(supervisor: Supervisor, traces: Traces, events: int) -> dict[str, float
             "rss_mb": round(memory.rss / 1e6, 3),
             "own_mb": round((memory.rss - memory.shared) / 1e6, 3),
             "open_files": own.num_fds(),
-            "threads": own.num_threads(),
+            "threads": own.num_threads(),  # with those of Zenoh's pool, which come with work
             "run_files": sum(1 for _ in traces.folder.rglob("*")),
             "memory_files": len(list(path_of(traces.run_id).iterdir())),
             "children": len(own.children(recursive=True)),
