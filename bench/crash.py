@@ -45,7 +45,7 @@ def main(
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     kills: list[dict[str, Any]] = []
     with Supervisor(plan) as supervisor:
-        supervisor.max_restarts = count * len(plan.nodes) + 10
+        supervisor.allow_restarts(count * len(plan.nodes) + 10)
         supervisor.start()
         traces = Traces.of(plan.name)
         run_for(supervisor, 2.0)

@@ -70,7 +70,7 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
         "events": 0, "looks": looks,
     }  # fmt: skip
     with Supervisor(plan) as supervisor:
-        supervisor.max_restarts = kills + 10
+        supervisor.allow_restarts(kills + 10)
         supervisor.start()
         traces = Traces.of(plan.name)
         _until(supervisor, lambda: _handled(supervisor, LAST) > 50)
@@ -131,7 +131,7 @@ def look(supervisor: Supervisor, traces: Traces, events: int) -> dict[str, float
             "rss_mb": round(memory.rss / 1e6, 3),
             "own_mb": round((memory.rss - memory.shared) / 1e6, 3),
             "open_files": own.num_fds(),
-            "threads": own.num_threads(),
+            "threads": own.num_threads(),  # with those of Zenoh's pool, which come with work
             "run_files": sum(1 for _ in traces.folder.rglob("*")),
             "memory_files": len(list(path_of(traces.run_id).iterdir())),
             "children": len(own.children(recursive=True)),

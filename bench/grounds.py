@@ -86,7 +86,7 @@ class OneHost(Ground):
 
     def __enter__(self) -> "OneHost":
         self._supervisor.__enter__()
-        self._supervisor.max_restarts = 1_000_000
+        self._supervisor.allow_restarts(1_000_000)
         self._supervisor.start()
         self._traces = Traces.of(self._plan.name)
         return self

@@ -89,7 +89,7 @@ def run(plan: Plan, frames: int) -> Report:
         supervisor.finish()
         supervisor.stop()
         report = compose(
-            plan, supervisor.ledger, supervisor.summaries,
+            plan, supervisor.ledger, supervisor.reports.summaries,
             {name: supervisor.samples(name) for name in plan.processes()},
             duration_s=elapsed_s, restarts=supervisor.restarts,
         )  # fmt: skip

@@ -90,17 +90,19 @@ def _one_life(found: dict[str, Any]) -> None:
         path.unlink()
     victims, killed = ["work", "check", "eye"], 0
     with Supervisor(plan) as supervisor:
-        supervisor.max_restarts = 1000
+        supervisor.allow_restarts(1000)
         supervisor.start()
         traces, began_s = Traces.of(plan.name), time.monotonic()
         while (lived_s := time.monotonic() - began_s) < ROUND_S and not supervisor.failure:
-            if lived_s > (killed + 1) * KILL_S and killed < 2 and supervisor.all_going:
+            if lived_s > (killed + 1) * KILL_S and killed < 2 and supervisor.manager.all_going:
                 os.kill(supervisor.pid(victims[(found["runs"] + killed) % 3]), 9)
                 killed += 1
             supervisor.tick()
         supervisor.finish()
         supervisor.stop()
-        report = compose(plan, supervisor.ledger, supervisor.summaries, {}, duration_s=ROUND_S)
+        report = compose(
+            plan, supervisor.ledger, supervisor.reports.summaries, {}, duration_s=ROUND_S
+        )
         restarts, failure = sum(supervisor.restarts.values()), supervisor.failure
     found["runs"] += 1
     found["pictures"] += report["edges"][-1]["delivered"]

@@ -141,7 +141,7 @@ class Spans:
 
     def read(self) -> None:
         """Take in what the watcher has told since."""
-        words = self._supervisor.headlines.get(NODE, "")
+        words = self._supervisor.reports.headlines.get(NODE, "")
         if words != self._heard:
             self._heard = words
             self._sums |= read(words)

@@ -57,7 +57,7 @@ def main(
         supervisor.finish()
         supervisor.stop()
         report = compose(
-            plan, supervisor.ledger, supervisor.summaries, samples, duration_s=elapsed_s,
+            plan, supervisor.ledger, supervisor.reports.summaries, samples, duration_s=elapsed_s,
             restarts=supervisor.restarts,
         )  # fmt: skip
     rows = spans.rows() if spans else []

@@ -11,7 +11,11 @@ from pipeline.text import harmless, said_by
 
 LONGEST = 300  # characters of a message
 _ROOM = str(Path(__file__).parent)
-_BETWEEN = (f"{_ROOM}/import_path.py", importlib.__file__)  # they stand in every traceback
+_BETWEEN = (
+    f"{_ROOM}/import_path.py",
+    f"{_ROOM}/exits.py",
+    importlib.__file__,
+)  # they stand in every traceback
 _INSTALLED = tuple(
     {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 )

@@ -16,6 +16,7 @@ from pathlib import Path
 LOOK_S = 1.0
 FLUSH_S = 2.0
 CLOSE_S = 2.0
+BLOCK_BYTES = 4096  # with less than this left, a part of what was flushed is not there
 FULL_BYTES = 1 << 20  # with less than this left, the disk is what stopped the writer
 
 
@@ -42,7 +43,7 @@ class GrowingFile:
         """Wait for what was written up to a frame, and find out whether it is in the file."""
         if self.failure:
             return
-        arrived = self._flush(FLUSH_S)
+        arrived = self._flush(FLUSH_S) and self._free_bytes() >= BLOCK_BYTES
         size, before = self._bytes(), self._seen_bytes
         self._looked_s, self._seen_bytes = time.monotonic(), size
         if arrived:
@@ -62,7 +63,8 @@ class GrowingFile:
         ending.start()
         ending.join(CLOSE_S)
         self.ended = not ending.is_alive()
-        if self._bytes() <= self._whole_bytes and self._is_full():  # its last bytes are missing
+        stopped = self._bytes() <= self._whole_bytes and self._is_full()
+        if stopped or self._free_bytes() < BLOCK_BYTES:  # its last bytes are missing, or some
             self._give_up()
         return self.failure
 
@@ -95,10 +97,13 @@ class GrowingFile:
         return self._identity == (found.st_dev, found.st_ino)
 
     def _is_full(self) -> bool:
+        return self._free_bytes() < FULL_BYTES
+
+    def _free_bytes(self) -> int:
         try:
-            return shutil.disk_usage(self._path.parent).free < FULL_BYTES
+            return shutil.disk_usage(self._path.parent).free
         except OSError:
-            return False
+            return FULL_BYTES
 
 
 def never_collect(writer: object) -> None:

@@ -58,6 +58,26 @@ class Outlet(io.RawIOBase):
         return not self._stuck
 
 
+_kept: dict[int, int] = {}  # both descriptors as they were at first
+
+
+def complain(text: str) -> None:
+    """Tell why a command fails, also where an operator's code has closed or replaced the streams.
+
+    Raises `OSError` when the reader has left.
+    """
+    for handle, kept in _kept.items():
+        try:
+            os.fstat(handle)
+        except OSError:
+            os.dup2(kept, handle)
+    try:
+        sys.stderr.write(f"{text}\n")
+        sys.stderr.flush()
+    except (AttributeError, TypeError, ValueError):  # None, closed, or no stream at all
+        os.write(2, f"{text}\n".encode(errors="backslashreplace"))
+
+
 def guard() -> None:
     """Have both streams take any text; descriptors that are closed lead nowhere."""
     for handle in range(3):
@@ -66,6 +86,9 @@ def guard() -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest that is free: this one
     sys.stdout, sys.stderr = _tolerant(sys.stdout, 1), _tolerant(sys.stderr, 2)
+    for handle in (1, 2):
+        if handle not in _kept:
+            _kept[handle] = os.dup(handle)
 
 
 def forgive() -> None:

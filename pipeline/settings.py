@@ -1,8 +1,8 @@
 """Plain values from outside into settings dataclasses, strictly: mapping -> frozen dataclass.
 
-Types are checked by pydantic (a list may stand for a tuple and an int for a float, nothing else is
-converted); unknown names get a suggestion; ranges are checked by the dataclass. Whatever a
-dataclass raises over its values becomes one sentence.
+Types are checked by pydantic (a list may stand for a tuple, an int for a float and a whole float
+for an int, nothing else is converted); unknown names get a suggestion; ranges are checked by the
+dataclass. Whatever a dataclass raises over its values becomes one sentence.
 """
 
 import difflib
@@ -47,7 +47,7 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
             raise WrongSetting(f"{where}.{shown_key(name)}: no such setting{hint}", (str(name),))
         check_plain(values[name], f"{where}.{name}", (name,))
     try:
-        built: T = _strict_adapter(cls).validate_json(json.dumps(dict(values)), strict=True)
+        built: T = _strict_adapter(cls).validate_json(json.dumps(_whole(values)), strict=True)
     except ValidationError as error:
         raise _wrong(error, where) from error
     except FoveaError:
@@ -88,6 +88,28 @@ def check_plain(value: Any, where: str, path: tuple[str, ...] = ()) -> None:
         raise WrongSetting(f"{where}: expected a plain value, got a {type(value).__name__}", path)
 
 
+def _within_64_bits(schema: Any) -> Any:
+    """A schema whose integers have the range of those that can be carried."""
+    if isinstance(schema, list):
+        return [_within_64_bits(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    found = {key: _within_64_bits(item) for key, item in schema.items()}
+    limits = {"minimum": WHOLE_LOW, "maximum": WHOLE_HIGH}
+    return {**limits, **found} if found.get("type") == "integer" else found
+
+
+def _whole(value: Any) -> Any:
+    """Whole numbers as such, as JSON Schema has it: 3.0 is an integer, and a 3 may be a float."""
+    if isinstance(value, Mapping):
+        return {key: _whole(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_whole(item) for item in value]
+    if isinstance(value, float) and value.is_integer() and WHOLE_LOW <= value < WHOLE_HIGH:
+        return int(value)
+    return value
+
+
 def check_type(cls: type[Any]) -> None:
     """Raise whatever a settings dataclass raises whose declaration cannot be read."""
     fields(cls)
@@ -107,7 +129,8 @@ def plain(settings: Any) -> dict[str, Any]:
 
 def json_schema(cls: type[Any]) -> dict[str, Any]:
     """The JSON Schema of a settings dataclass."""
-    return _strict_adapter(cls).json_schema()
+    found: dict[str, Any] = _within_64_bits(_strict_adapter(cls).json_schema())
+    return found
 
 
 def suggest(name: str, known: Iterable[str]) -> str:

@@ -13,6 +13,12 @@ MODULES = {  # the text, the line of the cause, and what is said of it
         "class E(Exception):\n    def __str__(self): raise ValueError\nraise E\n", 3, "E",
     ),
 }  # fmt: skip
+ENDING = {  # likewise, that would end the process which imports them, or keep it from telling
+    "ends the process": ("import os\n\nos._exit(0)\n", 3, "it exits: os._exit(0)"),
+    "closes the stream": ("import sys\nsys.stderr.close()\n1 / 0\n", 3, "ZeroDivisionError"),
+    "closes the file": ("import os\nos.close(2)\n1 / 0\n", 3, "ZeroDivisionError"),
+    "has no streams": ("import sys\nsys.stderr = None\n1 / 0\n", 3, "ZeroDivisionError"),
+}
 HEAD = """\
 from dataclasses import dataclass
 from pipeline import Frame, Input, Operator, Output

@@ -149,6 +149,20 @@ class Unruly(Operator[UnrulySettings, Frame]):
         """Start a program in a session of its own."""
         self._note(subprocess.Popen(["sleep", "1000"], start_new_session=True).pid)
 
+    def do_escape(self) -> None:
+        """Start a program in a session of its own, that has nothing of this process."""
+        self._note(subprocess.Popen(["sleep", "1000"], start_new_session=True, env={}).pid)
+
+    def do_escape_and_die(self) -> None:
+        """Likewise, and die at once."""
+        self.do_escape()
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def do_escape_twice(self) -> None:
+        """Likewise, by a program that ends at once, so that it is nobody's child."""
+        script = f"setsid env -i sleep 1000 & echo $! >> {self.settings.note}"
+        subprocess.run(["sh", "-c", script], check=True)
+
     def do_tell(self) -> None:
         """Tell that it works."""
         self._note(os.getpid())

@@ -91,11 +91,11 @@ def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = No
         supervisor.finish()
         supervisor.stop()
         report = compose(
-            plan, supervisor.ledger, supervisor.summaries, {}, duration_s=1,
-            restarts=supervisor.restarts,
+            plan, supervisor.ledger, supervisor.reports.summaries, {}, duration_s=1,
+            restarts=supervisor.restarts, crashes=supervisor.crashes,
         )  # fmt: skip
         report["failure"] = supervisor.failure
-        report["summaries"] = supervisor.summaries
+        report["summaries"] = supervisor.reports.summaries
     return report
 
 

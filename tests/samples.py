@@ -52,7 +52,7 @@ class Ticker(Source[TickerSettings, Mapping[str, Message]]):
     schedule = Input(RoiSchedule, command=True)
 
     def open(self) -> None:
-        self.stream, self.seq, self.start_s = uuid4().hex, 0, time.monotonic()
+        self.stream, self.seq, self.start_s = uuid4().hex, 0, 0.0
         self.newest = RoiSchedule(
             header=Header(stream="", seq=-1, stamp_ns=0),
             first_seq=0,
@@ -75,6 +75,7 @@ class Ticker(Source[TickerSettings, Mapping[str, Message]]):
         if settings.length and self.seq >= settings.length:
             return None
         if self.realtime:
+            self.start_s = self.start_s or time.monotonic()  # of the first one
             due_s = self.start_s + self.seq / settings.rate_hz
             time.sleep(max(0.0, due_s - time.monotonic()))
         seq, self.seq = self.seq, self.seq + 1

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -40,7 +41,13 @@ SOURCES = tracked(".py")
 def trees(*rooms: str) -> Iterator[tuple[Path, ast.Module]]:
     for path in SOURCES:
         if path.relative_to(ROOT).parts[0] in rooms:
-            yield path, ast.parse(path.read_text())
+            yield path, parsed(path)
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    """The tree of a file, read once for all rules."""
+    return ast.parse(path.read_text())
 
 
 def test_the_top_level_is_fixed() -> None:
@@ -66,7 +73,7 @@ def test_files_and_functions_are_short_enough_to_read() -> None:
         lines = len(text.splitlines())
         if lines > LONGEST_FILE:
             long.append(f"{path.relative_to(ROOT)}: {lines} lines")
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 length = (node.end_lineno or node.lineno) - node.lineno + 1
                 if length > LONGEST_FUNCTION:

@@ -24,7 +24,7 @@ def fuzz_graphs(
     documents = [plain(YamlFile(path).document) for path in seeds]
     for path in seeds:  # so that imports are done before files are watched
         load(path)
-    path = folder / "graph.yaml"
+    path = folder.resolve() / "graph.yaml"
     for number in range(count):
         data = _case(rng, texts, documents)
         path.write_bytes(data)
@@ -38,9 +38,7 @@ def fuzz_graphs(
         watch.on = False
     path.unlink(missing_ok=True)
     left = {found.name for found in folder.rglob("*")}
-    tally.files_touched = len(watch.touched | left)
-    tally.examples += sorted(watch.touched | left)[:5]
-    return tally
+    return tally.with_touched(watch.touched | left)
 
 
 def _case(rng: random.Random, texts: list[bytes], documents: list[object]) -> bytes:

@@ -4,6 +4,7 @@ Orders to the supervisor go to the control server of a small running graph; thos
 operator in this process, as its host would pass them on.
 """
 
+import os
 import random
 import time
 from collections.abc import Callable, Mapping
@@ -15,7 +16,7 @@ from typing import Any
 import msgspec
 
 from bench.fuzz import nasty
-from bench.fuzz.tally import Tally
+from bench.fuzz.tally import Tally, Watch, alone
 from pipeline import Frame, Input, Operator, SettingsError
 from pipeline.commands import carry_out
 from pipeline.errors import GraphError, RunError
@@ -26,6 +27,8 @@ from pipeline.node.live import Live
 from pipeline.protocol.codec import MARKER, TAG, VERSION, ControlMessage, Kind, decode
 from pipeline.protocol.orders import RESULT, Refused
 from pipeline.protocol.questions import Command, ConfigQuestion, NodeSettings, Outcome
+from pipeline.run.memory_folder import MEMORY
+from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 
 GRAPH = """\
@@ -72,15 +75,19 @@ class Tunable(Operator[TunableSettings, None]):
 def fuzz_orders(count: int, folder: Path, *, seed: int = 0) -> Tally:
     """Give so many orders, half of them to the supervisor and half to a node."""
     rng, tally = random.Random(seed), Tally()
-    path = folder / "graph.yaml"
+    watch = Watch(folder, base(), begins=f"{MEMORY}/fovea-{os.geteuid()}-")
+    path, home = folder.resolve() / "graph.yaml", folder.resolve() / "home"
     path.write_text(GRAPH)
+    home.mkdir()
     to_graph = count // 2
-    _to_node(count - to_graph, rng, tally)
-    while to_graph > 0:
-        _to_graph(load(path), min(to_graph, ROUND), rng, tally)
-        to_graph -= ROUND
-    path.unlink()
-    return tally
+    with alone(home) as made:
+        watch.on = True
+        _to_node(count - to_graph, rng, tally)
+        while to_graph > 0:
+            _to_graph(load(path), min(to_graph, ROUND), rng, tally)
+            to_graph -= ROUND
+        watch.on = False
+    return tally.with_touched(watch.touched | made)
 
 
 def _to_node(count: int, rng: random.Random, tally: Tally) -> None:
@@ -113,7 +120,7 @@ def _answered(kind: type[Q], act: Callable[[Q], ControlMessage], data: bytes) ->
 
 def _to_graph(plan: Plan, count: int, rng: random.Random, tally: Tally) -> None:
     with Supervisor(plan) as supervisor:
-        supervisor.max_restarts = count
+        supervisor.allow_restarts(count)
         supervisor.start()
         for _ in range(count):
             order = _order(supervisor, plan, rng)
@@ -127,7 +134,7 @@ def _order(supervisor: Supervisor, plan: Plan, rng: random.Random) -> bytes:
     document: Mapping[str, Any] = SWAP
     if rng.random() < 0.6:
         what = running if rng.random() < 0.8 else wanted
-        document = {TAG: "PlanOrder", "plan": what, "revision": supervisor.revision}
+        document = {TAG: "PlanOrder", "plan": what, "revision": supervisor.manager.revision}
     kind = rng.random()
     if kind < 0.01:
         return _framed(document)

@@ -72,6 +72,12 @@ class Tally:
             self._keep(case, traceback.format_exc(limit=-4))
         self.slowest_ms = max(self.slowest_ms, 1000 * (time.perf_counter() - began_s))
 
+    def with_touched(self, files: set[str]) -> "Tally":
+        """The same, with the files that were touched and should not be."""
+        self.files_touched = len(files)
+        self.examples += sorted(files)[:5]
+        return self
+
     @property
     def sound(self) -> bool:
         """Whether nothing broke."""
@@ -100,10 +106,17 @@ def bounded(seconds: float) -> Iterator[None]:
 
 
 class Watch:
-    """Notes which files outside one folder this process opens for writing, makes or removes."""
+    """Notes which files outside some folders this process opens for writing, makes or removes.
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = str(folder.resolve())
+    The interpreter does not tell which open folder a relative path belongs to: those are not looked
+    at. What is made in the working folder is found there, see `alone`. Programs that are started
+    count, but for this Python.
+    """
+
+    def __init__(self, *folders: Path, begins: str = "") -> None:
+        """`begins`: how the paths of folders begin that have random names."""
+        self._folders = tuple(f"{folder.resolve()}{os.sep}" for folder in folders)
+        self._folders += (begins,) if begins else ()
         self.on = False
         self.touched: set[str] = set()
         sys.addaudithook(self._hear)  # it stays for good, and is switched off
@@ -119,8 +132,29 @@ class Watch:
             return
         else:
             path = arguments[0]
-        if isinstance(path, int):
+        if isinstance(path, int) or path == sys.executable:
             return
-        place = os.path.abspath(os.fsdecode(path) if isinstance(path, (str, bytes)) else str(path))
-        if not place.startswith(self._folder) and "__pycache__" not in place:
+        place = os.path.normpath(os.fsdecode(path) if isinstance(path, (str, bytes)) else str(path))
+        own = f"{place}{os.sep}".startswith(self._folders) or place == os.devnull
+        if os.path.isabs(place) and not own and "__pycache__" not in place:
             self.touched.add(f"{event} {place}")
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[set[str]]:
+    """Work in an empty folder that is the home, too; what is made there is in the set afterwards.
+
+    The processes that are started meanwhile have it as theirs.
+    """
+    before, home, made = Path.cwd(), os.environ.get("HOME"), set[str]()
+    os.environ["HOME"] = str(folder)
+    os.chdir(folder)
+    try:
+        yield made
+    finally:
+        os.chdir(before)
+        if home is None:
+            del os.environ["HOME"]
+        else:
+            os.environ["HOME"] = home
+        made |= {str(path.relative_to(folder)) for path in folder.rglob("*")}

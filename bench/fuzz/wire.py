@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.fuzz import nasty
-from bench.fuzz.tally import Tally
+from bench.fuzz.tally import Tally, Watch
 from pipeline import codec
 from pipeline.bus.envelope import MESSAGE, NOTHING, Envelope
 from pipeline.bus.pool import SlotRef
@@ -37,10 +37,13 @@ HEADER = Header(stream="fuzz", seq=7, stamp_ns=1)
 def fuzz_wire(count: int, *, seed: int = 0) -> Tally:
     """Read so many spoilt byte strings with the decoders they are meant for, or with any other."""
     rng, tally, cases = random.Random(seed), Tally(), list(known().values())
+    watch = Watch()
     for _ in range(count):
         data, read = _input(rng, cases)
+        watch.on = True
         tally.check(data, partial(read, data))
-    return tally
+        watch.on = False
+    return tally.with_touched(watch.touched)
 
 
 def known() -> Mapping[str, Case]:

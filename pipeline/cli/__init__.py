@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from pipeline import output, signals
+from pipeline import exits, output, signals
 from pipeline.cli.deferred import Deferred
 from pipeline.errors import FoveaError, GraphError, InstallError, SettingsError, WeightsError
 from pipeline.extras import remedy
@@ -69,6 +69,7 @@ class Commands(click.Group):
 def main() -> None:
     """Entry point: one sentence and an exit status for every expected failure and every signal."""
     output.guard()
+    exits.refuse()
     with signals.raising():
         sys.path.insert(0, "")  # operators of the user's own lie in the folder they work in
         try:
@@ -89,12 +90,12 @@ def _carry_out() -> None:
     except (click.Abort, KeyboardInterrupt):
         sys.exit(INTERRUPTED)
     except FoveaError as error:
-        click.echo(f"fovea: {error}", err=True)
+        output.complain(f"fovea: {error}")
         sys.exit(2 if isinstance(error, USAGE) else 1)
     except (OSError, MemoryError) as error:  # no descriptors left, no memory, a full disk
         if isinstance(error, OSError) and output.is_lost(error):
             raise
-        click.echo(f"fovea: {harmless(error_text(error))}", err=True)
+        output.complain(f"fovea: {harmless(error_text(error))}")
         sys.exit(1)
 
 

@@ -51,7 +51,7 @@ def named_value(word: str) -> tuple[str, Any]:
     name, equals, text = word.partition("=")
     if not equals or not name:
         raise click.UsageError(f"{shown_change(word)}: expected NAME=VALUE")
-    return name, read_value(text)
+    return name, read_value(text, name)
 
 
 JSON = click.option("--json", "as_json", is_flag=True, help="The answer as JSON.")

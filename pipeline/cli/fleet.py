@@ -36,6 +36,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.naming import check_name
 from pipeline.renamed import renamed_option
+from pipeline.run.reaper import Reaper
 from pipeline.run.rundir import running
 from pipeline.settings import suggest
 from pipeline.signals import Interruption
@@ -63,7 +64,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
     own = read(config) if config else HostConfig(AgentFile(label=label), Path.cwd())
     if state:
         own = replace(own, file=replace(own.file, state=str(state.resolve())))
-    with Interruption(last=True) as asked, Agent(own) as agent:
+    with Interruption(last=True) as asked, Agent(own, Reaper()) as agent:
         asked.on_signal = agent.stop
         if asked.count:  # while it came up
             agent.stop()

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from rich.console import Console
 
-from pipeline import signals
+from pipeline import output, signals
 from pipeline.cli import running
 from pipeline.cli.arguments import DURATION_S, FRAMES, JSON, print_json
 from pipeline.cli.detached import DetachedRun, start
@@ -24,10 +24,13 @@ from pipeline.graph.overlay import Overlay, manual_nodes
 from pipeline.graph.plan import Plan
 from pipeline.graph.schema import graph_schema
 from pipeline.graph.survey import survey
+from pipeline.run.reaper import Reaper
 from pipeline.run.report import Report, print_report
 from pipeline.run.rundir import folder_of
+from pipeline.run.verdict import crashed
 from pipeline.text import harmless
 
+CRASHED = 3  # the exit status of a run that came to its end although processes crashed
 console = Console()
 GRAPH = click.argument("graph", type=GRAPH_FILE)
 
@@ -99,10 +102,10 @@ def _run(
         console.print(line, markup=False)
     with signals.Interruption(last=True) as asked:
         if inline:
-            result = running.inline(plan, frames or 0, console, asked)
+            result = running.inline(plan, frames or 0, console, asked, verbose=verbose)
         else:
             result = running.processes(
-                plan, frames or 0, duration_s or 0.0, console, asked, when_it_runs
+                plan, frames or 0, duration_s or 0.0, console, asked, Reaper(), when_it_runs
             )
         if report:
             unwritten = write_report(report, result, "--report")
@@ -113,8 +116,12 @@ def _run(
             console.print(f"recording: {save}, open it with: rerun {save}", markup=False)
     wrong = [why for why in (result.get("failure"), result.get(INCOMPLETE), unwritten) if why]
     for why in wrong:
-        click.echo(f"Error: {harmless(str(why))}", err=True)
+        output.complain(f"Error: {harmless(str(why))}")
     status = asked.status or (2 if wrong else 0)
+    if not status and (said := crashed(result)):
+        wrong = [f"{plan.name} ran to its end, but {harmless(said)}"]
+        output.complain(f"Error: {wrong[0]}")
+        status = CRASHED
     note(status, harmless("; ".join(map(str, wrong))), result)
     return status
 

@@ -1,7 +1,10 @@
 """`fovea run`: a plan, as processes or in line, with a live line; the report comes back."""
 
+import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -15,40 +18,89 @@ from pipeline.errors import FoveaError, GraphError, RunError, WeightsError
 from pipeline.graph.plan import Node, Plan, load_operator, sources
 from pipeline.run.inline import InlineRunner
 from pipeline.run.loaded_graph import account_of
+from pipeline.run.reaper import Reaper
 from pipeline.run.report import Report
 from pipeline.run.supervisor import STOP_S, Supervisor
 from pipeline.settings import build
 from pipeline.signals import Interruption
 from pipeline.terminal import pair
-from pipeline.text import error_text, harmless
+from pipeline.text import harmless
 
 REFRESH_S = 0.25
+MOST_TRACEBACK = 20_000  # characters that are shown of one
 
 
-def inline(plan: Plan, frames: int, console: Console, asked: Interruption) -> Report:
+def inline(
+    plan: Plan, frames: int, console: Console, asked: Interruption, *, verbose: bool = False
+) -> Report:
     """Run in this thread, frame by frame, until it is asked to end.
 
     A frame that takes longer than a run may take to stop is given up; what is known is reported.
+    An operator that breaks over a frame is the report's `failure`, with its traceback if `verbose`.
     """
     name = TextColumn("{task.description}", markup=False)
     columns = (SpinnerColumn(), name, MofNCompleteColumn(), TimeElapsedColumn())
-    runner, report = InlineRunner(plan), None
+    runner, report, failure = _loaded(plan), None, ""
+    broken: list[BaseException] = []  # what ended threads that operators started
     try:
-        with asked.giving_up(STOP_S), runner, Progress(*columns, console=console) as progress:
+        with (
+            asked.giving_up(STOP_S), _thread_errors(broken), runner,
+            Progress(*columns, console=console) as progress,
+        ):  # fmt: skip
             task = progress.add_task(plan.name, total=frames or None)
             for _seq in runner.run(frames):
                 progress.advance(task)
+                if broken:
+                    raise broken[0]
                 if asked.count:
                     break
             report = runner.report()
-    except (SystemExit, KeyboardInterrupt, OSError) as error:  # neither a signal nor a lost reader
-        raise RunError(f"{plan.name}: an operator raised {error_text(error)}") from error
-    return report if report is not None else runner.report(summaries=False)
+    except BaseException as error:
+        failure = _told(error, f"{plan.name}: a thread" if error in broken else runner.at)
+        if verbose:
+            text = "".join(traceback.format_exception(error))
+            console.print(harmless(text, MOST_TRACEBACK, lines=True), markup=False, highlight=False)
+        if not runner.began:
+            raise _fovea_error(error, failure) from error
+    report = report if report is not None else runner.report(summaries=False)
+    return {**report, "failure": failure} if failure else report
+
+
+def _loaded(plan: Plan) -> InlineRunner:
+    try:
+        return InlineRunner(plan)
+    except BaseException as error:
+        raise _fovea_error(error, _told(error, plan.name)) from error
+
+
+def _fovea_error(error: BaseException, told: str) -> FoveaError:
+    return error if isinstance(error, FoveaError) else RunError(told)
+
+
+def _told(error: BaseException, node: str) -> str:
+    """What an operator's error is, in a sentence; raises fovea's own and those of signals again."""
+    if isinstance(error, FoveaError):
+        return harmless(str(error))
+    if is_signal(error):
+        raise error
+    return f"{node}: {cause_of(error)}"
+
+
+@contextmanager
+def _thread_errors(found: list[BaseException]) -> Iterator[None]:
+    """Note the errors that end threads which operators started."""
+    before = threading.excepthook
+    threading.excepthook = lambda broken: found.extend(filter(None, [broken.exc_value]))
+    try:
+        yield
+    finally:
+        threading.excepthook = before
 
 
 def processes(
     plan: Plan, frames: int, duration_s: float, console: Console,
-    asked: Interruption | None = None, when_it_runs: Callable[[str], None] | None = None,
+    asked: Interruption | None = None, reaper: Reaper | None = None,
+    when_it_runs: Callable[[str], None] | None = None,
 ) -> Report:  # fmt: skip
     """Run as processes until the source ends, a limit, or it is asked to end.
 
@@ -56,8 +108,8 @@ def processes(
     """
     if asked is None:
         with Interruption() as asked:
-            return processes(plan, frames, duration_s, console, asked, when_it_runs)
-    with Supervisor(plan, frames=frames) as supervisor:
+            return processes(plan, frames, duration_s, console, asked, reaper, when_it_runs)
+    with Supervisor(plan, frames=frames, reaper=reaper) as supervisor:
         supervisor.asked_to_end = asked.asked
         with console.status(Text(f"{plan.name}: starting {len(plan.processes())} processes")):
             supervisor.start()
@@ -73,7 +125,7 @@ def processes(
                 if elapsed_s - shown_s >= REFRESH_S and console.is_terminal:
                     shown_s = elapsed_s
                     live.update(Text(status_line(supervisor, elapsed_s)), refresh=True)
-        elapsed_s = time.monotonic() - supervisor.started_s
+        elapsed_s = supervisor.exposed_s
         if supervisor.begun:
             supervisor.finish()
         supervisor.stop()
@@ -86,7 +138,8 @@ def processes(
 def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
     """One line: how far, how fast, what was lost."""
     plan, ledger = supervisor.plan, supervisor.ledger
-    source = ledger.nodes[next(sources(plan), plan.nodes[0]).index]
+    name = min(supervisor.manager.source_names, default=plan.nodes[0].name)
+    source = ledger.nodes[plan.node(name).index]
     loop = source.histograms["loop"].summary()
     dropped = sum(sum(edge.report()["dropped"].values()) for edge in ledger.edges)
     broken = [e.end for e in plan.edges if ledger.edges[e.index].broken]
@@ -96,7 +149,7 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
         *([f"loop {pair(loop)} ms p50/p99"] if plan.clock == "realtime" else []),
         f"dropped {dropped}",
         f"restarts {sum(supervisor.restarts.values())}",
-        *(words for words in supervisor.headlines.values() if words),
+        *(words for words in supervisor.reports.headlines.values() if words),
     ]
     return "  ".join([*parts, *(["broken: " + ", ".join(broken)] if broken else [])])
 

@@ -10,7 +10,7 @@ import msgspec
 
 from pipeline.bus.tap import Heard, Tap
 from pipeline.errors import RunError
-from pipeline.graph.editing import Ports, rewired, with_nodes, without_node
+from pipeline.graph.editing import PortTypes, rewired, with_nodes, without_node
 from pipeline.graph.loader import Sent
 from pipeline.graph.plan import Plan
 from pipeline.protocol.codec import decode_answer
@@ -150,14 +150,14 @@ class GraphClient(ABC):
         """Connect an input elsewhere: `node.input=source.output`."""
         return self.replan(lambda plan: rewired(plan, wire, self.ports))
 
-    def ports(self, node: str) -> Ports:
+    def ports(self, node: str) -> PortTypes:
         """The messages that a node takes and gives."""
         found = self.schema(node)
         inputs, outputs = (
             {name: Sent(port.message, port.fingerprint) for name, port in ports.items()}
             for ports in (found.inputs, found.outputs)
         )
-        return Ports(inputs, outputs)
+        return PortTypes(inputs, outputs)
 
     def _answer(self, kind: type[T], node: str, question: NodeQuestion) -> T:
         return decode_answer(kind, self.ask(node, question))

@@ -47,6 +47,7 @@ from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import MOST_BYTES, ControlMessage, decode, encode, refused
 from pipeline.protocol.fleet import Named, Prepare, Prepared, Start
 from pipeline.run.logs import log_lines
+from pipeline.run.reaper import Reaper
 from pipeline.text import error_text
 
 WAITING = 64  # questions; more are refused at once
@@ -72,8 +73,9 @@ class _Question:
 class Agent:
     """One host. Use it as a context: leaving it stops what runs and keeps it for the next start."""
 
-    def __init__(self, own: HostConfig) -> None:
-        self.host, self.label = own, own.label
+    def __init__(self, own: HostConfig, reaper: Reaper | None = None) -> None:
+        """`reaper`: of this process, if it may adopt what nodes leave behind."""
+        self.host, self.label, self._reaper = own, own.label, reaper
         self._credentials = own.credentials
         self._allowed = own.allowed
         self._gateway = NodeGateway(self._allowed, own.file.settings)
@@ -341,6 +343,7 @@ class Agent:
             hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
             way=self._network((), permits=asker_permits(identity, others)),
             begins=partial(self._store.count, local.name),
+            reaper=self._reaper,
         )
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:

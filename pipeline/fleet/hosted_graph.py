@@ -15,7 +15,9 @@ from pipeline.graph.plan import Plan
 from pipeline.node.wiring import CLOCKS
 from pipeline.protocol.fleet import Accounts
 from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.reaper import Reaper
 from pipeline.run.supervisor import Supervisor
+from pipeline.text import error_text
 
 WAIT_FOR_OTHERS_S = 60.0  # then the source begins without them
 TELL_S = 0.004  # how often accounts are looked at: the credit of lossless edges goes with it
@@ -24,30 +26,6 @@ END_S = 20.0  # stopping takes as long as the slowest operator's close
 AGAIN_S = (1.0, 30.0)  # first and longest pause before a graph that worked once begins again
 STARTS_EPOCHS = 1000  # between two starts of a host, so that what an earlier one sent is told apart
 log = logging.getLogger(__name__)
-
-
-class HostedSupervisor(Supervisor):
-    """Runs the nodes that are here; its sources begin when the other hosts are ready too."""
-
-    def __init__(self, plan: Plan, folder: str, first_epoch: int) -> None:
-        super().__init__(plan, folder=folder, first_epoch=first_epoch)
-        self.peers: tuple[Peer, ...] = ()
-        self._since_s = time.monotonic()
-        try:
-            self.clocks = Clocks.create(self._run.folder.path / CLOCKS, plan.here, plan.hosts)
-        except OSError as error:
-            self.close()
-            raise RunError(f"{CLOCKS}: cannot be made: {error.strerror}") from error
-
-    @property
-    def ready(self) -> bool:
-        """Every process here has opened its operators."""
-        return all(managed.handle and managed.handle.ready for managed in self.processes.values())
-
-    def _may_go(self, managed: ManagedProcess) -> bool:
-        waited = time.monotonic() - self._since_s > WAIT_FOR_OTHERS_S
-        others = all(n.replication.other_ready or n.lost for n in self.peers)
-        return super()._may_go(managed) and (not managed.sources or waited or others)
 
 
 @dataclass
@@ -60,10 +38,13 @@ class HostedGraph:
     hosts: Mapping[str, str]  # label -> end point of the agent
     way: Network  # to those agents, without end points
     begins: Callable[[], int]  # counts one more start, also beyond the end of the agent
+    reaper: Reaper | None = None  # of the agent
     phase: str = "starting"
     failure: str = ""
-    supervisor: HostedSupervisor | None = None
+    supervisor: Supervisor | None = None
+    clocks: Clocks = field(default_factory=Clocks)  # of all its hosts, while it runs
     peers: dict[str, Peer] = field(default_factory=dict)
+    _began_s: float = 0.0
     _proven: bool = False  # it has worked once: then it tries again when it fails
     _stop: threading.Event = field(default_factory=threading.Event)
     _in_haste: bool = False
@@ -124,9 +105,12 @@ class HostedGraph:
         try:
             starts = self.begins()
             self._proven = self._proven or starts > 1
-            epochs = starts * STARTS_EPOCHS
-            supervisor = HostedSupervisor(self.plan, self.folder, epochs)
+            supervisor = Supervisor(
+                self.plan, folder=self.folder, first_epoch=starts * STARTS_EPOCHS,
+                may_go=self._may_go, reaper=self.reaper,
+            )  # fmt: skip
             with supervisor:
+                self._begin_clocks(supervisor)
                 self._keep(supervisor, starts)
             self.phase = "stopped"
         except FoveaError as error:
@@ -137,9 +121,23 @@ class HostedGraph:
         finally:
             self.supervisor = None
 
-    def _keep(self, supervisor: HostedSupervisor, starts: int) -> None:
-        supervisor.networks = dict(self.networks)
-        supervisor.asked_to_end = lambda: self._stop.is_set() + self._in_haste
+    def _begin_clocks(self, supervisor: Supervisor) -> None:
+        self._began_s = time.monotonic()
+        path = supervisor.manager.run_folder.folder.path / CLOCKS
+        try:
+            self.clocks = Clocks.create(path, self.plan.here, self.plan.hosts)
+        except OSError as error:
+            raise RunError(f"{CLOCKS}: cannot be made: {error.strerror}") from error
+
+    def _may_go(self, managed: ManagedProcess) -> bool:
+        """Sources begin when the other hosts are ready too, or have kept them waiting."""
+        waited = time.monotonic() - self._began_s > WAIT_FOR_OTHERS_S
+        others = all(n.replication.other_ready or n.lost for n in self.peers.values())
+        return not managed.sources or waited or others
+
+    def _keep(self, supervisor: Supervisor, starts: int) -> None:
+        supervisor.manager.networks = dict(self.networks)
+        supervisor.manager.asked_to_end = lambda: self._stop.is_set() + self._in_haste
         graph, done = self.plan.name, threading.Event()
         self.peers = {}
         telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
@@ -149,15 +147,14 @@ class HostedGraph:
                     self.plan, supervisor.ledger, label, starts, self.fingerprint
                 )
                 way = replace(self.way, connect=(point,))
-                clock = supervisor.clocks.readings[label]
+                clock = self.clocks.readings[label]
                 self.peers[label] = Peer(graph, self.plan.here, replication, clock, way)
-            supervisor.peers = tuple(self.peers.values())
             if starts > 1:
-                told = [n.recall() for n in supervisor.peers]
+                told = [n.recall() for n in self.peers.values()]
                 mine = [t for t in told if t is not None and t.fingerprint == self.fingerprint]
                 adopt(self.plan, supervisor.ledger, mine)
             self.supervisor = supervisor
-            for peer in supervisor.peers:
+            for peer in self.peers.values():
                 peer.begin()
             telling.start()
             self._supervise(supervisor)
@@ -168,26 +165,31 @@ class HostedGraph:
             for peer in self.peers.values():
                 peer.close()
 
-    def _supervise(self, supervisor: HostedSupervisor) -> None:
-        supervisor.begin_all()
+    def _supervise(self, supervisor: Supervisor) -> None:
+        supervisor.manager.begin_all()
         while not self._stop.is_set():
             supervisor.tick()
-            broken = [n.broken for n in supervisor.peers if n.broken]
+            broken = [n.broken for n in self.peers.values() if n.broken]
             if supervisor.failure or broken:
                 raise RunError(supervisor.failure or broken[0])
-            if self.phase == "starting" and supervisor.all_going:
+            if self.phase == "starting" and supervisor.manager.all_going:
                 self.phase, self.failure, self._proven = "running", "", True
                 log.info("%s: %d processes run", self.plan.name, len(supervisor.processes))
 
-    def _tell(self, supervisor: HostedSupervisor, done: threading.Event) -> None:
+    def _tell(self, supervisor: Supervisor, done: threading.Event) -> None:
         anyway_s = 0.0
         try:
             while not done.wait(TELL_S):
                 now_s = time.monotonic()
                 anyway = now_s - anyway_s > ANYWAY_S
                 anyway_s = now_s if anyway else anyway_s
-                for peer in supervisor.peers:
-                    peer.tell(ready=supervisor.ready, anyway=anyway)
+                for peer in self.peers.values():
+                    peer.tell(ready=_is_ready(supervisor), anyway=anyway)
         except Exception as error:
             log.exception("%s: accounts are told no more", self.plan.name)
-            supervisor.failure = f"accounts are told no more: {type(error).__name__}: {error}"
+            supervisor.manager.failure = f"accounts are told no more: {error_text(error)}"
+
+
+def _is_ready(supervisor: Supervisor) -> bool:
+    """Whether every process here has opened its operators."""
+    return all(managed.handle and managed.handle.ready for managed in supervisor.processes.values())

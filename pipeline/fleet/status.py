@@ -4,9 +4,11 @@ import time
 
 import psutil
 
-from pipeline.fleet.hosted_graph import HostedGraph, HostedSupervisor
+from pipeline.bus.clocks import Clocks
+from pipeline.fleet.hosted_graph import HostedGraph
 from pipeline.fleet.peer import Peer
 from pipeline.protocol.fleet import EdgeState, HostState, NodeState, Process, State
+from pipeline.run.supervisor import Supervisor
 
 
 def state_of(hosted: HostedGraph) -> State:
@@ -20,7 +22,7 @@ def state_of(hosted: HostedGraph) -> State:
         failure=hosted.failure,
         processes=_processes(supervisor) if supervisor else (),
         nodes=_nodes(supervisor) if supervisor else (),
-        edges=_edges(supervisor) if supervisor else (),
+        edges=_edges(supervisor, hosted.clocks) if supervisor else (),
         hosts=tuple(_host(n) for n in hosted.peers.values()) if supervisor else (),
         network_bytes={
             name: (seen.bytes_recv, seen.bytes_sent)
@@ -29,7 +31,7 @@ def state_of(hosted: HostedGraph) -> State:
     )
 
 
-def _processes(supervisor: HostedSupervisor) -> tuple[Process, ...]:
+def _processes(supervisor: Supervisor) -> tuple[Process, ...]:
     found = []
     for name, managed in supervisor.processes.items():
         sample = managed.handle.sample() if managed.handle else None
@@ -46,7 +48,7 @@ def _processes(supervisor: HostedSupervisor) -> tuple[Process, ...]:
     return tuple(found)
 
 
-def _nodes(supervisor: HostedSupervisor) -> tuple[NodeState, ...]:
+def _nodes(supervisor: Supervisor) -> tuple[NodeState, ...]:
     found = []
     for node in filter(supervisor.plan.is_here, supervisor.plan.nodes):
         account = supervisor.ledger.nodes[node.index]
@@ -66,10 +68,10 @@ def _nodes(supervisor: HostedSupervisor) -> tuple[NodeState, ...]:
     return tuple(found)
 
 
-def _edges(supervisor: HostedSupervisor) -> tuple[EdgeState, ...]:
+def _edges(supervisor: Supervisor, clocks: Clocks) -> tuple[EdgeState, ...]:
     plan, found = supervisor.plan, []
     sources = [n for n in plan.nodes if all(e.command for e in plan.inputs(n.name).values())]
-    errors = [supervisor.clocks.error_ns(node.host) for node in sources]
+    errors = [clocks.error_ns(node.host) for node in sources]
     for edge in plan.edges:
         if not plan.is_here(plan.node(edge.target)):
             continue

@@ -12,11 +12,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from pipeline.errors import RunError
-from pipeline.fleet.hosted_graph import HostedGraph, HostedSupervisor
+from pipeline.fleet.hosted_graph import HostedGraph
 from pipeline.naming import check_name
 from pipeline.node.wiring import key_of
 from pipeline.protocol import fleet as wire
 from pipeline.run.bus_client import client_session
+from pipeline.run.supervisor import Supervisor
 from pipeline.settings import suggest
 
 MOST_TAPS = 8  # on one host
@@ -32,7 +33,7 @@ class _Tap:
 
     place: str
     asked_s: float
-    supervisor: HostedSupervisor | None = None  # of the run that it listens to
+    supervisor: Supervisor | None = None  # of the run that it listens to
     open: ExitStack = field(default_factory=ExitStack)
     kept: deque[tuple[int, bytes]] = field(default_factory=deque)
     kept_bytes: int = 0
@@ -95,7 +96,7 @@ class TapRelay:
                 self._listen(tap, hosted.folder, supervisor)
             tap.asked_s = time.monotonic()
         kept, skipped = tap.fetch()
-        clocks = supervisor.clocks
+        clocks = hosted.clocks
         ahead = {label: clocks.ahead_ns(label) for label in hosted.plan.hosts}
         known = {label: ns for label, ns in ahead.items() if ns is not None}
         return wire.TapMessages(kept, skipped, time.monotonic_ns(), known)
@@ -111,7 +112,7 @@ class TapRelay:
         tap = self._taps[key] = _Tap(place, time.monotonic())
         return tap
 
-    def _listen(self, tap: _Tap, folder: str, supervisor: HostedSupervisor) -> None:
+    def _listen(self, tap: _Tap, folder: str, supervisor: Supervisor) -> None:
         tap.open.close()
         session = tap.open.enter_context(client_session(folder, "relay"))
         tap.open.callback(session.listen(tap.place, tap.hear))

@@ -19,17 +19,17 @@ from pipeline.settings import suggest
 
 
 @dataclass(frozen=True)
-class Ports:
+class PortTypes:
     """The messages that a node takes and gives, by name of input and output."""
 
     inputs: Mapping[str, Sent]
     outputs: Mapping[str, Sent]
 
 
-PortsOf = Callable[[str], Ports]  # of a node that runs, by its name
+PortTypesOf = Callable[[str], PortTypes]  # of a node that runs, by its name
 
 
-def with_nodes(plan: Plan, path: Path, ports_of: PortsOf | None = None) -> Plan:
+def with_nodes(plan: Plan, path: Path, ports_of: PortTypesOf | None = None) -> Plan:
     """The plan and the nodes of a file; raises `GraphError` or `SettingsError`."""
     file = YamlFile(path)
     file.only(file.document, ("nodes",), "addition")
@@ -56,7 +56,7 @@ def without_node(plan: Plan, name: str) -> Plan:
     )
 
 
-def rewired(plan: Plan, wire: str, ports_of: PortsOf | None = None) -> Plan:
+def rewired(plan: Plan, wire: str, ports_of: PortTypesOf | None = None) -> Plan:
     """The plan with an input connected elsewhere: `node.input=source.output`."""
     end, equals, origin = wire.partition("=")
     node, dot, name = end.partition(".")
@@ -79,12 +79,12 @@ def rewired(plan: Plan, wire: str, ports_of: PortsOf | None = None) -> Plan:
     return wanted
 
 
-def loaded_ports(plan: Plan) -> PortsOf:
+def loaded_ports(plan: Plan) -> PortTypesOf:
     """The ports of a plan's nodes by their operators, which are loaded."""
 
-    def ports_of(name: str) -> Ports:
+    def ports_of(name: str) -> PortTypes:
         operator = load_operator(plan.node(name).operator)
-        return Ports(
+        return PortTypes(
             {n: _sent(port.message) for n, port in inputs_of(operator).items()},
             {n: _sent(message) for n, message in outputs_of(operator).items()},
         )
@@ -96,7 +96,7 @@ def _sent(message: type) -> Sent:
     return Sent(message.__name__, codec.fingerprint(message).hex())
 
 
-def _check_origin(plan: Plan, edge: Edge, ports_of: PortsOf) -> None:
+def _check_origin(plan: Plan, edge: Edge, ports_of: PortTypesOf) -> None:
     where = f"{plan.name}: {edge.target}.inputs.{edge.input}"
     names = [n.name for n in plan.nodes]
     if edge.source not in names:

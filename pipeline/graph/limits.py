@@ -46,6 +46,18 @@ class Limit:
             kind = ""
         raise error(f"{where}: expected {kind}{self.low:g} to {self.high:g}, got {shown(value)}")
 
+    def read(self, value: object, where: str) -> int | float:
+        """The number that a file means: 3.0 is a whole one; raises as `check` does.
+
+        >>> Limit(1, 64, whole=True).read(3.0, "work.threads"), Limit(0, 9).read(2, "work.stall_s")
+        (3, 2.0)
+        """
+        if self.whole and isinstance(value, float) and value.is_integer():
+            value = int(value)
+        self.check(value, where)
+        assert isinstance(value, (int, float))
+        return value if self.whole else float(value)
+
     def schema(self) -> dict[str, Any]:
         """The same as JSON Schema."""
         kind = "integer" if self.whole else "number"

@@ -11,10 +11,12 @@ from pipeline.graph.plan import load_operator
 from pipeline.graph.spec import GraphSpec, NodeSpec, graph_spec
 from pipeline.graph.yaml_lines import YamlFile, kind_of
 from pipeline.graph.yaml_reader import YamlMapping, read_text
+from pipeline.naming import LONGEST_NAME
 from pipeline.settings import suggest
 from pipeline.wording import shown, shown_key
 
 SOURCE_KEYS = ("operator", "settings")
+LONGEST_TARGET, LONGEST_VALUE = 2 * LONGEST_NAME + 40, 40  # shown of a word: the reason follows
 
 
 @dataclass(frozen=True)
@@ -74,23 +76,34 @@ def read_change(change: str) -> tuple[str, str, Any]:
     node, dot, setting = target.partition(".")
     if not (equals and dot and node and setting):
         raise GraphError(f"{shown_change(change)}: expected node.setting=value")
-    return node, setting, read_value(text)
+    return node, setting, read_value(text, target)
 
 
-def read_value(text: str) -> Any:
-    """What a YAML file would mean by it; raises `GraphError`.
+def read_value(text: str, name: str) -> Any:
+    """What a YAML file would mean by the value of a name; raises `GraphError` beginning with both.
 
-    >>> read_value("[1, 2]"), read_value("off"), read_value("")
+    >>> read_value("[1, 2]", "a.b"), read_value("off", "a.b"), read_value("", "a.b")
     ([1, 2], 'off', '')
     """
     if not text:
         return ""
-    return read_text(text, f"{shown_change(text)}: not a value")
+    return read_text(text, f"{shown_change(f'{name}={text}')}: not a value")
 
 
 def shown_change(change: str) -> str:
-    """A word of the command line in an error message: as it was typed if that can be printed."""
-    return change if change.isprintable() and len(change) <= 200 else shown(change, 200)
+    """A word of the command line in an error message: as it was typed where that can be read.
+
+    >>> shown_change("ticker.rate_hz=" + 400 * "9")
+    'ticker.rate_hz=9999999999999999999999999999999999999999…'
+    """
+    name, equals, value = change.partition("=")
+    return f"{_cut(name, LONGEST_TARGET)}{equals}{_cut(value, LONGEST_VALUE)}"
+
+
+def _cut(word: str, most: int) -> str:
+    if not word.isprintable():
+        return shown(word, most)
+    return word if len(word) <= most else f"{word[:most]}…"
 
 
 def _lay_source(file: YamlFile, nodes: Any, spec: GraphSpec, path: Path) -> None:

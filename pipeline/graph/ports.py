@@ -1,11 +1,13 @@
-"""Whether the operators of a plan have the ports that its edges name, with what the edges say.
+"""What operators take and give, and whether that is what the edges of a plan say.
 
 The loader makes plans that pass; one that came from elsewhere is looked at before anything starts.
+A supervisor imports nothing for that: the processes that import operators tell their ports.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
-from pipeline.contract import inputs_of, outputs_of
+from pipeline.contract import Source, inputs_of, outputs_of
 from pipeline.errors import GraphError, SettingsError
 from pipeline.graph.plan import Edge, Node, Plan, load_operator
 from pipeline.settings import suggest
@@ -13,33 +15,87 @@ from pipeline.settings import suggest
 DECLARED = ("join", "optional", "command", "tap")
 
 
-def check_ports(plan: Plan, is_here: Callable[[Node], bool]) -> None:
-    """Raise `FoveaError` for an edge that does not fit the operators here; no others are loaded."""
+@dataclass(frozen=True, kw_only=True)
+class InputPort:
+    """An input as the operator declares it."""
+
+    message: str  # module:Class
+    join: bool
+    optional: bool
+    command: bool
+    tap: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ports:
+    """An operator's inputs by name, the messages (`module:Class`) of its outputs by name."""
+
+    inputs: Mapping[str, InputPort]
+    outputs: Mapping[str, str]
+    source: bool  # it makes frames
+
+
+PortsOf = Callable[[Node], Ports]
+
+
+def declared_ports(operator: str) -> Ports:
+    """The ports of `module:Class`, which is imported; raises `GraphError`."""
+    cls = load_operator(operator)
+    inputs = {
+        name: InputPort(
+            message=message_path(port.message),
+            **{declared: getattr(port, declared) for declared in DECLARED},
+        )
+        for name, port in inputs_of(cls).items()
+    }
+    outputs = {name: message_path(message) for name, message in outputs_of(cls).items()}
+    return Ports(inputs=inputs, outputs=outputs, source=issubclass(cls, Source))
+
+
+def check_ports(
+    plan: Plan,
+    is_here: Callable[[Node], bool],
+    ports_of: PortsOf = lambda node: declared_ports(node.operator),
+) -> None:
+    """Raise `FoveaError` for an edge that does not fit the operators here; no others are looked at.
+
+    Without `ports_of` the operators are imported.
+    """
     for edge in plan.edges:
-        _check_edge(plan, edge, is_here)
+        _check_edge(plan, edge, is_here, ports_of)
     for node in filter(is_here, plan.nodes):
         given = plan.inputs(node.name)
-        for name, port in inputs_of(load_operator(node.operator)).items():
+        for name, port in ports_of(node).inputs.items():
             if name not in given and port.join and not (port.optional or port.command):
                 raise GraphError(f"{node.name}.inputs.{name}: required, got nothing")
 
 
-def _check_edge(plan: Plan, edge: Edge, is_here: Callable[[Node], bool]) -> None:
+def message_path(message: type) -> str:
+    """`module:Class` of a message."""
+    return f"{message.__module__}:{message.__qualname__}"
+
+
+def short(path: str) -> str:
+    """The name in `module:Class`."""
+    return path.partition(":")[2]
+
+
+def _check_edge(plan: Plan, edge: Edge, is_here: Callable[[Node], bool], ports_of: PortsOf) -> None:
     source, target = plan.node(edge.source), plan.node(edge.target)
     if is_here(source):
-        outputs = outputs_of(load_operator(source.operator))
+        outputs = ports_of(source).outputs
         if edge.output not in outputs:
             hint = suggest(edge.output, outputs)
             raise GraphError(f"{edge.source}: no output {edge.output}{hint}")
     if is_here(target):
-        inputs = inputs_of(load_operator(target.operator))
+        inputs = ports_of(target).inputs
         if edge.input not in inputs:
             raise GraphError(f"{edge.target}: no input {edge.input}{suggest(edge.input, inputs)}")
         port = inputs[edge.input]
         if any(getattr(port, name) != getattr(edge, name) for name in DECLARED):
             raise SettingsError(f"{edge.end}: expected the input as it is declared")
-    if is_here(source) and is_here(target) and outputs[edge.output] is not port.message:
+    if is_here(source) and is_here(target) and outputs[edge.output] != port.message:
         raise GraphError(
-            f"{edge.end}: expected {port.message.__name__}, got {outputs[edge.output].__name__} "
+            f"{edge.end}: expected {short(port.message)}, got {short(outputs[edge.output])} "
             f"from {edge.origin}"
         )

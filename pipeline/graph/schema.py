@@ -6,7 +6,7 @@ from pipeline.bus.clocks import MOST_HOSTS
 from pipeline.contract import inputs_of, settings_of
 from pipeline.graph.limits import EDGE, MOST_NODES, NODE, RESTART, Limits
 from pipeline.graph.plan import Node, Plan, Restart, load_operator
-from pipeline.graph.spec import CHOICES, CLOCKS, EDGE_KEYS, GRAPH_KEYS, NODE_KEYS
+from pipeline.graph.spec import CHOICES, CLOCKS, EDGE_KEYS, GRAPH_KEYS, NODE_KEYS, ORIGIN
 from pipeline.naming import GRAMMAR
 from pipeline.settings import json_schema
 
@@ -66,8 +66,9 @@ def _node(definitions: Schema, node: Node | None = None) -> Schema:
 
 def _edge() -> Schema:
     choices = {key: {"enum": list(allowed)} for key, allowed in CHOICES.items()}
-    known: Schema = {"from": {"type": "string"}, **choices, **_limited(EDGE)}
-    return {"anyOf": [{"type": "string"}, _object({k: known[k] for k in EDGE_KEYS}, ["from"])]}
+    origin = {"type": "string", "pattern": f"^{ORIGIN}$"}
+    known: Schema = {"from": origin, **choices, **_limited(EDGE)}
+    return {"anyOf": [origin, _object({k: known[k] for k in EDGE_KEYS}, ["from"])]}
 
 
 def _object(properties: Schema, required: list[str]) -> Schema:

@@ -5,6 +5,7 @@ messages are the loader's.
 """
 
 import difflib
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, get_args
@@ -17,13 +18,14 @@ from pipeline.graph.limits import EDGE, MOST_NODES, NODE
 from pipeline.graph.plan import Clock, Restart
 from pipeline.graph.yaml_lines import YamlFile, kind_of, plain
 from pipeline.import_path import check_import_path, is_import_path
-from pipeline.naming import check_name
+from pipeline.naming import GRAMMAR, check_name
 from pipeline.wording import shown, shown_key
 
 GRAPH_KEYS = ("name", "clock", "hosts", "nodes")
 NODE_KEYS = ("operator", "inputs", "settings", "group", "host", "threads", "stall_s", "start_s",
              "memory_mb", "restart", "manual")  # fmt: skip
 EDGE_KEYS = ("from", "keep", "depth", "wait_ms", "max_age_ms", "stale", "transport")
+ORIGIN = rf"{GRAMMAR}(\.{GRAMMAR})?"  # node or node.output
 CLOCKS: tuple[str, ...] = get_args(Clock)
 CHOICES: Mapping[str, tuple[str, ...]] = {
     "keep": get_args(Keep), "stale": ("drop", "pass"), "transport": ("pool", "bytes")
@@ -186,8 +188,7 @@ def _given(file: YamlFile, entry: Mapping[str, Any], name: str) -> dict[str, Any
             given[key] = check_name(entry[key], f"{file.at(entry, key)}: {name}.{key}")
     for key, limit in NODE.items():
         if key in entry:
-            limit.check(entry[key], f"{file.at(entry, key)}: {name}.{key}")
-            given[key] = entry[key] if limit.whole else float(entry[key])
+            given[key] = limit.read(entry[key], f"{file.at(entry, key)}: {name}.{key}")
     return given
 
 
@@ -217,7 +218,7 @@ def _edge(file: YamlFile, inputs: Mapping[str, Any], key: str, where: str) -> Ed
     file.only(long, EDGE_KEYS, where)
     place = file.at(inputs, key)
     origin = long.get("from")
-    if not isinstance(origin, str):
+    if not isinstance(origin, str) or not re.fullmatch(ORIGIN, origin):
         raise GraphError(f"{place}: {where}: expected node or node.output, got {shown(origin)}")
     given = {k: v for k, v in long.items() if k != "from"}
     for option, allowed in CHOICES.items():
@@ -229,6 +230,5 @@ def _edge(file: YamlFile, inputs: Mapping[str, Any], key: str, where: str) -> Ed
     for option, limit in EDGE.items():
         if option in given:
             at = file.at(long, option) if long is value else place
-            limit.check(given[option], f"{at}: {where}.{shown_key(option)}")
-            given[option] = given[option] if limit.whole else float(given[option])
+            given[option] = limit.read(given[option], f"{at}: {where}.{shown_key(option)}")
     return EdgeSpec(place=place, where=where, origin=origin, given=given)

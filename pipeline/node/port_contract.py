@@ -4,17 +4,18 @@ from typing import Any
 
 from pipeline.contract import Operator, Source, inputs_of, outputs_of
 from pipeline.errors import GraphError
-from pipeline.graph.plan import Edge, Node, Plan, is_source, load_operator
+from pipeline.graph.plan import Edge, Node, Plan, load_operator
+from pipeline.graph.ports import PortsOf, message_path, short
 from pipeline.protocol.supervision import PortContract
 from pipeline.settings import suggest
 
 
-def contract_of(plan: Plan, node: Node) -> PortContract:
-    """What the edges of a node ask of its operator."""
+def contract_of(plan: Plan, node: Node, ports_of: PortsOf) -> PortContract:
+    """What the edges of a node ask of its operator, by the ports of the nodes that run."""
     return PortContract(
-        inputs={e.input: _sent(plan, e) for e in plan.inputs(node.name).values()},
-        outputs={e.output: _sent(plan, e) for e in plan.edges if e.source == node.name},
-        source=is_source(node),
+        inputs={e.input: _sent(plan, e, ports_of) for e in plan.inputs(node.name).values()},
+        outputs={e.output: _sent(plan, e, ports_of) for e in plan.edges if e.source == node.name},
+        source=ports_of(node).source,
     )
 
 
@@ -36,9 +37,9 @@ def check_fit(plan: Plan, node: Node, contract: PortContract) -> None:
             raise GraphError(
                 f"{where}: {node.operator} has no such output{suggest(name, declared)}"
             )
-        if (sends := _path(declared[name])) != message:
-            raise GraphError(f"{where}: expected {_short(message)}, {node.operator} sends "
-                             f"{_short(sends)}")  # fmt: skip
+        if (sends := message_path(declared[name])) != message:
+            raise GraphError(f"{where}: expected {short(message)}, {node.operator} sends "
+                             f"{short(sends)}")  # fmt: skip
 
 
 def _check_inputs(
@@ -50,9 +51,9 @@ def _check_inputs(
         if name not in declared:
             raise GraphError(f"{where}: {node.operator} has no such input{suggest(name, declared)}")
         port, edge = declared[name], edges[name]
-        if (wants := _path(port.message)) != message:
+        if (wants := message_path(port.message)) != message:
             raise GraphError(
-                f"{where}: expected {_short(wants)}, got {_short(message)} from {edge.origin}"
+                f"{where}: expected {short(wants)}, got {short(message)} from {edge.origin}"
             )
         if (port.join, port.command) != (edge.join, edge.command):
             raise GraphError(f"{where}: {node.operator} joins it otherwise than the running part")
@@ -61,18 +62,8 @@ def _check_inputs(
             raise GraphError(f"{node.name}.inputs.{name}: required, got nothing")
 
 
-def _sent(plan: Plan, edge: Edge) -> str:
-    if not plan.is_here(
-        plan.node(edge.source)
-    ):  # its code is none of ours; its fingerprints agreed
-        reader = load_operator(plan.node(edge.target).operator)
-        return _path(inputs_of(reader)[edge.input].message)
-    return _path(outputs_of(load_operator(plan.node(edge.source).operator))[edge.output])
-
-
-def _path(message: type[Any]) -> str:
-    return f"{message.__module__}:{message.__qualname__}"
-
-
-def _short(path: str) -> str:
-    return path.partition(":")[2]
+def _sent(plan: Plan, edge: Edge, ports_of: PortsOf) -> str:
+    source = plan.node(edge.source)
+    if not plan.is_here(source):  # its code is none of ours; its fingerprints agreed
+        return ports_of(plan.node(edge.target)).inputs[edge.input].message
+    return ports_of(source).outputs[edge.output]

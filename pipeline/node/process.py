@@ -18,6 +18,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -27,6 +28,8 @@ from pipeline.bus.session import Session
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, load_operator
+from pipeline.graph.ports import declared_ports
+from pipeline.module_files import module_files
 from pipeline.node.control import Control
 from pipeline.node.handover import Say
 from pipeline.node.logfile import log_to
@@ -36,6 +39,7 @@ from pipeline.node.source import SourceRunner
 from pipeline.node.wiring import ASIDE, Wiring
 from pipeline.node.wiring import settings_of as node_settings
 from pipeline.private_folder import PrivateFolder
+from pipeline.process_tree import adopt_orphans, descendants, end, session_of, zombies
 from pipeline.protocol.supervision import (
     MOST_EVENT_BYTES,
     Assignment,
@@ -48,6 +52,7 @@ from pipeline.protocol.supervision import (
     Go,
     Headline,
     Idle,
+    Imported,
     Instruction,
     Leaving,
     NodeInstruction,
@@ -63,6 +68,7 @@ from pipeline.text import error_text, harmless, plain, said_by
 ASIDE_NICENESS = 5  # of processes that no sensor command waits for
 AHEAD_NICENESS = 19  # of imports that nobody waits for yet
 HEADLINE_S = 1.0  # between two looks at what operators have to tell
+MOST_FILES = 1000  # of its own code that a process tells of
 FAREWELL_S = 3.0  # after this the process ends whatever an operator does
 log = logging.getLogger(__name__)
 
@@ -90,7 +96,7 @@ class Process:
         try:
             self._check()
             if self._job.trial:
-                return self.say(Fits())
+                return self.say(Fits(self._imported()))
             for node in self._nodes:
                 if not self._job.standby:
                     account = self._ledger.nodes[node.index]
@@ -108,7 +114,7 @@ class Process:
             ]
             gc.collect()
             gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
-            self.say(Ready(loaded_s - began_s))
+            self.say(Ready(loaded_s - began_s, self._imported()))
             self._run_all()
         except BaseException as error:  # an operator may raise SystemExit, a library panic
             self.report(error)
@@ -118,9 +124,16 @@ class Process:
     def _check(self) -> None:
         """A part that is new in a running graph has to fit before anything is opened."""
         for node in self._nodes:
-            if contract := self._job.contracts.get(node.name):
+            contract = self._job.contracts.get(node.name)
+            if contract:
                 check_fit(self._job.plan, node, contract)
+            if contract or self._job.trial:
                 self._make(node)
+
+    def _imported(self) -> Imported:
+        operators = {node.operator for node in self._nodes}
+        files = list(islice(module_files(), MOST_FILES))
+        return Imported({o: declared_ports(o) for o in operators}, files)
 
     def stop(self) -> None:
         """Let every runner return."""
@@ -236,6 +249,7 @@ class Process:
 
 def main() -> None:
     """Read an assignment, do it, announce the end, leave with 0 or 1."""
+    adopt_orphans()  # what it starts and leaves behind ends with it
     control = Control.from_standard_input()
     try:
         failed = _work(control)
@@ -270,6 +284,7 @@ def _work(control: Control) -> bool:
     def look() -> None:
         with contextlib.suppress(OSError):
             file.look()
+        reap_strangers()
 
     process = Process(job, control.say, look)
     threading.excepthook = partial(_on_thread, process)
@@ -286,7 +301,8 @@ def _on_thread(process: Process, broken: threading.ExceptHookArgs) -> None:
 
 
 def _leave(status: int, *, alone: bool) -> NoReturn:
-    """End this process, and without a supervisor to do it also what it has started."""
+    """End what this process has started, and itself; without a supervisor also its group."""
+    end(descendants(os.getpid()))
     if alone and os.getpgrp() == os.getpid():
         os.killpg(0, signal.SIGKILL)
     os._exit(status)  # Zenoh's threads would keep the interpreter waiting
@@ -303,6 +319,18 @@ def _import_ahead(modules: Iterable[str]) -> None:
     for module in sorted(wanted - {ASIDE}):
         with contextlib.suppress(Exception):
             importlib.import_module(module)
+
+
+def reap_strangers() -> None:
+    """Wait for adopted children that have ended, where it is certain that they were adopted.
+
+    A child of this process's own is in its session, or leads one. Others stay until the end: their
+    status may be what an operator waits for.
+    """
+    for pid in zombies(os.getpid()):
+        if session_of(pid) not in (os.getsid(0), pid):
+            with contextlib.suppress(ChildProcessError):
+                os.waitpid(pid, os.WNOHANG)
 
 
 def _level() -> None:

@@ -8,6 +8,7 @@ the conversations are the other modules of this folder.
 """
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, Generic, TypeVar, Union, get_args
 
 import msgspec
@@ -47,9 +48,13 @@ class Kind(Generic[T]):
 
     def __init__(self, name: str, of: Any, most_bytes: int = MOST_BYTES) -> None:
         """`name` with its article; `of`: a class, or a union of classes."""
-        self.name, self.most_bytes = name, most_bytes
+        self.name, self.most_bytes, self._of = name, most_bytes, of
         self.classes: tuple[type[ControlMessage], ...] = get_args(of) or (of,)
-        self.read: Callable[[Any], T] = msgspec.msgpack.Decoder(of).decode
+
+    @cached_property
+    def read(self) -> Callable[[Any], T]:
+        """What decodes them; made when it is needed, for a process reads few kinds."""
+        return msgspec.msgpack.Decoder(self._of).decode
 
 
 def encode(message: ControlMessage) -> bytes:

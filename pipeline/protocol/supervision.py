@@ -9,6 +9,7 @@ from typing import Any
 
 from pipeline.bus.network import Network
 from pipeline.graph.plan import Node, Plan
+from pipeline.graph.ports import Ports
 from pipeline.protocol.codec import ControlMessage, Kind, Part
 from pipeline.protocol.orders import ShadowReport
 
@@ -22,6 +23,13 @@ class PortContract(Part, frozen=True, kw_only=True):
     inputs: dict[str, str]
     outputs: dict[str, str]
     source: bool
+
+
+class Imported(Part, frozen=True):
+    """What the supervisor has to know of code that it does not import."""
+
+    ports: dict[str, Ports] = {}  # by operator
+    files: list[str] = []  # of modules that are no part of an installed package
 
 
 class Assignment(ControlMessage, frozen=True, kw_only=True):
@@ -121,11 +129,14 @@ class Idle(ControlMessage, frozen=True):
 class Fits(ControlMessage, frozen=True):
     """A trial: operators and settings fit."""
 
+    imported: Imported = Imported()
+
 
 class Ready(ControlMessage, frozen=True):
     """Every operator is open."""
 
     load_s: float  # time that took
+    imported: Imported = Imported()
 
 
 class Failed(ControlMessage, frozen=True):

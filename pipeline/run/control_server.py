@@ -12,6 +12,7 @@ from pipeline.errors import FoveaError, RunError
 from pipeline.protocol.codec import decode, encode, refused
 from pipeline.protocol.orders import ORDER, Order, Result, StopOrder, StopResult, SwapOrder
 from pipeline.protocol.supervision import Event
+from pipeline.run.health import HealthMonitor
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation
 from pipeline.run.process_handle import ProcessHandle
@@ -27,8 +28,8 @@ log = logging.getLogger(__name__)
 class ControlServer:
     """The orders of one supervisor."""
 
-    def __init__(self, manager: ProcessManager) -> None:
-        self._manager = manager
+    def __init__(self, manager: ProcessManager, health: HealthMonitor) -> None:
+        self._manager, self._health = manager, health
         self._asked: queue.SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = queue.SimpleQueue()
         self._operation: Operation | None = None
         self._reply: Reply = _nobody
@@ -59,7 +60,7 @@ class ControlServer:
             raise RunError(f"{manager.plan.name}: another order is under way")
         else:
             self._operation = (
-                SwapOperation(manager, order)
+                SwapOperation(manager, self._health, order)
                 if isinstance(order, SwapOrder)
                 else TopologyOperation(manager, order)
             )

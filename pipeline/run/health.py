@@ -13,7 +13,8 @@ SLEPT_S = 1.0  # a supervisor that did not look for so long was stopped itself
 class HealthMonitor:
     """Finds processes to replace by the monotonic clock; none after this one was stopped itself."""
 
-    def __init__(self) -> None:
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
         self._looked_s = time.monotonic()
         self._lenient_until_s = 0.0
 
@@ -24,7 +25,7 @@ class HealthMonitor:
             self._lenient_until_s = now_s + FROZEN_S
         self._looked_s = now_s
 
-    def problem(self, managed: ManagedProcess, ledger: Ledger) -> str:
+    def problem(self, managed: ManagedProcess) -> str:
         """Why its process must go, or nothing."""
         now_s = time.monotonic()
         asleep = now_s - self._looked_s > SLEPT_S or now_s < self._lenient_until_s
@@ -37,7 +38,7 @@ class HealthMonitor:
         if not managed.handle.ready:  # the first start of all has a limit of its own
             return late(managed) if managed.epoch > 1 else ""
         return first_of(
-            problem(n, ledger.nodes[n.index], int(now_s * 1e9)) for n in managed.nodes
+            problem(n, self._ledger.nodes[n.index], int(now_s * 1e9)) for n in managed.nodes
         ) or swollen(managed)
 
 

@@ -60,25 +60,34 @@ class InlineRunner:
         }
         self._source = self._only_source()
         self.commands = hashlib.sha256()
+        self.at = ""  # the node whose code is executed
+        self.began = False  # every operator was opened
         self._began_s = time.monotonic()
 
     def __enter__(self) -> "InlineRunner":
         assert isinstance(self._source.operator, Source)
         self._source.operator.realtime = False
         try:
-            for loaded in self._nodes.values():
+            for name, loaded in self._nodes.items():
+                self.at = name
                 loaded.operator.open()
         except BaseException:
             self.__exit__()
             raise
+        self.began = True
         self._began_s = time.monotonic()  # loading networks is no part of its rate
         return self
 
     def __exit__(self, *_: object) -> None:
         """Close every operator, also after one that breaks over it; the first error is raised."""
         with ExitStack() as closing:
-            for loaded in reversed(self._nodes.values()):
-                closing.callback(loaded.operator.close)
+            for loaded in self._nodes.values():  # the last one first
+                closing.callback(self._close, loaded)
+
+    def _close(self, loaded: _InlineNode) -> None:
+        at, self.at = self.at, loaded.node.name
+        loaded.operator.close()
+        self.at = at
 
     def operator(self, node: str) -> Operator[Any, Any]:
         """The live operator behind a node, for training and evaluation."""
@@ -99,7 +108,7 @@ class InlineRunner:
         """Expose up to `frames` frames (0: all), yielding each seq after the loop answered it."""
         count = 0
         while not frames or count < frames:
-            begun = time.monotonic_ns()
+            begun, self.at = time.monotonic_ns(), self._source.node.name
             exposed = self._source.executor.produce()
             if exposed is None:
                 return
@@ -113,7 +122,9 @@ class InlineRunner:
     def report(self, *, summaries: bool = True) -> Report:
         """The same report as a run of processes gives; or what is known without the operators."""
         nodes = self._nodes.items() if summaries else ()
-        found = {name: dict(p.operator.summary()) for name, p in nodes}
+        found = {}
+        for self.at, loaded in nodes:
+            found[self.at] = dict(loaded.operator.summary())
         found.setdefault(self._source.node.name, {})["schedule_sha256"] = self.commands.hexdigest()
         duration_s = time.monotonic() - self._began_s
         return compose(self.plan, self.ledger, found, {}, duration_s=duration_s)
@@ -142,7 +153,7 @@ class InlineRunner:
             raise RunError(f"frame not answered: messages wait at {', '.join(stuck)}")
 
     def _handle(self, loaded: _InlineNode, work: Work) -> None:
-        begun = time.monotonic_ns()
+        begun, self.at = time.monotonic_ns(), loaded.node.name
         if work.new_stream:
             loaded.operator.on_stream(work.header)
         names = tuple(work.messages)

@@ -18,6 +18,7 @@ import psutil
 from pipeline.errors import RunError
 from pipeline.naming import GRAMMAR
 from pipeline.private_folder import PrivateFolder
+from pipeline.process_tree import descendants, end
 from pipeline.run.descendants import end_tagged
 from pipeline.run.memory_folder import MEMORY, RUN_ID, MemoryFolder, abandoned, path_of
 from pipeline.run.rundir import LOCK, locked, noted, run_folders
@@ -88,6 +89,8 @@ def end_orphans(run_id: str) -> None:
     for process, of in node_processes():
         if of == run_id:
             with contextlib.suppress(psutil.Error):  # it has just ended by itself
+                process.send_signal(signal.SIGSTOP)  # it starts nothing more
+                end(descendants(process.pid))
                 process.send_signal(signal.SIGKILL)
     end_tagged(run_id)  # and what they had started
 

@@ -98,7 +98,7 @@ def run_processes(plan: Plan, frames: int, duration_s: float) -> Report:
             if duration_s and time.monotonic() - began_s >= duration_s:
                 break
             supervisor.tick()
-        elapsed_s = time.monotonic() - began_s
+        elapsed_s = supervisor.exposed_s
         supervisor.finish()
         supervisor.stop()
         if supervisor.failure:
@@ -111,9 +111,11 @@ def account_of(supervisor: Supervisor, duration_s: float) -> Report:
     return compose(
         supervisor.plan,
         supervisor.ledger,
-        supervisor.summaries,
+        supervisor.reports.summaries,
         {name: supervisor.samples(name) for name in supervisor.plan.processes()},
         duration_s=duration_s,
         restarts=supervisor.restarts,
-        left_out=supervisor.left_out,
+        crashes=supervisor.crashes,
+        source_names=supervisor.manager.source_names,
+        left_out=supervisor.reports.left_out,
     )

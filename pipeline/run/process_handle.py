@@ -15,9 +15,11 @@ from pathlib import Path
 import psutil
 
 from pipeline.node.wiring import ASIDE
+from pipeline.process_tree import Member, descendants, end, lives
 from pipeline.protocol.supervision import Assignment, Event, Instruction, Leaving
 from pipeline.run.channel import Channel, Exchange
 from pipeline.run.descendants import TAG_VARIABLE, end_group, end_tagged, new_tag
+from pipeline.run.reaper import Reaper
 
 # numeric libraries would start a thread per core in every process
 _THREAD_LIMITS = (
@@ -44,8 +46,12 @@ class Sample:
 class NodeProcess:
     """A process and the supervisor's end of its socket; it leads a group, which ends with it."""
 
-    def __init__(self, popen: "subprocess.Popen[bytes]", channel: Channel, tag: str) -> None:
-        self._popen, self.channel, self.tag = popen, channel, tag
+    def __init__(
+        self, popen: "subprocess.Popen[bytes]", channel: Channel, tag: str,
+        reaper: Reaper | None = None,
+    ) -> None:  # fmt: skip
+        self._popen, self.channel, self.tag, self._reaper = popen, channel, tag, reaper
+        self._started: set[Member] = set()  # by it and what it started, as far as was seen
         self._status: int | None = None
         self.reaped = False
 
@@ -75,10 +81,19 @@ class NodeProcess:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._popen.pid, number)
 
+    def look(self) -> None:
+        """Note what it has started: if it dies by itself, its descendants are none any more."""
+        if self.ended() is None:
+            self._started = set(filter(lives, self._started)) | descendants(self.pid)
+
     def kill(self) -> None:
-        """End it and its group at once."""
+        """End it and what it has started at once."""
+        if self.ended() is None:
+            self.signal(signal.SIGSTOP)  # it starts nothing more
+            self.look()
         if not self.reaped:
             end_group(self._popen.pid)
+        end(self._started)
 
     def await_end(self, timeout_s: float) -> bool:
         """Wait for its end, hearing what it says meanwhile; False when it takes too long."""
@@ -90,10 +105,10 @@ class NodeProcess:
             time.sleep(PAUSE_S)
         return True
 
-    def bury(self, *, descendants: bool = True) -> None:
+    def bury(self, *, outside: bool = True) -> None:
         """Of one that has ended: end what it started, hear its last words, give all back.
 
-        Without `descendants` those outside its group are left to who ends those of the whole run.
+        Without `outside` what left its group unseen is left to who ends that of the whole run.
         """
         if self.ended() is None or self.channel.fileno() < 0:
             return
@@ -101,12 +116,21 @@ class NodeProcess:
             end_group(self._popen.pid)  # before it is reaped: its number is still its own
             self._popen.wait()
             self.reaped = True
-        if descendants and (count := end_tagged(self.tag)):
+            if self._reaper is not None:
+                self._reaper.forget(self._popen.pid)
+        count = end(self._started)
+        if outside:
+            count += end_tagged(self.tag)
+            count += self._reaper.end() if self._reaper is not None else 0
+        if count:
             log.warning("process %d left %d processes behind; killed", self._popen.pid, count)
         self.channel.close()
 
 
-def spawn(run_id: str, folder: Path, modules: Collection[str], *, wanted: bool) -> NodeProcess:
+def spawn(
+    run_id: str, folder: Path, modules: Collection[str], *, wanted: bool,
+    reaper: Reaper | None = None,
+) -> NodeProcess:  # fmt: skip
     """Start a process that imports what it may need and waits for its assignment.
 
     Unless it is `wanted` at once, its imports leave the cores to others. Raises `OSError`.
@@ -116,18 +140,22 @@ def spawn(run_id: str, folder: Path, modules: Collection[str], *, wanted: bool) 
     ours, theirs = socket.socketpair()
     try:
         with theirs, _spare_log(folder).open("ab") as printed:
-            popen = subprocess.Popen(
-                [sys.executable, "-m", "pipeline.node.process", *words],
-                stdin=theirs.fileno(),
-                stdout=printed,
-                stderr=printed,
-                env={**os.environ, **dict.fromkeys(_THREAD_LIMITS, "1"), TAG_VARIABLE: tag},
-                start_new_session=True,  # Ctrl-C goes to the supervisor alone
-            )
+
+            def start() -> "subprocess.Popen[bytes]":
+                return subprocess.Popen(
+                    [sys.executable, "-m", "pipeline.node.process", *words],
+                    stdin=theirs.fileno(),
+                    stdout=printed,
+                    stderr=printed,
+                    env={**os.environ, **dict.fromkeys(_THREAD_LIMITS, "1"), TAG_VARIABLE: tag},
+                    start_new_session=True,  # Ctrl-C goes to the supervisor alone
+                )
+
+            popen = reaper.start(start) if reaper is not None else start()
     except BaseException:
         ours.close()
         raise
-    return NodeProcess(popen, Channel(ours), tag)
+    return NodeProcess(popen, Channel(ours), tag, reaper)
 
 
 class ProcessHandle:
@@ -136,6 +164,7 @@ class ProcessHandle:
     def __init__(self, process: NodeProcess, job: Assignment, exchange: Exchange) -> None:
         self.name, self._process, self._exchange = job.process, process, exchange
         self.nodes = frozenset(node.name for node in job.nodes)
+        self.operators = frozenset(node.operator for node in job.nodes)
         self.ready = self.going = False
         self.left = False  # it has said that it was done
         self.began_s = time.monotonic()
@@ -191,16 +220,17 @@ class ProcessHandle:
         """Wait for its end; False when it takes too long."""
         return self._process.await_end(timeout_s)
 
-    def bury(self, *, descendants: bool = True) -> None:
+    def bury(self, *, outside: bool = True) -> None:
         """Of one that has ended: end what it started and give everything back."""
         if self.ended() is not None:
             self._exchange.remove(self._process.channel)
-            self._process.bury(descendants=descendants)
+            self._process.bury(outside=outside)
             for socket_file in self._sockets:
                 socket_file.unlink(missing_ok=True)
 
     def sample(self) -> Sample | None:
         """Processor time and memory now; None when it is gone."""
+        self._process.look()
         try:
             if self._usage is None:
                 self._usage = psutil.Process(self.pid)

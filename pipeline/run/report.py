@@ -1,6 +1,6 @@
 """The account of a run: ledger, samples and summaries to one plain dictionary, and to tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
@@ -19,7 +19,16 @@ from pipeline.text import harmless
 MOST_FIGURES = 64  # under one name, in a line of the report
 # what no operator's summary can say of the run
 OWN = ("failure", "left_out", "loop", "headlines", "verdict", HEADLINE, RATE)
-TABLED = ("graph", "clock", "duration_s", "edges", "stages", "restarts", "schedule_sha256")
+TABLED = (
+    "graph",
+    "clock",
+    "duration_s",
+    "edges",
+    "stages",
+    "restarts",
+    "crashes",
+    "schedule_sha256",
+)
 Report = dict[str, Any]
 
 
@@ -31,9 +40,14 @@ def compose(
     *,
     duration_s: float,
     restarts: Mapping[str, int] | None = None,
+    crashes: Mapping[str, int] | None = None,
     left_out: Mapping[str, str] | None = None,
+    source_names: Collection[str] | None = None,
 ) -> Report:
-    """The run's report. Figures that a source gives (frames, pixels, coverage) stand on top."""
+    """The run's report. Figures that a source gives (frames, pixels, coverage) stand on top.
+
+    Without the names of the sources the operators tell which they are, and are imported for that.
+    """
     report: Report = {
         "graph": plan.name,
         "clock": plan.clock,
@@ -47,6 +61,7 @@ def compose(
             _stage(node, ledger, samples.get(node.process, ()), duration_s) for node in plan.nodes
         ],
         "restarts": dict(restarts or {}),
+        "crashes": dict(crashes or {}),
     }  # fmt: skip
     if left_out:
         report["left_out"] = dict(left_out)
@@ -59,7 +74,8 @@ def compose(
         if isinstance(words := summary.get(HEADLINE), str) and words:
             headlines[node.name] = words
     report["headlines"] = headlines
-    for source in sources(plan):
+    made = sources(plan) if source_names is None else map(plan.node, sorted(source_names))
+    for source in made:
         told = summaries.get(source.name, {}).get(RATE) if plan.clock == "realtime" else None
         histograms = ledger.nodes[source.index].histograms
         report[RATE] = rate_of(histograms["handler"].total, duration_s, told)

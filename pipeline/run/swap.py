@@ -8,6 +8,7 @@ from pipeline.node.wiring import swappable
 from pipeline.protocol.orders import SwapOrder, SwapResult
 from pipeline.protocol.supervision import Event, Failed, Ready
 from pipeline.run.cold_swap import ColdSwap
+from pipeline.run.health import HealthMonitor
 from pipeline.run.hot_swap import HotSwap
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation
@@ -23,7 +24,7 @@ class SwapOperation(Operation):
 
     kind = "swap"
 
-    def __init__(self, manager: ProcessManager, order: SwapOrder) -> None:
+    def __init__(self, manager: ProcessManager, health: HealthMonitor, order: SwapOrder) -> None:
         super().__init__()
         names = [n.name for n in filter(manager.plan.is_here, manager.plan.nodes)]
         if order.node not in names:
@@ -34,7 +35,7 @@ class SwapOperation(Operation):
         self._managed = manager.processes[node.process]
         if self._managed.handle is None or not self._managed.handle.going:
             raise RunError(f"{order.node}: does not run just now, try again")
-        self._target = SwapTarget(manager, self._managed, node)
+        self._target = SwapTarget(manager, health, self._managed, node)
         hot = swappable(manager.plan, node) and not self._managed.sources
         self.facts |= {"node": order.node, "hot": hot}
         self.machine: HotSwap | ColdSwap = (

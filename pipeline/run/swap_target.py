@@ -16,6 +16,7 @@ from pipeline.graph.plan import Node, Plan
 from pipeline.node.live import keep, kept
 from pipeline.protocol.orders import SwapOrder
 from pipeline.protocol.supervision import Go
+from pipeline.run.health import HealthMonitor
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.process_manager import ProcessManager
@@ -34,8 +35,10 @@ class Successor(NamedTuple):
 class SwapTarget:
     """One node of a running graph."""
 
-    def __init__(self, manager: ProcessManager, managed: ManagedProcess, node: Node) -> None:
-        self._manager, self._managed, self.node = manager, managed, node
+    def __init__(
+        self, manager: ProcessManager, health: HealthMonitor, managed: ManagedProcess, node: Node
+    ) -> None:
+        self._manager, self._health, self._managed, self.node = manager, health, managed, node
         self._told: dict[str, Any] = {}  # the settings that it was given while it ran
 
     @property
@@ -70,7 +73,7 @@ class SwapTarget:
 
     def stalled(self) -> str:
         """Why the working process would have to be killed, or nothing."""
-        return self._manager.stalled(self._managed)
+        return self._health.problem(self._managed)
 
     # processes
 

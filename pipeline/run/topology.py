@@ -9,18 +9,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from pipeline.errors import RunError
-from pipeline.graph.plan import Edge, Node, Plan, sources
+from pipeline.graph.plan import Edge, Node, Plan
 from pipeline.graph.ports import check_ports
 from pipeline.protocol.orders import PlanOrder, TopologyResult
-from pipeline.protocol.supervision import Event, Failed, Finished, Replan, Replanned, Stop
+from pipeline.protocol.supervision import Event, Failed, Finished, Fits, Replan, Replanned, Stop
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation, log
-from pipeline.run.process_handle import ProcessHandle
+from pipeline.run.process_handle import ProcessHandle, ending
 from pipeline.run.process_manager import ProcessManager
 
 START_S = 60.0
 TELL_S = 5.0
 REST_S = 1.0
+LEAVE_S = 1.0  # for a process that only checked what is added
 DONE = object()
 
 
@@ -47,6 +48,7 @@ class TopologyOperation(Operation):
         self._edges_removed = [e for e in manager.plan.edges if e not in self._plan.edges]
         self._check()
         self._mine: list[ManagedProcess] = []  # that come or go
+        self._trial: ProcessHandle | None = None  # imports what is added, in place of this process
         super().__init__()
         self.manager, self._steps = manager, self._change()
         self.facts |= {
@@ -63,12 +65,25 @@ class TopologyOperation(Operation):
     def on_event(self, pid: int, event: Event) -> bool:
         """That one of them fails, or makes no more frames, concerns this change alone."""
         super().on_event(pid, event)
+        if self._trial is not None and self._trial.pid == pid:
+            return True
         mine = any(managed.handle and managed.handle.pid == pid for managed in self._mine)
         return mine and isinstance(event, (Failed, Finished))
 
     def advance(self) -> bool:
         """Go one step on."""
         return next(self._steps, DONE) is DONE
+
+    def abort(self) -> list[ProcessHandle]:
+        """The run ends: the process that only checks, which has nothing to close."""
+        if self._trial is None:
+            return []
+        self._trial.kill()
+        return [self._trial]
+
+    def clear_up(self, *, failed: bool) -> None:
+        """Dismiss the process that only checks."""
+        self._dismiss_trial()
 
     def done(self) -> TopologyResult:
         """What came and went."""
@@ -85,12 +100,43 @@ class TopologyOperation(Operation):
             for name in before.keys() ^ after.keys():
                 raise RunError(f"{node.name}.inputs.{name}: can only be connected from the start")
         self._plan.order()
-        check_ports(self._plan, self._plan.is_here)
-        if not self._plan.here and not any(sources(self._plan)):
-            raise RunError(f"{self._plan.name}: expected a node that makes frames, got none")
+
+    def _check_operators(self) -> Iterator[None]:
+        """Whether the operators fit, the added ones imported by a process of their own."""
+        plan, manager = self._plan, self.manager
+        added = {node.name for node in self._added}
+        for name, nodes in plan.processes().items():
+            if added.issuperset(node.name for node in nodes):
+                yield from self._try(ManagedProcess(name, nodes))
+        check_ports(plan, plan.is_here, manager.ports_of)
+        here = filter(plan.is_here, plan.nodes)
+        if not (plan.here or any(manager.ports_of(node).source for node in here)):
+            raise RunError(f"{plan.name}: expected a node that makes frames, got none")
+
+    def _try(self, managed: ManagedProcess) -> Iterator[None]:
+        job = self.manager.job(managed, self._plan, managed.promise(), trial=True)
+        trial = self._trial = self.manager.launch(job, fresh=True)
+        names = ", ".join(node.operator for node in managed.nodes)
+        late_s = time.monotonic() + START_S
+        while not self.events.heard(trial, Fits):
+            if self.events.over(trial):
+                failed, status = self.events.heard(trial, Failed), trial.ended() or 0
+                how = f"{managed.name}: the process that imported {names} ended by {ending(status)}"
+                raise RunError(failed.error if failed else how)
+            if time.monotonic() > late_s:
+                limit = f"within {START_S:.0f} s"
+                raise RunError(f"{managed.name}: {names} was not imported and checked {limit}")
+            yield
+        self._dismiss_trial(LEAVE_S)
+
+    def _dismiss_trial(self, within_s: float = 0.0) -> None:
+        if self._trial is not None:
+            self.manager.dismiss(self._trial, within_s)
+            self._trial = None
 
     def _change(self) -> Iterator[None]:
         manager = self.manager
+        yield from self._check_operators()
         for edge in self._edges_added:
             manager.ledger.edges[edge.index].clear()
         for node in self._added:

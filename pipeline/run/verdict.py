@@ -39,7 +39,7 @@ def verdict(report: Mapping[str, Any]) -> list[Finding]:
     more = len(headlines) - len(told)
     if more > 0:
         told.append(Finding(about="others", sentence=f"{more} nodes more have a headline"))
-    return [_rate(report), _loop(report), _losses(report), *told]
+    return [_rate(report), _loop(report), _losses(report), *_crashes(report), *told]
 
 
 def as_data(findings: list[Finding]) -> list[dict[str, Any]]:
@@ -138,6 +138,24 @@ def _losses(report: Mapping[str, Any]) -> Finding:
     )
     said = f"{total} of {offered} messages{where} {place}{count}; {judged}{restarts}"
     return Finding(about="losses", held=not promised, sentence=said)
+
+
+def _crashes(report: Mapping[str, Any]) -> list[Finding]:
+    if said := crashed(report):
+        return [Finding(about="processes", held=False, sentence=said)]
+    return []
+
+
+def crashed(report: Mapping[str, Any]) -> str:
+    """Which processes ended without being asked to, in a sentence; empty when none did.
+
+    >>> crashed({"crashes": {"eye": 1, "hand": 2}})
+    '2 processes crashed: eye once, hand 2 times'
+    """
+    counts = report.get("crashes") or {}
+    times = ", ".join(f"{n} {'once' if c == 1 else f'{c} times'}" for n, c in counts.items())
+    some = "1 process" if len(counts) == 1 else f"{len(counts)} processes"
+    return f"{some} crashed: {times}" if counts else ""
 
 
 def lost_on(edge: Mapping[str, Any]) -> int:

@@ -1,19 +1,15 @@
 """One process that has imported every operator and waits: a restart is then a load."""
 
 import logging
-import os
-import sys
-import sysconfig
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
+from itertools import chain
 
+from pipeline.module_files import edited_since, module_files
 from pipeline.run.process_handle import KILLED_S, NodeProcess
 
 AGAIN_S = 5.0  # after one that ended by itself, or could not be had
-INSTALLED = tuple(
-    os.path.join(sysconfig.get_path(kind), "")
-    for kind in ("stdlib", "platstdlib", "purelib", "platlib")
-)
+MOST_FILES = 10_000  # that are looked at
 log = logging.getLogger(__name__)
 
 
@@ -25,6 +21,12 @@ class WarmSpare:
         self._process: NodeProcess | None = None
         self._since_s = 0.0  # wall clock, as files have it
         self._again_s = 0.0
+        self._files: set[str] = set()  # that other processes have imported
+
+    def watch(self, files: Iterable[str]) -> None:
+        """Look at these files, too: this process does not import what nodes do."""
+        if len(self._files) < MOST_FILES:
+            self._files.update(files)
 
     def keep(self, modules: Collection[str]) -> None:
         """See that there is one; without one a restart takes longer, and nothing else."""
@@ -46,13 +48,19 @@ class WarmSpare:
         return spare
 
     @property
+    def process_id(self) -> int:
+        """Its process id, 0 while there is none."""
+        return self._process.pid if self._process else 0
+
+    @property
     def warming(self) -> bool:
         """Whether there is one that is not through."""
         return self._process is not None and not self._process.channel.waiting()
 
     def refresh(self) -> None:
-        """End it when what it has imported was edited since."""
-        if self._process is not None and edited_since(self._since_s):
+        """End it when what it may have imported was edited since."""
+        files = chain(module_files(), self._files)
+        if self._process is not None and edited_since(self._since_s, files):
             self.dismiss()
 
     def dismiss(self) -> None:
@@ -69,20 +77,3 @@ class WarmSpare:
         if self._process is not None and self._process.ended() is not None:
             self._process.bury()
             self._process = None
-
-
-def edited_since(moment_s: float) -> bool:
-    """Whether a module that this process has imported, no installed one, was edited since.
-
-    `moment_s` is a time of `time.time()`. A module that is not imported yet cannot be out of date.
-    """
-    for module in list(sys.modules.values()):
-        file = getattr(module, "__file__", None)
-        if not file or file.startswith(INSTALLED):
-            continue
-        try:
-            if os.stat(file).st_mtime > moment_s:  # a Path would intern each part of it
-                return True
-        except OSError:
-            continue
-    return False

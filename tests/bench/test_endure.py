@@ -1,17 +1,24 @@
 """What a supervisor holds does not depend on how many nodes it has seen end."""
 
 import json
+import threading
 from pathlib import Path
 
 from click.testing import CliRunner
 
 from bench.endure import main
+from bench.results import __file__ as results
+
+
+def own_threads() -> set[threading.Thread]:
+    """The threads of this process but for those of Zenoh, which come with work and stay."""
+    return {t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)}
 
 
 def test_no_file_or_process_is_left_of_what_was_killed_or_swapped(
     tmp_path: Path,
 ) -> None:
-    figures = tmp_path / "endure.json"
+    figures, before = tmp_path / "endure.json", own_threads()
 
     done = CliRunner().invoke(main, ["--kills", "2", "--swaps", "2", "--json", str(figures)])
 
@@ -19,6 +26,17 @@ def test_no_file_or_process_is_left_of_what_was_killed_or_swapped(
     found = json.loads(figures.read_text())
     first, last = found["looks"][0], found["looks"][-1]
     assert [last["events"], found["refused"]] == [4, []]
-    for name in ("run_files", "memory_files", "children"):
+    for name in ("run_files", "memory_files", "children", "open_files"):
         assert last[name] <= first[name], name
+    assert own_threads() <= before
     assert (found["unbalanced"], found["left"], found["orphans"]) == ([], [], [])
+
+
+def test_in_the_committed_run_of_thousands_nothing_grows() -> None:
+    looks = json.loads(Path(results).with_name("endure.json").read_text())["looks"][1:]
+    half = len(looks) // 2
+
+    assert looks[-1]["events"] > 3000
+    for name in ("open_files", "threads", "children", "run_files", "memory_files"):
+        early, late = ([x[name] for x in part] for part in (looks[:half], looks[half:]))
+        assert max(late) <= max(early), name

@@ -1,14 +1,17 @@
 """The fuzzer notices what it looks for."""
 
+import subprocess
+import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
 from bench.fuzz import tally
 from bench.fuzz.fuzz import fuzz
-from bench.fuzz.tally import Tally, Watch
+from bench.fuzz.tally import Tally, Watch, alone
 from pipeline import GraphError
 
 
@@ -44,6 +47,43 @@ def test_a_file_written_outside_the_folder_is_noticed(tmp_path: Path) -> None:
     watch.on = False
 
     assert watch.touched == {f"os.mkdir {outside}", f"open {tmp_path / 'b'}"}
+
+
+def test_what_is_made_where_a_graph_works_or_at_home_is_noticed(tmp_path: Path) -> None:
+    before = Path.cwd()
+
+    with alone(tmp_path) as made:
+        subprocess.run(["sh", "-c", "echo > here; mkdir ~/there; echo > ~/there/x"], check=True)
+
+    assert made == {"here", "there", "there/x"}
+    assert Path.cwd() == before
+
+
+def test_a_program_that_is_started_is_noticed_and_this_python_is_not(tmp_path: Path) -> None:
+    watch = Watch(tmp_path)
+
+    watch.on = True
+    subprocess.run([sys.executable, "-c", ""], check=True)
+    subprocess.run(["/bin/true"], check=True)
+    watch.on = False
+
+    assert watch.touched == {"subprocess.Popen /bin/true"}
+
+
+@pytest.mark.parametrize("words", [("wire", "--count", "50"), ("orders", "--count", "8")])
+def test_files_are_watched_whatever_is_fuzzed(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check, stray = Tally.check, tmp_path / "stray"
+
+    def astray(self: Tally, *case: Any) -> None:
+        check(self, case[0], lambda: stray.write_text("x"))
+
+    monkeypatch.setattr(Tally, "check", astray)
+    done = CliRunner().invoke(fuzz, words)
+
+    assert done.exit_code == 1
+    assert '"files_touched": 1' in done.output, done.output
 
 
 def test_the_command_prints_figures(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 """What the shipped networks keep in view and follow: means over several seeds, on any machine.
 
-A bar lies at or below the measured mean less three standard deviations of the mean of as many seeds
-as the test draws. Nothing here needs footage or weights from elsewhere.
+The seeds are fixed, so what may differ from machine to machine is what noise and another order of
+sums change; a bar lies below the mean of the seeds by far more than three standard deviations of
+that. Nothing here needs footage or weights from elsewhere.
 """
 
 from collections.abc import Sequence
@@ -23,10 +24,10 @@ FRAMES = 60
 CHANGED = 30  # the frame after which the policy is asked for the referee
 SEEDS = (401, 404, 405)
 MORE_SEEDS = (*SEEDS, 402, 407, 409)
-# Over the 13 of the seeds 401 to 416 that show ball and referee: mean, standard deviation, bar
-BALL = 0.95  # .999, .003: .993 for three seeds
-REFEREE = 0.95  # .998, .005: .989 for three seeds
-FOLLOWED = 0.23  # .605, .213: .236 for three seeds
+# The mean over SEEDS; it moves by at most so much with two threads and noise of 1 or 1.4 levels.
+BALL = 0.95  # 1.000, .000
+REFEREE = 0.95  # 1.000, .000
+FOLLOWED = 0.5  # .680, .001. A seed that loses the object gives about .2: one may, two may not
 # Share of the ball inside the ROI in all 60 frames under pursuit, over 14 of the seeds 401 to 416
 PURSUED = 0.21  # .661, .366: .213 for six seeds
 ELSEWHERE = {  # what another machine may change: the order of sums, a grey level of a pixel
@@ -81,10 +82,12 @@ def test_the_roi_and_the_consumer_go_with_what_the_policy_is_asked_for() -> None
     check(SEEDS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("changes", ELSEWHERE.values(), ids=ELSEWHERE)
-def test_threads_and_a_grey_level_of_noise_change_little(changes: tuple[str, ...]) -> None:
-    check(SEEDS, *changes)
+@pytest.mark.parametrize("seeds", [SEEDS[:1], pytest.param(SEEDS, marks=pytest.mark.slow)], ids=len)
+def test_threads_and_a_grey_level_of_noise_change_little(
+    seeds: tuple[int, ...], changes: tuple[str, ...]
+) -> None:
+    check(seeds, *changes)
 
 
 @pytest.mark.slow

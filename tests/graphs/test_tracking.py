@@ -4,7 +4,6 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,8 +33,8 @@ def run(tmp_path: Path, *words: str) -> dict[str, Any]:
 
 
 def test_in_line_and_as_processes_the_sensor_gets_the_same_commands(tmp_path: Path) -> None:
-    inline = run(tmp_path, "--inline", "--frames", "25")
-    processes = run(tmp_path, "--clock", "lockstep", "--frames", "25")
+    inline = run(tmp_path, "--inline", "--frames", "15")
+    processes = run(tmp_path, "--clock", "lockstep", "--frames", "15")
 
     assert inline["schedule_sha256"] == processes["schedule_sha256"]
     assert inline["roi_coverage"] == processes["roi_coverage"]
@@ -45,15 +44,17 @@ def test_in_line_and_as_processes_the_sensor_gets_the_same_commands(tmp_path: Pa
 
 def test_a_running_graph_tells_its_overlap_with_the_truth() -> None:
     with Supervisor(load(GRAPH)) as supervisor:
+
+        def overlap() -> float:
+            name, _, figure = supervisor.reports.headlines.get("score", "").partition(" ")
+            return float(figure) if name == "IoU" else 0.0
+
         supervisor.start()
-        until_s = time.monotonic() + 60
-        while not supervisor.headlines.get("score") and time.monotonic() < until_s:
-            supervisor.tick()
-        line = status_line(supervisor, 1.0)
+        wait_for(supervisor, lambda: overlap() > 0.2)  # it follows what the policy shows
+        headline, line = supervisor.reports.headlines["score"], status_line(supervisor, 1.0)
         supervisor.stop()
 
-    assert supervisor.headlines["score"].startswith("IoU 0.")
-    assert "IoU 0." in line
+    assert headline in line
 
 
 def test_a_model_file_is_swapped_as_any_setting_and_a_missing_one_is_refused(

@@ -171,16 +171,17 @@ def test_a_report_that_does_not_fit_is_printed_and_the_old_one_stays(
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("words", [("--inline",), ("--duration-s", "8")])
+@pytest.mark.parametrize(
+    "words", [("--inline",), ("--clock", "lockstep")], ids=["in line", "as processes"]
+)
 def test_a_recording_whose_disk_fills_is_told_and_can_be_read_up_to_there(
     graph: Path, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     small = tmp_path / "small"
     small.mkdir()
-    limit = ("--frames", "1500") if "--inline" in words else ()
     done = with_small_mounts(
-        {small: "100k"}, "-c", CHECK, str(small / "x.rrd"), "run", str(graph), *words, *limit,
-        "--save", str(small / "x.rrd"), "--set", "ticker.side_px=700", "--set",
+        {small: "100k"}, "-c", CHECK, str(small / "x.rrd"), "run", str(graph), *words, "--frames",
+        "400", "--save", str(small / "x.rrd"), "--set", "ticker.side_px=700", "--set",
         "viewer.jpeg_quality=100", timeout_s=120,
     )  # fmt: skip
 

@@ -25,12 +25,12 @@ from pipeline.fleet.deploy import (
     send_weights,
     up,
 )
-from pipeline.fleet.hosted_graph import HostedSupervisor
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer
 from pipeline.protocol.orders import SwapOrder
 from pipeline.run.rundir import base
+from pipeline.run.supervisor import Supervisor
 from tests.pipeline.fleet.agents import (
     TRIO,
     Running,
@@ -260,13 +260,13 @@ def test_a_part_that_worked_once_tries_again_when_it_cannot_begin(
     three["sensor"].stop()
     failures = []
 
-    def begin(*words: Any) -> HostedSupervisor:
+    def begin(*words: Any, **more: Any) -> Supervisor:
         if not failures:
             failures.append("the camera is not there yet")
             raise RunError(failures[0])
-        return HostedSupervisor(*words)
+        return Supervisor(*words, **more)
 
-    monkeypatch.setattr("pipeline.fleet.hosted_graph.HostedSupervisor", begin)
+    monkeypatch.setattr("pipeline.fleet.hosted_graph.Supervisor", begin)
     three["sensor"] = Running(host_of("sensor", LABELS, tmp_path))
 
     until(lambda: phases(fleet, "sensor") == ["running"])

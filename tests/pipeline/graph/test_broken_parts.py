@@ -1,6 +1,7 @@
 """A user's module or class that breaks is told in one sentence with the line of the cause."""
 
 import secrets
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,7 +16,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.plan import load_operator
 from pipeline.import_path import imported
 from pipeline.settings import build
-from tests.broken_parts import CLASSES, HEAD, MODULES
+from tests.broken_parts import CLASSES, ENDING, HEAD, MODULES
 from tests.sample_graphs import CHAIN
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
@@ -99,15 +100,15 @@ def test_only_operators_are_operators() -> None:
         load_operator("json:dumps")
 
 
-@pytest.mark.parametrize("name", ["exits", "is no Python", "raises an interrupt"])
+@pytest.mark.parametrize("name", ["exits", "is no Python", "raises an interrupt", *ENDING])
 def test_check_and_run_end_with_2_and_the_sentence(module: Path, name: str) -> None:
-    text, line, said = MODULES[name]
+    text, line, said = {**MODULES, **ENDING}[name]
     module.write_text(text)
     path = graph_of(module)
 
-    for command in ("check", "run"):
+    for words in (["check"], ["run", "--report", "report.json"]):
         done = subprocess.run(
-            [*FOVEA, command, path.name], cwd=module.parent, capture_output=True, text=True,
+            [*FOVEA, *words, path.name], cwd=module.parent, capture_output=True, text=True,
             check=False, env={"PYTHONPATH": str(Path.cwd()), "TMPDIR": str(module.parent)},
         )  # fmt: skip
 
@@ -115,6 +116,33 @@ def test_check_and_run_end_with_2_and_the_sentence(module: Path, name: str) -> N
         assert f"{module.name}:{line}: {said}" in done.stderr
         assert "Traceback" not in done.stderr
         assert done.stdout == ""
+
+
+def test_a_module_that_crashes_the_command_is_told_with_its_line(module: Path) -> None:
+    module.write_text("import ctypes\n\nctypes.string_at(0)\n")
+    path = graph_of(module)
+
+    done = subprocess.run(
+        [*FOVEA, "check", path.name], cwd=module.parent, capture_output=True, text=True,
+        check=False, env={"PYTHONPATH": str(Path.cwd())},
+    )  # fmt: skip
+
+    assert done.returncode == -signal.SIGSEGV
+    assert f'File "{module}", line 3 in <module>' in done.stderr
+
+
+def test_a_process_that_an_operators_module_forks_may_end_by_exit(module: Path) -> None:
+    module.write_text("import os\nif not os.fork():\n    os._exit(7)\n"
+                      "raise ValueError(os.waitstatus_to_exitcode(os.wait()[1]))\n")  # fmt: skip
+    path = graph_of(module)
+
+    done = subprocess.run(
+        [*FOVEA, "check", path.name], cwd=module.parent, capture_output=True, text=True,
+        check=False, env={"PYTHONPATH": str(Path.cwd())},
+    )  # fmt: skip
+
+    assert done.stderr.endswith(f"{module}:4: ValueError: 7\n")
+    assert done.returncode == 2
 
 
 def test_ctrl_c_during_an_import_is_no_fault_of_the_module(module: Path) -> None:

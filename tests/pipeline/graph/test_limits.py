@@ -125,16 +125,82 @@ def test_loader_and_schema_agree(
     assert said.startswith(f"{path}:") or not said
 
 
+WHOLE_FLOATS = st.one_of(st.integers(-2, 66).map(float), st.sampled_from([3.5, 1e18, 1e20, 1e300]))
+ORIGINS = (
+    "ticker.roi", "", ".", "ticker.", ".roi", "ticker.roi.x", "ticker..roi", "tick er", "a" * 33
+)  # fmt: skip
 EDGE_VALUES = {
     "keep": st.sampled_from(["latest", "every"]), "stale": st.sampled_from(["drop", "pass"]),
-    "depth": st.integers(0, 66), "wait_ms": st.floats(-1, 1e9), "max_age_ms": st.floats(-1, 1e12),
+    "depth": st.one_of(st.integers(0, 66), WHOLE_FLOATS),
+    "wait_ms": st.floats(-1, 1e9), "max_age_ms": st.floats(-1, 1e12),
     "transport": st.sampled_from(["pool", "bytes", "tcp"]),
 }  # fmt: skip
 NODE_VALUES = {
-    "threads": st.integers(0, 66), "stall_s": st.floats(0, 1e6), "memory_mb": st.floats(-1, 1e8),
+    "threads": st.one_of(st.integers(0, 66), WHOLE_FLOATS), "stall_s": st.floats(0, 1e6),
+    "memory_mb": st.floats(-1, 1e8),
     "group": st.sampled_from(["a", "a b", "x" * 33]), "manual": st.booleans(),
-    "restart": st.sampled_from(["never", "on-failure", "sometimes", {"most": 3}, {"most": -3}]),
+    "restart": st.sampled_from(["never", "on-failure", "sometimes", {"most": 3}, {"most": -3},
+                                {"most": 3.0}, {"most": 3.5}, {"most": 1e18}]),
 }  # fmt: skip
+
+
+SETTING_VALUES = st.one_of(
+    st.integers(1, 2**64), WHOLE_FLOATS.filter(lambda v: v >= 1), st.floats(1, 1e9),
+    st.sampled_from([True, None, "3", [3], {}, 2.5, 1e19, 2**64]),
+)  # fmt: skip
+NUMBERS = ("sleep_s", "crash_at", "crash_after", "hang_at", "every", "hold", "gain")
+
+
+@settings(max_examples=100)
+@given(st.dictionaries(st.sampled_from(NUMBERS), SETTING_VALUES, max_size=3))
+def test_what_a_schema_says_of_settings_is_what_the_loader_says(
+    tmp_path_factory: pytest.TempPathFactory, values: dict[str, Any]
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    good = write(folder, GOOD, "good.yaml")
+    document = plain(YamlFile(good).document)
+    document["nodes"]["work"]["settings"] = values
+    path = write(folder, json.dumps(document))
+
+    fits = Draft202012Validator(graph_schema(load(good))).is_valid(document)
+    try:
+        load(path)
+        refused = ""
+    except FoveaError as error:
+        refused = str(error)
+    assert fits == (not refused), refused
+    assert refused.startswith(f"{path}:") or not refused
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_what_a_schema_says_of_origins_is_what_the_loader_says(tmp_path: Path, origin: str) -> None:
+    document = plain(YamlFile(write(tmp_path, GOOD)).document)
+    for value in (origin, {"from": origin}):
+        document["nodes"]["pair"]["inputs"]["right"] = value
+        path = write(tmp_path, json.dumps(document))
+
+        fits = Draft202012Validator(graph_schema()).is_valid(document)
+        if origin == ORIGINS[0]:
+            load(path)
+            assert fits
+        else:
+            with pytest.raises(GraphError, match=r"pair\.inputs\.right: expected node or node"):
+                load(path)
+            assert not fits
+
+
+def test_a_whole_float_is_a_whole_number_everywhere(tmp_path: Path) -> None:
+    text = GOOD.replace("depth: 3", "depth: 3.0").replace(
+        "  work:\n", "  work:\n    threads: 2.0\n    restart: {most: 4.0}\n"
+    )
+    document = plain(YamlFile(write(tmp_path, text)).document)
+    document["nodes"]["work"]["settings"] = {"every": 5.0}
+
+    plan = load(write(tmp_path, json.dumps(document)))
+
+    work = plan.node("work")
+    found = [work.threads, work.restart.most, *(e.depth for e in plan.edges if e.depth == 3)]
+    assert [repr(value) for value in found] == ["2", "4", "3"]
 
 
 @settings(max_examples=100)

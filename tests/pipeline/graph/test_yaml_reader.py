@@ -6,10 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline import FoveaError, GraphError
+from pipeline.cli import commands
 from pipeline.cli.tasks import command_of
 from pipeline.fleet.agent_file import read as read_agent
 from pipeline.graph.editing import with_nodes
@@ -104,11 +106,12 @@ def test_values_on_a_command_line_are_read_within_the_same_bounds(
     graph = write(tmp_path, f"name: toy\n{CHAIN}")
 
     with pytest.raises(GraphError, match="not a value: "):
-        read_value(text)
-    with pytest.raises(GraphError, match="not a value: "):
+        read_value(text, "every")
+    with pytest.raises(GraphError, match=r"^count\.every=.*: not a value: "):
         read_change(f"count.every={text}")
-    with pytest.raises(GraphError, match=r"^--set "):
+    with pytest.raises(GraphError, match=r"^--set count\.every=") as caught:
         load(graph, Overlay(changes=(f"count.every={text}",)))
+    assert len(str(caught.value).partition(": not a value")[0]) < 100
 
 
 @pytest.mark.parametrize(
@@ -183,3 +186,25 @@ def test_any_text_is_a_value_or_refused_in_one_sentence(text: str) -> None:
 def test_a_change_below_what_is_no_mapping_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FoveaError, match=r"--set ticker.rate_hz.x=5: ticker.rate_hz: expected a m"):
         plan_of(tmp_path, CHAIN, changes=("ticker.rate_hz.x=5",))
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [
+        (["run", "{graph}", "--set", "count.every={value}"], "--set count.every="),
+        (["check", "{graph}", "--set", "count.every={value}"], "--set count.every="),
+        (["swap", "nowhere", "count", "--set", "every={value}"], "every="),
+        (["tell", "nowhere", "count", "recall", "every={value}"], "every="),
+    ],
+)
+@pytest.mark.parametrize("value", [".inf", "[1, .nan]", "9" * 5000, "{a: [" + "x, " * 900])
+def test_a_refused_value_names_its_setting_and_is_cut_before_the_reason(
+    tmp_path: Path, words: list[str], where: str, value: str
+) -> None:
+    graph = write(tmp_path, f"name: toy\n{CHAIN}")
+
+    done = CliRunner().invoke(commands, [w.format(graph=graph, value=value) for w in words])
+
+    said = str(done.exception)
+    assert said.startswith(f"{where}{value[:40]}{'…' * (len(value) > 40)}: not a value: "), said
+    assert len(said) < 300

@@ -21,11 +21,14 @@ from pipeline.protocol.codec import (
     encode,
     refused,
 )
-from pipeline.protocol.orders import ORDER, StopOrder, StopResult, SwapOrder
+from pipeline.protocol.orders import ORDER, RESULT, StopOrder, StopResult, SwapOrder
 from pipeline.protocol.questions import QUESTION, Health, Outcome, SchemaQuestion
+from pipeline.protocol.supervision import EVENT, INSTRUCTION
 from tests.pipeline.protocol.strategies import message_classes, messages
 
-KINDS: list[Kind[Any] | type[Any]] = [ORDER, QUESTION, *message_classes()]
+KINDS: list[Kind[Any] | type[Any]] = [
+    ORDER, RESULT, QUESTION, INSTRUCTION, EVENT, *message_classes(),
+]  # fmt: skip
 EVERY = st.sampled_from(message_classes()).flatmap(messages)
 
 

@@ -5,10 +5,13 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
 
+from pipeline.process_tree import children, descendants, end
 from pipeline.protocol.supervision import Uncut
 from pipeline.run.descendants import TAG_VARIABLE, end_tagged, new_tag, tagged
 from pipeline.run.leftovers import cleanup
@@ -23,7 +26,34 @@ from tests.sample_graphs import (
     until,
     wait_for,
 )
-from tests.unruly_graphs import recovers, unruly_plan
+from tests.unruly_graphs import recovers, unruly_file, unruly_plan
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
+
+
+KINDS = [("fork_many", 2), ("start_session", 1), ("escape", 1), ("escape_twice", 1)]
+REAPING = """
+import os, subprocess, sys
+from pipeline.run.reaper import Reaper
+SLEEP = ["sleep", "1000"]
+ESCAPER = "import subprocess; "
+ESCAPER += "print(subprocess.Popen(['sleep', '1000'], start_new_session=True, env={}).pid)"
+before = subprocess.Popen(SLEEP, start_new_session=True)
+reaper = Reaper()
+mine = subprocess.Popen(SLEEP)
+words = [sys.executable, "-c", ESCAPER]
+node = reaper.start(
+    lambda: subprocess.Popen(words, start_new_session=True, stdout=subprocess.PIPE)
+)
+working = reaper.start(lambda: subprocess.Popen(SLEEP, start_new_session=True))
+orphan = int(node.stdout.readline())
+node.wait()
+reaper.forget(node.pid)
+print(reaper.end(), reaper.end(), os.path.exists(f"/proc/{orphan}"))
+print([process.poll() for process in (before, mine, working)])
+for process in (before, mine, working):
+    process.kill()
+"""
 
 
 def noted(note: Path, count: int) -> list[int]:
@@ -47,7 +77,7 @@ def test_a_child_that_outlives_its_node_holds_nobody_up_and_is_ended(
     until(lambda: all(ended(pid) for pid in noted(note, 1)))
 
 
-@pytest.mark.parametrize(("kind", "count"), [("fork_many", 2), ("start_session", 1)])
+@pytest.mark.parametrize(("kind", "count"), KINDS)
 def test_what_a_node_started_ends_with_the_run(tmp_path: Path, kind: str, count: int) -> None:
     note = tmp_path / "pids"
     plan = unruly_plan(tmp_path, kind=kind, note=note, once=tmp_path / "once")
@@ -64,7 +94,7 @@ def test_what_a_node_started_ends_with_the_run(tmp_path: Path, kind: str, count:
     until(lambda: all(ended(pid) for pid in pids))
 
 
-@pytest.mark.parametrize(("kind", "count"), [("fork_many", 2), ("start_session", 1)])
+@pytest.mark.parametrize(("kind", "count"), KINDS)
 def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_next_cleanup(
     tmp_path: Path, kind: str, count: int
 ) -> None:
@@ -82,6 +112,81 @@ def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_ne
     until(lambda: all(ended(pid) for pid in nodes))
     cleanup()
     until(lambda: all(ended(pid) for pid in pids))
+
+
+@pytest.mark.parametrize("kind", ["escape", "escape_twice"])
+@pytest.mark.parametrize("killer", ["the supervisor", "another"])
+def test_what_a_killed_node_started_ends_however_it_tried_to_leave(
+    tmp_path: Path, kind: str, killer: str
+) -> None:
+    note = tmp_path / "pids"
+    plan = unruly_plan(tmp_path, kind=kind, note=note, once=tmp_path / "once")
+    pids: list[int] = []
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, note.exists)
+        pids.extend(noted(note, 1))
+        managed = supervisor.processes["unruly"]
+        assert managed.handle is not None
+        if killer == "the supervisor":
+            managed.handle.kill()
+        else:
+            seen = len(managed.samples)  # what it started is looked at with every sample
+            wait_for(supervisor, lambda: len(managed.samples) > seen)
+            send_signal(supervisor, "unruly", signal.SIGKILL)
+        recovers(supervisor)
+
+    go(plan, 0, during)
+
+    until(lambda: all(ended(pid) for pid in pids))
+
+
+def test_a_command_ends_and_waits_for_what_a_node_left_behind_the_moment_it_died(
+    tmp_path: Path,
+) -> None:
+    note, once = tmp_path / "pids", tmp_path / "once"
+    graph = unruly_file(tmp_path, kind="escape_and_die", note=note, once=once)
+    with subprocess.Popen([*FOVEA, "run", str(graph)], stdout=subprocess.DEVNULL) as command:
+        try:
+            (pid,) = noted(note, 1)
+
+            until(lambda: not psutil.pid_exists(pid))  # no zombie either
+
+            assert command.poll() is None
+        finally:
+            command.terminate()
+
+
+def test_no_child_of_the_process_itself_is_taken_for_an_orphan_of_a_node() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", REAPING], capture_output=True, text=True, timeout=60, check=True
+    )
+
+    assert done.stdout.splitlines() == ["1 0 False", "[None, None, None]"]
+
+
+def test_a_process_that_got_the_number_of_another_is_not_ended() -> None:
+    with subprocess.Popen(["sleep", "1000"]) as process:
+        (member,) = (m for m in children(os.getpid()) if m.pid == process.pid)
+
+        assert end([replace(member, started=member.started - 1)]) == 0
+        assert process.poll() is None
+        assert end([member]) == 1
+
+        assert process.wait(10) == -signal.SIGKILL
+
+
+def test_a_whole_tree_is_ended() -> None:
+    script = "(setsid sh -c 'sleep 1000 & sleep 1000; true' & sleep 1000; true) & wait"
+    with subprocess.Popen(["sh", "-c", script]) as process:
+        until(lambda: len(descendants(process.pid)) == 5)
+        (member,) = (m for m in children(os.getpid()) if m.pid == process.pid)
+        below = descendants(process.pid)
+
+        count = end([member, *below])
+
+    assert count == 6
+    until(lambda: all(ended(m.pid) for m in below))
 
 
 def test_only_what_carries_the_mark_is_ended() -> None:

@@ -1,14 +1,22 @@
 """An end that a node did not announce is a crash, whatever its status; so is any exception."""
 
+import json
+import logging
+import subprocess
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from pipeline.errors import RunError
+from pipeline.run.report import Report
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
-from tests.sample_graphs import assert_accounts_add_up, go, handled, wait_for
-from tests.unruly_graphs import UNRULY, recovers, unruly_plan
+from tests.sample_graphs import assert_accounts_add_up, go, handled, plan_of, wait_for
+from tests.unruly_graphs import UNRULY, name_of, recovers, unruly_file, unruly_plan
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 KINDS = {
     "exit_0": "",
@@ -23,17 +31,78 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_part_that_leaves_without_being_asked_is_restarted(
-    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    report = go(unruly_plan(tmp_path, kind=kind, once=tmp_path / "once"), 0, recovers)
+PART = """\
+  {kind}:
+    operator: tests.faulty_samples:Unruly
+    restart: {{backoff_s: 0.01}}
+    settings: {{kind: {kind}, once: {once}}}
+    inputs: {{frame: {{from: ticker.context, depth: 40}}}}
+  after_{kind}:
+    operator: tests.samples:Count
+    group: after
+    inputs: {{frame: {{from: {kind}, depth: 60}}}}
+"""
 
-    assert report["failure"] == ""
-    assert report["restarts"] == {"unruly": 1}
-    assert KINDS[kind] in caplog.text
-    assert "unruly ended by exit status" in caplog.text
-    assert_accounts_add_up(report)
+
+@dataclass(frozen=True)
+class Left:
+    """What became of a graph whose parts all leave without being asked, each in its own way."""
+
+    report: Report
+    log: str
+
+
+@pytest.fixture(scope="module")
+def left(tmp_path_factory: pytest.TempPathFactory) -> Left:
+    """One run for all of them: each has come back, and frames have arrived behind it."""
+    folder = tmp_path_factory.mktemp("left")
+    text = UNRULY[: UNRULY.index("  unruly:")]
+    for kind in KINDS:
+        text += PART.format(kind=kind, once=folder / f"once-{kind}")
+
+    def come_back(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: all(supervisor.restarts.get(kind) for kind in KINDS))
+        seen = {kind: handled(supervisor, f"after_{kind}") for kind in KINDS}
+        for kind in KINDS:
+            wait_for(
+                supervisor,
+                lambda kind=kind: handled(supervisor, f"after_{kind}") > seen[kind] + 5,  # type: ignore[misc]
+            )
+        supervisor.finish()
+
+    with Words() as words:
+        report = go(plan_of(folder, text), 0, come_back)
+    return Left(report, "\n".join(words.lines))
+
+
+class Words(logging.Handler):
+    """Everything that is logged meanwhile: `caplog` lives as long as one test."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.append(record.getMessage())
+
+    def __enter__(self) -> "Words":
+        logging.getLogger().addHandler(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        logging.getLogger().removeHandler(self)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_part_that_leaves_without_being_asked_is_restarted(left: Left, kind: str) -> None:
+    lines = [line for line in left.log.splitlines() if line.startswith(f"{kind}: ")]
+
+    assert left.report["failure"] == ""
+    assert left.report["restarts"][kind] == 1
+    assert left.report["crashes"][kind] == 1
+    assert KINDS[kind] in "\n".join(lines)
+    assert f"{kind} ended by exit status" in left.log
+    assert_accounts_add_up(left.report)
 
 
 def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(
@@ -42,6 +111,45 @@ def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(
     go(unruly_plan(tmp_path, kind="exit_0", once=tmp_path / "once"), 0, recovers)
 
     assert "unruly ended by exit status 0, which it did not announce" in caplog.text
+
+
+def test_a_part_that_may_not_restart_and_leaves_is_a_crash_in_the_report(tmp_path: Path) -> None:
+    text = UNRULY.replace("restart: {backoff_s: 0.01}", "restart: never")
+
+    report = go(unruly_plan(tmp_path, text=text, kind="exit_0"), 30)
+
+    assert (report["failure"], report["restarts"]) == ("", {})
+    assert report["crashes"] == {"unruly": 1}
+    (found,) = (f for f in report["verdict"] if f["about"] == "processes")
+    assert (found["held"], found["sentence"]) == (False, "1 process crashed: unruly once")
+
+
+def test_a_run_in_which_nothing_crashed_says_nothing_of_crashes(tmp_path: Path) -> None:
+    report = go(unruly_plan(tmp_path), 10)
+
+    assert report["crashes"] == {}
+    assert not [f for f in report["verdict"] if f["about"] == "processes"]
+
+
+@pytest.mark.parametrize("restart", ["{backoff_s: 0.01}", "never"])
+def test_a_run_that_came_to_its_end_although_a_part_left_ends_with_3(
+    tmp_path: Path, restart: str
+) -> None:
+    text = UNRULY.replace("{backoff_s: 0.01}", restart)
+    once, path = tmp_path / "once", tmp_path / "report.json"
+    graph = unruly_file(tmp_path, text=text, kind="exit_0", once=once)
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph), "--frames", "60", "--report", str(path)],
+        capture_output=True, text=True, check=False, timeout=100,
+    )  # fmt: skip
+
+    assert done.returncode == 3, done.stderr
+    assert done.stderr.endswith(
+        f"Error: {name_of(graph)} ran to its end, but 1 process crashed: unruly once\n"
+    )
+    assert "processes: 1 process crashed: unruly once" in done.stdout
+    assert json.loads(path.read_text())["crashes"] == {"unruly": 1}
 
 
 def test_in_lockstep_an_exit_with_status_0_ends_the_run_with_an_error(tmp_path: Path) -> None:
@@ -77,6 +185,7 @@ def test_a_part_that_leaves_while_it_is_stopped_is_told_of_and_takes_nothing_alo
     }
     assert said[kind] in caplog.text
     assert report["failure"] == ""
+    assert report["crashes"] == {"unruly": 1}
     assert report["summaries"]["after"]["seen"] == list(range(20))
 
 

@@ -51,7 +51,7 @@ def test_a_start_that_fails_half_way_leaves_nothing(
 
     monkeypatch.setattr("pipeline.run.process_manager.spawn", refuse)
     with Supervisor(plan) as supervisor:
-        run_id = supervisor._run.run_id
+        run_id = supervisor.manager.run_folder.run_id
         with pytest.raises(RunError, match="cannot be started: Resource temporarily unavailable"):
             supervisor.start()
 

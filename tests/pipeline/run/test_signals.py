@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import select
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from tests.unruly_graphs import UNRULY, name_of, unruly_file
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+SLOW_TOO = pytest.mark.slow  # what differs from an usual case by the signal or moment alone
 LIMIT_S = 60  # drain and stop take 10 s; the machine may be busy with other things
 SLOW = LOOP.replace(
     "    operator: tests.samples:Pass\n",
@@ -88,8 +90,18 @@ def assert_nothing_left(name: str, run_id: str, pids: list[int]) -> None:
     until(lambda: all(ended(pid) for pid in pids))
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("text", [LOOP, SLOW, CRASHING], ids=["running", "starting", "crashing"])
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        *(pytest.param(LOOP, number, id=f"running-{number}") for number in SIGNALS),
+        pytest.param(SLOW, signal.SIGINT, id="starting-2"),
+        pytest.param(SLOW, signal.SIGTERM, id="starting-15", marks=SLOW_TOO),
+        pytest.param(SLOW, signal.SIGHUP, id="starting-1", marks=SLOW_TOO),
+        pytest.param(CRASHING, signal.SIGTERM, id="crashing-15"),
+        pytest.param(CRASHING, signal.SIGINT, id="crashing-2", marks=SLOW_TOO),
+        pytest.param(CRASHING, signal.SIGHUP, id="crashing-1", marks=SLOW_TOO),
+    ],
+)
 def test_a_signal_ends_a_graph_in_whatever_state_it_is(
     tmp_path: Path, number: int, text: str
 ) -> None:
@@ -124,8 +136,14 @@ def test_a_second_signal_waits_for_nothing_and_leaves_nothing(tmp_path: Path, co
     assert_nothing_left(name, run_id, pids)
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("after_s", [0.1, 0.3, 0.6, 1.0, 1.5])
+@pytest.mark.parametrize(
+    ("after_s", "number"),
+    [
+        pytest.param(after_s, number, marks=[] if (moment - turn) % 3 == 0 else SLOW_TOO)
+        for moment, after_s in enumerate([0.1, 0.3, 0.6, 1.0, 1.5])
+        for turn, number in enumerate(SIGNALS)
+    ],
+)
 def test_a_signal_while_the_command_comes_up_ends_it_without_a_word(
     tmp_path: Path, number: int, after_s: float
 ) -> None:
@@ -177,8 +195,21 @@ def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) ->
     with fovea("run", str(graph), "--inline") as process:
         _, err = process.communicate(timeout=60)
 
-    assert process.returncode == 1
-    assert err.endswith(": an operator raised SystemExit: 0\n")
+    assert process.returncode == 2
+    assert err.startswith("Error: unruly: ")
+    assert err.endswith(": it exits: 0\n")
+
+
+@pytest.fixture(scope="module")
+def looked_at(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The name of a graph that runs, for commands that only look; it leaves nothing behind."""
+    graph = written(tmp_path_factory.mktemp("looked-at"), LOOP)
+    name = name_of(graph)
+    with fovea("run", str(graph)) as process:
+        until(lambda: works(name))
+        yield name
+        ends(process, signal.SIGTERM)
+    assert leftover_files(base() / name) == []
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -186,22 +217,15 @@ def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) ->
     "words", [("top", "NAME"), ("echo", "NAME", "steer"), ("logs", "NAME", "work", "-f")]
 )
 def test_a_signal_ends_a_command_that_looks(
-    tmp_path: Path, number: int, words: tuple[str, ...]
+    looked_at: str, number: int, words: tuple[str, ...]
 ) -> None:
-    graph = written(tmp_path, LOOP)
-    name = name_of(graph)
-    with fovea("run", str(graph)) as process:
-        until(lambda: len(nodes_of(name)) == 4)
-        time.sleep(1)
-        with fovea(*(name if word == "NAME" else word for word in words)) as looking:
-            until(lambda: answers_signals(looking.pid))
-            time.sleep(2)
-            assert looking.poll() is None
+    with fovea(*(looked_at if word == "NAME" else word for word in words)) as looking:
+        assert looking.stdout is not None
+        until(lambda: answers_signals(looking.pid))
+        select.select([looking.stdout], [], [], 2)  # its first word, where it has one
+        assert looking.poll() is None
 
-            ends(looking, number)
-
-        ends(process, signal.SIGTERM)
-    assert leftover_files(base() / name) == []
+        ends(looking, number)
 
 
 @pytest.mark.parametrize("number", SIGNALS)
@@ -229,22 +253,16 @@ def test_a_reader_that_leaves_costs_words_and_not_the_graph(tmp_path: Path) -> N
     assert json.loads(report.read_text())["frames"]["exposed"] == 200
 
 
-def test_a_reader_that_leaves_ends_a_command_that_only_shows(tmp_path: Path) -> None:
-    graph = written(tmp_path, LOOP)
-    name = name_of(graph)
-    with fovea("run", str(graph)) as process:
-        until(lambda: len(nodes_of(name)) == 4)
-        with fovea("echo", name, "steer") as looking:
-            assert looking.stdout is not None
-            assert "windows" in looking.stdout.readline()
-            looking.stdout.close()
-            looking.stdout = None
+def test_a_reader_that_leaves_ends_a_command_that_only_shows(looked_at: str) -> None:
+    with fovea("echo", looked_at, "steer") as looking:
+        assert looking.stdout is not None
+        assert "windows" in looking.stdout.readline()
+        looking.stdout.close()
+        looking.stdout = None
 
-            _, err = looking.communicate(timeout=60)
+        _, err = looking.communicate(timeout=60)
 
-        assert (looking.returncode, err) == (1, "")
-        ends(process, signal.SIGTERM)
-    assert leftover_files(base() / name) == []
+    assert (looking.returncode, err) == (1, "")
 
 
 def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path) -> None:

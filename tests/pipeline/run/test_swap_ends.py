@@ -56,7 +56,7 @@ def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str,
 def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: Path) -> None:
     plan = unruly_plan(tmp_path)
     with Supervisor(plan) as supervisor:
-        run_id = supervisor._run.run_id
+        run_id = supervisor.manager.run_folder.run_id
         supervisor.start()
         answers = swap(supervisor, kind="slow_open")
         managed = supervisor.processes["unruly"]
@@ -71,4 +71,4 @@ def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: P
 
 
 def of(supervisor: Supervisor, process: str) -> list[Any]:
-    return [handle for handle in supervisor.handles if handle.name == process]
+    return [handle for handle in supervisor.manager.handles if handle.name == process]

@@ -103,7 +103,7 @@ def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
         beside(supervisor, lambda: find(plan.name).configure("work", {"every": 2}))
         monkeypatch.setattr("pipeline.run.process_manager.spawn", refuse_while_swapping)
-        monkeypatch.setattr(supervisor.spare, "take", lambda: None)
+        monkeypatch.setattr(supervisor.manager.spare, "take", lambda: None)
         supervisor.control.take(order("work"), results.append)
         wait_for(supervisor, lambda: bool(results))
         wait_for(supervisor, lambda: supervisor.pid("hand") != 0)

@@ -10,9 +10,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from pipeline.module_files import edited_since, module_files
 from pipeline.run.process_handle import NodeProcess
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.warm_spare import WarmSpare, edited_since
+from pipeline.run.warm_spare import WarmSpare
 from tests.sample_graphs import (
     LOOP,
     assert_accounts_add_up,
@@ -51,7 +52,7 @@ def test_a_node_that_cannot_be_started_is_tried_again_and_the_others_go_on(
 
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 5)
-        supervisor.spare.dismiss()
+        supervisor.manager.spare.dismiss()
         with monkeypatch.context() as patch:
             patch.setattr("pipeline.run.process_manager.spawn", refuse)
             send_signal(supervisor, "steer", signal.SIGKILL)
@@ -74,16 +75,16 @@ def test_a_module_beside_the_installation_that_is_edited_counts(
     file.parent.mkdir()
     file.touch()
     monkeypatch.setattr(
-        "pipeline.run.warm_spare.INSTALLED", (os.path.join(tmp_path, "site-packages", ""),)
+        "pipeline.module_files.INSTALLED", (os.path.join(tmp_path, "site-packages", ""),)
     )
     monkeypatch.setitem(sys.modules, "mine", SimpleNamespace(__file__=str(file)))  # type: ignore[arg-type]
     moment_s = time.time() + 60
 
-    assert not edited_since(moment_s)
+    assert not edited_since(moment_s, module_files())
 
     os.utime(file, (moment_s + 60,) * 2)
 
-    assert edited_since(moment_s)
+    assert edited_since(moment_s, module_files())
 
 
 def test_a_module_of_the_installation_is_not_looked_at(
@@ -94,6 +95,6 @@ def test_a_module_of_the_installation_is_not_looked_at(
     moment_s = time.time() + 60
     os.utime(file, (moment_s + 60,) * 2)
     monkeypatch.setitem(sys.modules, "theirs", SimpleNamespace(__file__=str(file)))  # type: ignore[arg-type]
-    monkeypatch.setattr("pipeline.run.warm_spare.INSTALLED", (os.path.join(tmp_path, ""),))
+    monkeypatch.setattr("pipeline.module_files.INSTALLED", (os.path.join(tmp_path, ""),))
 
-    assert not edited_since(moment_s)
+    assert not edited_since(moment_s, module_files())

@@ -82,9 +82,9 @@ def test_an_exception_text_drives_no_terminal_and_no_log_line(
 @pytest.mark.parametrize("size", [3_000, 3_000_000])
 def test_a_headline_is_cut_to_a_line(tmp_path: Path, size: int) -> None:
     def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: bool(supervisor.headlines), 60)
+        wait_for(supervisor, lambda: bool(supervisor.reports.headlines), 60)
         supervisor.finish()
-        shown.append(supervisor.headlines["unruly"])
+        shown.append(supervisor.reports.headlines["unruly"])
 
     shown: list[str] = []
     report = go(unruly_plan(tmp_path, kind="huge_headline", size=size), 0, during)

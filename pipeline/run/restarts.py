@@ -1,0 +1,87 @@
+"""What follows the end of a process: another start after a pause, or the end of the run."""
+
+import logging
+
+from pipeline.errors import RunError
+from pipeline.graph.plan import Restart
+from pipeline.run.managed_process import ManagedProcess
+from pipeline.run.process_handle import ending
+from pipeline.run.process_manager import ProcessManager
+
+HEALTHY_S = 1.0  # a process that ran this long starts with the shortest back-off again
+LONGEST_BACKOFF_S = 5.0
+UNABLE_S = 2.0  # until a process that could not be started is tried again
+log = logging.getLogger(__name__)
+
+
+class Restarts:
+    """The restarts of one run, by the rules of its nodes."""
+
+    def __init__(self, manager: ProcessManager) -> None:
+        self._manager = manager
+        self.counts: dict[str, int] = {}  # by process
+        self.crashes: dict[str, int] = {}  # ends that nobody asked for, by process
+        self.at_least = 0  # allowed whatever the graph says
+
+    def begin_again(self, managed: ManagedProcess, now_s: float) -> None:
+        """Start a process whose pause is over."""
+        managed.next_start_s = 0.0
+        try:
+            self._manager.begin(managed)
+        except RunError as error:  # no memory, say: the others may go on until there is some
+            log.error("%s", error)
+            managed.next_start_s = now_s + UNABLE_S
+        self._manager.note()
+
+    def on_end(self, managed: ManagedProcess, status: int, now_s: float) -> None:
+        """A process has ended with that status, and all it said was heard."""
+        announced = managed.handle is not None and managed.handle.left
+        self._manager.vacate(managed)
+        how = ending(status) + ("" if announced or status else ", which it did not announce")
+        last, managed.last_words = managed.last_words, ""
+        self._count(managed, now_s)
+        succeeded = announced and status == 0
+        if not succeeded:
+            self.count_crash(managed.name)
+        if self._manager.failure:
+            return
+        log.warning("%s ended by %s, see `fovea logs %s`", managed.name, how, managed.name)
+        why = self._follow(managed, how, now_s, succeeded=succeeded)
+        if why:
+            self._manager.failure = f"{managed.name} {why}" + (f": {last}" if last else "")
+
+    def count_crash(self, process: str) -> None:
+        """A process has ended without being asked to."""
+        self.crashes[process] = self.crashes.get(process, 0) + 1
+
+    def _follow(self, managed: ManagedProcess, how: str, now_s: float, *, succeeded: bool) -> str:
+        """Let it start again, or let it be; why neither can be, when the run has to end."""
+        manager, rule = self._manager, managed.nodes[0].restart
+        if manager.plan.clock == "lockstep":
+            return f"ended by {how}: a lockstep run cannot go on"
+        if rule.policy == "never" or (rule.policy == "on-failure" and succeeded):
+            before = manager.finished
+            manager.finished_sources |= managed.sources
+            last = manager.finished and not (before or succeeded or manager.ending)
+            return f"ended by {how}: no source is left" if last else ""
+        recent = sum(1 for death in managed.deaths if now_s - death < rule.window_s)
+        if recent > max(rule.most, self.at_least):
+            return f"died {recent} times within {rule.window_s:.0f} s"
+        managed.next_start_s = now_s + _pause_s(rule, managed.quick_deaths)
+        self.counts[managed.name] = self.counts.get(managed.name, 0) + 1
+        return ""
+
+    def _count(self, managed: ManagedProcess, now_s: float) -> None:
+        managed.deaths.append(now_s)
+        lived = managed.going_since_s and now_s - managed.going_since_s > HEALTHY_S
+        managed.quick_deaths = 0 if lived else managed.quick_deaths + 1
+        managed.going_since_s = 0.0
+
+
+def _pause_s(rule: Restart, quick_deaths: int) -> float:
+    """The pause before the next start, which doubles.
+
+    >>> _pause_s(Restart(), 0), _pause_s(Restart(), 3), _pause_s(Restart(), 50)
+    (0.05, 0.4, 5.0)
+    """
+    return min(LONGEST_BACKOFF_S, rule.backoff_s * (1 << min(quick_deaths, 8)))
