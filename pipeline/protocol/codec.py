@@ -81,7 +81,9 @@ def decode(kind: Kind[T] | type[T], data: bytes) -> T:
     try:
         return codec.parse(wanted.read, data[2:], f"not {wanted.name}")
     except MessageError as error:
-        raise (_of_another_kind(wanted, data[2:]) or error) from error
+        if (better := _of_another_kind(wanted, data[2:])) is None:
+            raise
+        raise better from error
 
 
 def decode_answer(kind: type[T], data: bytes, where: str = "") -> T:

@@ -1,5 +1,7 @@
 """Every message is the same after its way; whatever else comes is refused in one sentence."""
 
+import gc
+import weakref
 from typing import Any
 
 import msgspec
@@ -30,6 +32,17 @@ KINDS: list[Kind[Any] | type[Any]] = [
     ORDER, RESULT, QUESTION, INSTRUCTION, EVENT, *message_classes(),
 ]  # fmt: skip
 EVERY = st.sampled_from(message_classes()).flatmap(messages)
+
+
+class Held:
+    """What a frame on the way to a refusal holds."""
+
+
+def refuse(_held: Held, data: bytes) -> None:
+    try:
+        decode(ORDER, data)
+    except MessageError:
+        return
 
 
 def sentence(kind: Kind[Any] | type[Any], data: bytes) -> str:
@@ -105,6 +118,19 @@ def test_what_an_order_must_not_be_is_told(body: Any, said: str) -> None:
     data = bytes((MARKER, VERSION)) + msgspec.msgpack.encode(body)
 
     assert said in sentence(ORDER, data)
+
+
+def test_a_refusal_does_not_keep_what_led_to_it_alive() -> None:
+    gc.collect()
+    gc.disable()  # a question is answered when nothing holds it any more
+    try:
+        held = Held()
+        gone = weakref.ref(held)
+        refuse(held, bytes((MARKER, VERSION)) + msgspec.msgpack.encode("noise"))
+        del held
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_too_many_bytes_are_not_looked_at() -> None:
