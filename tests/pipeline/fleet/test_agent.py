@@ -15,7 +15,6 @@ from pipeline.bus.network import LOCAL, Network
 from pipeline.bus.session import Session
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.access import asker_permits
 from pipeline.fleet.deploy import (
     Fleet,
     attach,
@@ -25,6 +24,7 @@ from pipeline.fleet.deploy import (
     send_weights,
     up,
 )
+from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer
