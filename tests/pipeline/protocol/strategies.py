@@ -1,6 +1,8 @@
 """Any value of any message of the protocol, made from the types of its fields."""
 
+import dataclasses
 import typing
+from collections.abc import Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union
@@ -49,7 +51,7 @@ def of_type(hint: Any) -> st.SearchStrategy[Any]:
         return st.sampled_from(arguments)
     if origin in (Union, UnionType):
         return st.one_of(*map(of_type, arguments))
-    if origin is dict:
+    if origin in (dict, Mapping):
         return st.dictionaries(of_type(arguments[0]), of_type(arguments[1]), max_size=3)
     if origin is list:
         return st.lists(of_type(arguments[0]), max_size=3)
@@ -59,6 +61,9 @@ def of_type(hint: Any) -> st.SearchStrategy[Any]:
         return st.tuples(*map(of_type, arguments))
     if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
         return messages(hint)
+    if dataclasses.is_dataclass(hint) and hint not in SIMPLE:
+        kinds = typing.get_type_hints(hint)
+        return st.builds(hint, **{f.name: of_type(kinds[f.name]) for f in dataclasses.fields(hint)})
     return SIMPLE[hint]
 
 
