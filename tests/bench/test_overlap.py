@@ -24,7 +24,7 @@ from bench.soak import faded
 from pipeline import Frame, Percept, Truth
 from pipeline.errors import RunError
 from pipeline.graph.loader import load
-from pipeline.run.supervisor import MOST_HEADLINE
+from pipeline.run.node_reports import MOST_HEADLINE
 from pipeline.testing import header
 from tests.sample_graphs import LOOP
 
