@@ -4,6 +4,7 @@ A command whose standard output is its answer ends then, quietly. One that keeps
 loses words and nothing else (`forgive`), also where a reader stops reading.
 """
 
+import contextlib
 import errno
 import io
 import os
@@ -87,8 +88,8 @@ def guard() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest that is free: this one
     sys.stdout, sys.stderr = _tolerant(sys.stdout, 1), _tolerant(sys.stderr, 2)
     for handle in (1, 2):
-        if handle not in _kept:
-            _kept[handle] = os.dup(handle)
+        with contextlib.suppress(OSError):  # none is left
+            _kept[handle] = _kept.get(handle) or os.dup(handle)
 
 
 def forgive() -> None:

@@ -176,6 +176,10 @@ class Unruly(Operator[UnrulySettings, Frame]):
         """Leave without a word."""
         os._exit(0)
 
+    def do_segfault(self) -> None:
+        """Crash as an extension module does."""
+        ctypes.string_at(0)
+
     def do_system_exit(self) -> None:
         """Leave as a script does."""
         raise SystemExit(0)

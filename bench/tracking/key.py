@@ -14,7 +14,7 @@ from bench.tracking.stages import NEEDED
 from drivers.datasets.sequence import read_info
 from operators.training.identity import of_code, of_nodes
 from pipeline.errors import DriverError
-from pipeline.fleet.allow import file_digest
+from pipeline.fleet.placement import file_digest
 from pipeline.graph.plan import Plan
 from pipeline.weights import MANIFEST
 

@@ -28,7 +28,7 @@ from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
 from operators.training.progress import Phases, bar
 from operators.training.schedule import warmed_cosine
-from pipeline.fleet.allow import file_digest
+from pipeline.fleet.placement import file_digest
 
 PHASES = Phases("draw scenes", "train")
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others

@@ -14,7 +14,7 @@ from typing import Any
 from pipeline import settings as checked
 from pipeline.contract import settings_of
 from pipeline.errors import WeightsError
-from pipeline.fleet.allow import code_digest, file_digest
+from pipeline.fleet.placement import code_digest, file_digest
 from pipeline.graph.plan import Node, Plan, load_operator
 from pipeline.weights import require
 

@@ -32,7 +32,7 @@ from pipeline.fleet.deploy import (
     remembered,
     send_weights,
 )
-from pipeline.fleet.replanning import ends_of
+from pipeline.fleet.hosted_graph import ends_of
 from pipeline.graph.editing import loaded_ports
 from pipeline.graph.plan import Plan
 from pipeline.protocol import fleet as wire

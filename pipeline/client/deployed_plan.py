@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from pipeline.errors import GraphError
-from pipeline.fleet.replanning import ends_of, is_inside
+from pipeline.fleet.hosted_graph import ends_of, is_inside
 from pipeline.graph.plan import Edge, Node, Plan
 
 Item = TypeVar("Item", Node, Edge)

@@ -9,7 +9,7 @@ from pipeline.client.described import Description
 from pipeline.client.graph_client import GraphClient, Listener, output_of
 from pipeline.errors import FoveaError
 from pipeline.fleet.deploy import Fleet, Hosts
-from pipeline.fleet.tap_relay import new_name
+from pipeline.fleet.relay import new_name
 from pipeline.protocol import fleet as wire
 
 POLL_S = 0.1

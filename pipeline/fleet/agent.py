@@ -17,11 +17,11 @@ from typing import Any
 from pipeline.bus.network import Network
 from pipeline.bus.session import OnBytes, Session
 from pipeline.errors import FoveaError, MessageError, RunError
-from pipeline.fleet.access import agent_permits, asker_permits
-from pipeline.fleet.agent_file import HostConfig
-from pipeline.fleet.allow import DIGEST_PREFIX
-from pipeline.fleet.hosted_graph import HostedGraph
+from pipeline.fleet.agent_file import GraphStore, HostConfig
+from pipeline.fleet.hosted_graph import HostedGraph, change, identity_of, planned
 from pipeline.fleet.links import (
+    agent_permits,
+    asker_permits,
     check_credentials,
     end_points,
     local_end_points,
@@ -35,12 +35,9 @@ from pipeline.fleet.names import (
     endpoint_host,
     host_identity,
 )
-from pipeline.fleet.node_gateway import NodeGateway
-from pipeline.fleet.placement import check_fingerprints, inspect
-from pipeline.fleet.replanning import change, identity_of, planned
+from pipeline.fleet.placement import DIGEST_PREFIX, check_fingerprints, inspect
+from pipeline.fleet.relay import NodeGateway, TapRelay
 from pipeline.fleet.status import state_of
-from pipeline.fleet.store import GraphStore
-from pipeline.fleet.tap_relay import TapRelay
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
 from pipeline.protocol import fleet as wire

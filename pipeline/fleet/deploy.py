@@ -20,12 +20,18 @@ import msgspec
 from pipeline.bus.network import Network
 from pipeline.bus.session import Session
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, Silent
-from pipeline.fleet.access import asker_permits
 from pipeline.fleet.agent_file import local_endpoint
-from pipeline.fleet.allow import DIGEST_PREFIX, MOST_WEIGHTS_BYTES, file_digest, is_path
 from pipeline.fleet.hosted_graph import END_S
+from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import ANYBODY, agent_key, endpoint
-from pipeline.fleet.placement import check_labels, fingerprints
+from pipeline.fleet.placement import (
+    DIGEST_PREFIX,
+    MOST_WEIGHTS_BYTES,
+    check_labels,
+    file_digest,
+    fingerprints,
+    is_path,
+)
 from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name

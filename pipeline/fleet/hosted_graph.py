@@ -1,19 +1,32 @@
-"""One host's part of a graph: a supervisor in a thread of its own, and its talk with others."""
+"""One host's part of a graph, from start to end, and how nodes and edges of it come and go.
 
+A supervisor runs in a thread of its own and talks with the other hosts. What may be added is what
+might have been deployed: the same checks hold. Edges between hosts stay as they were deployed,
+since both hosts have opened what they need for them. So a change concerns one host, and no other
+has to know of it.
+"""
+
+import hashlib
 import logging
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
+import msgspec
+
 from pipeline.bus.clocks import Clocks
 from pipeline.bus.network import Network
+from pipeline.codec import to_bytes
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.peer import Peer
-from pipeline.fleet.replication import Replication, adopt
-from pipeline.graph.plan import Plan
+from pipeline.fleet.agent_file import GraphStore
+from pipeline.fleet.peers import Peer, Replication, adopt
+from pipeline.graph.plan import Edge, Plan
 from pipeline.node.wiring import CLOCKS
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import decode, encode, refused
 from pipeline.protocol.fleet import Accounts
+from pipeline.protocol.orders import RESULT, PlanOrder, Refused
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.reaper import Reaper
 from pipeline.run.supervisor import Supervisor
@@ -26,6 +39,8 @@ END_S = 20.0  # stopping takes as long as the slowest operator's close
 AGAIN_S = (1.0, 30.0)  # first and longest pause before a graph that worked once begins again
 STARTS_EPOCHS = 1000  # between two starts of a host, so that what an earlier one sent is told apart
 log = logging.getLogger(__name__)
+Inspect = Callable[[Plan, Mapping[str, str]], Plan]  # what it would run here; raises for what not
+Ends = tuple[str, str, str, str]
 
 
 @dataclass
@@ -193,3 +208,69 @@ class HostedGraph:
 def _is_ready(supervisor: Supervisor) -> bool:
     """Whether every process here has opened its operators."""
     return all(managed.handle and managed.handle.ready for managed in supervisor.processes.values())
+
+
+def planned(hosted: HostedGraph, store: GraphStore) -> wire.Planned:
+    """The plan that this host was asked to run, and which revision of it runs."""
+    if hosted.supervisor is None:
+        raise RunError(f"{hosted.plan.name}: does not run just now, try again")
+    return wire.Planned(store.asked(hosted.plan.name).plan, hosted.supervisor.revision)
+
+
+def change(
+    hosted: HostedGraph, asked: wire.PlanChange, store: GraphStore, inspect: Inspect,
+    reply: Callable[[bytes], None],
+) -> None:  # fmt: skip
+    """Have this host's part become another one and reply when it is; raises `FoveaError`."""
+    name, supervisor = hosted.plan.name, hosted.supervisor
+    if supervisor is None:
+        raise RunError(f"{name}: does not run just now, try again")
+    before = store.asked(name)
+    check_inside(before.plan, asked.plan, hosted.plan.here)
+    fingerprints = {**before.fingerprints, **asked.fingerprints}
+    local = inspect(asked.plan, fingerprints)
+    start = msgspec.structs.replace(
+        before, plan=asked.plan, fingerprints=fingerprints, identity=identity_of(before)
+    )
+
+    def done(result: bytes) -> None:
+        if not isinstance(decode(RESULT, result), Refused):
+            hosted.plan = local
+            try:
+                store.keep(name, start)
+            except FoveaError as error:
+                reply(encode(refused(f"it was changed, but a restart will not know: {error}")))
+                return
+        reply(encode(wire.Relayed(result)))
+
+    supervisor.control.ask(encode(PlanOrder(plan=local, revision=asked.revision)), done)
+
+
+def check_inside(before: Plan, wanted: Plan, label: str) -> None:
+    """Raise `RunError` for a change beyond the nodes of a host and the edges between them."""
+    if replace(before, nodes=wanted.nodes, edges=wanted.edges) != wanted:
+        raise RunError(f"{before.name}: expected another plan of the same graph")
+    elsewhere = [[n for n in plan.nodes if n.host != label] for plan in (before, wanted)]
+    if elsewhere[0] != elsewhere[1]:
+        raise RunError(f"{before.name}: expected the nodes of other hosts as they are")
+    beyond = [
+        {(ends_of(e), e) for e in plan.edges if not is_inside(plan, e, label)}
+        for plan in (before, wanted)
+    ]
+    if beyond[0] != beyond[1]:
+        raise RunError(f"{before.name}: expected the edges of other hosts as they are")
+
+
+def is_inside(plan: Plan, edge: Edge, label: str) -> bool:
+    """Whether both ends of an edge are on that host."""
+    return plan.node(edge.source).host == label == plan.node(edge.target).host
+
+
+def ends_of(edge: Edge) -> Ends:
+    """What an edge connects."""
+    return edge.source, edge.output, edge.target, edge.input
+
+
+def identity_of(start: wire.Start) -> str:
+    """What hosts know a deployed graph by; it stays while nodes come and go."""
+    return start.identity or hashlib.sha256(to_bytes(start.plan)).hexdigest()[:16]

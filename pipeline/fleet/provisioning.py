@@ -6,9 +6,8 @@ from pathlib import Path
 
 from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
-from pipeline.fleet.allow import code_digest, code_of, file_digest, is_path, strings
 from pipeline.fleet.names import endpoint, host_identity, user_identity
-from pipeline.fleet.placement import identities
+from pipeline.fleet.placement import code_digest, code_of, file_digest, identities, is_path, strings
 from pipeline.graph.plan import Plan
 from pipeline.whole_file import write_whole
 

@@ -5,7 +5,7 @@
     <folder>/user.<name>/addresses.json          where the hosts are: label -> address
 
 The common name of a certificate says who speaks: `host.<label>`, `node.<graph>.<process>` or
-`user.<name>`, as `pipeline.fleet.names` writes them. The access lists of `pipeline.fleet.access`
+`user.<name>`, as `pipeline.fleet.names` writes them. The access lists of `pipeline.fleet.links`
 go by these names, never by addresses.
 """
 

@@ -6,7 +6,7 @@ import psutil
 
 from pipeline.bus.clocks import Clocks
 from pipeline.fleet.hosted_graph import HostedGraph
-from pipeline.fleet.peer import Peer
+from pipeline.fleet.peers import Peer
 from pipeline.protocol.fleet import EdgeState, HostState, NodeState, Process, State
 from pipeline.run.supervisor import Supervisor
 

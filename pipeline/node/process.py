@@ -275,6 +275,7 @@ def _work(control: Control) -> bool:
     first = max(job.epochs.values()) == 1 and not job.trial
     file = log_to(Path(job.run_folder) / f"{job.process}.log", fresh=first)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    faulthandler.enable(file)  # of a crash of an extension module
     faulthandler.register(signal.SIGUSR1, file)  # asked for before a stalled node is killed
     sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
     path = job.plan.command_path()

@@ -2,7 +2,8 @@
 
 A node leads a process group, which ends with it. What left the group by a session of its own is
 known by an entry of its environment, which the node was given and its children inherit; nothing
-reads the entry as configuration. A process that clears its environment and its group is not found.
+reads the entry as configuration. A process that clears its environment and its group is found by
+descent (`pipeline.process_tree`, `pipeline.run.reaper`).
 """
 
 import contextlib

@@ -65,7 +65,8 @@ class Graph:
         with `node.output` and each message. With `processes` it runs as `fovea run` does, for
         `duration_s` at most if given; the folder you work in is where processes look for operators
         of your own. Raises `RunError` for a graph that cannot go on; what an operator raises in
-        this thread passes through.
+        this thread passes through. Processes that crashed and did not end the run are counted in
+        the report's `crashes`.
         """
         if frames < 0 or duration_s < 0:
             raise SettingsError(f"run: expected limits from 0 on, got {frames}, {duration_s}")

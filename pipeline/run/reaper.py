@@ -24,10 +24,13 @@ class Reaper:
     """Adopts orphans from now on; one for all supervisors of a process.
 
     A node leads a session of its own and no process can enter a session, so that every child of
-    another session, but the nodes and what was there before, is an orphan of a node.
+    another session, but the nodes and what was there before, is an orphan of a node. The first
+    process of a container gets the orphans of all others, too: there it waits for those that have
+    ended and kills none.
     """
 
     def __init__(self) -> None:
+        self._only_of_nodes = os.getpid() != 1
         self._lock = threading.Lock()
         self._nodes: set[int] = set()
         self._before = set(process_tree.children(os.getpid()))
@@ -62,7 +65,7 @@ class Reaper:
         return [
             member
             for member in process_tree.children(os.getpid())
-            if member not in self._before and self._is_orphan(member.pid)
+            if self._only_of_nodes and member not in self._before and self._is_orphan(member.pid)
         ]
 
     def _reap(self) -> int:

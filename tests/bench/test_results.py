@@ -1,6 +1,7 @@
 """The page of results is what the committed files give, and wrong files are refused."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ TABLE = {
     "source": "README at commit 1234567", "columns": ["a", "b"], "rows": [[1, ".5 | .6"]],
 }  # fmt: skip
 ORIGIN = facts() | {"commit": "1234567" * 5}
+ROOT = Path(__file__).resolve().parents[2]
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=9),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9), inner),
@@ -124,3 +126,14 @@ def test_no_json_makes_the_page_fail_otherwise(
         text = str(error)
 
     assert text
+
+
+def test_every_test_that_a_table_of_examples_names_is_there() -> None:
+    rows = json.loads((FOLDER / "adversarial_examples.json").read_text())["rows"]
+    texts = {path.name: path.read_text() for path in ROOT.glob("tests/**/test_*.py")}
+
+    named = [re.findall(r"(test_\w+\.py)(?:::(test_\w+))?", row[-1]) for row in rows]
+
+    assert all(named)
+    for file, name in (pair for found in named for pair in found):
+        assert f"def {name}" in texts[file], (file, name)

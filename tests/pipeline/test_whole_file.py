@@ -17,8 +17,8 @@ from operators.training import arrays
 from pipeline.cli.files import write_report
 from pipeline.errors import RunError
 from pipeline.fleet import secure
-from pipeline.fleet.allow import Allowed
-from pipeline.fleet.store import GraphStore
+from pipeline.fleet.agent_file import GraphStore
+from pipeline.fleet.placement import Allowed
 from pipeline.whole_file import whole_file, write_whole
 
 Writer = Callable[[Path], Path]  # writes into a folder, returns what it wrote

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from pipeline.fleet.agent import Agent
 from pipeline.fleet.agent_file import AgentFile, HostConfig
-from pipeline.fleet.allow import ANY
 from pipeline.fleet.deploy import Fleet, read_hosts
+from pipeline.fleet.placement import ANY
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
 from pipeline.protocol import fleet as wire

@@ -15,7 +15,6 @@ from pipeline.bus.network import LOCAL, Network
 from pipeline.bus.session import Session
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet.access import asker_permits
 from pipeline.fleet.deploy import (
     Fleet,
     attach,
@@ -25,6 +24,7 @@ from pipeline.fleet.deploy import (
     send_weights,
     up,
 )
+from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer
@@ -146,7 +146,7 @@ def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path)
     assert trio.configure("work", {"hold": 2}).settings["hold"] == 2
     assert "no path from outside" in refusal(partial(trio.configure, "work", {"hold": "../x"}))
     assert "no node wrok, did you mean 'work'" in refusal(partial(trio.configure, "wrok", {}))
-    assert trio.command("work", "recall", {}).answer["held"]
+    until(lambda: trio.command("work", "recall", {}).answer["held"])
     assert set(trio.schema("count").inputs) == {"frame"}
 
     done = trio.swap(SwapOrder(node="work", operator="tests.samples:PassEvery", probation=5))

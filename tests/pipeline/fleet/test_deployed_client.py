@@ -12,11 +12,11 @@ from pipeline.client import listening
 from pipeline.client.described import Described
 from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
-from pipeline.fleet import tap_relay
-from pipeline.fleet.access import asker_permits
+from pipeline.fleet import relay
 from pipeline.fleet.deploy import Fleet, down, remembered, up
+from pipeline.fleet.hosted_graph import check_inside
+from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import agent_key, host_identity
-from pipeline.fleet.replanning import check_inside
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer
 from tests.pipeline.fleet.agents import (
@@ -126,7 +126,7 @@ def test_an_output_on_another_host_is_heard_and_its_rate_is_that_of_its_source(
 def test_what_a_relay_has_no_room_for_is_told_as_missed(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tap_relay, "MOST_KEPT", 2)
+    monkeypatch.setattr(relay, "MOST_KEPT", 2)
     monkeypatch.setattr("pipeline.client.relayed.POLL_S", 0.5)
 
     found = listening.rate(find("duo").listen("capture.roi"), 3.0)
@@ -142,14 +142,14 @@ def test_taps_are_bounded_and_closed_when_nobody_asks(
     def asked(tap: str, output: str = "out") -> wire.TapQuestion:
         return wire.TapQuestion("duo", "work", output, tap)
 
-    for number in range(tap_relay.MOST_TAPS):
+    for number in range(relay.MOST_TAPS):
         fleet.ask("brain", "tap", asked(f"t{number}"), wire.TapMessages)
     with pytest.raises(RunError, match="busy: expected up to 8 taps"):
         fleet.ask("brain", "tap", asked("one-more"), wire.TapMessages)
     with pytest.raises(RunError, match="listens to another output already"):
         fleet.ask("brain", "tap", asked("t0", "other"), wire.TapMessages)
 
-    monkeypatch.setattr(tap_relay, "IDLE_S", 0.0)
+    monkeypatch.setattr(relay, "IDLE_S", 0.0)
     until(lambda: not two["brain"].agent._taps._taps)
 
 

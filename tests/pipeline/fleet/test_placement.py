@@ -11,19 +11,21 @@ import pytest
 
 from pipeline.bus.ledger import private_ledger
 from pipeline.errors import FoveaError, GraphError, SettingsError, WeightsError
-from pipeline.fleet.access import edge_key, node_permits
-from pipeline.fleet.allow import DIGEST_PREFIX, Allowed, code_digest
-from pipeline.fleet.clock import DRIFT, Offset
+from pipeline.fleet.links import edge_key, node_permits
+from pipeline.fleet.peers import DRIFT, READ, WRITTEN, Offset, Replication, adopt
 from pipeline.fleet.placement import (
+    DIGEST_PREFIX,
+    Allowed,
     check_fingerprints,
     check_labels,
+    code_digest,
     fingerprints,
     inspect,
     listeners,
     plan_for,
 )
-from pipeline.fleet.replication import READ, WRITTEN, Replication, adopt
 from pipeline.graph.plan import Plan
+from pipeline.graph.ports import declared_ports
 from pipeline.node.port_contract import contract_of
 from pipeline.protocol.codec import MARKER, TAG, VERSION, decode, encode
 from pipeline.protocol.fleet import Accounts, Prepare, Versions
@@ -148,7 +150,7 @@ def test_the_code_of_another_host_is_never_loaded_here(tmp_path: Path) -> None:
     plan = evil(plan_of(tmp_path), "capture", operator="this:s")
 
     part = inspect(plan, "compute", allowed(tmp_path), {})
-    contract_of(part, part.node("work"))
+    contract_of(part, part.node("work"), lambda node: declared_ports(node.operator))
 
     assert "this" not in sys.modules
 

@@ -14,6 +14,7 @@ from pipeline.bus.inbox import InboxPosition
 from pipeline.bus.network import Network
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
+from pipeline.graph.ports import InputPort, Ports
 from pipeline.protocol import codec, fleet, handover, orders, questions, supervision
 
 MODULES = (codec, fleet, handover, orders, questions, supervision)
@@ -73,9 +74,17 @@ def _limited(hint: Any, meta: Any) -> st.SearchStrategy[Any]:
     return make(meta.ge, meta.le)
 
 
+INPUT_PORTS = st.builds(
+    InputPort, message=TEXT, join=st.booleans(), optional=st.booleans(), command=st.booleans(),
+    tap=st.booleans(),
+)  # fmt: skip
+PORTS = st.builds(
+    Ports, inputs=st.dictionaries(TEXT, INPUT_PORTS, max_size=3),
+    outputs=st.dictionaries(TEXT, TEXT, max_size=3), source=st.booleans(),
+)  # fmt: skip
 SIMPLE: dict[Any, st.SearchStrategy[Any]] = {
     Any: PLAIN, str: TEXT, int: WHOLE, float: st.floats(allow_nan=False), bool: st.booleans(),
-    bytes: st.binary(max_size=8), type(None): st.none(), Plan: st.just(PLAN),
+    bytes: st.binary(max_size=8), type(None): st.none(), Plan: st.just(PLAN), Ports: PORTS,
     Network: st.just(Network(listen=("tls/a:1",), credentials="here")),
     InboxPosition: st.just(InboxPosition("s", ["r"], 3, {"frame": 2})),
 }  # fmt: skip

@@ -1,6 +1,7 @@
 """What a node started ends with the node, holds nobody up, and nothing else is touched."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -53,6 +54,17 @@ print(reaper.end(), reaper.end(), os.path.exists(f"/proc/{orphan}"))
 print([process.poll() for process in (before, mine, working)])
 for process in (before, mine, working):
     process.kill()
+"""
+FIRST = """
+import os, subprocess
+from pathlib import Path
+from pipeline.run.reaper import Reaper
+reaper = Reaper()
+script = "setsid sleep 1000 > /dev/null & echo $!"
+said = subprocess.run(["sh", "-c", script], stdout=subprocess.PIPE, check=True).stdout
+orphan = Path(f"/proc/{int(said)}")
+parent = (orphan / "stat").read_text().split()[3]
+print(os.getpid(), parent, reaper.end(), orphan.exists())
 """
 
 
@@ -165,6 +177,18 @@ def test_no_child_of_the_process_itself_is_taken_for_an_orphan_of_a_node() -> No
     assert done.stdout.splitlines() == ["1 0 False", "[None, None, None]"]
 
 
+def test_the_first_process_of_a_container_ends_no_orphan_of_another(tmp_path: Path) -> None:
+    own = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "--mount-proc"]
+    if shutil.which("unshare") is None or subprocess.run([*own, "true"], check=False).returncode:
+        pytest.skip("process namespaces are not permitted here")
+
+    done = subprocess.run(
+        [*own, sys.executable, "-c", FIRST], capture_output=True, text=True, timeout=60, check=True
+    )
+
+    assert done.stdout == "1 1 0 True\n"
+
+
 def test_a_process_that_got_the_number_of_another_is_not_ended() -> None:
     with subprocess.Popen(["sleep", "1000"]) as process:
         (member,) = (m for m in children(os.getpid()) if m.pid == process.pid)
@@ -241,5 +265,5 @@ def test_a_tick_never_waits_for_a_stopped_node_that_is_told_more_than_its_socket
 
     report = go(plan, 0, during)
 
-    assert max(longest) < 30  # who waits does so until the node is continued
+    assert max(longest) < 5  # a tick that waits does so until the node is continued
     assert report["failure"] == ""

@@ -124,6 +124,20 @@ def test_a_part_that_may_not_restart_and_leaves_is_a_crash_in_the_report(tmp_pat
     assert (found["held"], found["sentence"]) == (False, "1 process crashed: unruly once")
 
 
+def test_a_part_that_crashes_in_an_extension_module_has_its_stack_in_the_log(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    plan = unruly_plan(tmp_path, kind="segfault", once=tmp_path / "once")
+
+    report = go(plan, 0, recovers)
+
+    assert report["crashes"] == {"unruly": 1}
+    assert "unruly ended by signal SIGSEGV" in caplog.text
+    log = (base() / plan.name / "unruly.log").read_text()
+    assert "Fatal Python error: Segmentation fault" in log
+    assert "in do_segfault" in log
+
+
 def test_a_run_in_which_nothing_crashed_says_nothing_of_crashes(tmp_path: Path) -> None:
     report = go(unruly_plan(tmp_path), 10)
 

@@ -139,12 +139,13 @@ def test_an_edited_file_of_code_that_nodes_alone_have_imported_is_taken_anew(
         supervisor.start()
         first = SwapOrder(node="count", operator="theirs:Part", probation=3)
         swapped(done(supervisor, first))
-        wait_for(supervisor, lambda: supervisor.spare.process_id and not supervisor.spare.warming)
+        spare = supervisor.manager.spare
+        wait_for(supervisor, lambda: spare.process_id and not spare.warming)
         theirs.write_text("print('as it is now')\n" + GOOD)
         moment_s = theirs.stat().st_mtime + 5
         os.utime(theirs, (moment_s, moment_s))
 
-        spare = supervisor.spare.process_id
+        stale = spare.process_id
         swapped(done(supervisor, first))
 
-        assert supervisor.pid("count") != spare
+        assert supervisor.pid("count") != stale

@@ -11,8 +11,9 @@ import psutil
 import pytest
 
 from pipeline import RunError
+from pipeline.bus.ledger import Ledger
 from pipeline.node.health import FROZEN_S
-from pipeline.run.rundir import base, running
+from pipeline.run.rundir import base, memory_of, running
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import (
     CHAIN,
@@ -168,14 +169,17 @@ def test_a_graph_frozen_as_a_whole_goes_on_as_if_nothing_had_been(tmp_path: Path
     assert supervisor.stdout is not None
     supervisor.stdout.readline()
     before = running()[plan.name]["pids"]
+    ledger = Ledger.open(memory_of(running()[plan.name]))
     everybody = [supervisor.pid, *before.values()]
 
     for pid in everybody:
         os.kill(pid, signal.SIGSTOP)
-    time.sleep(5)
+    time.sleep(FROZEN_S + 1)  # longer than a process may be silent
     for pid in everybody:
         os.kill(pid, signal.SIGCONT)
-    time.sleep(1.5)
+    accounts = [ledger.nodes[node.index] for node in plan.nodes]
+    seen = [account.handled for account in accounts]
+    until(lambda: all(a.handled > s + 60 for a, s in zip(accounts, seen, strict=True)))
 
     assert running()[plan.name]["pids"] == before
     assert all(psutil.Process(pid).is_running() for pid in everybody)

@@ -1,0 +1,284 @@
+"""Other agents of the same graph: whether they answer, their clocks, their accounts.
+
+How far another clock is ahead: a question leaves at t1 by our clock, comes at t2 and its answer
+leaves at t3 by theirs, and arrives at t4 by ours. However long either way took, the offset lies
+within half of what the ways took together, so the fastest exchanges tell most (RFC 5905,
+section 8). Two crystals drift apart by up to `DRIFT` meanwhile, by which an old exchange is
+trusted less.
+
+An account has a writing half and a reading half (`bus.ledger`). The host of the writer counts the
+one, the host of the reader the other; what a host hears of the other half it puts beside its own.
+So credit, slots and accounts work across hosts. A host that begins anew asks for what it had
+counted before.
+"""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from pipeline.bus.clocks import Reading
+from pipeline.bus.ledger import DROPS, EdgeAccount, Ledger
+from pipeline.bus.network import Network
+from pipeline.bus.session import Sender, Session
+from pipeline.errors import FoveaError, MessageError
+from pipeline.fleet.names import agent_key, host_identity
+from pipeline.graph.plan import Edge, Plan
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import decode, decode_answer, encode
+from pipeline.protocol.fleet import Accounts
+
+DRIFT = 100e-6  # two crystals of 50 ppm
+KEPT = 64
+WRITTEN = ("sent", "overrun", "broken", "writer_epoch")
+READ = (
+    "delivered", *DROPS, "lost_in_crash", "unexpected", "attached_epoch", "reader_epoch", "seen",
+)  # fmt: skip
+_MOST = 1 << 63
+PING_S = 0.2
+LOST_S = 1.2  # without an answer for this long a host is lost
+RECALL_S = 3.0
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Their clock less ours; the truth lies within the error."""
+
+    offset_ns: int
+    error_ns: int
+    round_trip_ns: int
+
+
+class Offset:
+    """The best of the last exchanges with one host."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[int, int, int]] = deque(maxlen=KEPT)  # when, offset, way
+
+    def add(self, sent_ns: int, came_ns: int, left_ns: int, back_ns: int) -> None:
+        """One exchange; what cannot be (an answer before its question) is left out."""
+        way = (back_ns - sent_ns) - (left_ns - came_ns)
+        if left_ns < came_ns or way < 0:
+            return
+        offset = ((came_ns - sent_ns) + (left_ns - back_ns)) // 2
+        known = self.estimate(back_ns)
+        if known and abs(offset - known.offset_ns) > known.error_ns + way // 2 + 1:
+            self._seen.clear()  # the other clock began anew: what was known is of another one
+        self._seen.append((back_ns, offset, way))
+
+    def estimate(self, now_ns: int) -> Estimate | None:
+        """The offset that is known best now; None without an exchange.
+
+        >>> clock = Offset()
+        >>> clock.add(0, 1_000_100, 1_000_200, 300)
+        >>> clock.add(1000, 1_001_900, 1_002_000, 5000)
+        >>> clock.estimate(5000)
+        Estimate(offset_ns=1000000, error_ns=101, round_trip_ns=200)
+        """
+        best = min(
+            ((way / 2 + DRIFT * (now_ns - at), offset, way) for at, offset, way in self._seen),
+            default=None,
+        )
+        if best is None:
+            return None
+        error, offset, way = best
+        return Estimate(offset, max(1, int(error) + 1), way)
+
+
+class Replication:
+    """The crossing edges of one host with one other."""
+
+    def __init__(
+        self, plan: Plan, ledger: Ledger, other: str, starts: int = 1, fingerprint: str = ""
+    ) -> None:
+        """`starts`: how often this host has begun; `fingerprint`: of the graph on all hosts."""
+        self._ledger, self.other, self._fingerprint = ledger, other, fingerprint
+        self.out = [e for e in plan.edges if _between(plan, e) == (plan.here, other)]
+        self.into = [e for e in plan.edges if _between(plan, e) == (other, plan.here)]
+        self._number = starts << 32  # what is told after a new start counts as newer
+        self._heard = 0
+        self.other_ready = False
+        self._said: tuple[object, ...] = ()
+
+    def tell(self, *, ready: bool, anyway: bool) -> Accounts | None:
+        """What the other host is to know; None while nothing has changed."""
+        edges = self._ledger.edges
+        written = {e.index: _values(edges[e.index], WRITTEN) for e in self.out}
+        read = {e.index: _values(edges[e.index], READ) for e in self.into}
+        said = (ready, written, read)
+        if said == self._said and not anyway:
+            return None
+        self._said = said
+        self._number += 1
+        return Accounts(self._number, self._fingerprint, ready, written, read)
+
+    def hear(self, heard: Accounts) -> None:
+        """Put the other's halves beside ours; what is not the other's to tell is left out."""
+        if heard.number <= self._heard or heard.fingerprint != self._fingerprint:
+            return
+        self._heard = heard.number
+        self._put(heard.written, self.into, WRITTEN)
+        self._put(heard.read, self.out, READ)
+        self.other_ready = heard.ready
+
+    def lost(self) -> None:
+        """The other host is gone: nobody waits for its readers, and it may begin to count anew."""
+        self.other_ready, self._heard = False, 0
+        for edge in self.out:
+            self._ledger.edges[edge.index].reader_epoch = 0
+
+    def whole(self) -> Accounts:
+        """Both halves of everything shared, for a host that lost its own."""
+        edges = self._ledger.edges
+        shared = [*self.out, *self.into]
+        return Accounts(
+            0, self._fingerprint, True,
+            {e.index: _values(edges[e.index], WRITTEN) for e in shared},
+            {e.index: _values(edges[e.index], READ) for e in shared},
+        )  # fmt: skip
+
+    def _put(
+        self, values: Mapping[int, tuple[int, ...]], allowed: Iterable[Edge], names: tuple[str, ...]
+    ) -> None:
+        for edge in allowed:
+            got = values.get(edge.index, ())
+            if len(got) == len(names) and all(0 <= value < _MOST for value in got):
+                account = self._ledger.edges[edge.index]
+                for name, value in zip(names, got, strict=True):
+                    setattr(account, name, value)
+
+
+def adopt(plan: Plan, ledger: Ledger, told: Iterable[Accounts]) -> None:
+    """Before anything starts: go on from what the other hosts know of this one's accounts.
+
+    What was on its way inside this host was lost with it.
+    """
+    for accounts in told:
+        for edge in plan.edges:
+            written = accounts.written.get(edge.index, ())
+            read = accounts.read.get(edge.index, ())
+            if not plan.crosses(edge) or len(written) != len(WRITTEN) or len(read) != len(READ):
+                continue
+            account = ledger.edges[edge.index]
+            for name, value in (*zip(WRITTEN, written, strict=True), *zip(READ, read, strict=True)):
+                if not name.endswith("_epoch") and 0 <= value < _MOST:
+                    setattr(account, name, value)
+            account.sent = max(account.sent, account.seen)
+    for edge in plan.edges:
+        account = ledger.edges[edge.index]
+        readers = plan.readers(edge.source, edge.output)
+        newest = max(ledger.edges[e.index].sent for e in readers)
+        if plan.node(edge.source).host != plan.here or account.sent == newest:
+            continue
+        if plan.crosses(edge):
+            account.sent = newest  # the reader there will find that some are missing
+        else:
+            account.base = newest  # it begins now; its numbers go on
+
+
+def _between(plan: Plan, edge: Edge) -> tuple[str, str]:
+    return plan.node(edge.source).host, plan.node(edge.target).host
+
+
+def _values(account: EdgeAccount, names: tuple[str, ...]) -> tuple[int, ...]:
+    return tuple(int(getattr(account, name)) for name in names)
+
+
+class Peer:
+    """The link of this host with one other."""
+
+    def __init__(
+        self, graph: str, own: str, replication: Replication, reading: Reading, way: Network
+    ) -> None:
+        """`own`: the label of this host; `reading`: of the other's clock; `way`: to its agent."""
+        self.label, self._graph, self._own = replication.other, graph, own
+        self.replication, self._reading = replication, reading
+        self._offset = Offset()
+        self._session = Session.across(way)
+        self._telling: Sender = self._session.sender(self._key(f"accounts/{graph}"), urgent=True)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name=f"ping-{self.label}")
+        self.answered_s = time.monotonic()
+        self.lost = False
+        self.losses = 0
+        self.broken = ""  # why nobody looks after the link any more
+        self.estimate: Estimate | None = None
+
+    def begin(self) -> None:
+        """Look after the other host from now on."""
+        self.answered_s = time.monotonic()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave it alone."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._session.close()
+
+    def tell(self, *, ready: bool, anyway: bool) -> None:
+        """Send the other host what it is to know, if there is anything."""
+        accounts = self.replication.tell(ready=ready, anyway=anyway)
+        if accounts is not None and self._telling.matching():
+            self._telling.send(encode(accounts))
+
+    def hear(self, accounts: wire.Accounts) -> None:
+        """The other host tells its accounts; while it counts as lost nobody listens."""
+        if not self.lost:
+            self.replication.hear(accounts)
+
+    def recall(self) -> wire.Accounts | None:
+        """What the other host knows of the edges between the two; None when it knows nothing."""
+        question = encode(wire.Named(self._graph))
+        data = self._session.ask(self._key("recall"), question, RECALL_S)
+        try:
+            return decode_answer(wire.Accounts, data, self.label) if data else None
+        except FoveaError:
+            return None  # it does not run there
+
+    def _key(self, verb: str) -> str:
+        return agent_key(self.label, host_identity(self._own), verb)
+
+    def _watch(self) -> None:
+        try:
+            while not self._stop.wait(PING_S):
+                self._ping()
+                self._note_clock()
+                silent_s = time.monotonic() - self.answered_s
+                if self.lost != (silent_s > LOST_S):
+                    self._change(silent_s)
+        except Exception as error:
+            log.exception("%s: the link with host %s broke", self._graph, self.label)
+            self.broken = f"the link with host {self.label} broke: {type(error).__name__}: {error}"
+
+    def _change(self, silent_s: float) -> None:
+        self.lost = not self.lost
+        if self.lost:
+            self.losses += 1
+            self.replication.lost()
+            log.error("%s: host %s is lost: silent for %.1f s", self._graph, self.label, silent_s)
+        else:
+            log.warning("%s: host %s is back", self._graph, self.label)
+
+    def _note_clock(self) -> None:
+        """What is known of the other clock, less sure as time goes by."""
+        self.estimate = self._offset.estimate(time.monotonic_ns())
+        if self.estimate is not None:
+            self._reading.offset_ns = self.estimate.offset_ns
+            self._reading.error_ns = self.estimate.error_ns
+
+    def _ping(self) -> None:
+        ping = encode(wire.Ping(time.monotonic_ns()))
+        data = self._session.ask(self._key("ping"), ping, LOST_S / 3)
+        back_ns = time.monotonic_ns()
+        if data is None:
+            return
+        try:
+            pong = decode(wire.Pong, data)
+        except MessageError:
+            return
+        self.answered_s = time.monotonic()
+        self._offset.add(pong.sent_ns, pong.came_ns, pong.left_ns, back_ns)
