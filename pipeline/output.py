@@ -106,6 +106,16 @@ def forgive() -> None:
             sys.stderr = through
 
 
+def redirect(target: int) -> None:
+    """Have both streams lead to a descriptor, and let go of where they led before."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    for handle in (1, 2):
+        os.dup2(target, handle)
+    for kept in _kept.values():
+        os.dup2(target, kept, inheritable=False)
+
+
 def abandon() -> None:
     """Of a command whose reader has left: what it still says leads nowhere."""
     nothing = os.open(os.devnull, os.O_WRONLY)

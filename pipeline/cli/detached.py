@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from pipeline import output
 from pipeline.cli.tables import live_line
 from pipeline.client import detached
 from pipeline.client.graph_client import GraphClient
@@ -87,10 +88,7 @@ class DetachedRun:
         folder = PrivateFolder(folder_of(self.graph))
         folder.remove(detached.WORDS)
         handle = folder.create(detached.WORDS)
-        sys.stdout.flush()
-        sys.stderr.flush()
-        for number in (1, 2):
-            os.dup2(handle, number)
+        output.redirect(handle)
         os.close(handle)
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]

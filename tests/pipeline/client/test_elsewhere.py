@@ -1,0 +1,128 @@
+"""A running graph is asked: a command from another folder imports nothing of its operators."""
+
+import json
+import secrets
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pipeline.client.find import find
+from pipeline.run.rundir import running
+from tests.sample_graphs import until
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
+OPERATOR = '''
+"""Frames as they come, of a message of its own."""
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import Frame, Input, Message, Operator
+
+
+@dataclass(frozen=True, kw_only=True)
+class BrightSettings:
+    pass
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Brightness(Message):
+    mean: float
+    rows: NDArray[np.float32]
+
+
+class Bright(Operator[BrightSettings, Brightness]):
+    frame = Input(Frame, keep="latest")
+
+    def on_frame(self, frame: Frame) -> Brightness:
+        rows = frame.pixels.mean(axis=(1, 2)).astype(np.float32)
+        return Brightness(header=frame.header, mean=float(rows.mean()), rows=rows)
+
+
+class Meter(Operator[BrightSettings, None]):
+    brightness = Input(Brightness, keep="latest")
+
+    def on_brightness(self, brightness: Brightness) -> None:
+        return None
+'''
+GRAPH = """\
+nodes:
+  ticker:
+    operator: tests.samples:Ticker
+    settings: {rate_hz: 20, side_px: 60}
+  bright:
+    operator: MODULE:Bright
+    inputs: {frame: ticker.context}
+"""
+COUNT = """\
+nodes:
+  count:
+    operator: tests.samples:Count
+    inputs: {frame: bright}
+"""
+METER = """\
+nodes:
+  meter:
+    operator: MODULE:Meter
+    inputs: {brightness: bright}
+"""
+
+
+def fovea(*words: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [*FOVEA, *words], cwd=cwd, capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path) -> Path:
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def name(tmp_path: Path, elsewhere: Path) -> Iterator[str]:
+    """A graph that runs in a folder with an operator that is nowhere else."""
+    home, module = tmp_path / "home", f"mine_{secrets.token_hex(3)}"
+    name = f"else-{secrets.token_hex(3)}"
+    home.mkdir()
+    (home / f"{module}.py").write_text(OPERATOR)
+    (home / "graph.yaml").write_text(f"name: {name}\n" + GRAPH.replace("MODULE", module))
+    (elsewhere / "meter.yaml").write_text(METER.replace("MODULE", module))
+    (elsewhere / "count.yaml").write_text(COUNT)
+    begun = fovea("run", "graph.yaml", "--detach", cwd=home)
+    assert begun.returncode == 0, begun.stderr
+    yield name
+    if name in running():
+        find(name).stop()
+
+
+def test_commands_work_from_a_folder_without_the_operators(elsewhere: Path, name: str) -> None:
+    rate = fovea("hz", name, "bright", "--duration-s", "1", "--json", cwd=elsewhere)
+    heard = fovea("echo", name, "bright", "--count", "2", "--json", cwd=elsewhere)
+    added = fovea("add", name, "meter.yaml", "--json", cwd=elsewhere)
+    rewired = fovea("rewire", name, "bright.frame=ticker.roi", "--json", cwd=elsewhere)
+    until(lambda: (health := find(name).health()["meter"]) and health.handled > 3)
+    removed = fovea("remove", name, "meter", "--json", cwd=elsewhere)
+
+    assert json.loads(rate.stdout)["rate_hz"] > 5, rate.stderr
+    first = json.loads(heard.stdout.splitlines()[0])
+    assert isinstance(first["mean"], float)
+    assert first["rows"]["dtype"] == "float32"
+    assert json.loads(added.stdout)["added"] == ["meter"], added.stderr
+    assert json.loads(rewired.stdout)["connected"] == ["ticker.roi -> bright.frame"]
+    assert json.loads(removed.stdout)["removed"] == ["meter"], removed.stderr
+
+
+def test_a_message_that_does_not_fit_is_refused_by_its_name(elsewhere: Path, name: str) -> None:
+    refused = fovea("add", name, "count.yaml", cwd=elsewhere)
+
+    assert refused.returncode == 2
+    assert refused.stderr.strip() == (
+        "fovea: count.yaml:4: count.inputs.frame: expected Frame, got Brightness from bright"
+    )
