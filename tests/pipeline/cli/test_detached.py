@@ -39,6 +39,13 @@ def name(graph: Path) -> Iterator[str]:
         psutil.Process(running()[name]["pid"]).kill()
 
 
+def runs(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
 def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name: str) -> None:
     begun = fovea("run", str(graph), "--detach", "--json")
     where = json.loads(begun.stdout)
@@ -52,7 +59,7 @@ def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name
     assert again.returncode == 1
     assert "already running" in again.stderr
     assert json.loads(stopped.stdout)["exit_status"] == 0, stopped.stderr
-    assert not psutil.pid_exists(where["pid"]) or psutil.Process(where["pid"]).status() == "zombie"
+    until(lambda: not runs(where["pid"]))
     report = json.loads(Path(json.loads(stopped.stdout)["report"]).read_text())
     assert report["graph"] == name
     assert "rate:" in fovea("logs", name).stdout
