@@ -30,7 +30,7 @@ from operators.policy.network import softmax
 from operators.policy.pool import Pool
 from operators.policy.rollout import Choose, Episode, roll, tasks, teacher
 from operators.policy.tokens import Array, Objects, batched
-from operators.policy.train import TrainSettings
+from operators.policy.training_settings import TrainSettings
 from operators.training.checkpoint import Progress, left, path_in
 from operators.training.device import device_of, moved
 from operators.training.identity import of_settings

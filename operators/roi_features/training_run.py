@@ -22,7 +22,7 @@ from torch.nn import functional as F
 
 from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, made_with, render
 from operators.roi_features.model import CLASSES, EncoderNet, load_imagenet
-from operators.roi_features.train import OF_SCENE, TrainSettings
+from operators.roi_features.training_settings import OF_SCENE, TrainSettings
 from operators.training import checkpoint
 from operators.training.device import device_of, moved
 from operators.training.identity import of_settings

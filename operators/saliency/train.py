@@ -7,40 +7,12 @@ What may be asked of a training; the training itself, which needs torch, is in `
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
+from operators.saliency.training_settings import TrainSettings
 from operators.training.command_line import GOES_ON, add_numbers, in_a_sentence
-from operators.training.ranges import DEVICES, above_zero, at_least, known_device
+from operators.training.ranges import DEVICES
 from pipeline.extras import need
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainSettings:
-    """One training run."""
-
-    data: tuple[Path, ...]
-    out: Path
-    scenes: int = 320
-    moments: int = 12
-    span: int = 900  # frames of each scene over which its moments are spread
-    steps: int = 4800
-    batch: int = 16
-    rate: float = 2e-3
-    warmup: int = 300
-    decay: float = 0.02
-    seed: int = 1
-    threads: int = 2
-    minutes: float = 120.0
-    compiled: bool = False
-    init: Path | None = None  # a checkpoint to begin with instead of random weights
-    device: str = "auto"  # where the network is; scenes are drawn on processors
-
-    def __post_init__(self) -> None:
-        at_least(1, self, "moments", "span", "steps", "batch", "threads")
-        at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
-        above_zero(self, "rate", "minutes")
-        known_device(self.device)
 
 
 def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:

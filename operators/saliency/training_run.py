@@ -20,7 +20,7 @@ from operators.saliency.example import DOMAIN, INPUT_PX, NAMES
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.render import made_with, render
-from operators.saliency.train import TrainSettings
+from operators.saliency.training_settings import TrainSettings
 from operators.training import checkpoint
 from operators.training.device import device_of
 from operators.training.identity import of_settings

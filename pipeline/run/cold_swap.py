@@ -22,7 +22,7 @@ DONE                                         STOPPING_BACK   if it runs: it ends
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from enum import Enum, auto
 from typing import Any
 
@@ -32,10 +32,10 @@ from pipeline.protocol.orders import SwapOrder
 from pipeline.protocol.supervision import Fits, Stop
 from pipeline.run.probation import QUIET_S, Probation
 from pipeline.run.process_events import ProcessEvents
-from pipeline.run.process_handle import KILLED_S, ProcessHandle
+from pipeline.run.process_handle import KILLED_S
+from pipeline.run.swap_machine import SwapMachine
 from pipeline.run.swap_target import SwapTarget
 
-SPARE_S = 10.0
 START_S = 60.0
 STOP_S = 5.0
 LEAVE_S = 1.0  # for a process that only checked whether a part fits
@@ -58,46 +58,27 @@ class ColdState(Enum):
 
 
 S = ColdState
-UNDONE = (S.STOPPING, S.STARTING, S.RUNNING, S.PROVING)  # a failure there is rolled back
 
 
-class ColdSwap:
-    """One cold swap: `advance` is called with every tick of the supervisor."""
+class ColdSwap(SwapMachine[ColdState]):
+    """One cold swap; `other` is the trial."""
+
+    DONE = S.DONE
+    UNDONE = (S.STOPPING, S.STARTING, S.RUNNING, S.PROVING)
 
     def __init__(
         self, target: SwapTarget, order: SwapOrder, events: ProcessEvents, facts: dict[str, Any],
         now: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
-        self._target, self._order, self._events, self._now = target, order, events, now
-        self.facts = facts
-        self.state, self._since_s = S.WARMING, now()
-        self.other: ProcessHandle | None = None  # the trial
-        self.owned = False  # exits of the node's process belong to the swap
+        super().__init__(target, order, events, facts, S.WARMING, now)
         self.gone: set[int] = set()  # processes that were told to stop
-        self._before: Plan = target.plan
-        self._failure = ""  # why it is rolled back
         self._killed = False
-        target.refresh_spare()
-        self._steps: Mapping[ColdState, Callable[[], ColdState]] = {
+        self._steps = {
             S.WARMING: self._warming, S.CHECKING: self._checking, S.REWARMING: self._rewarming,
             S.STOPPING: self._stopping, S.STARTING: self._starting, S.RUNNING: self._running,
             S.PROVING: self._proving, S.STOPPING_BACK: self._stopping_back,
             S.STARTING_BACK: self._starting_back, S.RUNNING_BACK: self._running_back,
         }  # fmt: skip
-
-    def advance(self) -> bool:
-        """Go on as far as possible; True when it is done. Raises `FoveaError` for a refusal."""
-        while self.state is not S.DONE:
-            try:
-                following = self._steps[self.state]()
-            except RunError as error:
-                if self.state not in UNDONE:
-                    raise
-                following = self._roll_back(str(error))
-            if following is self.state:
-                return False
-            self.state, self._since_s = following, self._now()
-        return True
 
     def give_back(self, *, failed: bool) -> None:
         """At the end: a node that could not be started is left to the process manager."""
@@ -117,10 +98,9 @@ class ColdSwap:
 
     def _checking(self) -> ColdState:
         trial = self.other
-        if trial is not None and not self._events.heard(trial, Fits):
-            self._events.check_alive(trial)
-            if self._late(START_S):
-                raise RunError(f"{self._name}: it was not checked within {START_S:.0f} s")
+        if trial is not None and not self._await(
+            self._events.heard(trial, Fits), START_S, "it was not checked", trial
+        ):
             return S.CHECKING
         self.other = None
         if trial is not None:
@@ -185,25 +165,11 @@ class ColdSwap:
 
     # what several states do
 
-    @property
-    def _name(self) -> str:
-        return self._target.node.name
-
-    def _late(self, limit_s: float) -> bool:
-        return self._now() - self._since_s > limit_s
-
     def _runs(self) -> bool:
         try:
             self._target.working()
         except RunError:
             return False
-        return True
-
-    def _spare_is_done(self) -> bool:
-        if self._target.spare_is_warming():
-            if not self._late(SPARE_S):
-                return False
-            self._target.drop_spare()  # it hangs
         return True
 
     def _begin_stop(self) -> None:
@@ -228,10 +194,7 @@ class ColdSwap:
         self._plan, self._handle = plan, self._target.start(plan)
 
     def _is_ready(self) -> bool:
-        if not self._handle.ready:
-            self._events.check_alive(self._handle)
-            if self._late(START_S):
-                raise RunError(f"{self._name}: it was not ready within {START_S:.0f} s")
+        if not self._await(self._handle.ready, START_S, "it was not ready", self._handle):
             return False
         self._target.change_plan(self._plan)
         return True

@@ -28,12 +28,11 @@
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from enum import Enum, auto
 from typing import Any
 
 from pipeline.errors import RunError
-from pipeline.graph.plan import Plan
 from pipeline.protocol.orders import SwapOrder
 from pipeline.protocol.supervision import (
     Answered,
@@ -51,10 +50,10 @@ from pipeline.protocol.supervision import (
 )
 from pipeline.run.probation import QUIET_S, Probation
 from pipeline.run.process_events import ProcessEvents
-from pipeline.run.process_handle import KILLED_S, ProcessHandle
+from pipeline.run.process_handle import KILLED_S
+from pipeline.run.swap_machine import SwapMachine
 from pipeline.run.swap_target import Successor, SwapTarget
 
-SPARE_S = 10.0
 START_S = 60.0
 CONNECT_S = 10.0
 SHADOW_S = 1.0  # per frame, at most
@@ -85,26 +84,21 @@ class HotState(Enum):
 
 
 S = HotState
-UNDONE = (S.TAKING_OVER, S.PROVING, S.ANSWERING)  # a failure there is rolled back
 
 
-class HotSwap:
-    """One hot swap: `advance` is called with every tick of the supervisor."""
+class HotSwap(SwapMachine[HotState]):
+    """One hot swap; `other` is the one of the two instances that does not work."""
+
+    DONE = S.DONE
+    UNDONE = (S.TAKING_OVER, S.PROVING, S.ANSWERING)
 
     def __init__(
         self, target: SwapTarget, order: SwapOrder, events: ProcessEvents, facts: dict[str, Any],
         now: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
-        self._target, self._order, self._events, self._now = target, order, events, now
-        self.facts = facts
-        self.state, self._since_s = S.WARMING, now()
-        self.other: ProcessHandle | None = None  # the one of the two that does not work
-        self.owned = False  # exits of the working process belong to the swap
+        super().__init__(target, order, events, facts, S.WARMING, now)
         self._old = target.working()
-        self._before: Plan = target.plan
-        self._failure = ""  # why it is rolled back
-        target.refresh_spare()
-        self._steps: Mapping[HotState, Callable[[], HotState]] = {
+        self._steps = {
             S.WARMING: self._warming, S.LOADING: self._loading, S.CONNECTING: self._connecting,
             S.SHADOWING: self._shadowing, S.CUTTING: self._cutting,
             S.TAKING_BACK: self._taking_back, S.TAKING_OVER: self._taking_over,
@@ -112,20 +106,6 @@ class HotSwap:
             S.LEAVING: self._leaving, S.KILLING: self._killing, S.RESUMING: self._resuming,
             S.DRAINING_BACK: self._draining_back,
         }  # fmt: skip
-
-    def advance(self) -> bool:
-        """Go on as far as possible; True when it is done. Raises `FoveaError` for a refusal."""
-        while self.state is not S.DONE:
-            try:
-                following = self._steps[self.state]()
-            except RunError as error:
-                if self.state not in UNDONE:
-                    raise
-                following = self._roll_back(str(error))
-            if following is self.state:
-                return False
-            self.state, self._since_s = following, self._now()
-        return True
 
     def give_back(self, *, failed: bool) -> None:
         """At the end: no writer sends to a second instance, and the old one goes on if it works."""
@@ -137,10 +117,8 @@ class HotSwap:
     # to the successor
 
     def _warming(self) -> HotState:
-        if self._target.spare_is_warming():
-            if not self._late(SPARE_S):
-                return S.WARMING
-            self._target.drop_spare()  # it hangs
+        if not self._spare_is_done():
+            return S.WARMING
         self._old, self._before = self._target.working(), self._target.plan
         self._plan = self._target.changed(self._order)
         self._new: Successor = self._target.launch_successor(self._plan)
@@ -267,22 +245,6 @@ class HotSwap:
         raise RunError(self._failure)
 
     # what several states do
-
-    @property
-    def _name(self) -> str:
-        return self._target.node.name
-
-    def _late(self, limit_s: float) -> bool:
-        return self._now() - self._since_s > limit_s
-
-    def _await(self, done: object, limit_s: float, what: str, of: ProcessHandle) -> bool:
-        """Whether it is done; raises `RunError` when that takes too long or a process ends."""
-        if done:
-            return True
-        self._events.check_alive(of)
-        if self._late(limit_s):
-            raise RunError(f"{self._name}: {what} within {limit_s:.0f} s")
-        return False
 
     def _beside(self, done: object, limit_s: float, what: str) -> bool:
         """Likewise of the successor, for as long as its predecessor works."""

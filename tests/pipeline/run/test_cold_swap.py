@@ -8,6 +8,7 @@ import pytest
 from pipeline.protocol.supervision import Failed, Fits
 from pipeline.run import cold_swap
 from pipeline.run.cold_swap import ColdState, ColdSwap
+from pipeline.run.swap_machine import SPARE_S
 from tests.pipeline.run.swap_stand_in import StandInHandle, Swapping
 
 
@@ -64,10 +65,10 @@ def test_spares_that_hang_in_their_imports_are_not_waited_for() -> None:
     one = Swapping(ColdSwap)
     one.target.spare_warms = True
     assert one.tick() == "WARMING"
-    assert one.tick(later_s=cold_swap.SPARE_S + 1) == "CHECKING"
+    assert one.tick(later_s=SPARE_S + 1) == "CHECKING"
 
     one = swapping("REWARMING")
-    assert one.tick(later_s=cold_swap.SPARE_S + 1) == "STOPPING"
+    assert one.tick(later_s=SPARE_S + 1) == "STOPPING"
     assert one.target.did[-1] == "drop_spare"
 
 

@@ -19,6 +19,7 @@ from pipeline.protocol.supervision import (
 )
 from pipeline.run import hot_swap
 from pipeline.run.hot_swap import HotState, HotSwap
+from pipeline.run.swap_machine import SPARE_S
 from tests.pipeline.run.swap_stand_in import Swapping
 
 STANDING = Standing("work", {"frame": 3})
@@ -65,7 +66,7 @@ def test_a_spare_that_hangs_in_its_imports_is_not_waited_for() -> None:
     one.target.spare_warms = True
 
     assert one.tick() == "WARMING"
-    assert one.tick(later_s=hot_swap.SPARE_S + 1) == "LOADING"
+    assert one.tick(later_s=SPARE_S + 1) == "LOADING"
     assert "drop_spare" in one.target.did
 
 

@@ -1,0 +1,44 @@
+"""What a training of the policy may be told."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from operators.policy.rollout import Late
+from operators.policy.tokens import PARTS
+from operators.training.ranges import above_zero, at_least, known_device
+from pipeline.errors import SettingsError
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSettings:
+    """One training run; the defaults are the paper's where it gives them."""
+
+    data: Path
+    out: Path
+    clips: int = 150
+    validation: int = 20
+    frames: int = 80
+    iterations: int = 3000
+    batch: int = 128
+    rate: float = 1e-4
+    warmup: float = 0.1  # share of the iterations
+    decay: float = 0.01
+    temperature: float = 0.1
+    imitation: float = 0.5  # weight of the cross-entropy beside the expected utility
+    episodes: int = 240  # a round
+    length: int = 48  # frames of an episode
+    late: Late = field(default_factory=Late)
+    seed: int = 1
+    threads: int = 2
+    device: str = "auto"  # where the network is; clips are recorded on processors
+    use: tuple[str, ...] = PARTS
+    changes: tuple[str, ...] = ()  # of the recording graph, as --set takes them
+
+    def __post_init__(self) -> None:
+        at_least(1, self, "clips", "validation", "iterations", "batch", "episodes", "threads")
+        at_least(2, self, "frames", "length")  # the first one is not the policy's
+        at_least(0, self, "decay", "imitation", "seed", "warmup")
+        above_zero(self, "rate", "temperature")
+        if self.warmup > 1:
+            raise SettingsError(f"warmup: must be within 0..1, got {self.warmup}")
+        known_device(self.device)
