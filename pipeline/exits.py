@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
-_ROOM = str(Path(__file__).parent)
+_ROOM = os.path.join(Path(__file__).parent, "")
 
 
 class Exits(SystemExit):

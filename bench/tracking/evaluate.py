@@ -39,6 +39,7 @@ from bench.tracking.tables import asked_rows, markdown, table
 from bench.tracking.units import measured
 from pipeline.errors import DriverError, FoveaError, SettingsError
 from pipeline.extras import need
+from pipeline.whole_file import write_whole
 
 SCENE_FRAMES = 96
 FOLLOWS = f"{', '.join(TRACKERS)}, or one of them as NAME=FILE.onnx; else the graph's own"
@@ -117,7 +118,7 @@ def evaluate(options: Options) -> None:
         "paired": paired(units, wanted, seed=seed),
     }
     if options.report:
-        options.report.write_text(json.dumps(found, indent=1) + os.linesep)
+        write_whole(options.report, json.dumps(found, indent=1) + os.linesep)
     if options.plot:
         plot(asked_rows(found), options.plot)
     tell(found, options.markdown)
@@ -130,7 +131,7 @@ def tell(found: Mapping[str, Any], target: Path | None) -> None:
         click.echo(text)
         return
     if target:
-        target.write_text(text)
+        write_whole(target, text)
     console = Console()
     console.print(table(found), "", sep="\n")
     for sentence in sentences(found):

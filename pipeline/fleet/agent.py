@@ -1,6 +1,6 @@
 """`fovea agent`: runs on a host, takes graphs from those it knows, runs its part of each.
 
-What is asked comes by one key per asker, which the access list ties to his certificate. What looks
+What is asked comes by one key per asker, which the access list ties to its certificate. What looks
 is answered by the main thread, what starts and stops by another, each from a bounded queue; clocks
 and accounts, which cannot wait, are answered where they come in.
 """

@@ -259,7 +259,7 @@ class Handover:
     def _write_state(self) -> str:
         try:
             state = self._runner.operator.state()
-        except Exception as error:  # the part works on: only the swap comes to nothing
+        except Exception as error:  # the part works on: only the swap is refused
             raise RunError(f"its state cannot be had: {error_text(error)}") from error
         if state is None:
             return ""

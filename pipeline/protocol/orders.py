@@ -80,7 +80,7 @@ class StopResult(ControlMessage, frozen=True, kw_only=True):
     """The graph is about to end: its sources, what is under way, then its processes."""
 
     graph: str
-    pid: int  # of the supervisor; it removes the graph's run folder before it ends
+    pid: int  # of the supervisor
 
 
 Order = SwapOrder | PlanOrder | StopOrder

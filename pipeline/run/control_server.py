@@ -76,10 +76,12 @@ class ControlServer:
             reply(refused(f"it broke: {error_text(error)}"))
 
     def _stop(self, reply: Reply) -> None:
-        """Have the run end; whoever runs the supervisor sees that it was asked to."""
+        """Have the run end: its caller sees `stop_orders` rise."""
         plan = self._manager.plan
         if plan.here:
-            raise RunError(f"{plan.name}: was deployed; `fovea down {plan.name}` ends it")
+            raise RunError(
+                f"{plan.name}: was deployed; `fovea stop {plan.name}` ends it where it was brought up"
+            )
         self._manager.stop_orders += 1
         reply(StopResult(graph=plan.name, pid=os.getpid()))
 

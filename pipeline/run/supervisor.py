@@ -123,7 +123,7 @@ class Supervisor:
 
     @property
     def asked_to_end(self) -> Callable[[], int]:
-        """How often whoever runs the supervisor was asked to end, by signals say."""
+        """How often the caller was asked to end the run, by signals say."""
         return self.manager.asked_to_end
 
     @asked_to_end.setter

@@ -59,7 +59,7 @@ class TopologyOperation(Operation):
         }
 
     def owns(self, managed: ManagedProcess) -> bool:
-        """Whoever comes or goes is no crash."""
+        """Whether a process belongs to this change: its end is no crash."""
         return managed in self._mine
 
     def on_event(self, pid: int, event: Event) -> bool:

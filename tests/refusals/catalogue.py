@@ -24,7 +24,6 @@ ROOT = HERE.parents[1]
 ROOM = HERE / "room"
 RECORDED = HERE / "recorded.json"
 GRAPH_FIRST = ("logs", "echo", "hz", "schema")  # commands of a node, with NODE --graph GRAPH before
-NODE_FIRST_TODAY = False  # today GRAPH is first in these, too
 GRAPHS: Mapping[str, Any] = {  # that run while cases are played beside them
     "live": {"start": [["run", "live.yaml"]], "ready": [["set", "live", "work"]]},
     "deployed": {
@@ -83,7 +82,7 @@ class Case:
         words = shlex.split(line) if isinstance(line, str) else [str(word) for word in line]
         words = [word.replace("@shipped", str(root / "graphs/sources")) for word in words]
         return {
-            "case": self.case, "fovea": ordered(words, former or NODE_FIRST_TODAY),
+            "case": self.case, "fovea": ordered(words, former),
             "files": files, "beside": self.beside, "decoder": self.decoder,
             "hex": _repeated(self.hex),
         }  # fmt: skip

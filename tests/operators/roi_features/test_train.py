@@ -12,8 +12,8 @@ import torch
 from operators.roi_features import training_run as training
 from operators.roi_features.data import NOBODY, Crops
 from operators.roi_features.model import CLASSES
-from operators.roi_features.training_settings import TrainSettings
 from operators.roi_features.training_run import Run, advance, batch_rows, changed, identity_loss
+from operators.roi_features.training_settings import TrainSettings
 from pipeline import SettingsError, WeightsError
 from tests.operators.training.elsewhere import PLACE, pretended
 

@@ -86,6 +86,6 @@ def test_a_part_of_a_deployed_graph_is_ended_where_it_was_deployed(tmp_path: Pat
 
     with (
         Supervisor(replace(plan, here="eye")) as supervisor,
-        pytest.raises(RunError, match=f"was deployed; `fovea down {plan.name}` ends it"),
+        pytest.raises(RunError, match=f"was deployed; `fovea stop {plan.name}` ends it"),
     ):
         supervisor.control.take(StopOrder(), lambda _: None)
