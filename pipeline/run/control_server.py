@@ -79,9 +79,8 @@ class ControlServer:
         """Have the run end: its caller sees `stop_orders` rise."""
         plan = self._manager.plan
         if plan.here:
-            raise RunError(
-                f"{plan.name}: was deployed; `fovea stop {plan.name}` ends it where it was brought up"
-            )
+            how = f"`fovea stop {plan.name}` ends it where it was brought up"
+            raise RunError(f"{plan.name}: was deployed; {how}")
         self._manager.stop_orders += 1
         reply(StopResult(graph=plan.name, pid=os.getpid()))
 
