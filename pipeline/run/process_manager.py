@@ -256,6 +256,15 @@ class ProcessManager:
         """Whether its process is the first of the run."""
         return managed.epoch == self._first_epoch + 1
 
+    def is_unborn(self, managed: ManagedProcess) -> bool:
+        """Whether its process is the first of the run and has not opened its operators yet."""
+        return self.is_first(managed) and not (managed.handle and managed.handle.ready)
+
+    @property
+    def sources_wait(self) -> bool:
+        """Whether there are sources here, and none of them has begun."""
+        return bool(self.source_names) and not self.exposing_since_s
+
     def _is_heard(self, managed: ManagedProcess) -> bool:
         """Sources begin when every reader has heard them; the others at once."""
         if not managed.sources:
