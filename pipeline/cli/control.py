@@ -141,7 +141,11 @@ def end(graph: str, *, as_json: bool) -> None:
 @GRAPH
 @JSON
 def stop(graph: str, as_json: bool) -> None:
-    """End a running graph, here or on all its hosts, and wait for that."""
+    """End a running graph, here or on all its hosts, and wait for that.
+
+    As after Ctrl-C, what is under way may arrive, for 5 s at most; a second `fovea stop` does not
+    wait for it.
+    """
     end(graph, as_json=as_json)
 
 

@@ -76,6 +76,8 @@ class ProcessManager:
         self.failure = ""
         self.ending = False  # sources shall make no more frames
         self.finished_sources: set[str] = set()
+        self.restarts: dict[str, int] = {}  # by process
+        self.crashes: dict[str, int] = {}  # ends that were not asked for, by process
 
     @property
     def end_requests(self) -> int:
@@ -300,5 +302,7 @@ class ProcessManager:
                 "plan": adapter(Plan).dump_python(self.plan, mode="json"),
                 "revision": self.revision,
                 "pids": {s.name: s.handle.pid for s in self.processes.values() if s.handle},
+                "restarts": self.restarts,
+                "crashes": self.crashes,
             }
         )

@@ -19,8 +19,6 @@ class Restarts:
 
     def __init__(self, manager: ProcessManager) -> None:
         self._manager = manager
-        self.counts: dict[str, int] = {}  # by process
-        self.crashes: dict[str, int] = {}  # ends that nobody asked for, by process
         self.at_least = 0  # allowed whatever the graph says
 
     def begin_again(self, managed: ManagedProcess, now_s: float) -> None:
@@ -48,12 +46,14 @@ class Restarts:
             return
         log.warning("%s ended by %s, see `fovea logs %s`", managed.name, how, managed.name)
         why = self._follow(managed, how, now_s, succeeded=succeeded, unborn=unborn)
+        self._manager.note()
         if why:
             self._manager.failure = f"{managed.name} {why}" + (f": {last}" if last else "")
 
     def count_crash(self, process: str) -> None:
         """A process has ended without being asked to."""
-        self.crashes[process] = self.crashes.get(process, 0) + 1
+        counts = self._manager.crashes
+        counts[process] = counts.get(process, 0) + 1
 
     def _follow(
         self, managed: ManagedProcess, how: str, now_s: float, *, succeeded: bool, unborn: bool
@@ -76,7 +76,7 @@ class Restarts:
         if recent > max(rule.most, self.at_least):
             return f"died {recent} times within {rule.window_s:.0f} s"
         managed.next_start_s = now_s + _pause_s(rule, managed.quick_deaths)
-        self.counts[managed.name] = self.counts.get(managed.name, 0) + 1
+        manager.restarts[managed.name] = manager.restarts.get(managed.name, 0) + 1
         return ""
 
     def _count(self, managed: ManagedProcess, now_s: float) -> None:

@@ -105,12 +105,12 @@ class Supervisor:
     @property
     def restarts(self) -> dict[str, int]:
         """How often each process was started again."""
-        return self._restarts.counts
+        return self.manager.restarts
 
     @property
     def crashes(self) -> dict[str, int]:
         """How often each process ended without being asked to, started again or not."""
-        return self._restarts.crashes
+        return self.manager.crashes
 
     @property
     def exposed_s(self) -> float:
