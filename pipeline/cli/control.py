@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
+from pipeline import terminal
 from pipeline.cli.arguments import (
     BUDGET_MS,
     FRAMES,
@@ -52,7 +52,7 @@ def set_command(graph: str, node: str, changes: tuple[str, ...], as_json: bool) 
         for setting in wanted:
             click.echo(f"{node}.{setting} = {json.dumps(answer.settings.get(setting))}")
     else:
-        Console().print(settings_table(answer))
+        terminal.console().print(settings_table(answer))
 
 
 @click.command("tell")
