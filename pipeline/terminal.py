@@ -28,9 +28,24 @@ class _Bounded(logging.Formatter):
         return harmless(super().format(record), MOST_LOGGED, lines=True)
 
 
+def console(*, stderr: bool = False, soft_wrap: bool = False, highlight: bool = True) -> Console:
+    """Return a console; where the user wants no colours (`NO_COLOR`), it writes plain text alone.
+
+    Rich would leave the colours out and still write bold letters and move the cursor.
+    """
+    found = Console(stderr=stderr, soft_wrap=soft_wrap, highlight=highlight)
+    if found.no_color:
+        return Console(
+            stderr=stderr, soft_wrap=soft_wrap, highlight=highlight, force_terminal=False
+        )
+    return found
+
+
 def log_handler() -> logging.Handler:
     """Return a handler that shows records without colours: Rich takes minutes over a long one."""
-    handler = RichHandler(show_path=False, highlighter=NullHighlighter(), keywords=[])
+    handler = RichHandler(
+        console=console(), show_path=False, highlighter=NullHighlighter(), keywords=[]
+    )  # fmt: skip
     handler.setFormatter(_Bounded("%(message)s"))
     return handler
 

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import IO, Any
 
 import click
-from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.table import Table
 
+from pipeline import terminal
 from pipeline.errors import WeightsError
 from pipeline.whole_file import whole_file
 
@@ -246,7 +246,8 @@ def pull_command(names: tuple[str, ...], mirror: Path | None, folder: Path | Non
     """Fetch NAMES, or all that can be had, and check each."""
     wanted = names or tuple(n for n, entry in entries().items() if mirror or entry.url)
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
-    with Progress(*columns, TransferSpeedColumn(), console=Console(stderr=True)) as progress:
+    console = terminal.console(stderr=True)
+    with Progress(*columns, TransferSpeedColumn(), console=console) as progress:
         paths = pull(wanted, mirror, folder, progress=progress)
     for path in paths:
         click.echo(path)
@@ -260,4 +261,4 @@ def list_command(folder: Path | None) -> None:
     for name, entry in entries().items():
         here = "yes" if find(name, folder) else "no"
         table.add_row(name, here, f"{entry.size_bytes / 1e3:.0f}", entry.licence, entry.note)
-    Console().print(table)
+    terminal.console().print(table)

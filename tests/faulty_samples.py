@@ -77,6 +77,10 @@ class Unruly(Operator[UnrulySettings, Frame]):
     def open(self) -> None:
         if self.settings.kind == "exit_in_open" and self.first():
             raise SystemExit(0)
+        if self.settings.kind == "raise_in_open":
+            raise ValueError("cannot open")
+        if self.settings.kind == "die_in_open":
+            os.kill(os.getpid(), signal.SIGKILL)
         if self.settings.kind == "slow_open":
             time.sleep(1000)
 

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
-from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -19,6 +18,8 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+
+from pipeline import terminal
 
 T = TypeVar("T")
 
@@ -38,7 +39,7 @@ class Bar:
 @contextmanager
 def bar(name: str, total: int | None, done: int = 0) -> Iterator[Bar]:
     """A bar on standard error, from `done` on; what is printed meanwhile stands above it."""
-    console = Console(stderr=True)
+    console = terminal.console(stderr=True)
     columns = (
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=20),

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
+from pipeline import terminal
 from pipeline.cli.arguments import (
     BUDGET_MS,
     FRAMES,
@@ -52,7 +52,7 @@ def set_command(graph: str, node: str, changes: tuple[str, ...], as_json: bool) 
         for setting in wanted:
             click.echo(f"{node}.{setting} = {json.dumps(answer.settings.get(setting))}")
     else:
-        Console().print(settings_table(answer))
+        terminal.console().print(settings_table(answer))
 
 
 @click.command("tell")
@@ -141,7 +141,11 @@ def end(graph: str, *, as_json: bool) -> None:
 @GRAPH
 @JSON
 def stop(graph: str, as_json: bool) -> None:
-    """End a running graph, here or on all its hosts, and wait for that."""
+    """End a running graph, here or on all its hosts, and wait for that.
+
+    As after Ctrl-C, what is under way may arrive, for 5 s at most; a second `fovea stop` does not
+    wait for it.
+    """
     end(graph, as_json=as_json)
 
 

@@ -14,11 +14,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import click
-from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from pipeline import output
+from pipeline import output, terminal
 from pipeline.cli.tables import live_line
 from pipeline.client import detached
 from pipeline.client.graph_client import GraphClient
@@ -107,7 +106,7 @@ class DetachedRun:
 
 def attach(client: GraphClient) -> str:
     """Show a graph on one line until Ctrl-C, which leaves it as it is; what to say then."""
-    console = Console()
+    console = terminal.console()
     with (
         Interruption() as asked,
         client.watching() as look,

@@ -5,9 +5,9 @@ import time
 from collections.abc import Iterator
 
 import click
-from rich.console import Console
 from rich.live import Live
 
+from pipeline import terminal
 from pipeline.cli import tables
 from pipeline.cli.arguments import (
     FRAMES_OR_NONE,
@@ -44,7 +44,7 @@ def ps(as_json: bool) -> None:
         running = {status.graph: {"hosts": status.hosts, "nodes": status.nodes} for status in found}
         print_json(running | {name: {"ended": one} for name, one in ended.items()})
         return
-    Console().print(tables.process_table(found))
+    terminal.console().print(tables.process_table(found))
     for one in ended.values():
         click.echo(ended_line(one))
 
@@ -64,10 +64,14 @@ def top(graph: str | None, once: bool, every_s: float, as_json: bool) -> None:
         for status, _before, _seconds in looks:
             print_json(status, compact=not once)
         return
-    console = Console()
+    console = terminal.console()
     found = (tables.top_tables(before, now, seconds) for now, before, seconds in looks)
     if once:
         console.print(*found)
+        return
+    if not console.is_terminal:  # a pipe: one after the other
+        for table in found:
+            console.print(table)
         return
     with Live(console=console, auto_refresh=False, screen=True) as live:
         for table in found:
@@ -90,7 +94,7 @@ def health_command(graph: str | None, as_json: bool) -> None:
         }
         print_json(plain)
     else:
-        Console().print(tables.health_table(found))
+        terminal.console().print(tables.health_table(found))
     mute = [f"{g}/{n}" for g, nodes in found.items() for n, h in nodes.items() if h is None]
     if mute:
         raise RunError(f"no answer from {', '.join(mute)}")

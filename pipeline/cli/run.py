@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
-from pipeline import output, signals
+from pipeline import output, signals, terminal
 from pipeline.cli import running
 from pipeline.cli.arguments import DURATION_S, FRAMES, JSON, print_json
 from pipeline.cli.detached import DetachedRun, start
@@ -31,7 +30,7 @@ from pipeline.run.verdict import crashed
 from pipeline.text import harmless
 
 CRASHED = 3  # the exit status of a run that came to its end although processes crashed
-console = Console()
+console = terminal.console()
 GRAPH = click.argument("graph", type=GRAPH_FILE)
 
 

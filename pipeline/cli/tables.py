@@ -41,8 +41,8 @@ def process_table(found: Iterable[Status]) -> Table:
     several = any(label for status in found for label in status.hosts)
     table = lean_table(
         names=("graph", *(["host"] if several else []), "process"), words=("state", "nodes"),
-        figures=("pid", "CPU s", "RSS MB", "restarts"),
-        spare=("restarts", "CPU s", "RSS MB", "nodes", "pid"),
+        figures=("pid", "CPU s", "RSS MB", "restarts", "crashes"),
+        spare=("restarts", "crashes", "CPU s", "RSS MB", "nodes", "pid"),
     )  # fmt: skip
     for status in found:
         for label, said in status.hosts.items():
@@ -150,7 +150,7 @@ def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tupl
 
     A host with more to tell than that its part runs has a line of its own.
     """
-    figures = [""] * 4
+    figures = [""] * 5
     if not said or isinstance(said, str):
         yield (label, "", _red(condition(said), f" {said or ''}"), "", *figures)
     for state in () if isinstance(said, str) else said:
@@ -162,7 +162,7 @@ def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tupl
                 "" if label else label, process.name, seen, ", ".join(process.nodes),
                 *([str(process.pid), f"{process.cpu_s:.1f}", f"{process.rss_mb:.0f}"]
                   if process.pid else [""] * 3),
-                str(process.restarts) if process.restarts >= 0 else "",
+                str(process.restarts), str(process.crashes),
             )  # fmt: skip
     for node in absent(said, nodes):
         yield ("", "", _red(condition(said)), node, *figures)

@@ -54,7 +54,6 @@ STOP_S = 120.0  # what is under way may arrive, and operators close
 LOOK_S = 0.05
 D = TypeVar("D", SwapResult, TopologyResult)
 HERE = ""  # the label of a graph's only host
-UNKNOWN = -1  # restarts, of a graph that does not note them
 
 
 class LocalGraph(GraphClient):
@@ -230,13 +229,18 @@ def _processes(facts: Mapping[str, Any]) -> Iterator[Process]:
         sorted(facts["nodes"], key=lambda node: str(node["process"])), lambda node: node["process"]
     )
     names = {process: tuple(node["name"] for node in nodes) for process, nodes in by_process}
-    for process, pid in facts["pids"].items():
+    for process, nodes in names.items():
+        pid, cpu_s, rss_mb = facts["pids"].get(process, 0), 0.0, 0.0
         try:
-            seen = psutil.Process(pid)
-            cpu_s, rss_mb = sum(seen.cpu_times()[:2]), seen.memory_info().rss / 1e6
+            if pid:
+                seen = psutil.Process(pid)
+                cpu_s, rss_mb = sum(seen.cpu_times()[:2]), seen.memory_info().rss / 1e6
         except psutil.Error:
-            pid, cpu_s, rss_mb = 0, 0.0, 0.0
-        yield Process(process, names.get(process, ()), pid, cpu_s, rss_mb, UNKNOWN)
+            pid = 0
+        yield Process(
+            name=process, nodes=nodes, pid=pid, cpu_s=cpu_s, rss_mb=rss_mb,
+            restarts=facts["restarts"].get(process, 0), crashes=facts["crashes"].get(process, 0),
+        )  # fmt: skip
 
 
 def _node(names: Mapping[str, Any], ledger: Ledger) -> NodeState:

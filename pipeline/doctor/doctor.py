@@ -7,9 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.text import Text
 
+from pipeline import terminal
 from pipeline.doctor.finding import Finding
 from pipeline.doctor.installation import examine_installation
 from pipeline.doctor.machine import examine_machine
@@ -55,7 +55,7 @@ def examine(graph: Path | None, overlay: Overlay, *, trial: bool) -> Iterator[Fi
 
 def told(findings: Iterable[Finding], *, quiet: bool) -> Iterator[Finding]:
     """The same findings, each printed when it is there."""
-    console = Console(soft_wrap=True, highlight=False)
+    console = terminal.console(soft_wrap=True, highlight=False)
     for finding in findings:
         if not quiet:
             console.print(line(finding))

@@ -43,6 +43,7 @@ def _processes(supervisor: Supervisor) -> tuple[Process, ...]:
                 cpu_s=sample.cpu_s if sample else 0.0,
                 rss_mb=sample.rss_mb if sample else 0.0,
                 restarts=supervisor.restarts.get(name, 0),
+                crashes=supervisor.crashes.get(name, 0),
             )
         )
     return tuple(found)

@@ -195,6 +195,7 @@ class Process(Part, frozen=True):
     cpu_s: float
     rss_mb: float
     restarts: int
+    crashes: int  # ends that were not asked for
 
 
 class NodeState(Part, frozen=True):

@@ -76,6 +76,8 @@ class ProcessManager:
         self.failure = ""
         self.ending = False  # sources shall make no more frames
         self.finished_sources: set[str] = set()
+        self.restarts: dict[str, int] = {}  # by process
+        self.crashes: dict[str, int] = {}  # ends that were not asked for, by process
 
     @property
     def end_requests(self) -> int:
@@ -256,6 +258,15 @@ class ProcessManager:
         """Whether its process is the first of the run."""
         return managed.epoch == self._first_epoch + 1
 
+    def is_unborn(self, managed: ManagedProcess) -> bool:
+        """Whether its process is the first of the run and has not opened its operators yet."""
+        return self.is_first(managed) and not (managed.handle and managed.handle.ready)
+
+    @property
+    def sources_wait(self) -> bool:
+        """Whether there are sources here, and none of them has begun."""
+        return bool(self.source_names) and not self.exposing_since_s
+
     def _is_heard(self, managed: ManagedProcess) -> bool:
         """Sources begin when every reader has heard them; the others at once."""
         if not managed.sources:
@@ -291,5 +302,7 @@ class ProcessManager:
                 "plan": adapter(Plan).dump_python(self.plan, mode="json"),
                 "revision": self.revision,
                 "pids": {s.name: s.handle.pid for s in self.processes.values() if s.handle},
+                "restarts": self.restarts,
+                "crashes": self.crashes,
             }
         )

@@ -19,8 +19,6 @@ class Restarts:
 
     def __init__(self, manager: ProcessManager) -> None:
         self._manager = manager
-        self.counts: dict[str, int] = {}  # by process
-        self.crashes: dict[str, int] = {}  # ends that nobody asked for, by process
         self.at_least = 0  # allowed whatever the graph says
 
     def begin_again(self, managed: ManagedProcess, now_s: float) -> None:
@@ -36,6 +34,7 @@ class Restarts:
     def on_end(self, managed: ManagedProcess, status: int, now_s: float) -> None:
         """A process has ended with that status, and all it said was heard."""
         announced = managed.handle is not None and managed.handle.left
+        unborn = self._manager.is_unborn(managed)
         self._manager.vacate(managed)
         how = ending(status) + ("" if announced or status else ", which it did not announce")
         last, managed.last_words = managed.last_words, ""
@@ -46,20 +45,29 @@ class Restarts:
         if self._manager.failure:
             return
         log.warning("%s ended by %s, see `fovea logs %s`", managed.name, how, managed.name)
-        why = self._follow(managed, how, now_s, succeeded=succeeded)
+        why = self._follow(managed, how, now_s, succeeded=succeeded, unborn=unborn)
+        self._manager.note()
         if why:
             self._manager.failure = f"{managed.name} {why}" + (f": {last}" if last else "")
 
     def count_crash(self, process: str) -> None:
         """A process has ended without being asked to."""
-        self.crashes[process] = self.crashes.get(process, 0) + 1
+        counts = self._manager.crashes
+        counts[process] = counts.get(process, 0) + 1
 
-    def _follow(self, managed: ManagedProcess, how: str, now_s: float, *, succeeded: bool) -> str:
-        """Let it start again, or let it be; why neither can be, when the run has to end."""
+    def _follow(
+        self, managed: ManagedProcess, how: str, now_s: float, *, succeeded: bool, unborn: bool
+    ) -> str:
+        """Let it start again, or let it be; why neither can be, when the run has to end.
+
+        Sources begin when every process has been ready: they would wait for one that is gone.
+        """
         manager, rule = self._manager, managed.nodes[0].restart
         if manager.plan.clock == "lockstep":
             return f"ended by {how}: a lockstep run cannot go on"
         if rule.policy == "never" or (rule.policy == "on-failure" and succeeded):
+            if unborn or manager.sources_wait:
+                return f"ended by {how} before the graph ran, and may not start again"
             before = manager.finished
             manager.finished_sources |= managed.sources
             last = manager.finished and not (before or succeeded or manager.ending)
@@ -68,7 +76,7 @@ class Restarts:
         if recent > max(rule.most, self.at_least):
             return f"died {recent} times within {rule.window_s:.0f} s"
         managed.next_start_s = now_s + _pause_s(rule, managed.quick_deaths)
-        self.counts[managed.name] = self.counts.get(managed.name, 0) + 1
+        manager.restarts[managed.name] = manager.restarts.get(managed.name, 0) + 1
         return ""
 
     def _count(self, managed: ManagedProcess, now_s: float) -> None:

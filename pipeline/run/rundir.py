@@ -52,7 +52,9 @@ class _Facts(msgspec.Struct):
     edges: list[_EdgeFacts]
     plan: dict[str, Any]
     revision: int
-    pids: dict[str, int]
+    pids: dict[str, int]  # of the processes that there are
+    restarts: dict[str, int] = {}  # by process
+    crashes: dict[str, int] = {}  # by process
 
 
 _READ = msgspec.json.Decoder(_Facts)
@@ -127,8 +129,8 @@ def noted(folder: PrivateFolder) -> dict[str, Any]:
         facts = _READ.decode(folder.read(FACTS, MOST_FACTS_BYTES))
     except (OSError, msgspec.MsgspecError, ValueError, RecursionError):
         return {}
-    names = [facts.graph, *facts.pids, *(n.name for n in facts.nodes)]
-    names += [n.process for n in facts.nodes]
+    names = [facts.graph, *facts.pids, *facts.restarts, *facts.crashes]
+    names += [name for n in facts.nodes for name in (n.name, n.process)]
     if not all(map(is_name, names)) or not RUN_ID.fullmatch(facts.run):
         return {}
     found: dict[str, Any] = msgspec.to_builtins(facts)

@@ -105,12 +105,12 @@ class Supervisor:
     @property
     def restarts(self) -> dict[str, int]:
         """How often each process was started again."""
-        return self._restarts.counts
+        return self.manager.restarts
 
     @property
     def crashes(self) -> dict[str, int]:
         """How often each process ended without being asked to, started again or not."""
-        return self._restarts.crashes
+        return self.manager.crashes
 
     @property
     def exposed_s(self) -> float:
@@ -323,7 +323,7 @@ class Supervisor:
 
     def _note_failure(self, managed: ManagedProcess, event: Failed) -> None:
         """What starting it again cannot mend ends the run: a graph that never began, a source."""
-        unborn = self.manager.is_first(managed) and not (managed.handle and managed.handle.ready)
+        unborn = self.manager.is_unborn(managed)
         error = harmless(event.error)
         if event.expected and (unborn or managed.sources) and not self.failure:
             self.manager.failure = error

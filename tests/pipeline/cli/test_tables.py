@@ -18,7 +18,7 @@ def shown(table: RenderableType) -> list[str]:
 
 
 def state(label: str, *nodes: str, phase: str = "running", failure: str = "") -> State:
-    processes = tuple(Process(name, (name,), 7, 1.0, 2.0, 0) for name in nodes)
+    processes = tuple(Process(name, (name,), 7, 1.0, 2.0, 0, 0) for name in nodes)
     return State("hosts", label, 0, phase, failure, processes, (), (), (), {})
 
 

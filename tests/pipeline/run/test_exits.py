@@ -166,6 +166,29 @@ def test_a_run_that_came_to_its_end_although_a_part_left_ends_with_3(
     assert json.loads(path.read_text())["crashes"] == {"unruly": 1}
 
 
+@pytest.mark.parametrize("kind", ["exit_in_open", "raise_in_open", "die_in_open"])
+def test_a_part_that_cannot_open_and_may_not_restart_ends_the_run_with_a_sentence(
+    tmp_path: Path, kind: str
+) -> None:
+    text = UNRULY.replace("restart: {backoff_s: 0.01}", "restart: never\n    start_s: 3000")
+    graph = unruly_file(tmp_path, text=text, kind=kind)
+    how = {
+        "exit_in_open": ("exit status 1", ": SystemExit: 0"),
+        "raise_in_open": ("exit status 1", ": ValueError: cannot open"),
+        "die_in_open": ("signal SIGKILL", ""),
+    }
+    ending, why = how[kind]
+
+    done = subprocess.run(
+        [*FOVEA, "run", str(graph)], capture_output=True, text=True, check=False, timeout=100
+    )
+
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == (
+        f"fovea: unruly ended by {ending} before the graph ran, and may not start again{why}"
+    )
+
+
 def test_in_lockstep_an_exit_with_status_0_ends_the_run_with_an_error(tmp_path: Path) -> None:
     report = go(unruly_plan(tmp_path, kind="exit_0", clock="lockstep"), 50)
 

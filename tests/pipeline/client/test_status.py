@@ -1,0 +1,37 @@
+"""What `ps` and `top` learn of a graph that runs here: its processes, with restarts and crashes."""
+
+import signal
+from pathlib import Path
+
+from pipeline.client.find import find
+from pipeline.protocol.fleet import Process
+from pipeline.run.supervisor import Supervisor
+from tests.sample_graphs import CHAIN, go, handled, plan_of, send_signal, wait_for
+
+
+def processes(graph: str) -> dict[str, Process]:
+    (said,) = find(graph).status().hosts.values()
+    assert not isinstance(said, str)
+    return {process.name: process for state in said for process in state.processes}
+
+
+def test_restarts_and_crashes_of_every_process_are_told(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, CHAIN.replace("  count:\n", "  count:\n    restart: never\n"))
+    found: dict[str, Process] = {}
+
+    def during(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: min(handled(supervisor, n) for n in ("count", "glance")) > 3)
+        for node in ("count", "glance"):
+            send_signal(supervisor, node, signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.restarts.get("glance") and supervisor.pid("glance"))
+        wait_for(supervisor, lambda: supervisor.crashes.get("count"))
+        found.update(processes(plan.name))
+        assert found["glance"].pid == supervisor.pid("glance")
+        supervisor.finish()
+
+    go(plan, 0, during)
+
+    counts = {name: (one.restarts, one.crashes) for name, one in found.items()}
+    assert counts == {"ticker": (0, 0), "glance": (1, 1), "count": (0, 1)}
+    assert found["count"].pid == 0  # it is gone; its number may be that of another process by now
+    assert found["count"].nodes == ("count",)
