@@ -70,9 +70,8 @@ def top(graph: str | None, once: bool, every_s: float, as_json: bool) -> None:
         return
     console = Console()
     found = (tables.top_tables(before, now, seconds) for now, before, seconds in looks)
-    if once or not console.is_terminal:
-        for table in found:
-            console.print(table)
+    if once:
+        console.print(*found)
         return
     with Live(console=console, auto_refresh=False, screen=True) as live:
         for table in found:

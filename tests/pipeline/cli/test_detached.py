@@ -129,19 +129,6 @@ def test_a_record_that_no_run_wrote_is_none(data: bytes) -> None:
     assert folder.name not in detached.all_noted()
 
 
-def test_top_prints_table_after_table_where_there_is_no_terminal(graph: Path, name: str) -> None:
-    fovea("run", str(graph), "--detach")
-    command = [*FOVEA, "top", name, "--every-s", "0.1"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as watching:
-        assert watching.stdout is not None
-        heads = (line for line in watching.stdout if line.startswith("edges"))
-        two = [next(heads, ""), next(heads, "")]
-        watching.terminate()
-    fovea("stop", name)
-
-    assert all(two)
-
-
 def test_ps_says_in_words_that_no_graph_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
