@@ -1,15 +1,18 @@
 """What a terminal shows: tables that fit into narrow ones too, and bounded log lines."""
 
+import contextlib
 import logging
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.highlighter import NullHighlighter
 from rich.logging import RichHandler
 from rich.measure import Measurement
+from rich.segment import SegmentLines
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -41,13 +44,37 @@ def console(*, stderr: bool = False, soft_wrap: bool = False, highlight: bool = 
     return found
 
 
+class _Handler(RichHandler):
+    """Wraps records for a terminal; for a file, a pipe or a journal each begins its own line."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a record."""
+        if self.console.is_terminal:
+            super().emit(record)
+            return
+        when = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(record.created))
+        with contextlib.suppress(OSError, ValueError):
+            self.console.file.write(f"{when} {record.levelname:8} {self.format(record)}\n")
+            self.console.file.flush()
+
+
 def log_handler() -> logging.Handler:
     """Return a handler that shows records without colours: Rich takes minutes over a long one."""
-    handler = RichHandler(
+    handler = _Handler(
         console=console(), show_path=False, highlighter=NullHighlighter(), keywords=[]
     )  # fmt: skip
     handler.setFormatter(_Bounded("%(message)s"))
     return handler
+
+
+def cropped(shown: RenderableType, console: Console) -> RenderableType:
+    """What fits into a terminal from the top, and how much does not."""
+    lines = console.render_lines(shown, pad=False)
+    if len(lines) <= console.height:
+        return shown
+    fit = max(0, console.height - 1)
+    more = f"{len(lines) - fit} lines more: a taller terminal or `fovea top --once` shows them"
+    return Group(SegmentLines(lines[:fit], new_lines=True), Text(more, no_wrap=True))
 
 
 class LeanTable(Table):

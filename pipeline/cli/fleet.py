@@ -49,7 +49,9 @@ CREDENTIALS = click.option(
 
 @click.command("agent")
 @click.option("--config", type=click.Path(path_type=Path, dir_okay=False), help="The agent's file.")
-@click.option("--label", default="", help="Without a file: the label of this host.")
+@click.option(
+    "--label", default="", help="Without a file: this host's label; any operator of yours may run."
+)
 @click.option("--state", type=click.Path(path_type=Path, file_okay=False), help="Instead of its.")
 @click.option("--unit", is_flag=True, help="Print a systemd unit and leave.")
 def agent_command(config: Path | None, label: str, state: Path | None, unit: bool) -> None:
@@ -61,7 +63,11 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
         return
     if config is None and not label:
         raise click.UsageError("give --config FILE or --label LABEL")
-    own = read(config) if config else HostConfig(AgentFile(label=label), Path.cwd())
+    own = (
+        read(config)
+        if config
+        else HostConfig(AgentFile(label=label), Path.cwd(), any_operator=True)
+    )
     if state:
         own = replace(own, file=replace(own.file, state=str(state.resolve())))
     with Interruption(last=True) as asked, Agent(own, Reaper()) as agent:

@@ -26,6 +26,7 @@ from pipeline.client.graph_client import GraphClient, Status
 from pipeline.errors import RunError
 from pipeline.protocol.codec import fields_of
 from pipeline.renamed import renamed_option
+from pipeline.terminal import cropped
 from pipeline.text import harmless
 
 MOST_LINE = 20_000  # characters of a message on one line
@@ -44,7 +45,10 @@ def ps(as_json: bool) -> None:
         running = {status.graph: {"hosts": status.hosts, "nodes": status.nodes} for status in found}
         print_json(running | {name: {"ended": one} for name, one in ended.items()})
         return
-    terminal.console().print(tables.process_table(found))
+    if found:
+        terminal.console().print(tables.process_table(found))
+    else:
+        click.echo("no graph runs")
     for one in ended.values():
         click.echo(ended_line(one))
 
@@ -75,7 +79,7 @@ def top(graph: str | None, once: bool, every_s: float, as_json: bool) -> None:
         return
     with Live(console=console, auto_refresh=False, screen=True) as live:
         for table in found:
-            live.update(table, refresh=True)
+            live.update(cropped(table, console), refresh=True)
 
 
 @click.command("health")

@@ -98,7 +98,7 @@ def _run(
         try_recording(save, "--save")
     plan, unwritten = _load(graph, save=save, **laid), ""
     for line in running.advice(plan):
-        console.print(line, markup=False)
+        console.print(line, markup=False, soft_wrap=not console.is_terminal)
     with signals.Interruption(last=True) as asked:
         if inline:
             result = running.inline(plan, frames or 0, console, asked, verbose=verbose)
@@ -178,9 +178,10 @@ def check(graph: Path | None, schema: bool, no_import: bool, as_json: bool, **la
             f"{harmless(str(graph))}: {plan.name}, {len(plan.nodes)} nodes in "
             f"{len(plan.processes())} processes, {len(plan.edges)} edges, {plan.clock}",
             markup=False,
+            soft_wrap=not console.is_terminal,
         )
         for line in running.advice(plan):
-            console.print(line, markup=False)
+            console.print(line, markup=False, soft_wrap=not console.is_terminal)
 
 
 @click.command()

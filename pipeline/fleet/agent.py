@@ -28,13 +28,7 @@ from pipeline.fleet.links import (
     networks,
     own_end_points,
 )
-from pipeline.fleet.names import (
-    ANYBODY,
-    agent_key,
-    endpoint,
-    endpoint_host,
-    host_identity,
-)
+from pipeline.fleet.names import ANYBODY, agent_key, endpoint, endpoint_host, host_identity
 from pipeline.fleet.placement import DIGEST_PREFIX, check_fingerprints, inspect
 from pipeline.fleet.relay import NodeGateway, TapRelay
 from pipeline.fleet.status import state_of
@@ -88,11 +82,9 @@ class Agent:
         self._identities = own.identities if self._credentials else (ANYBODY, *own.identities)
         permits = agent_permits(self.label, self._identities)
         self._session = Session.across(self._network((own.endpoint,), permits=permits))
+        self._served: set[str] = set()
         for identity in self._identities:
-            keys = agent_key(self.label, identity, "**")
-            self._session.serve(keys, partial(self._asked, identity))
-            if identity.startswith("host."):
-                self._session.hear(keys, partial(self._told, identity.removeprefix("host.")))
+            self._serve(identity)
 
     def __enter__(self) -> "Agent":
         return self
@@ -144,6 +136,16 @@ class Agent:
     def _network(self, listen: tuple[str, ...], **more: Any) -> Network:
         credentials = str(self._credentials.folder) if self._credentials else ""
         return Network(listen=listen, credentials=credentials, **more)
+
+    def _serve(self, identity: str) -> None:
+        """Answer an identity from now on."""
+        if identity in self._served:
+            return
+        self._served.add(identity)
+        keys = agent_key(self.label, identity, "**")
+        self._session.serve(keys, partial(self._asked, identity))
+        if identity.startswith("host."):
+            self._session.hear(keys, partial(self._told, identity.removeprefix("host.")))
 
     def _asked(self, identity: str, key: str, data: bytes, reply: OnBytes) -> None:
         """On the transport's thread."""
@@ -333,6 +335,9 @@ class Agent:
         self._check_unused(local, own)
         identity = host_identity(self.label)
         others = sorted({n.host for n in local.nodes} - {self.label})
+        if self._credentials is None:  # every agent that reaches this one is of the same user
+            for other in others:
+                self._serve(host_identity(other))
         return HostedGraph(
             plan=local,
             fingerprint=identity_of(asked),

@@ -74,6 +74,7 @@ class HostConfig:
 
     file: AgentFile
     folder: Path
+    any_operator: bool = False  # of an agent without a file, which only this user reaches
 
     @property
     def label(self) -> str:
@@ -116,7 +117,8 @@ class HostConfig:
     def allowed(self) -> Allowed:
         """Its allow lists."""
         files = {d: self.folder / f if f else None for d, f in self.file.weights.items()}
-        return Allowed(self.file.operators, files, self.state / "weights")
+        code = None if self.any_operator else self.file.operators
+        return Allowed(code, files, self.state / "weights")
 
 
 def read(path: Path) -> HostConfig:

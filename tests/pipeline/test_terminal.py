@@ -1,5 +1,6 @@
 """What a run tells can be read in a narrow terminal."""
 
+import logging
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ from rich.console import Console
 from pipeline.bus.ledger import private_ledger
 from pipeline.graph.loader import load
 from pipeline.run.report import compose, tables
-from pipeline.terminal import losses, rest
+from pipeline.terminal import cropped, log_handler, losses, rest
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -44,3 +45,26 @@ def test_whatever_was_not_delivered_is_counted_and_what_was_lost_is_named() -> N
         "a -> b.in: 3 dropped, superseded; 1 lost in a crash; lost messages it was promised"
     ]
     assert list(losses("a", "b.in", whole, broken=False)) == []
+
+
+def test_what_is_too_tall_for_a_terminal_says_how_much_is_missing() -> None:
+    console = Console(width=80, height=10)
+    tall, low = "\n".join(f"row {n}" for n in range(30)), "row 0"
+
+    with console.capture() as caught:
+        console.print(cropped(tall, console), end="")
+
+    lines = caught.get().splitlines()
+    assert len(lines) == 10
+    assert lines[8] == "row 8"
+    assert lines[9].startswith("21 lines more")
+    assert cropped(low, console) == low
+
+
+def test_a_record_that_goes_to_a_file_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "topology: " + ", ".join(f"node-{n}" for n in range(60))
+
+    log_handler().emit(logging.LogRecord("fovea", logging.INFO, "", 0, words, None, None))
+
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.endswith(f" INFO     {words}")

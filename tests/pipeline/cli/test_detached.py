@@ -134,3 +134,12 @@ def test_a_record_that_no_run_wrote_is_none(data: bytes) -> None:
 
     assert detached.noted(folder.name) is None
     assert folder.name not in detached.all_noted()
+
+
+def test_ps_says_in_words_that_no_graph_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+
+    assert fovea("ps").stdout == "no graph runs\n"
