@@ -246,7 +246,10 @@ class Agent:
         self._store.forget(graph)
         if hosted is None:
             raise RunError(f"no graph {graph} runs here")
-        hosted.end()
+        try:
+            hosted.end()
+        finally:  # a change that was under way has kept it again
+            self._store.forget(graph)
         del self.hosted[graph]
         return wire.Accepted()
 

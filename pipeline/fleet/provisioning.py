@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
+from pipeline.fleet.deploy import known_addresses
 from pipeline.fleet.names import endpoint, host_identity, user_identity
 from pipeline.fleet.placement import code_digest, code_of, file_digest, identities, is_path, strings
 from pipeline.graph.plan import Plan
@@ -21,8 +22,9 @@ def issue_for(
         own = folder / user_identity(name)
         secure.issue(own, folder, user_identity(name))
         note = own / secure.ADDRESSES
-        before = json.loads(note.read_text()) if note.exists() else {}
-        write_whole(note, json.dumps({**before, **{o: a for o, a in addresses.items() if a}}))
+        write_whole(
+            note, json.dumps({**known_addresses(own), **{o: a for o, a in addresses.items() if a}})
+        )
         yield f"{folder / user_identity(name)}: credentials of {name}, who may deploy"
     for label in labels:
         own = folder / host_identity(label)
@@ -96,7 +98,7 @@ def _addresses_known(folder: Path) -> dict[str, str]:
     """What was noted for the users of an authority: label -> address."""
     known: dict[str, str] = {}
     for note in sorted(folder.glob(f"*/{secure.ADDRESSES}")):
-        known |= json.loads(note.read_text())
+        known |= known_addresses(note.parent)
     return known
 
 

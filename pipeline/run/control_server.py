@@ -6,11 +6,20 @@ Orders come over the graph's bus, which only this user can reach.
 import logging
 import os
 import queue
+import threading
 from collections.abc import Callable
 
 from pipeline.errors import FoveaError, RunError
 from pipeline.protocol.codec import decode, encode, refused
-from pipeline.protocol.orders import ORDER, Order, Result, StopOrder, StopResult, SwapOrder
+from pipeline.protocol.orders import (
+    ORDER,
+    Order,
+    Refused,
+    Result,
+    StopOrder,
+    StopResult,
+    SwapOrder,
+)
 from pipeline.protocol.supervision import Event
 from pipeline.run.health import HealthMonitor
 from pipeline.run.managed_process import ManagedProcess
@@ -33,10 +42,18 @@ class ControlServer:
         self._asked: queue.SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = queue.SimpleQueue()
         self._operation: Operation | None = None
         self._reply: Reply = _nobody
+        self._lock = threading.Lock()  # between taking an order and the end of all
+        self._ended = False
 
     def ask(self, order: bytes, reply: Callable[[bytes], None]) -> None:
-        """An order came; called by the transport's thread."""
-        self._asked.put((order, reply))
+        """An order came; any thread may call. After `abort` it is refused at once."""
+        with self._lock:
+            ended = self._ended
+            if not ended:
+                self._asked.put((order, reply))
+        if ended:
+            reply(encode(self._too_late()))
+            return
         self._manager.exchange.wake()
 
     def tick(self) -> None:
@@ -94,13 +111,18 @@ class ControlServer:
 
     def abort(self) -> list[ProcessHandle]:
         """The run ends; the processes that it would not know of."""
-        ended = refused(f"{self._manager.plan.name}: the run ended before that was done")
+        with self._lock:
+            self._ended = True
+        ended = self._too_late()
         while not self._asked.empty():
             _encoded(self._asked.get()[1])(ended)
         left = self._operation.abort() if self._operation is not None else []
         self._reply(ended)
         self._operation, self._reply = None, _nobody
         return left
+
+    def _too_late(self) -> Refused:
+        return refused(f"{self._manager.plan.name}: the run ended before that was done")
 
 
 def _encoded(reply: Callable[[bytes], None]) -> Reply:

@@ -1,5 +1,6 @@
 """A graph over several hosts is listened to and changed by the client that a local one has."""
 
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet import relay
 from pipeline.fleet.deploy import Fleet, down, remembered, up
-from pipeline.fleet.hosted_graph import check_inside
+from pipeline.fleet.hosted_graph import HostedGraph, change, check_inside
 from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.protocol import fleet as wire
@@ -223,6 +224,33 @@ def test_a_host_changes_nothing_but_its_own_nodes(fleet: Fleet, tmp_path: Path) 
     for wanted, label in ((fewer, "eye"), (other, "brain")):
         with pytest.raises(RunError, match=r"expected the (nodes|edges) of other hosts"):
             check_inside(plan, wanted, label)
+
+
+def test_a_graph_that_is_taken_down_while_it_changes_does_not_come_back(
+    two: dict[str, Running], fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent, fewer = two["brain"].agent, plan_of(tmp_path, DUO[: DUO.index("  count:")])
+    until(lambda: handled(fleet, "brain", "count", "duo") > 3)
+    now = fleet.ask("brain", "plan", wire.Named("duo"), wire.Planned)
+    told = agent._store.asked("duo").fingerprints
+    asked = wire.PlanChange("duo", fewer, wire.Versions.ours(), told, now.revision)
+    hosted, changed, end = agent.hosted["duo"], threading.Event(), HostedGraph.end
+    assert hosted.supervisor is not None
+    control, orders = hosted.supervisor.control, []
+    take = control.ask
+    monkeypatch.setattr(control, "ask", lambda *order: orders.append(order))
+    change(hosted, asked, agent._store, agent._inspected, lambda _: changed.set())
+
+    def end_late(hosted: HostedGraph) -> None:
+        take(*orders[0])  # the supervisor carries it out when the state has been forgotten
+        assert changed.wait(30)
+        end(hosted)
+
+    monkeypatch.setattr(HostedGraph, "end", end_late)
+    fleet.ask("brain", "down", wire.Named("duo"), wire.Accepted, 60)
+    monkeypatch.setattr(HostedGraph, "end", end)
+
+    assert agent._store.names() == []
 
 
 def test_a_host_may_not_listen_or_change_the_plan_and_noise_is_refused(fleet: Fleet) -> None:

@@ -12,6 +12,7 @@ from pipeline.cli.fleet import secure_commands
 from pipeline.errors import SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.names import node_identity
+from pipeline.fleet.provisioning import check_addressed, issue_for
 from pipeline.naming import LONGEST_NAME
 from tests.pipeline.fleet.agents import TRIO, plan_of
 
@@ -92,3 +93,16 @@ def test_the_parts_of_a_identity_cannot_run_into_one_another(tmp_path: Path) -> 
     assert node_identity("a-b", replace(node, name="c")) == "node.a-b.c"
     with pytest.raises(SettingsError, match=r"name: expected up to 32 letters, .* got 'a\.b'"):
         node_identity("a.b", node)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"a": 1}', "\xff"])
+def test_a_damaged_note_of_addresses_is_named_in_a_sentence(text: str, tmp_path: Path) -> None:
+    secure.create(tmp_path)
+    note = tmp_path / "user.alice" / secure.ADDRESSES
+    note.parent.mkdir()
+    note.write_text(text)
+
+    with pytest.raises(SettingsError, match="expected label: address"):
+        check_addressed(tmp_path, {}, [])
+    with pytest.raises(SettingsError, match="expected label: address"):
+        list(issue_for(tmp_path, {}, [], ["alice"]))

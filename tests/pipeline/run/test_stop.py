@@ -10,7 +10,8 @@ import pytest
 
 from pipeline.client.find import find
 from pipeline.errors import RunError
-from pipeline.protocol.orders import Refused, Result, StopOrder, StopResult, SwapOrder
+from pipeline.protocol.codec import decode, encode
+from pipeline.protocol.orders import RESULT, Refused, Result, StopOrder, StopResult, SwapOrder
 from pipeline.run.rundir import running
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import LOSSLESS, beside, handled, plan_of, until, wait_for
@@ -69,6 +70,20 @@ def test_a_swap_that_is_under_way_does_not_hold_the_end_up(tmp_path: Path) -> No
 
     assert isinstance(results[0], StopResult)
     assert results[1] == Refused(f"{plan.name}: the run ended before that was done")
+
+
+def test_an_order_that_comes_after_the_end_is_answered_at_once(tmp_path: Path) -> None:
+    answers: list[bytes] = []
+    plan = plan_of(tmp_path, LOSSLESS)
+    with Supervisor(plan) as supervisor:
+        supervisor.start()
+        supervisor.finish()
+
+    supervisor.control.ask(encode(SwapOrder(node="work")), answers.append)
+
+    assert [decode(RESULT, answer) for answer in answers] == [
+        Refused(f"{plan.name}: the run ended before that was done")
+    ]
 
 
 def test_a_graph_that_has_ended_is_one_sentence(tmp_path: Path) -> None:
