@@ -86,7 +86,6 @@ class DetachedRun:
             raise RunError(f"{self.graph}: expected it to run, got no facts of it")
         self._noted = detached.begin(self.graph, facts["run"], os.getpid())
         folder = PrivateFolder(folder_of(self.graph))
-        folder.remove(detached.WORDS)
         handle = folder.create(detached.WORDS)
         output.redirect(handle)
         os.close(handle)

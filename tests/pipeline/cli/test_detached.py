@@ -1,6 +1,7 @@
 """A run without a terminal: it goes on when its command has left, and how it ends can be found."""
 
 import json
+import os
 import secrets
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import psutil
 import pytest
 
 from pipeline.client import detached
+from pipeline.run.run_folder import RunFolder
 from pipeline.run.rundir import folder_of, running
 from tests.sample_graphs import CHAIN, until
 
@@ -66,6 +68,34 @@ def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name
     assert json.loads(fovea("ps", "--json").stdout)[name]["ended"]["exit_status"] == 0
     assert f"{name}: ended" in fovea("ps").stdout
     assert f"{name}: ended" in fovea("stop", name).stdout
+
+
+def test_a_run_after_a_detached_one_takes_its_place(graph: Path, name: str) -> None:
+    fovea("run", str(graph), "--detach")
+    stopped = fovea("stop", name)
+    after = fovea("run", str(graph), "--frames", "5")
+
+    assert stopped.returncode == after.returncode == 0, after.stderr
+    assert detached.noted(name) is None
+    assert f"no graph {name} runs" in fovea("stop", name).stderr
+    assert f"got {name} alone" in fovea("logs", name).stderr
+    assert name not in fovea("ps").stdout
+    assert not {detached.WORDS, detached.RECORD, detached.REPORT} & set(
+        os.listdir(folder_of(name))
+    )
+
+
+def test_the_end_of_a_run_is_not_noted_when_another_has_begun(name: str) -> None:
+    RunFolder.claim(name).release()
+    first = detached.begin(name, "0" * 16, 1)
+    RunFolder.claim(name).release()
+    detached.end(first, 0, "", {"graph": name})
+    left = os.listdir(folder_of(name))
+    second = detached.begin(name, "1" * 16, 2)
+    detached.end(first, 0, "", {"graph": name})
+
+    assert left == ["lock"]
+    assert detached.noted(name) == second
 
 
 def test_a_run_that_ends_by_itself_leaves_its_status(graph: Path, name: str) -> None:
