@@ -133,4 +133,5 @@ def ended_line(found: detached.Detached) -> str:
     status = "was killed" if found.exit_status is None else f"exit status {found.exit_status}"
     why = f": {found.why}" if found.why else ""
     report = f"; report: {found.report}" if found.report else ""
-    return f"{found.graph}: ended {found.ended}, {status}{why}{report}"
+    ended = f"ended {found.ended}, " if found.ended else ""
+    return f"{found.graph}: {ended}{status}{why}{report}"

@@ -108,6 +108,15 @@ def test_a_run_that_ends_by_itself_leaves_its_status(graph: Path, name: str) -> 
     assert (found.exit_status, found.why) == (2, "picture 30: torn")
 
 
+def test_a_killed_run_is_told_of_without_an_end(graph: Path, name: str) -> None:
+    pid = json.loads(fovea("run", str(graph), "--detach", "--json").stdout)["pid"]
+    os.kill(pid, signal.SIGKILL)
+    until(lambda: name not in running())
+
+    assert fovea("stop", name).stdout == f"{name}: was killed\n"
+    assert f"\n{name}: was killed\n" in fovea("ps").stdout
+
+
 def test_what_cannot_begin_is_told_by_the_command_that_began_it(graph: Path, name: str) -> None:
     wrong = fovea("run", str(graph), "--detach", "--set", "ticker.fail_a=3")
     together = fovea("run", str(graph), "--detach", "--inline")
