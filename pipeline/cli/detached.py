@@ -85,7 +85,6 @@ class DetachedRun:
             raise RunError(f"{self.graph}: expected it to run, got no facts of it")
         self._noted = detached.begin(self.graph, facts["run"], os.getpid())
         folder = PrivateFolder(folder_of(self.graph))
-        folder.remove(detached.WORDS)
         handle = folder.create(detached.WORDS)
         output.redirect(handle)
         os.close(handle)
@@ -133,4 +132,5 @@ def ended_line(found: detached.Detached) -> str:
     status = "was killed" if found.exit_status is None else f"exit status {found.exit_status}"
     why = f": {found.why}" if found.why else ""
     report = f"; report: {found.report}" if found.report else ""
-    return f"{found.graph}: ended {found.ended}, {status}{why}{report}"
+    ended = f"ended {found.ended}, " if found.ended else ""
+    return f"{found.graph}: {ended}{status}{why}{report}"

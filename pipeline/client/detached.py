@@ -41,15 +41,16 @@ _READ = msgspec.json.Decoder(Detached)
 
 def begin(graph: str, run: str, pid: int) -> Detached:
     """Note a run that begins to be one without a terminal."""
-    folder = PrivateFolder(folder_of(graph))
-    folder.remove(REPORT)
     found = Detached(graph=graph, run=run, pid=pid, started=_now())
-    folder.write(RECORD, msgspec.json.encode(found))
+    PrivateFolder(folder_of(graph)).write(RECORD, msgspec.json.encode(found))
     return found
 
 
 def end(found: Detached, exit_status: int, why: str, report: dict[str, Any] | None) -> None:
-    """Note how it ended; raises `OSError` when that cannot be written."""
+    """Note how it ended, unless another run has begun; raises `OSError` when that cannot be."""
+    newest = noted(found.graph)
+    if newest is None or newest.run != found.run:
+        return
     folder = PrivateFolder(folder_of(found.graph))
     if report is not None:
         folder.write(REPORT, msgspec.json.encode(report, enc_hook=str))

@@ -29,8 +29,8 @@ _RUN_FILES = re.compile(
     rf"run\.json(\.part)?|clocks|{GRAMMAR}(\.\d+)?\.sock(\.lock)?|{GRAMMAR}\.\d+\.recv"
     rf"|{GRAMMAR}\.live(\.part)?"
 )
-# of nodes, and of a detached run
-_LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?|run\.out|(detached|report)\.json(\.part)?")
+_DETACHED = re.compile(r"run\.out(\.old)?|(detached|report)\.json(\.part)?")
+_LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?|{_DETACHED.pattern}")
 
 
 def cleanup() -> None:
@@ -82,6 +82,13 @@ def clear(folder: PrivateFolder) -> None:
     for name in beside.names():  # sockets between hosts
         if name.startswith(stem) and _RUN_FILES.fullmatch(name.removeprefix(stem)):
             beside.remove(name)
+
+
+def forget_detached(folder: PrivateFolder) -> None:
+    """Remove what the last detached run left to be read: another run takes its place."""
+    for name in folder.names():
+        if _DETACHED.fullmatch(name):
+            folder.remove(name)
 
 
 def end_orphans(run_id: str) -> None:

@@ -12,7 +12,7 @@ import psutil
 
 from pipeline.errors import RunError
 from pipeline.private_folder import PrivateFolder
-from pipeline.run.leftovers import cleanup, clear
+from pipeline.run.leftovers import cleanup, clear, forget_detached
 from pipeline.run.memory_folder import MemoryFolder
 from pipeline.run.rundir import FACTS, folder_of, locked, noted
 
@@ -40,6 +40,7 @@ class RunFolder:
             folder = PrivateFolder(path)
             cleanup()
             clear(folder)
+            forget_detached(folder)
             os.utime(lock)
             return RunFolder(folder, MemoryFolder.claim(), lock)
         except BaseException:

@@ -1,6 +1,7 @@
 """A run without a terminal: it goes on when its command has left, and how it ends can be found."""
 
 import json
+import os
 import secrets
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import psutil
 import pytest
 
 from pipeline.client import detached
+from pipeline.run.run_folder import RunFolder
 from pipeline.run.rundir import folder_of, running
 from tests.sample_graphs import CHAIN, until
 
@@ -68,6 +70,34 @@ def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name
     assert f"{name}: ended" in fovea("stop", name).stdout
 
 
+def test_a_run_after_a_detached_one_takes_its_place(graph: Path, name: str) -> None:
+    fovea("run", str(graph), "--detach")
+    stopped = fovea("stop", name)
+    after = fovea("run", str(graph), "--frames", "5")
+
+    assert stopped.returncode == after.returncode == 0, after.stderr
+    assert detached.noted(name) is None
+    assert f"no graph {name} runs" in fovea("stop", name).stderr
+    assert f"got {name} alone" in fovea("logs", name).stderr
+    assert name not in fovea("ps").stdout
+    assert not {detached.WORDS, detached.RECORD, detached.REPORT} & set(
+        os.listdir(folder_of(name))
+    )
+
+
+def test_the_end_of_a_run_is_not_noted_when_another_has_begun(name: str) -> None:
+    RunFolder.claim(name).release()
+    first = detached.begin(name, "0" * 16, 1)
+    RunFolder.claim(name).release()
+    detached.end(first, 0, "", {"graph": name})
+    left = os.listdir(folder_of(name))
+    second = detached.begin(name, "1" * 16, 2)
+    detached.end(first, 0, "", {"graph": name})
+
+    assert left == ["lock"]
+    assert detached.noted(name) == second
+
+
 def test_a_run_that_ends_by_itself_leaves_its_status(graph: Path, name: str) -> None:
     begun = fovea("run", str(graph), "--detach", "--set", "ticker.fail_at=30")
 
@@ -76,6 +106,15 @@ def test_a_run_that_ends_by_itself_leaves_its_status(graph: Path, name: str) -> 
     found = detached.noted(name)
     assert found is not None
     assert (found.exit_status, found.why) == (2, "picture 30: torn")
+
+
+def test_a_killed_run_is_told_of_without_an_end(graph: Path, name: str) -> None:
+    pid = json.loads(fovea("run", str(graph), "--detach", "--json").stdout)["pid"]
+    os.kill(pid, signal.SIGKILL)
+    until(lambda: name not in running())
+
+    assert fovea("stop", name).stdout == f"{name}: was killed\n"
+    assert f"\n{name}: was killed\n" in fovea("ps").stdout
 
 
 def test_what_cannot_begin_is_told_by_the_command_that_began_it(graph: Path, name: str) -> None:
