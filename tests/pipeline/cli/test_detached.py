@@ -80,9 +80,7 @@ def test_a_run_after_a_detached_one_takes_its_place(graph: Path, name: str) -> N
     assert f"no graph {name} runs" in fovea("stop", name).stderr
     assert f"got {name} alone" in fovea("logs", name).stderr
     assert name not in fovea("ps").stdout
-    assert not {detached.WORDS, detached.RECORD, detached.REPORT} & set(
-        os.listdir(folder_of(name))
-    )
+    assert not {detached.WORDS, detached.RECORD, detached.REPORT} & set(os.listdir(folder_of(name)))
 
 
 def test_the_end_of_a_run_is_not_noted_when_another_has_begun(name: str) -> None:
