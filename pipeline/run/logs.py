@@ -7,7 +7,8 @@ from pathlib import Path
 from pipeline.errors import RunError
 from pipeline.naming import is_name
 from pipeline.private_folder import PrivateFolder
-from pipeline.run.rundir import folder_of, run_folders, running
+from pipeline.run.rundir import folder_of, running
+from pipeline.text import harmless
 
 
 def log_lines(graph: str, node: str, lines: int, *, follow: bool) -> Iterator[str]:
@@ -23,14 +24,10 @@ def log_lines(graph: str, node: str, lines: int, *, follow: bool) -> Iterator[st
 
 
 def _log_path(graph: str, node: str) -> Path:
-    """The newest log of that node, of the graph named or of any."""
-    alive, found = running(), []
-    folders = [folder_of(graph)] if graph else [folder.path for folder in run_folders()]
-    for path in folders if is_name(node) else ():
-        nodes = alive.get(path.name, {"nodes": []})["nodes"]
-        process = next((n["process"] for n in nodes if n["name"] == node), node)
-        if path.is_dir() and PrivateFolder(path).has(f"{process}.log"):
-            found.append(path / f"{process}.log")
-    if not found:
-        raise RunError(f"no log of a node {node}" + (f" in graph {graph}" if graph else ""))
-    return max(found, key=lambda path: path.stat().st_mtime)
+    """The log of that node, which writes into the log of its process."""
+    folder = folder_of(graph)
+    nodes = running().get(graph, {"nodes": []})["nodes"]
+    process = next((n["process"] for n in nodes if n["name"] == node), node)
+    if not is_name(node) or not folder.is_dir() or not PrivateFolder(folder).has(f"{process}.log"):
+        raise RunError(f"no log of a node {harmless(node)} in graph {graph}")
+    return folder / f"{process}.log"

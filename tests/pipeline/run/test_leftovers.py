@@ -51,11 +51,10 @@ def test_what_is_no_name_never_becomes_a_path(text: str) -> None:
     for act in (folder_of, RunFolder.claim):
         with pytest.raises(RunError, match="expected the name of a graph"):
             act(text)
-    if text:  # an empty one asks for the only graph
-        with pytest.raises(RunError):
-            list(log_lines(text, "work", 5, follow=False))
+    with pytest.raises(RunError, match="expected the name of a graph"):
+        list(log_lines(text, "work", 5, follow=False))
     with pytest.raises(RunError, match="no log"):
-        list(log_lines("", text, 5, follow=False))
+        list(log_lines("work", text, 5, follow=False))
 
 
 def test_files_of_the_user_beside_ours_stay_whatever_is_cleaned(name: str) -> None:
