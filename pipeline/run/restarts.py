@@ -44,7 +44,8 @@ class Restarts:
             self.count_crash(managed.name)
         if self._manager.failure:
             return
-        log.warning("%s ended by %s, see `fovea logs %s`", managed.name, how, managed.name)
+        to_read = self._manager.run_folder.to_read(managed.name)
+        log.warning("%s ended by %s, see %s", managed.name, how, to_read)
         why = self._follow(managed, how, now_s, succeeded=succeeded, unborn=unborn)
         self._manager.note()
         if why:

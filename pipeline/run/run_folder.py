@@ -52,6 +52,10 @@ class RunFolder:
         """Tells this run from all others; every process of it bears the id in its command line."""
         return self.memory.run_id
 
+    def to_read(self, process: str) -> str:
+        """The command that shows what a process wrote."""
+        return f"`fovea logs {self.folder.path.name} {process}`"
+
     def note(self, facts: dict[str, Any]) -> None:
         """Write down what others may want to know about this run.
 

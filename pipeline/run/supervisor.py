@@ -168,7 +168,8 @@ class Supervisor:
                 raise RunError(self.failure)
             for managed in self.processes.values():
                 if why := late(managed):
-                    raise RunError(f"{managed.name}: {why}, see `fovea logs {managed.name}`")
+                    to_read = self.manager.run_folder.to_read(managed.name)
+                    raise RunError(f"{managed.name}: {why}, see {to_read}")
             if time.monotonic() > deadline:
                 raise RunError("the readers of a source have not heard it in all that time")
         self.begun = self.manager.all_going

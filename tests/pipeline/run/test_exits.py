@@ -108,9 +108,12 @@ def test_a_part_that_leaves_without_being_asked_is_restarted(left: Left, kind: s
 def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    go(unruly_plan(tmp_path, kind="exit_0", once=tmp_path / "once"), 0, recovers)
+    plan = unruly_plan(tmp_path, kind="exit_0", once=tmp_path / "once")
 
-    assert "unruly ended by exit status 0, which it did not announce" in caplog.text
+    go(plan, 0, recovers)
+
+    said = "unruly ended by exit status 0, which it did not announce"
+    assert f"{said}, see `fovea logs {plan.name} unruly`" in caplog.text
 
 
 def test_a_part_that_may_not_restart_and_leaves_is_a_crash_in_the_report(tmp_path: Path) -> None:

@@ -118,7 +118,8 @@ def test_a_leaking_operator_starts_again_before_it_takes_all(
 def test_who_never_comes_up_is_named_after_its_time(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, sick(start_s=3), changes=("sick.open_s=1000",))
 
-    with Supervisor(plan) as supervisor, pytest.raises(RunError, match="sick: not ready after 3"):
+    said = rf"sick: not ready after 3.*, see `fovea logs {plan.name} sick`$"
+    with Supervisor(plan) as supervisor, pytest.raises(RunError, match=said):
         supervisor.start()
 
 
