@@ -46,14 +46,15 @@ def said_by(error: BaseException) -> str:
         return f"(its text cannot be had: {type(broken).__name__})"
 
 
-def plain(value: Any, depth: int = MOST_DEPTH) -> Any:
-    r"""Return figures that came as JSON with harmless strings and keys; too deep ones are cut off.
+def plain(value: Any, depth: int = MOST_DEPTH, most_chars: int = MOST_CHARS) -> Any:
+    r"""Return figures that came as JSON with harmless strings and keys; what is too deep or long is
+    cut off.
 
     >>> plain({"a": ["b\x00", 1.5, None]})
     {'a': ['b\\x00', 1.5, None]}
     """
     if isinstance(value, str):
-        return harmless(value, lines=True)
+        return harmless(value, most_chars, lines=True)
     if isinstance(value, int) and not WHOLE_LOW <= value <= WHOLE_HIGH:
         return harmless(str(value))
     if not isinstance(value, (Mapping, list)):
@@ -61,8 +62,8 @@ def plain(value: Any, depth: int = MOST_DEPTH) -> Any:
     if depth == 0:
         return "…"
     if isinstance(value, Mapping):
-        return {harmless(str(k)): plain(v, depth - 1) for k, v in value.items()}
-    return [plain(v, depth - 1) for v in value]
+        return {harmless(str(k)): plain(v, depth - 1, most_chars) for k, v in value.items()}
+    return [plain(v, depth - 1, most_chars) for v in value]
 
 
 def _printable(character: str, *, lines: bool) -> str:

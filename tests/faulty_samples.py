@@ -105,7 +105,9 @@ class Unruly(Operator[UnrulySettings, Frame]):
 
     def summary(self) -> Mapping[str, Any]:
         if self.settings.kind == "huge_summary":
-            return {"huge": "x" * self.settings.size}
+            return {"huge": [0.5] * self.settings.size}
+        if self.settings.kind == "long_summary":
+            return {"long": "x" * self.settings.size}
         if self.settings.kind == "odd_summary":
             return {"frames": 3, "iou": {"mean": None}, "failure": "no", "\ud800": "\x1b[2J\ud800"}
         if self.settings.kind == "exit_in_summary":

@@ -40,6 +40,7 @@ from pipeline.node.wiring import ASIDE, Wiring
 from pipeline.node.wiring import settings_of as node_settings
 from pipeline.private_folder import PrivateFolder
 from pipeline.process_tree import adopt_orphans, descendants, end, session_of, zombies
+from pipeline.protocol.codec import encode
 from pipeline.protocol.supervision import (
     MOST_EVENT_BYTES,
     Assignment,
@@ -358,10 +359,11 @@ def _obey(process: Process, control: Control, instructions: Iterator[Instruction
 
 def _summary(node: str, figures: Mapping[str, Any]) -> Summary:
     """The figures of a node as plain values; none of them where they are too many."""
-    text = json.dumps(dict(figures))
-    if len(text) > MOST_EVENT_BYTES:
-        return Summary(node, {}, f"expected up to {MOST_EVENT_BYTES} bytes, got {len(text)}")
-    return Summary(node, plain(json.loads(text)))
+    values = json.loads(json.dumps(dict(figures)))
+    told = Summary(node, plain(values, most_chars=MOST_EVENT_BYTES))  # a reader cuts them, once
+    if (size := len(encode(told))) > MOST_EVENT_BYTES:
+        return Summary(node, {}, f"expected up to {MOST_EVENT_BYTES} bytes, got {size}")
+    return told
 
 
 if __name__ == "__main__":

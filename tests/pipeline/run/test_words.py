@@ -94,8 +94,13 @@ def test_a_headline_is_cut_to_a_line(tmp_path: Path, size: int) -> None:
     assert report["failure"] == ""
 
 
-def test_a_huge_summary_is_left_out_and_the_report_says_so(tmp_path: Path) -> None:
-    graph, report = unruly_file(tmp_path, kind="huge_summary", size=50_000_000), tmp_path / "r.json"
+@pytest.mark.parametrize(
+    ("kind", "size"), [("long_summary", 50_000_000), ("huge_summary", 200_000)]
+)
+def test_a_huge_summary_is_left_out_and_the_report_says_so(
+    tmp_path: Path, kind: str, size: int
+) -> None:
+    graph, report = unruly_file(tmp_path, kind=kind, size=size), tmp_path / "r.json"
 
     done = subprocess.run(
         [*FOVEA, "run", str(graph), "--frames", "20", "--report", str(report)],
@@ -104,9 +109,16 @@ def test_a_huge_summary_is_left_out_and_the_report_says_so(tmp_path: Path) -> No
 
     assert done.returncode == 0, done.stderr
     found = json.loads(report.read_text())
-    assert found["left_out"]["unruly"].startswith("expected up to 1048576 bytes, got 500000")
+    assert found["left_out"]["unruly"].startswith("expected up to 1048576 bytes, got 1")
     assert "unruly: its summary is left out: expected up to" in done.stdout
     assert found["frames"]["exposed"] == 20
+
+
+def test_a_long_text_in_a_summary_is_cut_and_says_so(tmp_path: Path) -> None:
+    report = go(unruly_plan(tmp_path, kind="long_summary", size=2500), 20)
+
+    assert report["long"] == "x" * 1000 + "… (1500 characters more)"
+    assert "left_out" not in report
 
 
 def test_a_summary_of_odd_figures_breaks_no_report(tmp_path: Path) -> None:
