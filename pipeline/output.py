@@ -106,10 +106,15 @@ def forgive() -> None:
             sys.stderr = through
 
 
-def redirect(target: int) -> None:
-    """Have both streams lead to a descriptor, and let go of where they led before."""
+def flush() -> None:
+    """Write what both streams hold back."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
+
+
+def redirect(target: int) -> None:
+    """Have both streams lead to a descriptor, and let go of where they led before."""
+    flush()
     for handle in (1, 2):
         os.dup2(target, handle)
     for kept in _kept.values():

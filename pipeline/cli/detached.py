@@ -23,7 +23,7 @@ from pipeline.client import detached
 from pipeline.client.graph_client import GraphClient
 from pipeline.errors import FoveaError, RunError
 from pipeline.naming import is_name
-from pipeline.private_folder import PrivateFolder
+from pipeline.node.logfile import log_to
 from pipeline.run.rundir import folder_of, running
 from pipeline.signals import Interruption
 from pipeline.text import error_text, harmless
@@ -84,12 +84,8 @@ class DetachedRun:
         if facts is None:
             raise RunError(f"{self.graph}: expected it to run, got no facts of it")
         self._noted = detached.begin(self.graph, facts["run"], os.getpid())
-        folder = PrivateFolder(folder_of(self.graph))
-        handle = folder.create(detached.WORDS)
-        output.redirect(handle)
-        os.close(handle)
-        for stream in (sys.stdout, sys.stderr):
-            stream.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+        output.flush()
+        output.redirect(log_to(folder_of(self.graph) / detached.WORDS, fresh=True).fileno())
         os.write(self._tells, self.graph.encode())
         os.close(self._tells)
 

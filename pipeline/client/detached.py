@@ -1,10 +1,11 @@
 """What a detached run leaves in its run folder: its words, how it ended, its report.
 
-run.out          what it printed since it ran
+run.out          what it printed since it ran; bounded, run.out.old is what came before
 detached.json    the process, and, once it has ended, its exit status
 report.json      its report
 """
 
+import os
 import time
 from datetime import UTC, datetime
 from typing import Any
@@ -18,7 +19,7 @@ from pipeline.run.rundir import folder_of, run_folders
 
 WORDS, RECORD, REPORT = "run.out", "detached.json", "report.json"
 MOST_BYTES = 64 << 10  # of a record
-MOST_WORDS = 1 << 20  # bytes of words that are read
+MOST_WORDS = 1 << 20  # bytes of words that are read: the last
 WRITTEN_S = 20.0  # until a run that has ended has written so
 LOOK_S = 0.05
 
@@ -88,9 +89,16 @@ def await_end(graph: str, run: str) -> Detached | None:
 def words(graph: str, lines: int) -> list[str]:
     """The last lines that a detached run printed; raises `RunError` when there is none."""
     try:
-        data = PrivateFolder(folder_of(graph)).read(WORDS, MOST_WORDS)
+        with os.fdopen(PrivateFolder(folder_of(graph)).open(WORDS), "rb") as file:
+            before = max(0, os.fstat(file.fileno()).st_size - MOST_WORDS)
+            file.seek(before)
+            data = file.read(MOST_WORDS)
+    except FileNotFoundError as error:
+        raise RunError(f"{graph}: no detached run wrote anything") from error
     except OSError as error:
-        raise RunError(f"{graph}: no detached run wrote anything: {error.strerror}") from error
+        raise RunError(f"{graph}: {WORDS}: cannot be read: {error.strerror}") from error
+    if before:  # in the middle of a line
+        data = data.partition(b"\n")[2] or data
     return data.decode(errors="replace").splitlines()[-lines:] if lines else []
 
 

@@ -1,4 +1,4 @@
-"""The log of a node process: bounded in size; a full disk costs words, never the process."""
+"""The log of a process, of a node or detached: bounded in size; a full disk costs words, never the process."""
 
 import contextlib
 import fcntl
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from typing_extensions import Buffer
 
-MOST_BYTES = 16 << 20  # then it becomes `<name>.log.old`, and a new one begins
+MOST_BYTES = 16 << 20  # then it becomes `<name>.old`, and a new one begins
 FIRST_OWN = 3  # the standard descriptors may be closed: their numbers are not taken
 
 
@@ -45,7 +45,7 @@ class LogFile(io.RawIOBase):
     def look(self) -> None:
         """Begin a new file when this one is full, also by a child of the node; raises `OSError`."""
         if os.fstat(self._handle).st_size > self._most_bytes:
-            self._path.replace(self._path.with_suffix(".log.old"))
+            self._path.replace(self._path.with_name(f"{self._path.name}.old"))
             self._open(0)
 
     def _open(self, flags: int) -> None:

@@ -13,6 +13,8 @@ import psutil
 import pytest
 
 from pipeline.client import detached
+from pipeline.errors import RunError
+from pipeline.node.logfile import MOST_BYTES
 from pipeline.run.run_folder import RunFolder
 from pipeline.run.rundir import folder_of, running
 from tests.sample_graphs import CHAIN, until
@@ -68,6 +70,33 @@ def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name
     assert json.loads(fovea("ps", "--json").stdout)[name]["ended"]["exit_status"] == 0
     assert f"{name}: ended" in fovea("ps").stdout
     assert f"{name}: ended" in fovea("stop", name).stdout
+
+
+def test_what_a_detached_run_prints_is_bounded_and_its_end_is_shown(graph: Path, name: str) -> None:
+    words = Path(json.loads(fovea("run", str(graph), "--detach", "--json").stdout)["words"])
+    with words.open("ab") as file:
+        file.write(b"a line of words\n" * (MOST_BYTES // 16 + 1))
+    shown = fovea("logs", name, "--lines", "2")
+    cut = detached.words(name, 10**6)
+    stopped = fovea("stop", name)
+
+    assert shown.stdout == "a line of words\n" * 2, shown.stderr
+    assert set(cut) == {"a line of words"}
+    assert stopped.returncode == 0, stopped.stderr
+    assert words.with_name("run.out.old").stat().st_size > MOST_BYTES
+    assert words.stat().st_size < 100_000
+    assert "rate:" in fovea("logs", name).stdout
+
+
+def test_words_that_cannot_be_read_are_told_as_such(name: str) -> None:
+    folder = folder_of(name)
+    folder.mkdir(mode=0o700)
+    with pytest.raises(RunError, match=r": no detached run wrote anything$"):
+        detached.words(name, 5)
+    (folder / detached.WORDS).symlink_to("/etc/hostname")
+
+    with pytest.raises(RunError, match=r": run\.out: cannot be read: "):
+        detached.words(name, 5)
 
 
 def test_a_run_after_a_detached_one_takes_its_place(graph: Path, name: str) -> None:

@@ -68,12 +68,13 @@ def graph(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_log_is_bounded_and_holds_what_libraries_print(tmp_path: Path) -> None:
-    log = tmp_path / "work.log"
+@pytest.mark.parametrize("name", ["work.log", "run.out"])
+def test_a_log_is_bounded_and_holds_what_libraries_print(tmp_path: Path, name: str) -> None:
+    log = tmp_path / name
 
     subprocess.run([sys.executable, "-c", WRITER, str(log)], check=True)
 
-    sizes = [log.stat().st_size, (tmp_path / "work.log.old").stat().st_size]
+    sizes = [log.stat().st_size, (tmp_path / f"{name}.old").stat().st_size]
     assert max(sizes) < 1100
     assert log.read_text().endswith("line 99 of many\na library's own words\n")
 
