@@ -1,11 +1,12 @@
 """`fovea run --detach`: a run in a process without a terminal, which is left once it works.
 
 The process that stays is `fovea run` with the hidden option `--detached FD`. Until its graph runs,
-it prints where its parent does. Then it writes the graph's name to the descriptor, prints into the
-run folder from there on, and notes at its end how it ended.
+it prints where its parent does. Then it writes the graph's name as a line to the descriptor, prints
+into the run folder from there on, and notes at its end how it ended.
 """
 
 import os
+import select
 import subprocess
 import sys
 import time
@@ -29,7 +30,7 @@ from pipeline.signals import Interruption
 from pipeline.text import error_text, harmless
 
 REFRESH_S = 0.5
-WAIT_S = 0.05
+WAIT_S = 0.25
 
 
 def start(words: Sequence[str]) -> tuple[str, int]:
@@ -44,8 +45,7 @@ def start(words: Sequence[str]) -> tuple[str, int]:
     ) as process:
         os.close(tells)
         try:
-            with os.fdopen(told, "rb") as file:
-                graph = file.read().decode()
+            graph = _told(told, process)
         except BaseException:  # Ctrl-C while it starts
             process.terminate()
             process.wait()
@@ -55,6 +55,20 @@ def start(words: Sequence[str]) -> tuple[str, int]:
             return graph, process.pid
         process.wait()
     sys.exit(process.returncode if process.returncode > 0 else 1)
+
+
+def _told(told: int, process: "subprocess.Popen[bytes]") -> str:
+    """The line that a process writes; empty when it ends before, also where a child goes on.
+
+    What an operator's module forks when it is imported holds the pipe open.
+    """
+    poll = select.poll()
+    poll.register(told, select.POLLIN)
+    with os.fdopen(told, "rb") as file:
+        while not poll.poll(1000 * WAIT_S):
+            if process.poll() is not None and not poll.poll(0):
+                return ""
+        return file.readline().decode().removesuffix("\n")
 
 
 class DetachedRun:
@@ -86,7 +100,7 @@ class DetachedRun:
         self._noted = detached.begin(self.graph, facts["run"], os.getpid())
         output.flush()
         output.redirect(log_to(folder_of(self.graph) / detached.WORDS, fresh=True).fileno())
-        os.write(self._tells, self.graph.encode())
+        os.write(self._tells, f"{self.graph}\n".encode())
         os.close(self._tells)
 
     def _end(self, exit_status: int, why: str, report: dict[str, Any] | None) -> None:

@@ -1,5 +1,6 @@
 """A run without a terminal: it goes on when its command has left, and how it ends can be found."""
 
+import contextlib
 import json
 import os
 import secrets
@@ -22,9 +23,27 @@ from tests.sample_graphs import CHAIN, until
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 
-def fovea(*words: str) -> "subprocess.CompletedProcess[str]":
+FORKING = """
+import os, time
+from tests.samples import Pass as More
+
+if not (pid := os.fork()):
+    time.sleep(300)
+    os._exit(0)
+with open({pids!r}, "a") as file:
+    print(pid, file=file)
+if {wrong}:
+    raise ValueError("wrong on purpose")
+"""
+
+
+def fovea(
+    *words: str, cwd: Path | None = None, quiet: bool = False
+) -> "subprocess.CompletedProcess[str]":
+    """The command when it has ended; `quiet`: what it leaves may hold its streams open."""
+    pipe = subprocess.DEVNULL if quiet else subprocess.PIPE
     return subprocess.run(
-        [*FOVEA, *words], capture_output=True, text=True, timeout=120, check=False
+        [*FOVEA, *words], stdout=pipe, stderr=pipe, cwd=cwd, text=True, timeout=120, check=False
     )
 
 
@@ -56,6 +75,7 @@ def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name
     (pids,) = [running()[name]["pids"]]
     again = fovea("run", str(graph), "--detach")
     stopped = fovea("stop", name, "--json")
+    afterwards = fovea("stop", name, "--json")
 
     assert begun.returncode == 0, begun.stderr
     assert where["graph"] == name
@@ -63,6 +83,7 @@ def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name
     assert again.returncode == 1
     assert "already running" in again.stderr
     assert json.loads(stopped.stdout)["exit_status"] == 0, stopped.stderr
+    assert json.loads(afterwards.stdout) == json.loads(stopped.stdout) | {"stopped": False}
     until(lambda: not runs(where["pid"]))
     report = json.loads(Path(json.loads(stopped.stdout)["report"]).read_text())
     assert report["graph"] == name
@@ -152,6 +173,26 @@ def test_what_cannot_begin_is_told_by_the_command_that_began_it(graph: Path, nam
     assert "did you mean 'fail_at'" in wrong.stderr
     assert "--detach and --inline: give one of them" in together.stderr
     assert detached.noted(name) is None
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_what_a_module_forks_when_it_is_imported_is_not_waited_for(
+    graph: Path, name: str, tmp_path: Path, wrong: bool
+) -> None:
+    pids = tmp_path / "pids"
+    (tmp_path / "forking.py").write_text(FORKING.format(pids=str(pids), wrong=wrong))
+    with graph.open("a") as file:
+        file.write("  more:\n    operator: forking:More\n    inputs: {frame: ticker.roi}\n")
+    try:
+        begun = fovea("run", "graph.yaml", "--detach", cwd=tmp_path, quiet=True)
+
+        assert begun.returncode == (2 if wrong else 0)
+        assert (name in running()) is not wrong
+        assert wrong or fovea("stop", name).returncode == 0
+    finally:
+        for pid in pids.read_text().split():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(pid), signal.SIGKILL)
 
 
 def test_attach_watches_until_ctrl_c_and_the_graph_goes_on(graph: Path, name: str) -> None:
