@@ -22,6 +22,7 @@ from pipeline.cli.results import swap_lines, topology_lines
 from pipeline.cli.tables import settings_table
 from pipeline.client import detached
 from pipeline.client.find import find, graphs
+from pipeline.client.graph_client import Stopped
 from pipeline.errors import RunError
 from pipeline.graph.overlay import shown_change
 from pipeline.protocol.codec import ControlMessage, fields_of
@@ -120,7 +121,11 @@ def end(graph: str, *, as_json: bool) -> None:
     ended = None if graph in graphs() else detached.noted(graph)
     if ended is not None:
         if as_json:
-            print_json(ended)
+            print_json(
+                Stopped(
+                    graph=graph, stopped=False, exit_status=ended.exit_status, report=ended.report
+                )
+            )
         else:
             click.echo(ended_line(ended))
         return

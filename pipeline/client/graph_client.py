@@ -46,7 +46,7 @@ class Stopped(msgspec.Struct, kw_only=True):
     """What became of a graph that was told to stop."""
 
     graph: str
-    stopped: bool = True
+    stopped: bool = True  # False: it had ended before
     exit_status: int | None = None  # of a run that was detached; None: it is not known
     report: str = ""  # the file with the report of a run that was detached
 
