@@ -60,9 +60,9 @@ def statuses() -> list[Status]:
 
 def logs(graph: str, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
     """The last lines of a node's log, also of a graph that ran here and has ended."""
-    here = graph not in running() and graph not in remembered()
+    ended = graph not in running() and graph not in remembered()
     return (
         log_lines(graph, node, lines, follow=follow)
-        if here
+        if ended
         else find(graph).logs(node, lines, follow=follow)
     )

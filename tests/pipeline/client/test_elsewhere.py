@@ -103,14 +103,15 @@ def name(tmp_path: Path, elsewhere: Path) -> Iterator[str]:
 
 
 def test_commands_work_from_a_folder_without_the_operators(elsewhere: Path, name: str) -> None:
-    rate = fovea("hz", name, "bright", "--duration-s", "1", "--json", cwd=elsewhere)
+    rate = fovea("hz", name, "bright", "--duration-s", "5", "--json", cwd=elsewhere)
     heard = fovea("echo", name, "bright", "--count", "2", "--json", cwd=elsewhere)
     added = fovea("add", name, "meter.yaml", "--json", cwd=elsewhere)
     rewired = fovea("rewire", name, "bright.frame=ticker.roi", "--json", cwd=elsewhere)
     until(lambda: (health := find(name).health()["meter"]) and health.handled > 3)
     removed = fovea("remove", name, "meter", "--json", cwd=elsewhere)
 
-    assert json.loads(rate.stdout)["rate_hz"] > 5, rate.stderr
+    assert json.loads(rate.stdout)["messages"] >= 2, rate.stderr
+    assert json.loads(rate.stdout)["rate_hz"] > 0
     first = json.loads(heard.stdout.splitlines()[0])
     assert isinstance(first["mean"], float)
     assert first["rows"]["dtype"] == "float32"
