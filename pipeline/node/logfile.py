@@ -1,4 +1,4 @@
-"""The log of a process, of a node or detached: bounded in size; a full disk costs words, never the process."""
+"""The log of a process: bounded in size; a full disk costs words, never the process."""
 
 import contextlib
 import fcntl
