@@ -10,9 +10,10 @@ import pytest
 from pipeline.bus.network import Network
 from pipeline.bus.session import Session
 from pipeline.client import listening
+from pipeline.client.deployed import DeployedGraph
 from pipeline.client.described import Described
 from pipeline.client.find import find
-from pipeline.errors import FoveaError, RunError
+from pipeline.errors import FoveaError, RunError, Silent
 from pipeline.fleet import relay
 from pipeline.fleet.deploy import Fleet, down, remembered, up
 from pipeline.fleet.hosted_graph import HostedGraph, change, check_inside
@@ -20,6 +21,7 @@ from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import agent_key, host_identity
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer
+from pipeline.protocol.orders import TopologyResult
 from tests.pipeline.fleet.agents import (
     Running,
     agents,
@@ -93,8 +95,9 @@ def refusal(act: Callable[[], Any]) -> str:
     return str(caught.value)
 
 
-def nodes_there(fleet: Fleet) -> dict[str, list[str]]:
-    return {label: [n.name for n in state_of(fleet, label, "duo").nodes] for label in LABELS}
+def nodes_there(fleet: Fleet, *labels: str) -> dict[str, list[str]]:
+    labels = labels or LABELS
+    return {label: [n.name for n in state_of(fleet, label, "duo").nodes] for label in labels}
 
 
 def goes_on(fleet: Fleet, label: str, node: str) -> None:
@@ -202,6 +205,46 @@ def test_what_may_not_run_is_refused_and_everything_stays(
 
     assert nodes_there(fleet) == before
     goes_on(fleet, "brain", "count")
+
+
+def test_what_changed_is_taken_back_when_the_next_host_goes_silent(
+    two: dict[str, Running], fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    change = DeployedGraph._change
+
+    def change_one(self: DeployedGraph, fleet: Fleet, label: str, *words: Any) -> TopologyResult:
+        if label == "eye":
+            assert "second" in nodes_there(fleet, "brain")["brain"]
+            two["eye"].stop()
+        return change(self, fleet, label, *words)
+
+    monkeypatch.setattr(DeployedGraph, "_change", change_one)
+    monkeypatch.setattr("pipeline.client.deployed.ORDER_S", 5.0)
+    try:
+        assert "eye: no agent answers" in refusal(lambda: find("duo").add(more(tmp_path)))
+        assert nodes_there(fleet, "brain") == {"brain": ["work", "count"]}
+    finally:
+        two["eye"] = Running(host_of("eye", LABELS, tmp_path))
+
+
+def test_a_host_whose_answer_is_lost_is_taken_back_too(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, change, lost = nodes_there(fleet), DeployedGraph._change, []
+
+    def change_unheard(self: DeployedGraph, *words: Any) -> TopologyResult:
+        result = change(self, *words)
+        if not lost:
+            lost.append(result)
+            raise Silent("its answer was lost")
+        return result
+
+    monkeypatch.setattr(DeployedGraph, "_change", change_unheard)
+
+    assert "its answer was lost" in refusal(lambda: find("duo").add(more(tmp_path)))
+
+    assert lost[0].added == ["second", "tally"]
+    assert nodes_there(fleet) == before
 
 
 def test_an_edge_between_hosts_stays_as_it_was_deployed(fleet: Fleet) -> None:
