@@ -2,6 +2,8 @@
 
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -146,15 +148,50 @@ def test_taps_are_bounded_and_closed_when_nobody_asks(
     def asked(tap: str, output: str = "out") -> wire.TapQuestion:
         return wire.TapQuestion("duo", "work", output, tap)
 
+    monkeypatch.setattr(relay, "IDLE_S", 600.0)
+    agent = two["brain"].agent
     for number in range(relay.MOST_TAPS):
         fleet.ask("brain", "tap", asked(f"t{number}"), wire.TapMessages)
     with pytest.raises(RunError, match="busy: expected up to 8 taps"):
         fleet.ask("brain", "tap", asked("one-more"), wire.TapMessages)
     with pytest.raises(RunError, match="listens to another output already"):
         fleet.ask("brain", "tap", asked("t0", "other"), wire.TapMessages)
+    agent._taps.fetch(agent.hosted["duo"], asked("t0"), "user.other")  # has a share of its own
+    for name in ("", "a/b", "x" * 100_000):
+        with pytest.raises(FoveaError, match="tap: expected up to 32 letters"):
+            fleet.ask("brain", "tap", asked(name), wire.TapMessages)
 
     monkeypatch.setattr(relay, "IDLE_S", 0.0)
-    until(lambda: not two["brain"].agent._taps._taps)
+    until(lambda: not agent._taps._taps)
+
+
+def test_a_tap_that_takes_long_to_open_holds_up_no_other_question(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opens, go_on, session = threading.Event(), threading.Event(), relay.client_session
+
+    @contextmanager
+    def slow_session(*words: Any) -> Iterator[Session]:
+        opens.set()
+        assert go_on.wait(30)
+        with session(*words) as opened:
+            yield opened
+
+    def tap() -> wire.TapMessages:
+        asked = wire.TapQuestion("duo", "work", "out", "slow")
+        return fleet.ask("brain", "tap", asked, wire.TapMessages, 60)
+
+    monkeypatch.setattr(relay, "client_session", slow_session)
+    monkeypatch.setattr(relay, "IDLE_S", 0.0)  # nor is it closed while it opens
+    with ThreadPoolExecutor(1) as pool:
+        found = pool.submit(tap)
+        try:
+            assert opens.wait(30)
+            assert state_of(fleet, "brain", "duo").phase == "running"
+            assert found.running()
+        finally:
+            go_on.set()
+        assert found.result(60).skipped == 0
 
 
 def test_nodes_are_added_on_both_hosts_rewired_and_removed_while_the_graph_runs(
@@ -177,6 +214,8 @@ def test_nodes_are_added_on_both_hosts_rewired_and_removed_while_the_graph_runs(
     assert find("duo").remove("second").removed == ["second"]
     goes_on(fleet, "brain", "tally")
     assert "second" not in remembered()["duo"].nodes
+    kept = two["brain"].agent._store.asked("duo")
+    assert set(kept.fingerprints) == {edge.origin for edge in kept.plan.edges}
 
     two["brain"].stop()  # what changed is so after a restart; the edge between hosts holds
     two["brain"] = Running(host_of("brain", LABELS, tmp_path))
