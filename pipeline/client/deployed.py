@@ -142,13 +142,15 @@ class DeployedGraph(GraphClient):
             parts = changed(whole, wanted, plans)
             if not parts:
                 raise RunError(f"{self.name}: that changes nothing")
+            begun: list[str] = []
             done: dict[str, TopologyResult] = {}
             try:
                 for label, plan in parts.items():
                     send_files(fleet, label, files)
+                    begun.append(label)  # one that does not answer may have changed, too
                     done[label] = self._change(fleet, label, plans[label], plan, revisions[label])
             except BaseException:
-                self._take_back(fleet, {label: plans[label] for label in done})
+                self._take_back(fleet, {label: plans[label] for label in begun})
                 raise
         nodes = {node.name: node.host for node in wanted.nodes}
         self.hosts = replace(self.hosts, nodes=nodes)
@@ -182,10 +184,12 @@ class DeployedGraph(GraphClient):
 
     def _plans(self, fleet: Fleet) -> tuple[dict[str, Plan], dict[str, int]]:
         """What every host was asked to run, and which revision of it runs there."""
-        asked = wire.Named(self.name)
-        told = {label: fleet.ask(label, "plan", asked, wire.Planned) for label in self.hosts.points}
+        told = {label: self._planned(fleet, label) for label in self.hosts.points}
         plans = {label: one.plan for label, one in told.items()}
         return plans, {label: one.revision for label, one in told.items()}
+
+    def _planned(self, fleet: Fleet, label: str) -> wire.Planned:
+        return fleet.ask(label, "plan", wire.Named(self.name), wire.Planned)
 
     def _change(
         self, fleet: Fleet, label: str, before: Plan, plan: Plan, revision: int
@@ -203,11 +207,12 @@ class DeployedGraph(GraphClient):
         return of_kind(TopologyResult, judged(decode(RESULT, said.payload)))
 
     def _take_back(self, fleet: Fleet, plans: Mapping[str, Plan]) -> None:
-        """Let hosts run what they ran before, as far as they answer."""
+        """Let hosts that run something else run what they ran before, as far as they answer."""
         for label, plan in plans.items():
             try:
-                now, revisions = self._plans(fleet)
-                self._change(fleet, label, now[label], plan, revisions[label])
+                now = self._planned(fleet, label)
+                if now.plan != plan:
+                    self._change(fleet, label, now.plan, plan, now.revision)
             except FoveaError as error:
                 log.error("%s: could not be taken back: %s", label, error)
 

@@ -30,7 +30,7 @@ from pipeline.fleet.links import (
 )
 from pipeline.fleet.names import ANYBODY, agent_key, endpoint, endpoint_host, host_identity
 from pipeline.fleet.placement import DIGEST_PREFIX, check_fingerprints, inspect
-from pipeline.fleet.relay import NodeGateway, TapRelay
+from pipeline.fleet.relay import NodeGateway, TapRelay, check_here
 from pipeline.fleet.status import state_of
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
@@ -261,8 +261,7 @@ class Agent:
     def _log(self, data: bytes) -> wire.Log:
         asked = decode(wire.Lines, data)
         hosted = self._hosted(asked.graph)
-        if asked.node not in {n.name for n in hosted.plan.nodes if hosted.plan.is_here(n)}:
-            raise RunError(f"{asked.graph}: no node {asked.node} here")
+        check_here(hosted, asked.node)
         count = max(1, min(asked.count, MOST_LINES))
         return wire.Log(tuple(log_lines(hosted.folder, asked.node, count, follow=False)))
 
@@ -290,9 +289,11 @@ class Agent:
         hosted = self._hosted(asked.graph)
         change(hosted, asked, self._store, self._inspected, question.reply)
 
-    def _tap(self, question: _Question, data: bytes) -> wire.TapMessages:
+    def _tap(self, question: _Question, data: bytes) -> None:
         asked = decode(wire.TapQuestion, data)
-        return self._taps.fetch(self._hosted(asked.graph), asked, question.asker)
+        hosted = self._hosted(asked.graph)
+        fetch = partial(self._taps.fetch, hosted, asked, question.asker)
+        self._gateway.submit(fetch, question.reply)
 
     def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
         hosted = self._hosted(decode(Named, data).graph)

@@ -227,7 +227,9 @@ def change(
         raise RunError(f"{name}: does not run just now, try again")
     before = store.asked(name)
     check_inside(before.plan, asked.plan, hosted.plan.here)
-    fingerprints = {**before.fingerprints, **asked.fingerprints}
+    known = {**before.fingerprints, **asked.fingerprints}
+    origins = {edge.origin for edge in asked.plan.edges}  # the state does not grow beyond these
+    fingerprints = {origin: said for origin, said in known.items() if origin in origins}
     local = inspect(asked.plan, fingerprints)
     start = msgspec.structs.replace(
         before, plan=asked.plan, fingerprints=fingerprints, identity=identity_of(before)

@@ -5,13 +5,14 @@ listener asks again and again for what an output sent; what came since is the an
 many messages and bytes and no more, and is closed when it has not been asked for a while.
 """
 
+import logging
 import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from threading import BoundedSemaphore
 from typing import Any
@@ -24,21 +25,23 @@ from pipeline.fleet.placement import Allowed
 from pipeline.naming import check_name
 from pipeline.node.wiring import key_of
 from pipeline.protocol import fleet as wire
-from pipeline.protocol.codec import encode, refused
+from pipeline.protocol.codec import ControlMessage, encode, refused
 from pipeline.protocol.orders import SwapOrder
 from pipeline.protocol.questions import Command, ConfigQuestion, NodeQuestion
 from pipeline.run.bus_client import ask_local, client_session
 from pipeline.run.supervisor import Supervisor
 from pipeline.settings import suggest
+from pipeline.text import error_text
 
 AT_ONCE = 4  # a node answers between two frames; one that hangs must not hold up the others
 WAITING = 16
 Reply = Callable[[bytes], None]
-MOST_TAPS = 8  # on one host
+MOST_TAPS = 8  # of one asker on one host
 MOST_KEPT = 512  # messages of one tap
 MOST_KEPT_BYTES = 256 << 10
 IDLE_S = 5.0  # a tap that nobody asks for any longer is closed
 Key = tuple[str, str]  # who listens, and the name of the tap
+log = logging.getLogger(__name__)
 
 
 class NodeGateway:
@@ -56,15 +59,24 @@ class NodeGateway:
 
     def ask(self, hosted: HostedGraph, asked: wire.ToNode, reply: Reply) -> None:
         """Put a question to a node and reply when it answers; raises `FoveaError`."""
-        _here(hosted, asked.node)
+        check_here(hosted, asked.node)
         question = self._cleared(asked)
+
+        def answer() -> ControlMessage:
+            said = ask_local(hosted.folder, hosted.plan.name, asked.node, question)
+            return wire.Relayed(said)
+
+        self.submit(answer, reply)
+
+    def submit(self, answer: Callable[[], ControlMessage], reply: Reply) -> None:
+        """Reply what `answer` returns, from another thread; raises `RunError` for too many."""
         if not self._room.acquire(blocking=False):
             raise RunError("busy: too many questions wait for nodes")
-        self._pool.submit(self._ask, hosted, asked.node, question, reply)
+        self._pool.submit(self._answer, answer, reply)
 
     def swap(self, hosted: HostedGraph, order: SwapOrder, reply: Reply) -> None:
         """Have a node swapped and reply when that is done; raises `FoveaError`."""
-        _here(hosted, order.node)
+        check_here(hosted, order.node)
         supervisor = hosted.supervisor
         if supervisor is None:
             raise RunError(f"{hosted.plan.name}: does not run just now, try again")
@@ -78,12 +90,14 @@ class NodeGateway:
 
         supervisor.control.ask(encode(order), done)
 
-    def _ask(self, hosted: HostedGraph, node: str, question: NodeQuestion, reply: Reply) -> None:
+    def _answer(self, answer: Callable[[], ControlMessage], reply: Reply) -> None:
         try:
-            said = ask_local(hosted.folder, hosted.plan.name, node, question)
-            reply(encode(wire.Relayed(said)))
+            reply(encode(answer()))
         except FoveaError as error:
             reply(encode(refused(str(error))))
+        except Exception as error:
+            log.exception("an answer broke")
+            reply(encode(refused(f"it broke: {error_text(error)}")))
         finally:
             self._room.release()
 
@@ -107,7 +121,8 @@ class NodeGateway:
         return self._over.get(node, {})
 
 
-def _here(hosted: HostedGraph, node: str) -> None:
+def check_here(hosted: HostedGraph, node: str) -> None:
+    """Raise `RunError` for a node that this host does not run."""
     names = [n.name for n in hosted.plan.nodes if hosted.plan.is_here(n)]
     if node not in names:
         raise RunError(f"{hosted.plan.name}: no node {node} here{suggest(node, names)}")
@@ -119,8 +134,10 @@ class _Tap:
 
     place: str
     asked_s: float
+    asking: int = 0  # fetches under way; it is not closed meanwhile
     supervisor: Supervisor | None = None  # of the run that it listens to
     open: ExitStack = field(default_factory=ExitStack)
+    opening: threading.Lock = field(default_factory=threading.Lock)
     kept: deque[tuple[int, bytes]] = field(default_factory=deque)
     kept_bytes: int = 0
     skipped: int = 0
@@ -145,7 +162,10 @@ class _Tap:
 
 
 class TapRelay:
-    """The taps of one agent. Any of its threads may call."""
+    """The taps of one agent. Any of its threads may call.
+
+    The lock is for the table alone: sessions are opened and closed outside of it.
+    """
 
     def __init__(self) -> None:
         self._taps: dict[Key, _Tap] = {}
@@ -154,38 +174,50 @@ class TapRelay:
     def close(self) -> None:
         """Close all of them."""
         with self._lock:
-            for tap in self._taps.values():
-                tap.open.close()
+            taps = list(self._taps.values())
             self._taps.clear()
+        for tap in taps:
+            tap.open.close()
 
     def tidy(self) -> None:
         """Close those that nobody asks for any longer."""
         late_s = time.monotonic() - IDLE_S
         with self._lock:
-            for key in [key for key, tap in self._taps.items() if tap.asked_s < late_s]:
-                self._taps.pop(key).open.close()
+            idle = [k for k, t in self._taps.items() if not t.asking and t.asked_s < late_s]
+            taps = [self._taps.pop(key) for key in idle]
+        for tap in taps:
+            tap.open.close()
 
     def fetch(self, hosted: HostedGraph, asked: wire.TapQuestion, asker: str) -> wire.TapMessages:
         """What an output sent since the last time; raises `RunError`."""
         supervisor = hosted.supervisor
-        nodes = [n.name for n in hosted.plan.nodes if hosted.plan.is_here(n)]
-        if asked.node not in nodes:
-            raise RunError(f"{hosted.plan.name}: no node {asked.node} here"
-                           f"{suggest(asked.node, nodes)}")  # fmt: skip
+        check_here(hosted, asked.node)
         if supervisor is None:
             raise RunError(f"{hosted.plan.name}: does not run just now, try again")
-        output = check_name(asked.output, "output")
-        key = key_of(hosted.plan.name, asked.node, output)
-        with self._lock:
-            tap = self._tap((asker, asked.tap), key)
-            if tap.supervisor is not supervisor:
-                self._listen(tap, hosted.folder, supervisor)
-            tap.asked_s = time.monotonic()
-        kept, skipped = tap.fetch()
+        name, output = check_name(asked.tap, "tap"), check_name(asked.output, "output")
+        place = key_of(hosted.plan.name, asked.node, output)
+        with self._asked((asker, name), place) as tap:
+            with tap.opening:
+                if tap.supervisor is not supervisor:
+                    self._listen(tap, hosted.folder, supervisor)
+            kept, skipped = tap.fetch()
         clocks = hosted.clocks
         ahead = {label: clocks.ahead_ns(label) for label in hosted.plan.hosts}
         known = {label: ns for label, ns in ahead.items() if ns is not None}
         return wire.TapMessages(kept, skipped, time.monotonic_ns(), known)
+
+    @contextmanager
+    def _asked(self, key: Key, place: str) -> Iterator[_Tap]:
+        """A tap that stays while it is asked."""
+        with self._lock:
+            tap = self._tap(key, place)
+            tap.asking += 1
+        try:
+            yield tap
+        finally:
+            with self._lock:
+                tap.asking -= 1
+                tap.asked_s = time.monotonic()
 
     def _tap(self, key: Key, place: str) -> _Tap:
         tap = self._taps.get(key)
@@ -193,8 +225,8 @@ class TapRelay:
             return tap
         if tap is not None:
             raise RunError(f"{key[1]}: listens to another output already")
-        if len(self._taps) >= MOST_TAPS:
-            raise RunError(f"busy: expected up to {MOST_TAPS} taps on a host, got more")
+        if sum(asker == key[0] for asker, _ in self._taps) >= MOST_TAPS:
+            raise RunError(f"busy: expected up to {MOST_TAPS} taps of one asker, got more")
         tap = self._taps[key] = _Tap(place, time.monotonic())
         return tap
 
