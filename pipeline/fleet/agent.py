@@ -320,7 +320,7 @@ class Agent:
 
     def _check_versions(self, theirs: wire.Versions) -> None:
         if theirs != (ours := wire.Versions.ours()):
-            raise RunError(f"expected {_spelt(theirs)}, got {_spelt(ours)} here")
+            raise RunError(f"expected {theirs}, got {ours} here")
 
     def _inspected(self, plan: Plan, fingerprints: Mapping[str, str]) -> Plan:
         local = inspect(plan, self.label, self._allowed, self.host.file.settings)
@@ -398,7 +398,3 @@ class Agent:
         self.hosted[name] = hosted
         hosted.begin()
         log.info("%s: goes on", name)
-
-
-def _spelt(versions: wire.Versions) -> str:
-    return f"fovea {versions.fovea}, Zenoh {versions.zenoh}, envelope {versions.envelope}"

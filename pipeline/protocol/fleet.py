@@ -22,6 +22,9 @@ class Versions(Part, frozen=True):
     zenoh: str
     envelope: int
 
+    def __str__(self) -> str:
+        return f"fovea {self.fovea}, Zenoh {self.zenoh}, envelope {self.envelope}"
+
     @staticmethod
     def ours() -> "Versions":
         """Of this installation."""
