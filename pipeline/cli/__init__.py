@@ -71,14 +71,16 @@ def main() -> None:
     output.guard()
     exits.refuse()
     with signals.raising():
-        sys.path.insert(0, "")  # operators of the user's own lie in the folder they work in
         try:
+            sys.path.insert(0, "")  # operators of the user's own lie in the folder they work in
             _carry_out()
         except OSError as error:
             if not output.is_lost(error):
                 raise
             output.abandon()
             sys.exit(1)
+        except KeyboardInterrupt:  # before or after what `_carry_out` guards
+            sys.exit(INTERRUPTED)
 
 
 def _carry_out() -> None:

@@ -41,7 +41,7 @@ def test_a_terminal_shows_a_bar_with_the_steps_and_the_figures() -> None:
     script = (
         "from rich.console import Console\n"
         "import operators.training.progress as p\n"
-        "p.Console = lambda **how: Console(force_terminal=True, width=120, **how)\n"
+        "p.terminal.console = lambda **how: Console(force_terminal=True, width=120, **how)\n"
         "with p.bar('phase 2 of 3: train', 5, 3) as shown:\n"
         "    shown.step('loss 0.1')\n"
     )
