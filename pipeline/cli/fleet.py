@@ -1,6 +1,7 @@
 """`fovea agent`, `fovea up`, `fovea down`, `fovea secure`: the commands for several hosts."""
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -176,25 +177,33 @@ def secure_commands() -> None:
     """A private certificate authority for your hosts, nodes and users."""
 
 
+def _identities(command: Callable[..., None]) -> Callable[..., None]:
+    """The folder of an authority, and for whom credentials are made."""
+    for option in (
+        renamed_option("--person", "--user"),
+        click.option("--user", "users", multiple=True, metavar="NAME", help="Who may deploy."),
+        click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE, help="For its nodes."),
+        renamed_option("--box", "--host"),
+        click.option(
+            "--host", "hosts", multiple=True, metavar="LABEL=ADDRESS", help="Of an agent."
+        ),
+        click.argument(
+            "folder", type=click.Path(path_type=Path, file_okay=False), metavar="CREDENTIALS"
+        ),
+    ):
+        command = option(command)
+    return command
+
+
 @secure_commands.command("init")
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False), metavar="CREDENTIALS")
-@click.option("--host", "hosts", multiple=True, metavar="LABEL=ADDRESS")
-@renamed_option("--box", "--host")
-@click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE)
-@click.option("--user", "users", multiple=True, metavar="NAME")
-@renamed_option("--person", "--user")
+@_identities
 def init_command(folder: Path, **named: Any) -> None:
     """Make an authority, and credentials for hosts, users and the nodes of graphs."""
     _add(folder, fresh=True, **named)
 
 
 @secure_commands.command("add")
-@click.argument("folder", type=click.Path(path_type=Path, file_okay=False), metavar="CREDENTIALS")
-@click.option("--host", "hosts", multiple=True, metavar="LABEL=ADDRESS")
-@renamed_option("--box", "--host")
-@click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE)
-@click.option("--user", "users", multiple=True, metavar="NAME")
-@renamed_option("--person", "--user")
+@_identities
 def add_command(folder: Path, **named: Any) -> None:
     """Make credentials that are missing below an authority; renew those that end soon."""
     _add(folder, fresh=False, **named)

@@ -1,6 +1,7 @@
 """An order that a supervisor carries out, a little with each of its ticks, while the graph runs."""
 
 import logging
+from abc import ABC, abstractmethod
 from typing import Any
 
 from pipeline.errors import FoveaError
@@ -15,7 +16,7 @@ from pipeline.text import error_text
 log = logging.getLogger(__name__)
 
 
-class Operation:
+class Operation(ABC):
     """An order under way; `result` is there when it is over."""
 
     kind = "order"
@@ -25,15 +26,15 @@ class Operation:
         self.result: Result | None = None
         self.facts: dict[str, Any] = {}  # fields of the result, as they become known
 
+    @abstractmethod
     def advance(self) -> bool:
         """Do what can be done now; True at the end. Raises `FoveaError` for why it failed."""
-        raise NotImplementedError
 
+    @abstractmethod
     def done(self) -> Done:
         """The result, at the end."""
-        raise NotImplementedError
 
-    def clear_up(self, *, failed: bool) -> None:
+    def clear_up(self, *, failed: bool) -> None:  # noqa: B027 - most hold nothing
         """Give back what the operation holds, whatever became of it."""
 
     def on_event(self, pid: int, event: Event) -> bool:

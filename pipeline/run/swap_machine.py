@@ -1,6 +1,7 @@
 """What both kinds of swap are: a state machine that every tick of the supervisor advances."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Any, Generic, TypeVar
@@ -16,7 +17,7 @@ State = TypeVar("State", bound=Enum)
 SPARE_S = 10.0  # for the spare process to finish its imports
 
 
-class SwapMachine(Generic[State]):
+class SwapMachine(ABC, Generic[State]):
     """The state, when it was entered, and what states of both kinds do.
 
     A method per state returns the state that follows, its own while it waits. A refusal ends the
@@ -54,12 +55,13 @@ class SwapMachine(Generic[State]):
             self.state, self._since_s = following, self._now()
         return True
 
+    @abstractmethod
     def give_back(self, *, failed: bool) -> None:
         """Leave the graph as it has to be at the end of a swap."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _roll_back(self, why: str) -> State:
-        raise NotImplementedError
+        """Begin the way back; returns its first state."""
 
     @property
     def _name(self) -> str:

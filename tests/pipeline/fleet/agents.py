@@ -15,6 +15,23 @@ from pipeline.protocol import fleet as wire
 
 SAMPLES = ("Ticker", "Pass", "PassEvery", "Pair", "Steer", "Count")
 ALLOWED = {f"tests.samples:{name}": ANY for name in SAMPLES}
+DUO = """
+name: duo
+hosts: [eye, brain]
+nodes:
+  capture:
+    operator: tests.samples:Ticker
+    host: eye
+    settings: {rate_hz: 30}
+  work:
+    operator: tests.samples:Pass
+    host: brain
+    inputs: {frame: capture.context}
+  count:
+    operator: tests.samples:Count
+    host: brain
+    inputs: {frame: work}
+"""
 TRIO = """
 name: trio
 hosts: [sensor, compute, viewer]

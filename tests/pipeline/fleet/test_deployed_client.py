@@ -28,6 +28,7 @@ from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode_answer
 from pipeline.protocol.orders import TopologyResult
 from tests.pipeline.fleet.agents import (
+    DUO,
     Running,
     agents,
     fleet_of,
@@ -39,23 +40,6 @@ from tests.pipeline.fleet.agents import (
 )
 from tests.sample_graphs import until
 
-DUO = """
-name: duo
-hosts: [eye, brain]
-nodes:
-  capture:
-    operator: tests.samples:Ticker
-    host: eye
-    settings: {rate_hz: 30}
-  work:
-    operator: tests.samples:Pass
-    host: brain
-    inputs: {frame: capture.context}
-  count:
-    operator: tests.samples:Count
-    host: brain
-    inputs: {frame: work}
-"""
 MORE = """
 nodes:
   second:

@@ -11,30 +11,16 @@ from pipeline.client.find import find
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.deploy import Fleet, down, remembered, up
 from tests.json_answers import ANSWERS, check
-from tests.pipeline.fleet.agents import agents, fleet_of, handled, plan_of, state_of
+from tests.pipeline.fleet.agents import DUO, agents, fleet_of, handled, plan_of, state_of
 from tests.sample_graphs import until
 
-DUO = """
-name: duo
-hosts: [eye, brain]
-nodes:
-  capture:
-    operator: tests.samples:Ticker
-    host: eye
-    settings: {rate_hz: 30}
+SPARE = """\
   spare:
     operator: tests.samples:Count
     host: eye
     inputs: {frame: capture.roi}
-  work:
-    operator: tests.samples:Pass
-    host: brain
-    inputs: {frame: capture.context}
-  count:
-    operator: tests.samples:Count
-    host: brain
-    inputs: {frame: work}
 """
+GRAPH = DUO.replace("  work:\n", f"{SPARE}  work:\n")
 TALLY = """
 nodes:
   tally:
@@ -52,7 +38,7 @@ LABELS = ("eye", "brain")
 @pytest.fixture
 def fleet(tmp_path: Path) -> Iterator[Fleet]:
     with agents(tmp_path, *LABELS), fleet_of(*LABELS) as fleet:
-        up(fleet, plan_of(tmp_path, DUO))
+        up(fleet, plan_of(tmp_path, GRAPH))
         (tmp_path / "tally.yaml").write_text(TALLY)
         until(lambda: handled(fleet, "brain", "count", "duo") > 10)
         yield fleet
