@@ -1,24 +1,21 @@
 """`fovea agent`: runs on a host, takes graphs from those it knows, runs its part of each.
 
-What is asked comes by one key per asker, which the access list ties to its certificate. What looks
-is answered by the main thread, what starts and stops by another, each from a bounded queue; clocks
-and accounts, which cannot wait, are answered where they come in.
+A question comes by one key per asker, which the access list ties to its certificate. What looks
+at graphs is answered by the main thread, what starts and ends them by another.
 """
 
 import logging
-import queue
 import threading
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from pipeline.bus.network import Network
-from pipeline.bus.session import OnBytes, Session
+from pipeline.bus.session import Session
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.fleet.agent_file import GraphStore, HostConfig
-from pipeline.fleet.hosted_graph import HostedGraph, change, identity_of, planned
+from pipeline.fleet.hosted_graph import HostedGraph, Inspected, change, identity_of, planned
+from pipeline.fleet.inspection import Inspector
 from pipeline.fleet.links import (
     agent_permits,
     asker_permits,
@@ -29,36 +26,22 @@ from pipeline.fleet.links import (
     own_end_points,
 )
 from pipeline.fleet.names import ANYBODY, agent_key, endpoint, endpoint_host, host_identity
-from pipeline.fleet.placement import DIGEST_PREFIX, check_fingerprints, inspect
+from pipeline.fleet.placement import DIGEST_PREFIX, permitted
+from pipeline.fleet.questions import Question, Questions
 from pipeline.fleet.relay import NodeGateway, TapRelay, check_here
 from pipeline.fleet.status import state_of
 from pipeline.graph.plan import Plan
 from pipeline.naming import check_name
 from pipeline.protocol import fleet as wire
-from pipeline.protocol.codec import MOST_BYTES, ControlMessage, decode, encode, refused
+from pipeline.protocol.codec import ControlMessage, decode
 from pipeline.protocol.fleet import Named, Prepare, Prepared, Start
 from pipeline.run.logs import log_lines
 from pipeline.run.reaper import Reaper
-from pipeline.text import error_text
 
-WAITING = 64  # questions; more are refused at once
 MOST_GRAPHS = 8
 MOST_LINES = 1000
-TICK_S = 0.1
-WARN_S = 1.0
-SLOW = ("prepare", "start", "down", "weights", "replan")  # what loads, begins, ends
-
 Act = Callable[[bytes], ControlMessage | None]
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class _Question:
-    verb: str
-    asker: str
-    data: bytes
-    reply: OnBytes
-    sends: bool = False  # weights: it holds the one place that there is for them
 
 
 class Agent:
@@ -71,14 +54,12 @@ class Agent:
         self._allowed = own.allowed
         self._gateway = NodeGateway(self._allowed, own.file.settings)
         self._taps = TapRelay()
-        self._looks: queue.Queue[_Question] = queue.Queue(WAITING)
-        self._works: queue.Queue[_Question] = queue.Queue(WAITING)
-        self._sending = threading.BoundedSemaphore(1)  # weights are big: one file at a time
+        self._questions = Questions()
         self.hosted: dict[str, HostedGraph] = {}
         self._stop = threading.Event()
-        self._quiet_until_s = 0.0
         own.state.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._store = GraphStore(own.state)
+        self._inspector = Inspector(own.state, self._stop.is_set, reaper)
         self._identities = own.identities if self._credentials else (ANYBODY, *own.identities)
         permits = agent_permits(self.label, self._identities)
         self._session = Session.across(self._network((own.endpoint,), permits=permits))
@@ -110,22 +91,21 @@ class Agent:
         worker = threading.Thread(target=self._work, name="works")
         worker.start()
         log.info("host %s listens at %s", self.label, self.host.endpoint)
-        self._answer_all(self._looks)
+        self._answer_all(slow=False)
         worker.join()
 
     def _work(self) -> None:
         for name in self._store.names():
             self._guarded(partial(self._resume, name))
-        self._answer_all(self._works)
+        self._answer_all(slow=True)
 
-    def _answer_all(self, questions: "queue.Queue[_Question]") -> None:
+    def _answer_all(self, *, slow: bool) -> None:
         while not self._stop.is_set():
-            try:
-                question = questions.get(timeout=TICK_S)
-            except queue.Empty:
-                self._taps.tidy()
-                continue
-            self._guarded(partial(self._answer, question))
+            self._guarded(partial(self._answer_next, slow))
+
+    def _answer_next(self, slow: bool) -> None:
+        if not self._questions.answer_next(self._answer, slow=slow):
+            self._taps.tidy()
 
     def _guarded(self, act: Callable[[], None]) -> None:
         try:
@@ -143,47 +123,22 @@ class Agent:
             return
         self._served.add(identity)
         keys = agent_key(self.label, identity, "**")
-        self._session.serve(keys, partial(self._asked, identity))
+        self._session.serve(keys, partial(self._questions.put, identity))
         if identity.startswith("host."):
             self._session.hear(keys, partial(self._told, identity.removeprefix("host.")))
 
-    def _asked(self, identity: str, key: str, data: bytes, reply: OnBytes) -> None:
-        """On the transport's thread."""
-        verb = key.rpartition("/")[2]
-        if verb == "ping" and len(data) < 64:
-            came_ns = time.monotonic_ns()
-            try:
-                sent_ns = decode(wire.Ping, data).sent_ns
-            except MessageError:
-                return
-            reply(encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
-            return
-        weights = verb == "weights" and not identity.startswith("host.")
-        if len(data) > MOST_BYTES and not weights:
-            reply(encode(refused(f"expected up to {MOST_BYTES} bytes, got {len(data)}")))
-            return
-        if weights and not self._sending.acquire(blocking=False):
-            reply(encode(refused("busy: it takes weights from somebody else")))
-            return
-        try:
-            queue_ = self._works if verb in SLOW else self._looks
-            queue_.put_nowait(_Question(verb, identity, data, reply, sends=weights))
-        except queue.Full:
-            if weights:
-                self._sending.release()
-            reply(encode(refused("busy: too many questions wait")))
-
     def _told(self, label: str, key: str, data: bytes) -> None:
-        """Likewise: another host tells of its accounts."""
+        """On the transport's thread: another host tells of its accounts."""
         hosted = self.hosted.get(key.rpartition("/")[2])
         if hosted is None:
             return
         try:
             hosted.hear(label, decode(wire.Accounts, data))
         except MessageError as error:
-            self._warn_once(f"accounts of {label}: {error}")
+            self._questions.warn_once(f"accounts of {label}: {error}")
 
-    def _answer(self, question: _Question) -> None:
+    def _answer(self, question: Question) -> ControlMessage | None:
+        """The answer; None where another thread gives it, when it is done."""
         verbs: Mapping[str, Act] = {
             "about": self._about, "prepare": self._prepare, "start": self._start,
             "down": self._down, "state": self._state, "log": self._log, "weights": self._weights,
@@ -193,27 +148,9 @@ class Agent:
         }  # fmt: skip
         of_hosts: Mapping[str, Act] = {"recall": partial(self._recall, question)}
         known = of_hosts if question.asker.startswith("host.") else verbs
-        try:
-            if question.verb not in known:
-                raise RunError(f"{question.asker} may not {question.verb} here")
-            answer = known[question.verb](question.data)
-            if answer is not None:  # else another thread answers, when it is done
-                question.reply(encode(answer))
-        except FoveaError as error:
-            self._warn_once(f"refused {question.verb} to {question.asker}: {error}")
-            question.reply(encode(refused(str(error))))
-        except Exception as error:  # by what code or settings of a graph do: the others go on
-            log.exception("%s of %s broke", question.verb, question.asker)
-            question.reply(encode(refused(f"{question.verb} broke: {error_text(error)}")))
-        finally:
-            if question.sends:
-                self._sending.release()
-
-    def _warn_once(self, why: str) -> None:
-        """Into the log, as often as somebody can read it."""
-        if time.monotonic() > self._quiet_until_s:
-            self._quiet_until_s = time.monotonic() + WARN_S
-            log.warning("%s", why)
+        if question.verb not in known:
+            raise RunError(f"{question.asker} may not {question.verb} here")
+        return known[question.verb](question.data)
 
     def _about(self, data: bytes) -> wire.About:
         decode(wire.Nothing, data)
@@ -227,7 +164,8 @@ class Agent:
         if missing:
             return Prepared({}, missing)
         self._check_free(plan, replace=asked.replace)
-        local = self._inspected(plan, asked.fingerprints)
+        local = self._permitted(plan)
+        self._inspector.prepare(local, asked.fingerprints)
         return Prepared(self._free_end_points(local))
 
     def _start(self, data: bytes) -> wire.Accepted:
@@ -272,30 +210,30 @@ class Agent:
         digests = decode(wire.Lacks, data).digests
         return wire.Missing(self._allowed.missing([DIGEST_PREFIX + d for d in digests]))
 
-    def _node(self, question: _Question, data: bytes) -> None:
+    def _node(self, question: Question, data: bytes) -> None:
         asked = decode(wire.ToNode, data)
         self._gateway.ask(self._hosted(asked.graph), asked, question.reply)
 
-    def _swap(self, question: _Question, data: bytes) -> None:
+    def _swap(self, question: Question, data: bytes) -> None:
         asked = decode(wire.Change, data)
         self._gateway.swap(self._hosted(asked.graph), asked.order, question.reply)
 
     def _plan(self, data: bytes) -> wire.Planned:
         return planned(self._hosted(decode(Named, data).graph), self._store)
 
-    def _replan(self, question: _Question, data: bytes) -> None:
+    def _replan(self, question: Question, data: bytes) -> None:
         asked = decode(wire.PlanChange, data)
         self._check_versions(asked.versions)
         hosted = self._hosted(asked.graph)
         change(hosted, asked, self._store, self._inspected, question.reply)
 
-    def _tap(self, question: _Question, data: bytes) -> None:
+    def _tap(self, question: Question, data: bytes) -> None:
         asked = decode(wire.TapQuestion, data)
         hosted = self._hosted(asked.graph)
         fetch = partial(self._taps.fetch, hosted, asked, question.asker)
         self._gateway.submit(fetch, question.reply)
 
-    def _recall(self, question: _Question, data: bytes) -> wire.Accounts:
+    def _recall(self, question: Question, data: bytes) -> wire.Accounts:
         hosted = self._hosted(decode(Named, data).graph)
         peer = hosted.peers.get(question.asker.removeprefix("host."))
         if peer is None or hosted.supervisor is None:
@@ -322,9 +260,12 @@ class Agent:
         if theirs != (ours := wire.Versions.ours()):
             raise RunError(f"expected {theirs}, got {ours} here")
 
-    def _inspected(self, plan: Plan, fingerprints: Mapping[str, str]) -> Plan:
-        local = inspect(plan, self.label, self._allowed, self.host.file.settings)
-        check_fingerprints(local, self.label, fingerprints)
+    def _inspected(self, plan: Plan, fingerprints: Mapping[str, str]) -> Inspected:
+        local = self._permitted(plan)
+        return local, self._inspector.begin(local, fingerprints)
+
+    def _permitted(self, plan: Plan) -> Plan:
+        local = permitted(plan, self.label, self._allowed, self.host.file.settings)
         check_credentials(local, self._credentials)
         return local
 
@@ -334,7 +275,7 @@ class Agent:
         plan = asked.plan
         self._check_free(plan, replace=True)
         self._check_partners(plan, asked)
-        local = self._inspected(plan, asked.fingerprints)
+        local, ports = self._inspected(plan, asked.fingerprints)
         own = own_end_points(local, self._free_end_points(local), asked.endpoints)
         self._check_unused(local, own)
         identity = host_identity(self.label)
@@ -344,6 +285,7 @@ class Agent:
                 self._serve(host_identity(other))
         return HostedGraph(
             plan=local,
+            ports=ports,
             fingerprint=identity_of(asked),
             networks=networks(local, own, asked.endpoints, self._credentials),
             hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},

@@ -29,11 +29,11 @@ from pipeline.fleet.placement import (
     MOST_WEIGHTS_BYTES,
     check_labels,
     file_digest,
-    fingerprints,
     is_path,
 )
 from pipeline.fleet.secure import ADDRESSES, Credentials
 from pipeline.graph.plan import Plan
+from pipeline.graph.ports import fingerprints
 from pipeline.naming import check_name
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, decode_answer, encode

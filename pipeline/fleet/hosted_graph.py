@@ -22,6 +22,7 @@ from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.agent_file import GraphStore
 from pipeline.fleet.peers import Peer, Replication, adopt
 from pipeline.graph.plan import Edge, Plan
+from pipeline.graph.ports import Ports
 from pipeline.node.wiring import CLOCKS
 from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import decode, encode, refused
@@ -39,7 +40,8 @@ END_S = 20.0  # stopping takes as long as the slowest operator's close
 AGAIN_S = (1.0, 30.0)  # first and longest pause before a graph that worked once begins again
 STARTS_EPOCHS = 1000  # between two starts of a host, so that what an earlier one sent is told apart
 log = logging.getLogger(__name__)
-Inspect = Callable[[Plan, Mapping[str, str]], Plan]  # what it would run here; raises for what not
+Inspected = tuple[Plan, Mapping[str, Ports]]  # what this host would run; ports by `module:Class`
+Inspect = Callable[[Plan, Mapping[str, str]], Inspected]  # raises for what may not run here
 Ends = tuple[str, str, str, str]
 
 
@@ -48,6 +50,7 @@ class HostedGraph:
     """This host's part of a graph, from start to end. Any thread may call `stop` and `end`."""
 
     plan: Plan
+    ports: Mapping[str, Ports]  # of the operators here, which the agent does not import
     fingerprint: str  # of the graph as it was asked for; hosts that run another do not replicate
     networks: Mapping[str, Network]
     hosts: Mapping[str, str]  # label -> end point of the agent
@@ -122,7 +125,7 @@ class HostedGraph:
             self._proven = self._proven or starts > 1
             supervisor = Supervisor(
                 self.plan, folder=self.folder, first_epoch=starts * STARTS_EPOCHS,
-                may_go=self._may_go, reaper=self.reaper,
+                may_go=self._may_go, reaper=self.reaper, ports=self.ports,
             )  # fmt: skip
             with supervisor:
                 self._begin_clocks(supervisor)
@@ -230,14 +233,14 @@ def change(
     known = {**before.fingerprints, **asked.fingerprints}
     origins = {edge.origin for edge in asked.plan.edges}  # the state does not grow beyond these
     fingerprints = {origin: said for origin, said in known.items() if origin in origins}
-    local = inspect(asked.plan, fingerprints)
+    local, ports = inspect(asked.plan, fingerprints)
     start = msgspec.structs.replace(
         before, plan=asked.plan, fingerprints=fingerprints, identity=identity_of(before)
     )
 
     def done(result: bytes) -> None:
         if not isinstance(decode(RESULT, result), Refused):
-            hosted.plan = local
+            hosted.plan, hosted.ports = local, ports
             try:
                 store.keep(name, start)
             except FoveaError as error:

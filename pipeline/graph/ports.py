@@ -1,13 +1,15 @@
 """What operators take and give, and whether that is what the edges of a plan say.
 
-The loader makes plans that pass; one that came from elsewhere is looked at before anything starts.
+The loader makes plans that pass; a plan that came from elsewhere is checked before anything starts.
 A supervisor imports nothing for that: the processes that import operators tell their ports.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from pipeline.contract import Source, inputs_of, outputs_of
+from pipeline import codec
+from pipeline import settings as checked
+from pipeline.contract import Source, inputs_of, outputs_of, settings_of
 from pipeline.errors import GraphError, SettingsError
 from pipeline.graph.plan import Edge, Node, Plan, load_operator
 from pipeline.settings import suggest
@@ -68,6 +70,38 @@ def check_ports(
         for name, port in ports_of(node).inputs.items():
             if name not in given and port.join and not (port.optional or port.command):
                 raise GraphError(f"{node.name}.inputs.{name}: required, got nothing")
+
+
+def check_operators(plan: Plan) -> None:
+    """Import the operators of this host; raise `FoveaError` unless they and their settings fit."""
+    for node in filter(plan.is_here, plan.nodes):
+        checked.build(settings_of(load_operator(node.operator)), node.settings, node.name)
+    check_ports(plan, plan.is_here)
+
+
+def fingerprints(plan: Plan) -> dict[str, str]:
+    """The fingerprints of the messages that nodes of this host send and expect, by
+    `node.output`; their operators are imported."""
+    found: dict[str, str] = {}
+    for edge in plan.edges:
+        source, target = plan.node(edge.source), plan.node(edge.target)
+        if plan.is_here(source):
+            message = outputs_of(load_operator(source.operator))[edge.output]
+            found[edge.origin] = codec.fingerprint(message).hex()
+        if plan.is_here(target):
+            message = inputs_of(load_operator(target.operator))[edge.input].message
+            found[edge.origin] = codec.fingerprint(message).hex()
+    return found
+
+
+def check_fingerprints(plan: Plan, theirs: Mapping[str, str]) -> None:
+    """Raise `GraphError` where this host would read or write another message than is meant."""
+    for origin, mine in fingerprints(plan).items():
+        if theirs.get(origin) != mine:
+            raise GraphError(
+                f"{origin}: expected messages of schema {theirs.get(origin, 'none')}, got {mine} "
+                "here; install the same version on all hosts"
+            )
 
 
 def message_path(message: type) -> str:

@@ -28,7 +28,7 @@ from pipeline.bus.session import Session
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, load_operator
-from pipeline.graph.ports import declared_ports
+from pipeline.graph.ports import check_fingerprints, check_operators, declared_ports
 from pipeline.module_files import module_files
 from pipeline.node.control import Control
 from pipeline.node.handover import Say
@@ -54,6 +54,7 @@ from pipeline.protocol.supervision import (
     Headline,
     Idle,
     Imported,
+    Inspect,
     Instruction,
     Leaving,
     NodeInstruction,
@@ -97,7 +98,7 @@ class Process:
         try:
             self._check()
             if self._job.trial:
-                return self.say(Fits(self._imported()))
+                return self.say(Fits(_imported(self._nodes)))
             for node in self._nodes:
                 if not self._job.standby:
                     account = self._ledger.nodes[node.index]
@@ -115,7 +116,7 @@ class Process:
             ]
             gc.collect()
             gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
-            self.say(Ready(loaded_s - began_s, self._imported()))
+            self.say(Ready(loaded_s - began_s, _imported(self._nodes)))
             self._run_all()
         except BaseException as error:  # an operator may raise SystemExit, a library panic
             self.report(error)
@@ -130,11 +131,6 @@ class Process:
                 check_fit(self._job.plan, node, contract)
             if contract or self._job.trial:
                 self._make(node)
-
-    def _imported(self) -> Imported:
-        operators = {node.operator for node in self._nodes}
-        files = list(islice(module_files(), MOST_FILES))
-        return Imported({o: declared_ports(o) for o in operators}, files)
 
     def stop(self) -> None:
         """Let every runner return."""
@@ -216,12 +212,9 @@ class Process:
 
         The log has each with its traceback.
         """
-        with contextlib.suppress(Exception):  # an exception of an operator's own may do anything
-            traceback.print_exception(error)
-        expected = isinstance(error, FoveaError)
+        failed = _failed(error)
         if not self.failed:
-            said = said_by(error) if expected else error_text(error)
-            self.say(Failed(said, expected))
+            self.say(failed)
         self.failed = True
 
     def _tell_summary(self, node: Node, operator: Operator[Any, Any]) -> None:
@@ -271,6 +264,8 @@ def _work(control: Control) -> bool:
     control.say(Idle())
     instructions = control.instructions()
     job = next(instructions, None)
+    if isinstance(job, Inspect):
+        return _inspect(job, control.say)
     if not isinstance(job, Assignment):
         _leave(0, alone=True)  # a spare that was not needed
     first = max(job.epochs.values()) == 1 and not job.trial
@@ -293,6 +288,32 @@ def _work(control: Control) -> bool:
     threading.Thread(target=_obey, args=(process, control, instructions), daemon=True).start()
     process.run()
     return process.failed
+
+
+def _inspect(job: Inspect, say: Say) -> bool:
+    """Import what a plan names and tell whether it fits; returns whether it failed."""
+    try:
+        check_operators(job.plan)
+        check_fingerprints(job.plan, job.fingerprints)
+        say(Fits(_imported(filter(job.plan.is_here, job.plan.nodes))))
+    except BaseException as error:  # a module may raise SystemExit, a library panic
+        say(_failed(error))
+        return True
+    return False
+
+
+def _imported(nodes: Iterable[Node]) -> Imported:
+    operators = {node.operator for node in nodes}
+    files = list(islice(module_files(), MOST_FILES))
+    return Imported({o: declared_ports(o) for o in operators}, files)
+
+
+def _failed(error: BaseException) -> Failed:
+    """The event for an error, which goes into the log with its traceback."""
+    with contextlib.suppress(Exception):  # an exception of an operator's own may do anything
+        traceback.print_exception(error)
+    expected = isinstance(error, FoveaError)
+    return Failed(said_by(error) if expected else error_text(error), expected)
 
 
 def _on_thread(process: Process, broken: threading.ExceptHookArgs) -> None:
@@ -350,7 +371,7 @@ def _obey(process: Process, control: Control, instructions: Iterator[Instruction
             process.finish()
         elif isinstance(told, Stop):
             break
-        elif not isinstance(told, Assignment):
+        elif isinstance(told, NodeInstruction):
             process.do(told)
     process.stop()
     threading.Event().wait(FAREWELL_S)

@@ -1,7 +1,7 @@
 """Supervisor to node process, and back: what it is to do, what happens there.
 
-The first instruction is an `Assignment`, the last event is `Leaving`. Each is a line on the socket
-between the two (`pipeline.protocol.lines`).
+The first instruction is an `Assignment` or an `Inspect`, the last event is `Leaving`. Each is a
+line on the socket between the two (`pipeline.protocol.lines`).
 """
 
 from pathlib import Path
@@ -69,6 +69,14 @@ class Assignment(ControlMessage, frozen=True, kw_only=True):
         return [*receivers, f"{self.instance}.sock", f"{self.instance}.sock.lock"]
 
 
+class Inspect(ControlMessage, frozen=True):
+    """Instead of an assignment: do the operators of this host fit their plan? Answered by `Fits`
+    or `Failed`; the process ends."""
+
+    plan: Plan
+    fingerprints: dict[str, str]  # of the messages that are meant, by `node.output`
+
+
 class Go(ControlMessage, frozen=True):
     """Begin: everything that was waited for is there."""
 
@@ -118,7 +126,7 @@ class Confirm(ControlMessage, frozen=True):
 
 
 NodeInstruction = Replan | Cut | Uncut | Resume | Confirm
-Instruction = Assignment | Go | Finish | Stop | NodeInstruction
+Instruction = Assignment | Inspect | Go | Finish | Stop | NodeInstruction
 INSTRUCTION: Kind[Instruction] = Kind("an instruction", Instruction, MOST_INSTRUCTION_BYTES)
 
 
@@ -127,7 +135,7 @@ class Idle(ControlMessage, frozen=True):
 
 
 class Fits(ControlMessage, frozen=True):
-    """A trial: operators and settings fit."""
+    """Operators and settings fit: the answer to a trial and to `Inspect`."""
 
     imported: Imported = Imported()
 

@@ -5,7 +5,7 @@ What supervises them, and what changes them while they run, stand on this.
 
 import logging
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -40,11 +40,13 @@ class ProcessManager:
     def __init__(
         self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0,
         may_go: MayGo = always, reaper: Reaper | None = None,
+        ports: Mapping[str, Ports] | None = None,
     ) -> None:  # fmt: skip
         """`folder`: where it runs, else the graph's name; epochs begin after the first one.
 
         `may_go`: what a process that is ready waits for beyond the readers of its sources.
-        `reaper`: of this process, if it may adopt what nodes leave behind.
+        `reaper`: of this process, if it may adopt what nodes leave behind. `ports`: of the plan's
+        operators, by `module:Class`; without them the operators are imported.
         """
         self._may_go, self.reaper = may_go, reaper
         self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
@@ -52,7 +54,7 @@ class ProcessManager:
         names = [name for n in plan.nodes for name in (n.name, n.process)]
         check_addresses(folder_of(folder or plan.name), names)
         here = filter(plan.is_here, plan.nodes)  # what loaded the plan has imported them
-        self._ports = {n.operator: declared_ports(n.operator) for n in here}
+        self._ports = dict(ports or {n.operator: declared_ports(n.operator) for n in here})
         self.run_folder = RunFolder.claim(folder or plan.name)
         try:
             self.ledger = Ledger.create(self.run_folder.memory, len(plan.edges), len(plan.nodes))

@@ -9,12 +9,13 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from pipeline.bus.ledger import Ledger
 from pipeline.bus.session import Session
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
+from pipeline.graph.ports import Ports
 from pipeline.protocol.orders import GRAPH
 from pipeline.protocol.supervision import (
     Event,
@@ -52,11 +53,12 @@ class Supervisor:
     def __init__(
         self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0,
         may_go: MayGo = always, reaper: Reaper | None = None,
+        ports: Mapping[str, Ports] | None = None,
     ) -> None:  # fmt: skip
         """As for a `ProcessManager`; takes orders from now on."""
         self.manager = ProcessManager(
             plan, frames=frames, folder=folder, first_epoch=first_epoch, may_go=may_go,
-            reaper=reaper,
+            reaper=reaper, ports=ports,
         )  # fmt: skip
         self.health = HealthMonitor(self.manager.ledger)
         try:

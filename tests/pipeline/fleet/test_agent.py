@@ -199,7 +199,7 @@ def test_a_host_that_ends_is_told_and_takes_its_part_up_again(
 
     until(lambda: not seen()["viewer"])
     until(lambda: isinstance(fleet.states("trio")["viewer"], list))
-    until(lambda: state_of(fleet, "viewer").phase == "running")
+    until(lambda: phases(fleet, "viewer") == ["running"])
     until(lambda: handled(fleet, "viewer", "count") > 10)
     down("trio", fleet.hosts)
 
@@ -237,15 +237,15 @@ def test_two_graphs_share_a_host_and_both_go_on_after_it_began_again(
         down(name, fleet.hosts)
 
 
-def test_code_of_an_operator_that_breaks_breaks_no_agent(
+def test_a_mistake_while_a_question_is_answered_ends_no_agent(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> None:
-        raise OverflowError("by some settings' own checks")
+        raise OverflowError("by whatever was overlooked")
 
     plan = plan_of(tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.fleet.agent.inspect", broken)
+        patch.setattr("pipeline.fleet.agent.permitted", broken)
         with pytest.raises(RunError, match="prepare broke: Overflow"):
             up(fleet, plan)
 

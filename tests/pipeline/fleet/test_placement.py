@@ -16,20 +16,24 @@ from pipeline.fleet.peers import DRIFT, READ, WRITTEN, Offset, Replication, adop
 from pipeline.fleet.placement import (
     DIGEST_PREFIX,
     Allowed,
-    check_fingerprints,
     check_labels,
     code_digest,
-    fingerprints,
-    inspect,
     listeners,
+    permitted,
     plan_for,
 )
 from pipeline.graph.plan import Plan
-from pipeline.graph.ports import declared_ports
+from pipeline.graph.ports import check_fingerprints, check_operators, declared_ports, fingerprints
 from pipeline.node.port_contract import contract_of
 from pipeline.protocol.codec import MARKER, TAG, VERSION, decode, encode
 from pipeline.protocol.fleet import Accounts, Prepare, Versions
 from tests.pipeline.fleet.agents import ALLOWED, TRIO, plan_of
+
+
+def inspect(plan: Plan, label: str, allowed: Allowed, over: dict[str, Any]) -> Plan:
+    local = permitted(plan, label, allowed, over)
+    check_operators(local)
+    return local
 
 
 def allowed(folder: Path, **weights: Path | None) -> Allowed:
@@ -238,8 +242,8 @@ def test_another_schema_is_refused_with_both_sides(tmp_path: Path) -> None:
     theirs = {**fingerprints(plan), "capture.context": "00" * 8}
 
     with pytest.raises(GraphError, match=r"capture\.context: expected messages of schema 0000"):
-        check_fingerprints(plan_for(plan, "compute"), "compute", theirs)
-    check_fingerprints(plan_for(plan, "compute"), "compute", fingerprints(plan))
+        check_fingerprints(plan_for(plan, "compute"), theirs)
+    check_fingerprints(plan_for(plan, "compute"), fingerprints(plan))
 
 
 def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:

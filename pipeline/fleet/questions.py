@@ -1,0 +1,106 @@
+"""The questions to an agent: bounded queues, and one reply to each, whatever the answer does.
+
+What looks at graphs waits in one queue, what starts and ends them in another, each answered by a
+thread of its own. The time of a clock, which cannot wait, is answered where the question comes in.
+"""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pipeline.bus.session import OnBytes
+from pipeline.errors import FoveaError, MessageError
+from pipeline.protocol import fleet as wire
+from pipeline.protocol.codec import MOST_BYTES, ControlMessage, decode, encode, refused
+from pipeline.text import error_text
+
+WAITING = 64  # questions in a queue; more are refused at once
+TICK_S = 0.1
+WARN_S = 1.0
+SLOW = ("prepare", "start", "down", "weights", "replan")  # what loads, begins, ends
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Question:
+    """What one asks, and the way back."""
+
+    verb: str
+    asker: str  # its identity
+    data: bytes
+    reply: OnBytes
+    sends: bool = False  # weights: it holds the one place that there is for them
+
+
+Answer = Callable[[Question], ControlMessage | None]  # None: another thread replies
+
+
+class Questions:
+    """Those that wait. Any thread may call anything here."""
+
+    def __init__(self) -> None:
+        self._looks: queue.Queue[Question] = queue.Queue(WAITING)
+        self._works: queue.Queue[Question] = queue.Queue(WAITING)
+        self._sending = threading.BoundedSemaphore(1)  # weights are big: one file at a time
+        self._quiet_until_s = 0.0
+
+    def put(self, asker: str, key: str, data: bytes, reply: OnBytes) -> None:
+        """Let a question wait, or reply at once; the last part of its key is the verb."""
+        verb = key.rpartition("/")[2]
+        if verb == "ping" and len(data) < 64:
+            _reply_time(data, reply)
+            return
+        weights = verb == "weights" and not asker.startswith("host.")
+        if len(data) > MOST_BYTES and not weights:
+            reply(encode(refused(f"expected up to {MOST_BYTES} bytes, got {len(data)}")))
+            return
+        if weights and not self._sending.acquire(blocking=False):
+            reply(encode(refused("busy: it takes weights from somebody else")))
+            return
+        try:
+            waiting = self._works if verb in SLOW else self._looks
+            waiting.put_nowait(Question(verb, asker, data, reply, sends=weights))
+        except queue.Full:
+            if weights:
+                self._sending.release()
+            reply(encode(refused("busy: too many questions wait")))
+
+    def answer_next(self, answer: Answer, *, slow: bool) -> bool:
+        """Answer one of the slow or of the other questions; False when none came for a moment."""
+        waiting = self._works if slow else self._looks
+        try:
+            question = waiting.get(timeout=TICK_S)
+        except queue.Empty:
+            return False
+        try:
+            message = answer(question)
+            if message is not None:
+                question.reply(encode(message))
+        except FoveaError as error:
+            self.warn_once(f"refused {question.verb} to {question.asker}: {error}")
+            question.reply(encode(refused(str(error))))
+        except Exception as error:  # a mistake of ours: the other questions are answered
+            log.exception("%s of %s broke", question.verb, question.asker)
+            question.reply(encode(refused(f"{question.verb} broke: {error_text(error)}")))
+        finally:
+            if question.sends:
+                self._sending.release()
+        return True
+
+    def warn_once(self, why: str) -> None:
+        """Warn, at most once a second: somebody shall be able to read it."""
+        if time.monotonic() > self._quiet_until_s:
+            self._quiet_until_s = time.monotonic() + WARN_S
+            log.warning("%s", why)
+
+
+def _reply_time(data: bytes, reply: OnBytes) -> None:
+    came_ns = time.monotonic_ns()
+    try:
+        sent_ns = decode(wire.Ping, data).sent_ns
+    except MessageError:
+        return
+    reply(encode(wire.Pong(sent_ns, came_ns, time.monotonic_ns())))
