@@ -1,8 +1,8 @@
 """Listen to an output from outside the graph: descriptors in, headers and small values out.
 
 A tap has no account in the graph and never reads the frame pool: of large arrays it reports only
-dtype and shape. So it can neither hold a slot nor lose a message because a slot was reused. It counts
-the messages that it misses, since every message has an ordinal.
+dtype and shape. So it can neither hold a slot nor lose a message because a slot was reused. It
+counts the messages that it misses, since every message has an ordinal.
 """
 
 import queue

@@ -4,8 +4,8 @@
 
     report = fovea.load("tracking").run(frames=100)
 
-`load` takes a shipped graph or a file; `drive` calls one operator by hand. The other names are those
-of `pipeline` for writing an operator. Names are imported on first use.
+`load` takes a shipped graph or a file; `drive` calls one operator by hand. All other names are from
+`pipeline`, for writing operators. Names are imported on first use.
 """
 
 from importlib import import_module
