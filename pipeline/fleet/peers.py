@@ -191,7 +191,7 @@ class Peer:
     def __init__(
         self, graph: str, own: str, replication: Replication, reading: Reading, way: Network
     ) -> None:
-        """`own`: this host's label; `reading`: of the other's clock; `way`: network to its agent."""
+        """`own`: this host's label; `reading`: of the other's clock; `way`: network to it."""
         self.label, self._graph, self._own = replication.other, graph, own
         self.replication, self._reading = replication, reading
         self._offset = Offset()

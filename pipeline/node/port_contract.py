@@ -56,7 +56,7 @@ def _check_inputs(
                 f"{where}: expected {short(wants)}, got {short(message)} from {edge.origin}"
             )
         if (port.join, port.command) != (edge.join, edge.command):
-            raise GraphError(f"{where}: {node.operator} joins it otherwise than the running part")
+            raise GraphError(f"{where}: {node.operator} joins it unlike the running operator")
     for name, port in declared.items():
         if name not in contract.inputs and port.join and not (port.optional or port.command):
             raise GraphError(f"{node.name}.inputs.{name}: required, got nothing")

@@ -64,5 +64,5 @@ def test_an_order_that_breaks_is_refused_and_cleared_up() -> None:
     order = Broken()
     order.tick()
 
-    assert order.result == Refused("it broke: ZeroDivisionError: by design")
+    assert order.result == Refused("it failed: ZeroDivisionError: by design")
     assert cleared == [True]
