@@ -233,9 +233,9 @@ def _tables(result: dict[str, Any]) -> tuple[Table, Table]:
         f"{len(result['refused'])} refused; {result['frames']} frames; "
         f"lossless edges: {result['lost']} lost; "
         f"{result['doubled_commands']} commands doubled; {result['dropped_on_latest']} dropped "
-        f"where the latest counts; left out between the old instance's last output and the new one's "
-        f"first, on one input (messages: swaps) {result['left_out']}; {result['fps']:.1f} fps; "
-        f"restarts {sum(result['restarts'].values())}"
+        f"where the latest counts; left out between the old instance's last output and the "
+        f"new one's first, on one input (messages: swaps) {result['left_out']}; "
+        f"{result['fps']:.1f} fps; restarts {sum(result['restarts'].values())}"
     )
     memory = Table(title="the others, before -> after")
     for column in ("process", "RSS MB", "locked MB", "open files"):

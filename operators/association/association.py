@@ -1,8 +1,8 @@
 """Track objects: Detections -> Tracks, with gaps filled and the next frames predicted.
 
 Paper, section 3.3: Hungarian matching with the same class first, and a constant-velocity Kalman
-filter on the centre. As in the paper, the size is not in the filter's state; it is smoothed separately,
-since a velocity of the size, extrapolated over Tp frames, inflates boxes or inverts them.
+filter on the centre. As in the paper, the size is not in the filter's state; it is smoothed
+separately, since a velocity of the size, extrapolated over Tp frames, inflates or inverts boxes.
 """
 
 from dataclasses import dataclass, replace

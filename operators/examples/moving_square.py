@@ -35,7 +35,7 @@ class MovingSquareSettings:
 
 
 class MovingSquare(Source[MovingSquareSettings, Frame]):
-    """The square moves from left to right, repeatedly. There is no device: `open` starts a clock."""
+    """The square moves from left to right, repeatedly. Without a device, `open` starts a clock."""
 
     def open(self) -> None:
         """Begin a new stream; its new id makes the rest of the graph forget the former one."""
