@@ -1,4 +1,4 @@
-"""What swapping costs: `python -m bench.swap [GRAPH] --count 1000 [--json FILE]`.
+"""Measure swaps: `python -m bench.swap [GRAPH] --count 1000 [--json FILE]`.
 
 Runs a graph of processes in real time and swaps its parts again and again, each for the same part
 in a new process, while the stream of sensor commands is watched from outside. Printed: frames lost
@@ -92,7 +92,7 @@ def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], nodes: tuple[str, ...], count: int,
     probation: int, warm_s: float, pause_s: float, path: Path | None,
 ) -> None:  # fmt: skip
-    """Swap parts of a running graph so many times."""
+    """Swap nodes of a running graph repeatedly."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     swaps: list[dict[str, Any]] = []
     with Supervisor(plan) as supervisor:

@@ -1,4 +1,4 @@
-"""Nodes are placed by label, and a host runs only what it allows: nothing by the wire's word."""
+"""Nodes are placed by label, and a host runs only what its own lists allow."""
 
 import hashlib
 import sys

@@ -1,4 +1,4 @@
-"""A node to swap that has no processes: what a swap asks of it is noted, what it answers is set."""
+"""A fake swap target without processes: it records calls and returns preset results."""
 
 from dataclasses import dataclass, field
 from types import SimpleNamespace

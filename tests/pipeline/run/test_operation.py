@@ -1,4 +1,4 @@
-"""What an order waits for may be said by a process that has ended already."""
+"""An order also sees events of a process that has already ended."""
 
 from types import SimpleNamespace
 from typing import cast

@@ -1,4 +1,4 @@
-"""What goes wrong with a successor, or with the run, in the middle of a swap, is cleared away."""
+"""A failure of a successor or of the run during a swap leaves nothing behind."""
 
 from pathlib import Path
 from typing import Any

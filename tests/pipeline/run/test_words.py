@@ -1,4 +1,4 @@
-"""What nodes say is bounded and harmless where it is heard; their logs have it whole."""
+"""Texts from nodes are bounded and sanitised for readers; the nodes' logs have them whole."""
 
 import json
 import socket
