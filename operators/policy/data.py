@@ -47,7 +47,7 @@ class Recording:
     def __init__(self, path: Path) -> None:
         self._arrays = files.read(path)
         if self._arrays.get("geometry", np.zeros(0)).shape != (5,):
-            raise DriverError(f"{path}: expected a recording of this version, record it anew")
+            raise DriverError(f"{path}: expected a recording of this version; record it again")
         self.path = path
 
     def __len__(self) -> int:

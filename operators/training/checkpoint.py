@@ -69,7 +69,7 @@ def left(path: Path, identity: Identity) -> Mapping[str, Any]:
     before = state.get("settings")
     if not isinstance(before, Mapping) or not {"step", "elapsed_s"} <= set(state):
         raise WeightsError(
-            f"{path}: expected a checkpoint that tells its settings, got one of an earlier "
+            f"{path}: expected a checkpoint with its settings, got one of an earlier "
             "version; use another --out"
         )
     if other := differing(before, identity):

@@ -96,7 +96,7 @@ class DetachedRun:
         self.graph = graph
         facts = running().get(self.graph)
         if facts is None:
-            raise RunError(f"{self.graph}: expected it to run, got no facts of it")
+            raise RunError(f"{self.graph}: expected a running graph, got no record of it")
         self._noted = detached.begin(self.graph, facts["run"], os.getpid())
         output.flush()
         output.redirect(log_to(folder_of(self.graph) / detached.WORDS, fresh=True).fileno())

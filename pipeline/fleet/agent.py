@@ -298,7 +298,7 @@ class Agent:
         for label, point in asked.hosts.items():
             check_name(label, "hosts")
             if self._credentials and host_identity(label) not in self._identities:
-                raise RunError(f"{label} is not among the hosts that this one may speak with")
+                raise RunError(f"{label} is not among the hosts that this one may contact")
             endpoint(point, "hosts")
         others = {n.host for n in plan.nodes} - {self.label}
         if others - set(asked.hosts):

@@ -215,7 +215,7 @@ def _is_ready(supervisor: Supervisor) -> bool:
 def planned(hosted: HostedGraph, store: GraphStore) -> wire.Planned:
     """Return the plan that this host runs, and its revision."""
     if hosted.supervisor is None:
-        raise RunError(f"{hosted.plan.name}: does not run just now, try again")
+        raise RunError(f"{hosted.plan.name}: is not running now, try again")
     return wire.Planned(store.asked(hosted.plan.name).plan, hosted.supervisor.revision)
 
 
@@ -226,7 +226,7 @@ def change(
     """Change this host's part of the graph and reply when done; raises `FoveaError`."""
     name, supervisor = hosted.plan.name, hosted.supervisor
     if supervisor is None:
-        raise RunError(f"{name}: does not run just now, try again")
+        raise RunError(f"{name}: is not running now, try again")
     before = store.asked(name)
     check_inside(before.plan, asked.plan, hosted.plan.here)
     known = {**before.fingerprints, **asked.fingerprints}

@@ -212,7 +212,7 @@ def check_labels(plan: Plan, labels: Mapping[str, Any]) -> None:
     for label in sorted(used):
         if label not in labels:
             raise GraphError(
-                f"{plan.name}: no host {label} among the agents found"
+                f"{plan.name}: no host {label} among the known agents"
                 f"{checked.suggest(label, labels)}"
             )
 

@@ -58,7 +58,7 @@ class Questions:
             reply(encode(refused(f"expected up to {MOST_BYTES} bytes, got {len(data)}")))
             return
         if weights and not self._sending.acquire(blocking=False):
-            reply(encode(refused("busy: it takes weights from somebody else")))
+            reply(encode(refused("busy: it is receiving weights from another client")))
             return
         try:
             waiting = self._works if verb in SLOW else self._looks
@@ -66,7 +66,7 @@ class Questions:
         except queue.Full:
             if weights:
                 self._sending.release()
-            reply(encode(refused("busy: too many questions wait")))
+            reply(encode(refused("busy: too many questions are pending")))
 
     def answer_next(self, answer: Answer, *, slow: bool) -> bool:
         """Answer one slow or fast question; return False when none came for a moment."""
@@ -83,8 +83,8 @@ class Questions:
             self.warn_once(f"refused {question.verb} to {question.asker}: {error}")
             question.reply(encode(refused(str(error))))
         except Exception as error:  # a bug in the agent: keep answering other questions
-            log.exception("%s of %s broke", question.verb, question.asker)
-            question.reply(encode(refused(f"{question.verb} broke: {error_text(error)}")))
+            log.exception("%s of %s failed", question.verb, question.asker)
+            question.reply(encode(refused(f"{question.verb} failed: {error_text(error)}")))
         finally:
             if question.sends:
                 self._sending.release()

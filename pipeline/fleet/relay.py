@@ -71,7 +71,7 @@ class NodeGateway:
     def submit(self, answer: Callable[[], ControlMessage], reply: Reply) -> None:
         """Reply with the result of `answer` from another thread; raises `RunError` if busy."""
         if not self._room.acquire(blocking=False):
-            raise RunError("busy: too many questions wait for nodes")
+            raise RunError("busy: too many questions to nodes are pending")
         self._pool.submit(self._answer, answer, reply)
 
     def swap(self, hosted: HostedGraph, order: SwapOrder, reply: Reply) -> None:
@@ -79,7 +79,7 @@ class NodeGateway:
         check_here(hosted, order.node)
         supervisor = hosted.supervisor
         if supervisor is None:
-            raise RunError(f"{hosted.plan.name}: does not run just now, try again")
+            raise RunError(f"{hosted.plan.name}: is not running now, try again")
         if order.operator:
             self._allowed.check_code(order.operator, f"{order.node}.operator")
         changes = {**self._cleared_values(order.node, order.changes), **self._own(order.node)}
@@ -97,7 +97,7 @@ class NodeGateway:
             reply(encode(refused(str(error))))
         except Exception as error:
             log.exception("answering a question failed")
-            reply(encode(refused(f"it broke: {error_text(error)}")))
+            reply(encode(refused(f"it failed: {error_text(error)}")))
         finally:
             self._room.release()
 
@@ -193,7 +193,7 @@ class TapRelay:
         supervisor = hosted.supervisor
         check_here(hosted, asked.node)
         if supervisor is None:
-            raise RunError(f"{hosted.plan.name}: does not run just now, try again")
+            raise RunError(f"{hosted.plan.name}: is not running now, try again")
         name, output = check_name(asked.tap, "tap"), check_name(asked.output, "output")
         place = key_of(hosted.plan.name, asked.node, output)
         with self._asked((asker, name), place) as tap:

@@ -67,7 +67,7 @@ class Answers:
 
         def take(question: bytes, reply: OnBytes) -> None:
             if not self._runner.between(lambda: respond(name, kind, question, act, reply)):
-                reply(encode(refused(f"{name}: too many questions wait already")))
+                reply(encode(refused(f"{name}: too many questions are pending")))
 
         return take
 

@@ -74,7 +74,7 @@ class ControlServer:
         if isinstance(order, StopOrder):
             self._stop(reply)
         elif self._operation is not None:
-            raise RunError(f"{manager.plan.name}: another order is under way")
+            raise RunError(f"{manager.plan.name}: another order is in progress")
         else:
             self._operation = (
                 SwapOperation(manager, self._health, order)

@@ -168,7 +168,7 @@ class HotSwap(SwapMachine[HotState]):
         if not self._late(UNCUT_S) and not self._events.over(self._old):
             return S.TAKING_BACK
         self.owned = False
-        raise RunError(f"{self._name}: it did not come to a frame where it could be cut")
+        raise RunError(f"{self._name}: it did not reach a frame for the cut")
 
     def _taking_over(self) -> HotState:
         taken = self._events.heard(self._new.handle, TakenOver)

@@ -34,7 +34,7 @@ class SwapOperation(Operation):
         node = manager.plan.node(order.node)
         self._managed = manager.processes[node.process]
         if self._managed.handle is None or not self._managed.handle.going:
-            raise RunError(f"{order.node}: does not run just now, try again")
+            raise RunError(f"{order.node}: is not running now, try again")
         self._target = SwapTarget(manager, health, self._managed, node)
         hot = swappable(manager.plan, node) and not self._managed.sources
         self.facts |= {"node": order.node, "hot": hot}

@@ -64,7 +64,7 @@ class SwapTarget:
     def working(self) -> ProcessHandle:
         """Return the active process; raises `RunError` when there is none."""
         if self._managed.handle is None:
-            raise RunError(f"{self.node.name}: does not run just now, try again")
+            raise RunError(f"{self.node.name}: is not running now, try again")
         return self._managed.handle
 
     def is_working(self, handle: ProcessHandle) -> bool:

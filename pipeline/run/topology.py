@@ -259,7 +259,7 @@ def _numbered(manager: ProcessManager, plan: Plan) -> Plan:
                 raise RunError(f"{edge.end}: the policy of an edge cannot change while it runs")
     except StopIteration:
         raise RunError(
-            f"{plan.name}: the accounts have no room for more nodes or edges; start it anew"
+            f"{plan.name}: the accounts have no room for more nodes or edges; restart the graph"
         ) from None
     return replace(plan, nodes=tuple(nodes), edges=tuple(edges))
 

@@ -66,7 +66,7 @@ class StandIn:
 
     def working(self) -> StandInHandle:
         if self.works is None:
-            raise RunError("work: does not run just now, try again")
+            raise RunError("work: is not running now, try again")
         return self.works
 
     def is_working(self, handle: object) -> bool:

@@ -133,7 +133,7 @@ def test_a_cut_that_does_not_come_is_taken_back_and_may_cross_that_order() -> No
             assert one.tick((one.target.old, CutMade("work", 9))) == "TAKING_OVER"
         else:
             said = one.tick(later_s=hot_swap.UNCUT_S + 0.1)
-            assert said == "work: it did not come to a frame where it could be cut"
+            assert said == "work: it did not reach a frame for the cut"
             assert not one.machine.owned
 
 

@@ -247,7 +247,7 @@ def test_a_node_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
     with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
         with pytest.raises(RunError, match="no node wrk, did you mean 'work'"):
             supervisor.control.take(SwapOrder(node="wrk"), lambda _: None)
-        with pytest.raises(RunError, match="work: does not run just now"):
+        with pytest.raises(RunError, match="work: is not running now"):
             supervisor.control.take(SwapOrder(node="work"), lambda _: None)
 
 
