@@ -1,4 +1,4 @@
-"""What a picture costs from process to process, by fovea's bus and by its peers.
+"""Measure sending a picture between two processes, by fovea's bus and by other transports.
 
 `python -m bench.bus [--json FILE] [--count N] [--rate-hz R] [--sizes N,N] [--peers] [--side-env F]`
 
@@ -66,7 +66,7 @@ def main(
     path: Path | None, count: int, rounds: int, rate_hz: float, sizes: str, seed: int,
     peers: bool, side_env: Path | None,
 ) -> None:  # fmt: skip
-    """Measure what a picture costs from process to process."""
+    """Measure sending a picture between two processes."""
     console = Console()
     side = side_env or Path.home() / ".cache" / "fovea" / "peers"
     if peers:
@@ -93,7 +93,7 @@ def main(
 
 
 def read_sizes(words: str) -> list[int]:
-    """Bytes of each size; raises `click.BadParameter` for what is none.
+    """Parse sizes in bytes; raises `click.BadParameter` for an invalid one.
 
     >>> read_sizes("128, 4096")
     [128, 4096]
@@ -120,7 +120,7 @@ def schedule(modules: list[str], sizes: list[int], rounds: int, seed: int) -> li
 def take_turns(
     turns: list[tuple[str, int]], count: int, rate_hz: float, side: Path, console: Console
 ) -> tuple[list[Result], list[str]]:
-    """Run every turn; results, and a sentence for each that failed."""
+    """Run every turn; return results, and a sentence for each failure."""
     results, failures = [], []
     columns = (
         SpinnerColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
@@ -150,7 +150,7 @@ def run_one(module: str, nbytes: int, count: int, rate_hz: float, side: Path) ->
 
 
 def run_to_end(words: list[str], limit_s: float) -> str:
-    """What a program prints; whatever it started ends with it, in good time or not."""
+    """Return the output of a program, and end its descendants with it, also after a timeout."""
     with subprocess.Popen(
         words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,

@@ -1,4 +1,4 @@
-"""An hour of bad luck: `python -m bench.chaos [GRAPH] --minutes 60 --seed 1 [--json FILE]`.
+"""Random faults in a graph: `python -m bench.chaos [GRAPH] --minutes 60 --seed 1 [--json FILE]`.
 
 Runs a graph of processes in real time and does harm to one process after another, chosen by a seed:
 kills it, kills two at once, stops it for good, stops it for a moment; of a graph over several hosts
@@ -41,7 +41,7 @@ TIMEOUT_S = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One fault and what it cost."""
+    """One fault and its effects."""
 
     kind: str
     victims: tuple[str, ...]
@@ -53,18 +53,18 @@ class Fault:
 
 
 class Stuck(Exception):
-    """Nobody recovers any more."""
+    """The graph does not recover from a fault."""
 
 
 class Chaos:
-    """Does harm to a running graph and waits for it to get over it."""
+    """Injects faults into a running graph and waits for its recovery."""
 
     def __init__(self, ground: Ground, seed: int) -> None:
         self._ground, self._chance = ground, random.Random(seed)
         self._began_s = time.monotonic()
 
     def strike(self) -> Fault:
-        """One fault, chosen by the seed; raises `Stuck` when nobody recovers."""
+        """Inject a fault chosen by the seed; raises `Stuck` without recovery."""
         ground, chance = self._ground, self._chance
         kind = chance.choices([*ground.kinds], [*ground.kinds.values()])[0]
         whom = ground.hosts if kind == "partition" else ground.names
@@ -94,12 +94,12 @@ class Chaos:
         )
 
     def pause(self) -> None:
-        """Time between two faults: the spare process needs a moment, and luck is irregular."""
+        """Wait a random time between two faults, in which the spare process can start."""
         self._ground.run_for(self._chance.uniform(*SETTLE_S))
 
 
 class _Watch:
-    """Looks at the victims' progress and at the sensor's commands from a blow on."""
+    """Monitors the affected nodes' progress and the sensor's commands after a fault."""
 
     def __init__(self, ground: Ground, victims: Sequence[str], *, fresh: bool) -> None:
         self._ground, self.fresh = ground, fresh
@@ -109,7 +109,7 @@ class _Watch:
         self.silence_s = 0.0
 
     def until(self, seconds: float) -> None:
-        """Watch for so long."""
+        """Monitor for a time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self._look()
@@ -147,7 +147,7 @@ def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], minutes: float, seed: int,
     path: Path | None,
 ) -> None:  # fmt: skip
-    """Do harm to a running graph for so long; to one with hosts on as many network namespaces."""
+    """Inject faults into a running graph; its hosts are network namespaces."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     faults: list[Fault] = []
     with TemporaryDirectory() as folder, _ground(plan, graph, Path(folder)) as ground:
@@ -200,7 +200,7 @@ def summary(faults: Sequence[Fault]) -> dict[str, float]:
 
 
 def _strike_for(ground: Ground, seconds: float, seed: int, faults: list[Fault]) -> str:
-    """Why it ended early, if it did."""
+    """Return why it ended early, or an empty string."""
     chaos, began = Chaos(ground, seed), time.monotonic()
     with Progress() as progress:
         task = progress.add_task("bad luck", total=seconds)

@@ -1,4 +1,4 @@
-"""What a SIGKILL costs: `python -m bench.crash [GRAPH] --count 20 [--json FILE]`.
+"""Measure recovery from SIGKILL: `python -m bench.crash [GRAPH] --count 20 [--json FILE]`.
 
 Runs a graph of processes in real time and kills each operator in turn, again and again. For every
 kill: the time until the operator has handled a frame again, and how much of it was loading its
@@ -41,7 +41,7 @@ TIMEOUT_S = 30.0
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], count: int, path: Path | None
 ) -> None:
-    """Kill every operator of a graph so many times."""
+    """Kill every operator of a graph several times."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     kills: list[dict[str, Any]] = []
     with Supervisor(plan) as supervisor:

@@ -1,6 +1,6 @@
-"""As many objects as wanted in a graph that runs, and what they cost: `Crowd` and `Witness`.
+"""Set the number of objects in a running graph and measure their cost: `Crowd` and `Witness`.
 
-What a part takes with 25 objects shows when 25 are there. `crowd.yaml` holds the two nodes.
+`crowd.yaml` contains the two nodes.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ ROWS = ("labels", "scores", "boxes", "visible", "features", "predicted")  # of `
 
 @dataclass(frozen=True, kw_only=True)
 class CrowdSettings:
-    """How many objects, and whether all are where the ROI shows them."""
+    """The number of objects, and whether all are inside the ROI."""
 
     objects: int = 25
     together: bool = False
@@ -37,7 +37,7 @@ class CrowdSettings:
 
 
 class Crowd(Operator[CrowdSettings, Tracks]):
-    """Exactly `objects` tracks: true ones first, then copies of them; of nothing, nothing."""
+    """Sends exactly `objects` tracks: real ones first, then copies; none without real ones."""
 
     tracks = Input(Tracks, keep="every")
     roi = Input(Frame, keep="latest")
@@ -102,7 +102,7 @@ class WitnessSettings:
 
 
 class Witness(Operator[WitnessSettings, None]):
-    """Answers nothing; tells in the report how many objects there were and how long they took."""
+    """Sends nothing; reports the number of objects and their processing times."""
 
     features = Input(RoiFeatures, keep="every", depth=64, join=False)
     scanpath = Input(Scanpath, keep="every", depth=64, join=False)

@@ -1,4 +1,4 @@
-"""Whether a supervisor grows with what it lives through: `python -m bench.endure --kills 300`.
+"""Check that a supervisor does not grow with kills and swaps: `python -m bench.endure --kills 300`.
 
 Runs a small graph of sample operators in real time, kills one of its nodes while it swaps another,
 again and again, and records the supervisor's memory, open files and threads, and the files of the
@@ -60,7 +60,7 @@ PROBATION = 2  # frames
 @click.option("--swaps", default=300, show_default=True, type=click.IntRange(0))
 @JSON
 def main(kills: int, swaps: int, path: Path | None) -> None:
-    """Kill one node and swap another so many times, both at once."""
+    """Kill one node and swap another repeatedly, both at once."""
     plan = sample_plan()
     events = schedule(kills, swaps)
     looks: list[dict[str, float]] = []
@@ -121,7 +121,7 @@ def schedule(kills: int, swaps: int) -> list[tuple[str, ...]]:
 
 
 def look(supervisor: Supervisor, traces: Traces, events: int) -> dict[str, float]:
-    """What the supervisor holds now."""
+    """Return the supervisor's resources."""
     own = psutil.Process()
     with own.oneshot():
         memory = own.memory_info()
@@ -152,7 +152,7 @@ def growth_kb(looks: list[dict[str, float]]) -> float:
 
 
 def _endure(supervisor: Supervisor, events: Collection[str]) -> str:
-    """Kill, swap, or both at once; why the swap was refused, or nothing."""
+    """Kill, swap, or both at once; return why the swap was refused, or an empty string."""
     answers: list[Result] = []
     account = supervisor.ledger.nodes[supervisor.plan.node(KILLED).index]
     epoch, handled = account.epoch, account.handled

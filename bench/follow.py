@@ -1,4 +1,4 @@
-"""Whether the consumer stays with its target: `python -m bench.follow --out FILE.json`.
+"""Measure how long the consumer follows its target: `python -m bench.follow --out FILE.json`.
 
 Runs the tracking graph as processes in real time and asks for another class every minute, as
 `fovea set` does. Prints and writes, minute by minute, the IoU with the true box of what is asked

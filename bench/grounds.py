@@ -1,6 +1,6 @@
-"""Where `bench.chaos` does its harm: a graph on this host, or one over three hosts.
+"""Targets of `bench.chaos`: a graph on this host, or one over three hosts.
 
-Both tell of their processes what a check of recovery needs, and after the end what is left.
+Both provide what a check of recovery needs, and after the end the leftovers.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""How far off the motion model is, for several readings of the paper's two noise numbers.
+"""Prediction error of the motion model for several interpretations of the paper's noise values.
 
 `python -m bench.kalman [--data FOLDER] [--seed 7]`: FOLDER is a SoccerNet sequence (the folder with
 gt/ and gameinfo.ini); without it, and beside it, made-up tracks. Prints JSON: mean distance in

@@ -1,4 +1,4 @@
-"""What must be true after any number of faults: accounts add up, nothing and nobody is left."""
+"""Checks after any number of faults: accounts add up, no files or processes are left."""
 
 import time
 from collections.abc import Mapping, Sequence

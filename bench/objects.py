@@ -1,4 +1,4 @@
-"""What objects cost in a running graph: `python -m bench.objects [GRAPH] [--together] [--json …]`.
+"""Cost of objects in a running graph: `python -m bench.objects [GRAPH] [--together] [--json …]`.
 
 Runs a tracking graph of processes in real time with 1 to 25 objects (`bench/crowd.py`), several
 rounds in shuffled order. Printed by the number of objects: how many of them the ROI encoder

@@ -1,4 +1,4 @@
-"""What the benches that run a graph share: their options, and one sentence for what goes wrong."""
+"""Options and error handling shared by benches that run a graph."""
 
 from collections.abc import Callable
 from pathlib import Path

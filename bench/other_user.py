@@ -1,4 +1,4 @@
-"""What another user of this machine gets: `python -m bench.other_user --minutes 10 --json FILE`.
+"""Attacks by another local user: `python -m bench.other_user --minutes 10 --json FILE`.
 
 A graph runs and starts anew again and again, and its nodes are killed, so that there is always
 something to make first. Beside it another user tries everything that
@@ -49,7 +49,7 @@ nodes:
 @click.option("--minutes", default=10.0, show_default=True, type=click.FloatRange(0.05))
 @JSON
 def main(minutes: float, path: Path | None) -> None:
-    """Let another user try for so long."""
+    """Run the attacks of another user."""
     with Progress(console=Console(stderr=True)) as progress:
         result = {
             "bench": "other_user",

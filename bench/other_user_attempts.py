@@ -1,4 +1,4 @@
-"""What another user tries: `python -m bench.other_user_attempts UID VICTIM_UID SECONDS`.
+"""The attacks of another user: `python -m bench.other_user_attempts UID VICTIM_UID SECONDS`.
 
 Started by root, it becomes the user UID before it does anything, and then tries again and again to
 enter, read, alter, replace, connect to, stop and precede whatever user VICTIM_UID has of fovea. It

@@ -1,4 +1,4 @@
-"""IoU and ROI share of a graph that runs, span by span: `Watcher`, and `Spans` to read it.
+"""IoU and ROI share of a running graph by time span: `Watcher`, and `Spans` to read it.
 
 `overlap.yaml` holds the node. The watcher is told when a span begins and which class is asked for,
 so that every frame is counted where it belongs.

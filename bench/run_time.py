@@ -1,4 +1,4 @@
-"""What each part of the loop takes on one thread; encoder and policy by the number of objects."""
+"""Run time of each part of the loop on one thread; encoder and policy by number of objects."""
 
 import statistics
 import time

@@ -1,4 +1,4 @@
-"""Operators that do next to nothing, for benches of the runtime itself."""
+"""Minimal operators, for benches of the runtime itself."""
 
 import time
 from collections.abc import Mapping

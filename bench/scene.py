@@ -1,4 +1,4 @@
-"""How like real footage the procedural match is: both by one ruler, as a table.
+"""Compare statistics of the procedural match with real footage, as a table.
 
 `python -m bench.scene [--data FOLDER] [--seeds 4] [--frames 500] [--json FILE]`: FOLDER is a
 SoccerNet sequence. Sizes and speeds are pixels of a picture 1920 wide, at 25 pictures a second.

@@ -1,4 +1,4 @@
-"""Whether memory grows or tracking fades: `python -m bench.soak [GRAPH] [--minutes 30]`.
+"""Check for memory growth and degrading tracking: `python -m bench.soak [GRAPH] [--minutes 30]`.
 
 Runs a graph of processes in real time and compares every process's resident memory in the first
 and the last minute; prints frame rate, drops and the loop's latency beside it. Of a tracking graph

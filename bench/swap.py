@@ -1,4 +1,4 @@
-"""What swapping costs: `python -m bench.swap [GRAPH] --count 1000 [--json FILE]`.
+"""Measure swaps: `python -m bench.swap [GRAPH] --count 1000 [--json FILE]`.
 
 Runs a graph of processes in real time and swaps its parts again and again, each for the same part
 in a new process, while the stream of sensor commands is watched from outside. Printed: frames lost
@@ -92,7 +92,7 @@ def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], nodes: tuple[str, ...], count: int,
     probation: int, warm_s: float, pause_s: float, path: Path | None,
 ) -> None:  # fmt: skip
-    """Swap parts of a running graph so many times."""
+    """Swap nodes of a running graph repeatedly."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     swaps: list[dict[str, Any]] = []
     with Supervisor(plan) as supervisor:
@@ -233,9 +233,9 @@ def _tables(result: dict[str, Any]) -> tuple[Table, Table]:
         f"{len(result['refused'])} refused; {result['frames']} frames; "
         f"lossless edges: {result['lost']} lost; "
         f"{result['doubled_commands']} commands doubled; {result['dropped_on_latest']} dropped "
-        f"where the latest counts; left out between the old part's last answer and the new one's "
-        f"first, on one input (messages: swaps) {result['left_out']}; {result['fps']:.1f} fps; "
-        f"restarts {sum(result['restarts'].values())}"
+        f"where the latest counts; left out between the old instance's last output and the "
+        f"new one's first, on one input (messages: swaps) {result['left_out']}; "
+        f"{result['fps']:.1f} fps; restarts {sum(result['restarts'].values())}"
     )
     memory = Table(title="the others, before -> after")
     for column in ("process", "RSS MB", "locked MB", "open files"):

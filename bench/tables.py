@@ -1,4 +1,4 @@
-"""The paper's tables for object tracking, made anew: `python -m bench.tables --out FOLDER`.
+"""Reproduce the paper's tables for object tracking: `python -m bench.tables --out FOLDER`.
 
 Studies, each written by itself and gone on with where it stopped: all strategies at all budgets on
 held-out procedural clips and, with --soccernet, on real footage that nothing was trained on, eight

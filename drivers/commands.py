@@ -1,4 +1,4 @@
-"""Which window the newest command gives for a frame: RoiSchedules in, windows out."""
+"""Table of sensor commands: RoiSchedules in, the window of each frame out."""
 
 import threading
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ Window = tuple[int, int, int, int]  # xyxy, sensor pixels
 
 @dataclass(frozen=True)
 class Commanded:
-    """The window of one frame: who commanded it (-1: nobody) and why it is what it is."""
+    """The window of one frame, the seq of its command (-1: none) and its status."""
 
     window: Window
     command_seq: int
@@ -23,10 +23,10 @@ class Commanded:
 
 
 class CommandTable:
-    """The schedules a sensor was given. `accept` and `look_up` may be called by two threads.
+    """The schedules sent to a sensor. `accept` and `look_up` may be called by two threads.
 
-    A command made from frame j shapes frames from j + 1 + `latency_frames` on. The newest is the
-    one made from the latest frame; where it does not speak of a frame, the next newest that does.
+    A command made from frame j affects frames from j + 1 + `latency_frames` on. For each frame, the
+    schedule made from the latest frame applies among those that cover it.
     """
 
     def __init__(self, stream: str, geometry: Geometry, *, latency_frames: int = 0) -> None:
@@ -37,7 +37,7 @@ class CommandTable:
         self.accepted = self.late = self.foreign = 0
 
     def accept(self, schedule: RoiSchedule) -> None:
-        """Take a schedule into account, or count why not; an empty one says nothing new."""
+        """Accept a schedule, or count why it is refused; an empty one is ignored."""
         if not len(schedule.windows):
             return
         with self._guard:
@@ -52,9 +52,9 @@ class CommandTable:
             self._keep(schedule)
 
     def look_up(self, seq: int, *, held: Window) -> Commanded:
-        """The window for frame `seq`, which is now exposed: what comes later is late.
+        """Return the window for frame `seq`, which is now exposed; later commands for it are late.
 
-        What no command covers keeps the window `held`.
+        Without a command the window stays `held`.
         """
         with self._guard:
             self._next_seq = max(self._next_seq, seq + 1)

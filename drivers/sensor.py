@@ -1,8 +1,8 @@
 """The contract of a dual-stream sensor: ROI schedules in, exposures of two frames out.
 
-A sensor shows its whole field of view in a small context picture and one region of it at full
-resolution, in the same exposure. Real and simulated sensors keep this contract and pass the same
-tests; `operators.capture` knows nothing else.
+A sensor delivers its whole field of view as a small context picture and one region of it at full
+resolution, from the same exposure. Real and simulated sensors fulfil this contract and pass the
+same tests; `operators.capture` depends only on it.
 """
 
 from collections.abc import Mapping
@@ -27,12 +27,12 @@ class Capabilities:
     roi_binning: float  # sensor pixels per ROI pixel, along one side
     rates_hz: tuple[float, float]  # lowest and highest
     pixel_formats: tuple[str, ...]  # what `Mode.pixel_format` may ask for
-    lead_frames: int  # a command made from frame j shapes j + lead_frames at the earliest
+    lead_frames: int  # a command made from frame j affects frame j + lead_frames at the earliest
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mode:
-    """What may be chosen between `open` and `start`; 0 and "" leave a value as it is."""
+    """The mode, set between `open` and `start`; 0 and "" keep a value."""
 
     rate_hz: float = 0.0
     roi_px: tuple[int, int] = (0, 0)
@@ -44,7 +44,7 @@ class Exposure:
     """Both pictures of one exposure, under one header.
 
     `roi` is empty, with an empty window, when the sensor reads no region in this exposure. A
-    simulated sensor may know what is really there; no strategy sees it but the oracle.
+    simulated sensor may include the ground truth; only the oracle strategy uses it.
     """
 
     header: Header
@@ -69,11 +69,11 @@ class DualStreamSensor(Protocol):
         ...
 
     def capabilities(self) -> Capabilities:
-        """What it can do; needs `open`."""
+        """The sensor's capabilities; only after `open`."""
         ...
 
     def configure(self, mode: Mode) -> None:
-        """Choose a mode before `start`; raises `SettingsError` with the figures if it cannot."""
+        """Set the mode before `start`; raises `SettingsError` for an unsupported one."""
         ...
 
     def start(self) -> None:
@@ -84,16 +84,16 @@ class DualStreamSensor(Protocol):
         """Command the windows of coming frames; may be called by another thread than `read`.
 
         Windows of the wrong size are replaced by one of the ROI's size around the same centre;
-        then clamped to the field, then aligned down to the sensor's step. The frame says the
-        window it really had. Late schedules and those of another stream are counted, not used.
+        then clamped to the field, then aligned down to the sensor's step. The frame contains the
+        actual window. Late schedules and those of another stream are counted, not used.
         """
         ...
 
     def read(self, loan: Loan) -> Exposure | None:
         """The next exposure, written into memory from `loan("context" | "roi", shape, dtype)`.
 
-        Blocks until it is there; None after the last one and after `stop`. When `loan` raises
-        `PoolExhausted` the exposure is spent (`seq` goes on) and the error passes on.
+        Blocks until it is available; None after the last one and after `stop`. When `loan` raises
+        `PoolExhausted`, the exposure is lost (`seq` advances) and the error passes through.
         """
         ...
 

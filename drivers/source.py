@@ -1,6 +1,6 @@
-"""The seam between the simulated sensor and whatever makes full-resolution pictures.
+"""The contract between the simulated sensor and sources of full-resolution pictures.
 
-A source gives the full-resolution video v of Eq. 1, frame by frame, and the truth where known.
+A source delivers the full-resolution video v of Eq. 1, frame by frame, and the truth if known.
 """
 
 from dataclasses import dataclass
@@ -9,19 +9,19 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-CLASS_OF_ROLE = {  # what somebody looks like, by what the truth says they are
+CLASS_OF_ROLE = {  # detector class by role in the ground truth
     "player": "player",
     "goalkeeper": "player",
     "main referee": "referee",
     "assistant referee": "referee",
     "ball": "ball",
 }
-LEAST_VISIBLE = 0.25  # share; what is hidden more counts neither as found nor as missed
+LEAST_VISIBLE = 0.25  # share; less visible objects count neither as found nor as missed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Annotations:
-    """What is really in one picture; n may be 0. `pipeline.messages.Truth` tells it to a graph."""
+    """Ground truth of one picture; n may be 0. Graphs send it as `pipeline.messages.Truth`."""
 
     boxes: NDArray[np.float32]  # (n, 4) xyxy, full-resolution pixels
     ids: NDArray[np.int32]  # (n,), constant per object over the whole source

@@ -1,6 +1,6 @@
-"""Light into the graph: ROI schedules in, context and ROI frames of each exposure out.
+"""Operate the sensor: ROI schedules in, context and ROI frames of each exposure out.
 
-Where a simulated sensor knows what is really there, that comes beside them, for those who score.
+A simulated sensor that knows the ground truth also sends it, for scoring.
 """
 
 from collections.abc import Mapping
@@ -20,33 +20,33 @@ from pipeline.settings import build
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureSettings:
-    """What a graph may set: the sensor, and whatever that sensor's own settings allow."""
+    """The sensor class and its own settings."""
 
     sensor: str = "drivers.simulated:SimulatedSensor"  # import path module:Class
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.build()  # everything wrong is said before a process starts
+        self.build()  # so that errors are raised before a process starts
 
     @property
     def shows(self) -> str:
-        """The kind of scene before the sensor (soccer), empty where nobody knows."""
+        """The kind of scene before the sensor (soccer); empty if unknown."""
         return str(getattr(self.build(), "shows", ""))
 
     @property
     def source(self) -> str:
-        """What the pictures come from, for a sentence about it."""
+        """The origin of the pictures, for messages."""
         return str(getattr(self.build(), "source", self.sensor))
 
     def build(self) -> DualStreamSensor:
-        """The sensor, not yet open; raises `SettingsError`."""
+        """Return the sensor, not yet open; raises `SettingsError`."""
         sensor = _load(self.sensor)
         built: DualStreamSensor = sensor(build(sensor.settings_type, self.options, "options"))
         return built
 
 
 class Capture(Source[CaptureSettings, Frame]):
-    """Own the sensor: read exposures at its pace, pass commands on from whatever thread."""
+    """Reads exposures at the sensor's pace and passes on commands from another thread."""
 
     schedule = Input(RoiSchedule, command=True)
     context = Output(Frame)
@@ -56,7 +56,7 @@ class Capture(Source[CaptureSettings, Frame]):
     _sensor: DualStreamSensor | None = None
 
     def open(self) -> None:
-        """Open the device and let it run."""
+        """Open and start the device."""
         self._sensor = sensor = self.settings.build()
         sensor.open(realtime=self.realtime)
         sensor.start()
@@ -66,7 +66,7 @@ class Capture(Source[CaptureSettings, Frame]):
         self._opened().set_rois(schedule)
 
     def produce(self) -> Mapping[str, Message] | None:
-        """The next exposure, one message per stream."""
+        """Return the next exposure, one message per stream."""
         exposure = self._opened().read(self._memory)
         if exposure is None:
             return None
@@ -76,7 +76,7 @@ class Capture(Source[CaptureSettings, Frame]):
         return answers
 
     def summary(self) -> Mapping[str, Any]:
-        """The sensor's figures."""
+        """Return the sensor's figures."""
         return self._sensor.summary() if self._sensor else {}
 
     def close(self) -> None:
@@ -95,7 +95,7 @@ class Capture(Source[CaptureSettings, Frame]):
 
 
 def truth_of(known: Annotations, header: Header) -> Truth:
-    """What is really there, as a message."""
+    """Return the ground truth as a message."""
     return Truth(
         header=header,
         boxes=known.boxes,

@@ -1,4 +1,4 @@
-"""Say where the sensor looks next: Scanpath -> RoiSchedule (Eq. 6 made into windows)."""
+"""Turn a plan into sensor commands: Scanpath -> RoiSchedule (Eq. 6 as windows)."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from pipeline.messages import Geometry, Header, RoiSchedule, Scanpath
 
 Fill = Literal["hold", "centre", "scan"]
 Window = tuple[int, int, int, int]  # xyxy, sensor pixels
-DELAYS = (0, 2, 13, 60)  # frames from picture to command that the paper and this project meet
-FAR_PX = 2.0**24  # beyond any field, and the sum of two still is a float32
+DELAYS = (0, 2, 13, 60)  # frames from picture to command, as in the paper and in this project
+FAR_PX = 2.0**24  # beyond any field, but sums stay exact in float32
 
 
 @dataclass(frozen=True, kw_only=True)
 class DispatchSettings:
     """What a graph may set."""
 
-    replan_every: int = 1  # Ta: frames from one plan to the next; 1: every scanpath is one
+    replan_every: int = 1  # Ta: frames from one plan to the next; 1: use every scanpath
     fill: Fill = "hold"  # where to look in frames for which a plan has no box
 
     def __post_init__(self) -> None:
@@ -35,7 +35,7 @@ class DispatchSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class DispatchState:
-    """What a successor must know: the plan in force."""
+    """The current plan, for a successor."""
 
     stream: str
     first_seq: int
@@ -49,7 +49,7 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
 
     @classmethod
     def advise(cls, settings: DispatchSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
-        """How late a plan may come before frames are left without one."""
+        """Yield how late a plan may arrive before frames have none."""
         horizon = getattr(upstream.get("scanpath"), "horizon", 0)
         if not horizon:
             return
@@ -68,7 +68,7 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
         )
 
     def open(self) -> None:
-        """Begin without a plan."""
+        """Start without a plan."""
         self._plan = _no_plan("")
 
     def on_stream(self, header: Header) -> None:
@@ -76,7 +76,7 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
         self._plan = _no_plan(header.stream)
 
     def on_scanpath(self, scanpath: Scanpath) -> RoiSchedule | None:
-        """Answer a scanpath that is due with a schedule, any other with nothing."""
+        """Return a schedule for a scanpath that is due, otherwise None."""
         if not len(scanpath.boxes) or not self._due(scanpath.first_seq):
             return None
         geometry = scanpath.header.geometry
@@ -95,11 +95,11 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
         )
 
     def state(self) -> DispatchState:
-        """The plan in force."""
+        """Return the current plan."""
         return self._plan
 
     def restore(self, state: Any) -> None:
-        """Go on with the plan of another instance."""
+        """Take over the plan of another instance."""
         self._plan = state
 
     def _due(self, first_seq: int) -> bool:
@@ -108,7 +108,7 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
         return first_seq - self._plan.first_seq >= self.settings.replan_every
 
     def _held(self, first_seq: int, geometry: Geometry) -> Window:
-        """The window of the frame before `first_seq`, the middle when there was none."""
+        """Return the window of the frame before `first_seq`, or the middle of the field."""
         known = self._plan.windows
         if not len(known):
             return _centre(geometry)
@@ -122,8 +122,8 @@ def plan_windows(
 ) -> NDArray[np.int32]:
     """Windows (T, 4) of the ROI's size around boxes (T, 4), clamped to the field and aligned.
 
-    A row that is no box (empty, or not finite) is filled: `hold` repeats the window before it,
-    `held` at first; `centre` looks at the middle; `scan` tours the field.
+    A row without a valid box (empty, or not finite) is filled: `hold` repeats the previous window,
+    initially `held`; `centre` uses the middle; `scan` visits the whole field.
     """
     windows = np.empty((len(boxes), 4), np.int32)
     for row, box in enumerate(boxes):
@@ -145,10 +145,10 @@ def is_box(box: NDArray[np.float32]) -> bool:
 
 
 def coverage(delay_frames: int, replan_every: int, horizon: int) -> float:
-    """Share of frames for which some plan in force has a window.
+    """Return the share of frames for which the current plan has a window.
 
-    A plan made from frame j speaks of j+1 … j+horizon and is in force after `delay_frames`; the
-    next one replaces it `replan_every` frames later.
+    A plan made from frame j covers j+1 … j+horizon and takes effect after `delay_frames`; the next
+    one replaces it `replan_every` frames later.
 
     >>> coverage(8, 8, 16), coverage(13, 8, 16), coverage(20, 8, 16)
     (1.0, 0.375, 0.0)

@@ -1,4 +1,4 @@
-"""Make frames fit for networks: Frame -> Frame, RGB of 8 bit, at most `width_px` wide."""
+"""Prepare frames for networks: Frame -> Frame, 8-bit RGB, at most `width_px` wide."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,17 +28,17 @@ class DownsampleSettings:
 class Downsample(Operator[DownsampleSettings, Frame]):
     """Demosaic, shrink by area, never enlarge; keep header, window and status.
 
-    What is fit already passes as it is. An empty picture (no ROI in this exposure) passes too.
+    A frame that already fits passes unchanged, and so does an empty picture (no ROI).
     """
 
     frame = Input(Frame, keep="latest")
 
     def open(self) -> None:
-        """No memory yet: its size comes with the first frame."""
+        """Allocate nothing yet: the size is known with the first frame."""
         self._scratch: dict[str, NDArray[Any]] = {}
 
     def on_frame(self, frame: Frame) -> Frame:
-        """Answer each frame with one."""
+        """Return a frame for each frame."""
         if frame.pixel_format not in FORMATS:
             raise MessageError(
                 f"frame: expected pixels as {', '.join(FORMATS)}, got {frame.pixel_format}"
@@ -77,7 +77,7 @@ class Downsample(Operator[DownsampleSettings, Frame]):
 
 
 def fitted(size: tuple[int, ...], width_px: int) -> tuple[int, int]:
-    """Height and width after shrinking to at most `width_px`, aspect kept; 0: no limit.
+    """Return (height, width) after shrinking to at most `width_px`, aspect kept; 0: no limit.
 
     >>> fitted((1080, 1920), 480), fitted((270, 480), 640)
     ((270, 480), (270, 480))
@@ -89,7 +89,7 @@ def fitted(size: tuple[int, ...], width_px: int) -> tuple[int, int]:
 
 
 def shrink(image: NDArray[Any], out: NDArray[np.uint8]) -> None:
-    """Average areas of an (h, w, 3) image into a smaller `out`."""
+    """Shrink an (h, w, 3) image into `out` by averaging areas."""
     cv2.resize(image, (out.shape[1], out.shape[0]), dst=out, interpolation=cv2.INTER_AREA)
 
 

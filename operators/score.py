@@ -1,16 +1,16 @@
-"""Compare what a consumer saw with the truth, where the source knows it: Percept, Truth -> IoU.
+"""Compare a consumer's box with the ground truth, if the source knows it: Percept, Truth -> IoU.
 
-Which object of the truth counts:
-- with a `label`, one of that class, whatever is looked at: of several, the one overlapped most;
-- with a scanpath connected, the one that the policy shows. It is decided by the overlap of the
-  truth with the box that the policy foresees for its choice, and changes when another object is
-  under that box in `SETTLED` frames. A choice that lies on nothing, or a place, changes nothing: a
-  policy that loses its target is no excuse for its consumer. The consumer's own box has no say.
-  Whether the policy shows what it was asked for is another figure: the ROI's coverage, or a label;
-- else the one that the consumer's box overlapped when it started, or began with another id.
+The reference object is:
+- with a `label`, an object of that class: of several, the one with the greatest overlap;
+- with a scanpath connected, the policy's object. It is the true object that overlaps the box
+  predicted for the policy's choice, and changes when that box is on another object for `SETTLED`
+  frames. A choice on no object, or a position, changes nothing, so that a policy that loses its
+  target does not excuse its consumer. The consumer's own box is not considered. Whether the policy
+  chose the prompted object is measured separately, by the ROI's coverage or by a label;
+- else the object that the consumer's box overlapped when it started or changed its id.
 
-From then on every frame counts in which that object can be seen. A frame without a box (lost)
-counts as 0, so that nothing is gained by silence; the share of frames with a box is told beside it.
+From then on, every frame in which that object is visible counts. A frame without a box (lost)
+counts as 0, so that silence gains nothing; the share of frames with a box is reported as well.
 """
 
 from collections.abc import Mapping
@@ -26,9 +26,9 @@ from pipeline.errors import MessageError, SettingsError
 from pipeline.messages import Header, Percept, Scanpath, Truth
 
 NOBODY = -1
-SAME_IOU = 0.3  # from here on a box is on an object: what is beside it overlaps a little, too
-SETTLED = 3  # frames in which the policy shows another object before that one counts
-RECENT = 0.05  # weight of a frame in the figure of now
+SAME_IOU = 0.3  # IoU from which a box is on an object; neighbours overlap a little, too
+SETTLED = 3  # frames on another object before the reference changes
+RECENT = 0.05  # weight of a frame in the headline
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class ScoreSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreState:
-    """What was counted, and which object is compared with."""
+    """The counts and the reference object."""
 
     total: float
     recent: float
@@ -58,7 +58,7 @@ class ScoreState:
 
 
 class Score(Operator[ScoreSettings, None]):
-    """Answers nothing; its figure is shown while the graph runs, and in the report."""
+    """Sends nothing; its figure is shown while the graph runs, and in the report."""
 
     live = ("label", "least_visible")
     percept = Input(Percept, keep="latest")
@@ -68,16 +68,16 @@ class Score(Operator[ScoreSettings, None]):
     _scanpath: Scanpath | None = None
 
     def open(self) -> None:
-        """Nothing counted yet."""
+        """Start with empty counts."""
         self._total, self._recent, self._frames, self._answered = 0.0, 0.0, 0, 0
         self._begin()
 
     def on_stream(self, header: Header) -> None:
-        """Another stream shows other objects."""
+        """Forget the reference object of another stream."""
         self._begin()
 
     def on_scanpath(self, scanpath: Scanpath) -> None:
-        """Remember what the policy shows."""
+        """Store the policy's plan."""
         self._scanpath = scanpath
 
     def on_percept_truth(self, percept: Percept, truth: Truth) -> None:
@@ -101,7 +101,7 @@ class Score(Operator[ScoreSettings, None]):
         self._answered += len(percept.boxes) > 0
 
     def state(self) -> ScoreState:
-        """A successor goes on counting."""
+        """Return the counts for a successor."""
         return ScoreState(
             total=self._total,
             recent=self._recent,
@@ -114,14 +114,14 @@ class Score(Operator[ScoreSettings, None]):
         )
 
     def restore(self, state: ScoreState) -> None:
-        """Count on; the policy tells again what it shows."""
+        """Take over the counts; the policy sends its plan again."""
         self._total, self._recent = state.total, state.recent
         self._frames, self._answered = state.frames, state.answered
         self._object, self._followed_id = state.object, state.followed_id
         self._rival, self._rival_frames = state.rival, state.rival_frames
 
     def headline(self) -> str:
-        """The figure of now."""
+        """Return the current figure."""
         return f"IoU {self._recent:.2f}" if self._frames else ""
 
     def summary(self) -> Mapping[str, Any]:
@@ -155,7 +155,7 @@ class Score(Operator[ScoreSettings, None]):
         return int(rows[0]) if len(rows) else -1
 
     def _score_shown(self, box: NDArray[np.float32], truth: Truth) -> None:
-        """Change to another object once the policy has shown it often enough."""
+        """Change the reference object once the policy has been on another for long enough."""
         found = on_object(iou(truth.boxes, box)[:, 0], truth) if len(box) else NOBODY
         if found == NOBODY:
             return
@@ -166,7 +166,7 @@ class Score(Operator[ScoreSettings, None]):
             self._object = found
 
     def _score_followed(self, own_id: int, truth: Truth, overlap: NDArray[np.float32]) -> None:
-        """Change to another object where the consumer says that it follows another."""
+        """Change the reference object when the consumer's id changes."""
         if self._object != NOBODY and own_id == self._followed_id:
             return
         if (found := on_object(overlap, truth)) != NOBODY:

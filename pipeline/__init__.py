@@ -1,6 +1,6 @@
-"""What runs any graph: messages, the operator contract, bus, frame pool, runners, supervisor.
+"""The framework that runs any graph: messages, operator contract, bus, frame pools, runners.
 
-Names are imported when they are first used: a command answers signals before numpy is loaded.
+Public names are imported on first use, so that a command handles signals before numpy is loaded.
 """
 
 from importlib import import_module
@@ -66,7 +66,7 @@ __all__ = [
 
 _HOMES = ("pipeline.contract", "pipeline.errors", "pipeline.messages")
 
-if not TYPE_CHECKING:  # a checker shall see the names above and no others
+if not TYPE_CHECKING:  # type checkers see only the names above
 
     def __getattr__(name: str) -> object:
         """Return a public name from the module that defines it."""

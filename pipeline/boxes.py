@@ -1,4 +1,4 @@
-"""Box arithmetic: `xyxy` boxes in, numbers or boxes out. Everything takes (n, 4) arrays."""
+"""Box arithmetic: (n, 4) arrays of `xyxy` boxes in, numbers or boxes out."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ Array = NDArray[np.float32]
 
 
 def areas(boxes: Array) -> Array:
-    """Area of each box, 0 where it is empty: (n, 4) -> (n,), square pixels.
+    """Area of each box, 0 for an empty one: (n, 4) -> (n,), square pixels.
 
     >>> areas(np.array([[0, 0, 2, 3], [5, 5, 4, 9]], np.float32)).tolist()
     [6.0, 0.0]
@@ -19,13 +19,13 @@ def areas(boxes: Array) -> Array:
 
 
 def sizes(boxes: Array) -> Array:
-    """Root of the area of each box: (n, 4) -> (n,), pixels, at least 1."""
+    """Square root of the area of each box: (n, 4) -> (n,), pixels, at least 1."""
     return np.asarray(np.maximum(np.sqrt(areas(boxes)), 1), np.float32)
 
 
 def intersections(a: Array, b: Array) -> Array:
-    """Common area of every pair: (n, 4), (m, 4) -> (n, m), square pixels."""
-    # one axis at a time: pairs of two as the innermost axis take four times as long
+    """Area of the intersection of every pair: (n, 4), (m, 4) -> (n, m), square pixels."""
+    # one axis at a time: an innermost axis of length two takes four times as long
     wide = np.minimum(a[:, None, 2], b[:, 2]) - np.maximum(a[:, None, 0], b[:, 0])
     high = np.minimum(a[:, None, 3], b[:, 3]) - np.maximum(a[:, None, 1], b[:, 1])
     return np.asarray(np.maximum(wide, 0) * np.maximum(high, 0), np.float32)
@@ -43,24 +43,24 @@ def iou(a: Array, b: Array) -> Array:
 
 
 def covered(boxes: Array, window: Array) -> Array:
-    """Share of each box that lies inside one window: (n, 4), (4,) -> (n,), 0..1; empty boxes 0."""
+    """Fraction of each box inside a window: (n, 4), (4,) -> (n,), 0..1; 0 for empty boxes."""
     common = intersections(boxes, np.asarray(window, np.float32)[None])[:, 0]
     return np.asarray(common / np.maximum(areas(boxes), 1e-9), np.float32)
 
 
 def centres(boxes: Array) -> Array:
-    """Centre of each box: (..., 4) -> (..., 2), x then y."""
+    """Centre of each box: (..., 4) -> (..., 2), (x, y)."""
     return np.asarray((boxes[..., :2] + boxes[..., 2:]) / 2, np.float32)
 
 
 def from_centres(centre: Array, size: Array) -> Array:
-    """Boxes around centres: (..., 2) and width, height (..., 2) -> (..., 4)."""
+    """Boxes from centres (..., 2) and (width, height) (..., 2) -> (..., 4)."""
     half = np.asarray(size, np.float32) / 2
     return np.concatenate([centre - half, centre + half], -1).astype(np.float32)
 
 
 def roi_window(centre: Array, geometry: Geometry) -> tuple[int, int, int, int]:
-    """The sensor window of the ROI's size nearest to `centre` (x, y), inside the field, aligned.
+    """Return the ROI window nearest to `centre` (x, y): inside the field, aligned to `step_px`.
 
     >>> g = Geometry(width_px=100, height_px=60, roi_width_px=20, roi_height_px=10, step_px=4)
     >>> roi_window(np.array([97.0, 30.0], np.float32), g)

@@ -1,4 +1,4 @@
-"""What went wrong in code that is not fovea's own, as one line with its file and line."""
+"""Describe an exception raised by user code in one line, with file and line number."""
 
 import dis
 import importlib
@@ -15,17 +15,17 @@ _BETWEEN = (
     f"{_ROOM}/import_path.py",
     f"{_ROOM}/exits.py",
     importlib.__file__,
-)  # they stand in every traceback
+)  # they appear in every traceback
 _INSTALLED = tuple(
     {sysconfig.get_path(name) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
 )
 
 
 def cause_of(error: BaseException) -> str:
-    """`file:line: Type: message`, of the innermost line that belongs to the user's own code.
+    """Return `file:line: Type: message` for the innermost frame in the user's own code.
 
-    Without such a line it is the innermost one of an installed library, and without any the
-    message alone. A syntax error names the line that cannot be read.
+    Without such a frame, use the innermost one in an installed library; without any, return the
+    message alone. For a syntax error, name the line that cannot be parsed.
     """
     kind = "it exits" if isinstance(error, SystemExit) else type(error).__name__
     text = error.msg if isinstance(error, SyntaxError) else said_by(error)
@@ -45,7 +45,7 @@ def cause_of(error: BaseException) -> str:
 
 
 def is_signal(error: BaseException) -> bool:
-    """Whether a signal to this process raised it, not the code that was running."""
+    """Whether a signal to this process raised the exception, not the code that was running."""
     traceback = error.__traceback__
     if traceback is None:
         return False

@@ -1,11 +1,11 @@
 """Dataclasses to bytes and back, without pickle: dataclass -> msgpack body + arrays -> dataclass.
 
-A schema is read once from the type annotations. Its fingerprint travels with every message, so two
-sides that disagree notice before anything is decoded. Decoding trusts nothing: every type, size and
-shape is checked, and any violation is a `MessageError`.
+A schema is derived once from the type annotations. Its fingerprint travels with every message, so
+that a mismatch between sender and receiver is found before anything is decoded. The decoder trusts
+nothing: it checks every type, size and shape, and raises `MessageError` for any violation.
 
-msgspec writes and reads everything but arrays in one call; a dataclass that holds arrays has a twin
-for it, in which each array is its dtype, its sides and its bytes or offset.
+msgspec encodes and decodes everything but arrays in one call. A dataclass with arrays has a
+matching msgspec struct, in which an array is its dtype, its shape and its bytes or offset.
 """
 
 import dataclasses
@@ -28,13 +28,13 @@ from pipeline.text import harmless
 T = TypeVar("T")
 Buffer = bytes | msgspec.Raw
 
-LONGEST_REASON = 300  # characters: it may quote what came
+LONGEST_REASON = 300  # characters: it may quote received data
 _SCALARS = (bool, int, float, str, bytes)
-_AS_THEY_ARE = (bytes,)  # not as text, which stands for bytes in other formats
+_AS_THEY_ARE = (bytes,)  # natively, not as base64 text
 
 
 class Schema(Generic[T]):
-    """The fields of a dataclass, how each is written, and how all are read."""
+    """Encoder and decoder of one dataclass, derived from its fields."""
 
     def __init__(self, cls: type[T]) -> None:
         self.cls = cls
@@ -51,7 +51,7 @@ class Schema(Generic[T]):
         self._decode = msgspec.msgpack.Decoder(self.wire).decode
         trusted = {"header"} if issubclass(cls, Message) else set()  # the runtime writes it
         self._plain = {n: k for n, k in kinds.items() if k.plain and n not in trusted}
-        # what tells wrong types at once; it does not look into dataclasses
+        # a fast type check; it does not descend into dataclasses
         deep = any(_holds_dataclass(hints[name]) for name in self._plain)
         self._quick = None if deep else _twin(cls, self._plain)
         flat = all(isinstance(kind, Array) for _, _, kind, _ in self.converted)
@@ -66,13 +66,13 @@ class Schema(Generic[T]):
         return hashlib.sha256(self.text.encode()).digest()[:8]
 
     def write(self, value: T, place: PlaceArray) -> Any:
-        """What msgspec is to encode in the place of a value.
+        """Return the object that msgspec encodes for a value.
 
-        Raises `MessageError` for a field that is not of its type, as the reader would; only the
-        header of a message, which the runtime writes, is trusted.
+        Raises `MessageError` for a field of the wrong type, as the decoder would; only the header
+        of a message, which the runtime writes, is trusted.
         """
         if self._plain and self._look(value) is None:
-            self._check(value)  # it knows numpy's numbers too, and the name of the field
+            self._check(value)  # accepts numpy scalars, and names the field in its error
         if not self.converted:
             return value
         known: dict[str, int] = {}
@@ -82,14 +82,14 @@ class Schema(Generic[T]):
         return items
 
     def carried(self, value: T) -> T:
-        """The value as a reader in another process gets it; arrays are read-only views of its own.
+        """Return the value as a reader in another process gets it, with read-only array views.
 
-        Raises `MessageError` for what cannot travel.
+        Raises `MessageError` for a value that cannot be encoded.
         """
         plain = self._look(value) if self._flat and not self._checked else None
         if plain is None:
             return self._sent(value)
-        to_bytes(plain)  # too great a number is found only here
+        to_bytes(plain)  # only this finds integers that are too large
         known: dict[str, int] = {}
         values = {**vars(value), **msgspec.structs.asdict(plain)}
         for _index, name, kind, where in self.converted:
@@ -100,12 +100,12 @@ class Schema(Generic[T]):
         return fresh
 
     def _sent(self, value: T) -> T:
-        """Likewise, by way of the bytes; only the arrays' own stay where they are."""
+        """Encode and decode the value; the arrays themselves are not copied."""
         arrays: list[NDArray[Any]] = []
 
         def place(array: NDArray[Any]) -> int:
             arrays.append(np.ascontiguousarray(array))
-            return 8 * (len(arrays) - 1)  # an offset of whole items, whatever they are
+            return 8 * (len(arrays) - 1)  # a multiple of every item size
 
         def fetch(offset: int, _nbytes: int) -> NDArray[np.uint8]:
             raw = arrays[offset // 8].reshape(-1).view(np.uint8)
@@ -115,7 +115,7 @@ class Schema(Generic[T]):
         return self.read(to_bytes(self.write(value, place)), fetch)
 
     def _look(self, value: T) -> Any:
-        """The plain fields as their reader gets them; None where a closer look is needed."""
+        """Return the plain fields as a reader gets them; None when a full check is needed."""
         if self._quick is None:
             return None
         plain = [getattr(value, name) for name in self._plain]
@@ -125,7 +125,7 @@ class Schema(Generic[T]):
             return None
 
     def _check(self, value: T) -> None:
-        """Raise `MessageError` for a plain field that its reader would refuse."""
+        """Raise `MessageError` for a plain field that the decoder would refuse."""
         for name, kind in self._plain.items():
             item = getattr(value, name)
             try:
@@ -135,18 +135,18 @@ class Schema(Generic[T]):
                 raise MessageError(f"{where}: expected {kind.text}, got {_brief(item)}") from None
 
     def read(self, data: Buffer, fetch: Fetch) -> T:
-        """The value behind untrusted bytes; raises `MessageError`."""
+        """Decode untrusted bytes; raises `MessageError`."""
         return self.build(parse(self._decode, data, self.cls.__name__), fetch)
 
     def build(self, wire: Any, fetch: Fetch) -> T:
-        """The value in whose place msgspec decoded `wire`."""
+        """Return the value for the object that msgspec decoded."""
         if not self.converted:
             return wire  # type: ignore[no-any-return]
         values = msgspec.structs.asdict(wire)
         known: dict[str, int] = {}
         for _index, name, kind, where in self.converted:
             values[name] = kind.unpack(values[name], fetch, known, where)
-        if not self._checked:  # as its __init__ would, in a fraction of the time
+        if not self._checked:  # does what __init__ would, in a fraction of the time
             fresh = object.__new__(self.cls)
             fresh.__dict__.update(values)
             return fresh
@@ -158,7 +158,7 @@ class Schema(Generic[T]):
 
 @cached_by_class
 def schema(cls: type[Any]) -> Schema[Any]:
-    """The schema of a dataclass; raises `MessageError` for a field that cannot travel."""
+    """Return the schema of a dataclass; raises `MessageError` for a field type without encoding."""
     return Schema(cls)
 
 
@@ -169,18 +169,18 @@ def fingerprint(cls: type[Any]) -> bytes:
 
 
 def pack(value: Any, place: PlaceArray | None = None) -> Any:
-    """What `to_bytes` takes for a dataclass; `place` decides where each array goes."""
+    """Return a dataclass as the object that `to_bytes` takes; `place` stores each array."""
     return schema(type(value)).write(value, place or _inline)
 
 
 def unpack(cls: type[T], data: Buffer, fetch: Fetch | None = None) -> T:
-    """The dataclass behind the bytes of a `pack`; arrays are views of what `fetch` gives."""
+    """Decode the bytes of a `pack` to a dataclass; arrays are views of what `fetch` returns."""
     value: T = schema(cls).read(data, fetch or nowhere)
     return value
 
 
 def carried(value: T) -> T:
-    """The dataclass as a reader in another process gets it, without the way there.
+    """Return the dataclass as a reader in another process would get it, without sending it.
 
     >>> from pipeline import Frame
     >>> from pipeline.testing import header, picture
@@ -193,19 +193,19 @@ def carried(value: T) -> T:
 
 
 def dumps(value: Any) -> bytes:
-    """A dataclass with all its arrays as one byte string, fingerprint first."""
+    """Encode a dataclass with all its arrays as one byte string, fingerprint first."""
     return fingerprint(type(value)) + to_bytes(pack(value))
 
 
 def loads(cls: type[T], data: bytes) -> T:
-    """What `dumps` wrote; raises `MessageError` when it is anything else."""
+    """Decode the output of `dumps`; raises `MessageError` for anything else."""
     if data[:8] != fingerprint(cls):
         raise MessageError(f"{cls.__name__}: fingerprint {data[:8].hex()} is of another schema")
     return unpack(cls, data[8:])
 
 
 def to_bytes(body: Any) -> bytes:
-    """msgpack, nothing else; raises `MessageError` for what cannot travel."""
+    """Encode as msgpack; raises `MessageError` for a value without encoding."""
     try:
         return _encode(body)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -213,7 +213,7 @@ def to_bytes(body: Any) -> bytes:
 
 
 def parse(decode: Callable[[Buffer], T], data: Buffer, what: str) -> T:
-    """What a msgspec decoder makes of untrusted bytes; raises `MessageError` beginning `what`."""
+    """Decode untrusted bytes with msgspec; raises `MessageError` beginning with `what`."""
     try:
         return decode(data)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
@@ -250,7 +250,7 @@ def _tuple(arguments: tuple[Any, ...], where: str) -> Kind:
 
 
 def _twin(cls: type[Any], kinds: Mapping[str, Kind]) -> type[Any]:
-    """The struct that travels in the place of a dataclass with arrays."""
+    """Return the msgspec struct that is sent for a dataclass with arrays."""
     fields = [(name, kind.wire) for name, kind in kinds.items()]
     return msgspec.defstruct(cls.__name__, fields, array_like=True, forbid_unknown_fields=True)
 
@@ -278,7 +278,7 @@ def _holds_dataclass(hint: Any) -> bool:
 
 
 def _brief(value: Any) -> str:
-    """What a value is, in a few words.
+    """Describe a value in a few words.
 
     >>> _brief("x" * 100), _brief(np.zeros(3, np.float32))
     ("a str 'xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx…", 'a float32 array of (3,)')
@@ -298,12 +298,12 @@ def _inline(array: NDArray[Any]) -> bytes:
 
 
 def nowhere(_offset: int, _nbytes: int) -> NDArray[np.uint8]:
-    """The `Fetch` of a message that brings its arrays along."""
+    """The `Fetch` for a message with its arrays inline."""
     raise MessageError("an array lies in a frame pool that was not named")
 
 
 def _bare(value: Any) -> Any:
-    """numpy's numbers travel as Python's."""
+    """Convert numpy scalars to Python numbers."""
     if isinstance(value, np.generic):
         return value.item()
     raise MessageError(f"cannot travel: a {type(value).__name__}")

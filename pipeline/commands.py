@@ -1,8 +1,8 @@
-"""Deeds that an operator does when told to: a command and its arguments in, an answer out.
+"""Commands of an operator (`fovea tell`): a name and arguments in, plain values out.
 
-An operator names them in `commands`; each is a method `do_<command>` whose arguments have names,
-types and maybe defaults, and which answers with plain values or with nothing. It is called between
-two calls of handlers, by the same thread.
+An operator lists them in `commands`. Each is a method `do_<command>` with typed, named arguments,
+which may have defaults; it returns plain values or None. It is called between two calls of
+handlers, by the same thread.
 """
 
 import dataclasses
@@ -19,16 +19,16 @@ from pipeline.wording import shown_key
 
 
 def commands_of(operator: type[Operator[Any, Any]]) -> dict[str, type[Any]]:
-    """A dataclass of arguments for every command; raises `SettingsError` for what is none."""
+    """Return a dataclass of arguments per command; raises `SettingsError` for a bad declaration."""
     return {name: _arguments(operator, name) for name in operator.commands}
 
 
 def carry_out(
     node: str, operator: Operator[Any, Any], command: str, arguments: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Have an operator do something; what it returns, as plain values.
+    """Call a command of an operator and return its result as plain values.
 
-    Raises `SettingsError` for a command or arguments that it does not have, and changes nothing.
+    Raises `SettingsError` for an unknown command or wrong arguments, without calling anything.
     """
     given = _checked(type(operator), command, arguments, node)
     returned = getattr(operator, f"do_{command}")(**given)
@@ -39,7 +39,7 @@ def carry_out(
 def _checked(
     cls: type[Operator[Any, Any]], command: str, arguments: Mapping[str, Any], node: str
 ) -> dict[str, Any]:
-    """The arguments as the operator's method wants them; raises `SettingsError`."""
+    """Return the arguments converted to the types of the method; raises `SettingsError`."""
     known = commands_of(cls)
     if command not in known:
         hint = checked.suggest(command, known)

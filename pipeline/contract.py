@@ -2,7 +2,7 @@
 
 An operator is a class with frozen settings, inputs declared as class attributes, and one handler
 per input (`on_<input>`) or per joined set of inputs (`on_<first>_<second>`). It runs as a process
-of its own, beside others in one process, or in the in-line runner, and cannot tell which.
+of its own, with others in one process or in the in-line runner; its code is the same in all three.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -17,55 +17,56 @@ from pipeline.messages import Header, Message
 
 S = TypeVar("S")
 Out = TypeVar("Out")
-SOURCE = "@source"  # beside the names of inputs, see `Operator.advise`
+SOURCE = "@source"  # a key beside the names of inputs, see `Operator.advise`
 Keep = Literal["latest", "every"]
-INCOMPLETE = "incomplete"  # in a summary: what could not be written, as a sentence
-HEADLINE = "headline"  # in a summary: what the run showed, as a sentence
-RATE = "rate"  # in the summary of a source: asked_hz and achieved_hz of its frames
+INCOMPLETE = "incomplete"  # key of a summary: a sentence on what could not be written
+HEADLINE = "headline"  # key of a summary: the result of the run, as a sentence
+RATE = "rate"  # key of a source's summary: asked_hz and achieved_hz of its frames
 Loan = Callable[[str, tuple[int, ...], DTypeLike], NDArray[Any]]  # output, shape, dtype -> memory
 
 
 @dataclass(frozen=True)
 class Input:
-    """One typed entrance of an operator.
+    """One typed input of an operator.
 
-    Joined inputs (the rule) of one operator wait for one another and arrive as a set of equal
-    `seq`. A `join=False` input has a handler of its own, `on_<input>`, which answers nothing; in
-    lockstep it runs after the set of the same frame.
+    By default, the inputs of an operator are joined: they wait for one another and arrive as a
+    set with equal `seq`. A `join=False` input has a handler of its own, `on_<input>`, which
+    returns None; in lockstep it runs after the set of the same frame.
     """
 
     message: type[Message]
-    keep: Keep = "latest"  # latest: drop older, counted; every: lossless, the writer waits
-    depth: int = 8  # frames that may wait here (and sets in the join table)
+    keep: Keep = "latest"  # latest: drop and count older ones; every: lossless, the writer waits
+    depth: int = 8  # capacity of the queue in frames, and of the join table in sets
     join: bool = True
-    optional: bool = False  # the handler gets None when it is absent
+    optional: bool = False  # the handler gets None where it is missing
     wait_ms: float = 0.0  # realtime: how long a complete set waits for its optional members
-    max_age_ms: float = 0.0  # older than this since the stamp is stale; 0: never; not in lockstep
-    stale: Literal["drop", "pass"] = "drop"  # drop, counted; or pass like any other, uncounted
-    command: bool = False  # a sensor command: closes the loop, always the newest
-    tap: bool = False  # a viewer: copies what it would otherwise pin
+    max_age_ms: float = 0.0  # stale when older than this since its stamp; 0: never; not in lockstep
+    stale: Literal["drop", "pass"] = "drop"  # drop and count it, or pass it on uncounted
+    command: bool = False  # a sensor command: closes the loop, only the newest is kept
+    tap: bool = False  # a viewer: its messages are copied, so that it pins no memory
 
 
 @dataclass(frozen=True)
 class Output:
-    """A named exit; an operator without one has a single exit named `out`."""
+    """A named output; an operator that declares none has a single one called `out`."""
 
     message: type[Message]
 
 
 def fresh_memory(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """Memory that no reader shares."""
+    """Return new memory that no reader shares."""
     return np.empty(shape, dtype)
 
 
 class Operator(Generic[S, Out]):
-    """A part of a graph. `Out` is the message type its handlers answer with (or None: nothing).
+    """A node of a graph. `Out` is the message type that its handlers return (None: no output).
 
-    `__init__` only stores; `open` acquires, in the process that uses it; `close` releases after
-    any outcome. Operators with named outputs answer with a mapping of output name to message.
+    `__init__` only stores; `open` acquires resources, in the process that uses them; `close`
+    releases them after any outcome. With named outputs, handlers return a mapping of output name
+    to message.
 
-    `live` names the settings that may change while it runs (`fovea set`), `commands` the methods
-    `do_<command>` that it may be told to call (`fovea tell`).
+    `live` lists the settings that may change while it runs (`fovea set`), `commands` the methods
+    `do_<command>` that may be called from outside (`fovea tell`).
     """
 
     live: ClassVar[tuple[str, ...]] = ()
@@ -79,31 +80,31 @@ class Operator(Generic[S, Out]):
         """Acquire what the handlers need: models, files, devices."""
 
     def close(self) -> None:
-        """Release everything; called after any outcome, also when `open` failed."""
+        """Release everything; called after any outcome, even when `open` failed."""
 
     def on_stream(self, header: Header) -> None:
-        """A sensor was opened anew: forget what belonged to the old stream."""
+        """Forget the state of the old stream; called when a sensor was opened anew."""
 
     def on_settings(self, settings: S) -> None:
-        """Take over settings that differ in `live` ones, between two calls of handlers.
+        """Apply settings of which only `live` ones differ; called between two calls of handlers.
 
-        They are of the right types and in range; raise `SettingsError` to refuse them all the
-        same, and leave everything as it was. Of a `Source` it is called between two exposures.
+        Types and ranges are already checked. Raise `SettingsError` to refuse the settings, and
+        leave everything as it was. For a `Source` it is called between two exposures.
         """
         self.settings = settings
 
     def state(self) -> object | None:
-        """What must survive a swap, as one dataclass of plain values and arrays.
+        """Return what must survive a swap, as one dataclass of plain values and arrays.
 
-        One of its own that returns None says that nothing must: what changes is room to work in.
+        An override that returns None declares that nothing must: what changes is scratch memory.
         """
         return None
 
     def restore(self, state: Any) -> None:
-        """Take over what another instance's `state` gave."""
+        """Take over what `state` of another instance returned."""
 
     def summary(self) -> Mapping[str, Any]:
-        """Figures for the run's report, asked for once at the end.
+        """Return figures for the report of the run; called once, at the end.
 
         A sentence as `headline` tells the result: `fovea run` prints it among its first lines. A
         sentence as `incomplete` tells what could not be written: `fovea run` prints it, and its
@@ -113,60 +114,60 @@ class Operator(Generic[S, Out]):
         return {}
 
     def headline(self) -> str:
-        """A figure of now for the line that `fovea run` shows, a few words; asked every second.
+        """Return a few words with a current figure for the status line of `fovea run`.
 
-        Called by another thread than the handlers: read, change nothing.
+        Called every second, by another thread than the handlers: read state, never change it.
         """
         return ""
 
     @classmethod
     def advise(cls, settings: S, upstream: Mapping[str, Any]) -> Iterable[str]:
-        """Sentences for `fovea check` and `fovea run`: what these settings mean, warnings.
+        """Return sentences for `fovea check` and `fovea run`: effects of these settings, warnings.
 
-        No device is opened. `upstream` holds the settings of the node behind each connected input,
-        by input name, and under `SOURCE` those of the node that makes frames. Raises `FoveaError`
-        for what cannot work, such as weights that are not there.
+        Open no device. `upstream` holds the settings of the node that feeds each connected input,
+        by input name, and under `SOURCE` those of the source. Raises `FoveaError` for settings that
+        cannot work, such as missing weights.
         """
         return ()
 
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike, output: str = "out") -> NDArray[Any]:
-        """Memory of an output to write a big array into, so that sending it copies nothing."""
+        """Return memory of an output; an array written there is sent without a copy."""
         return self._loan(output, shape, dtype)
 
     def allocate_from(self, memory: Loan) -> Loan:
-        """Take the memory of outputs from here on from `memory`; returns what it came from before.
+        """Allocate the memory of outputs from `memory` from now on; return the former allocator.
 
-        For what runs the operator, between two calls of handlers.
+        For the runtime, between two calls of handlers.
         """
         before, self._loan = self._loan, memory
         return before
 
 
 class Source(Operator[S, Out]):
-    """An operator that makes frames instead of answering them: capture.
+    """An operator that produces frames, such as a sensor.
 
     `produce` and the handler of a command input are called by different threads. `realtime` is
-    True when the source must keep its own rate, False in lockstep, where frame k+1 is asked for
-    when the graph has answered frame k.
+    True when the source must keep its own rate, and False in lockstep, where frame k+1 is
+    requested once the graph has finished frame k.
     """
 
     realtime: bool = True
 
     def produce(self) -> Mapping[str, Message] | None:
-        """The next exposure, one message per output; None at the end of the stream.
+        """Return the next exposure, one message per output; None at the end of the stream.
 
-        Raises `PoolExhausted` when a reader holds all the memory: the exposure is an overrun.
+        Raises `PoolExhausted` when readers hold all the memory: the exposure counts as an overrun.
         """
         raise NotImplementedError
 
 
 def inputs_of(operator: type[Operator[Any, Any]]) -> dict[str, Input]:
-    """Declared inputs by name, base classes first, in the order they are written."""
+    """Return declared inputs by name, base classes first, in the order of their declaration."""
     return _declared(operator, Input)
 
 
 def outputs_of(operator: type[Operator[Any, Any]]) -> dict[str, type[Message]]:
-    """Message type of each exit by name; empty for an operator that only consumes."""
+    """Return the message type of each output by name; empty for an operator that only consumes."""
     named = _declared(operator, Output)
     if named:
         return {name: output.message for name, output in named.items()}
@@ -175,7 +176,7 @@ def outputs_of(operator: type[Operator[Any, Any]]) -> dict[str, type[Message]]:
 
 
 def settings_of(operator: type[Operator[Any, Any]]) -> type[Any]:
-    """The settings dataclass named in `Operator[Settings, Message]`."""
+    """Return the settings dataclass named in `Operator[Settings, Message]`."""
     settings = _parameter(operator, 0)
     if not isinstance(settings, type):
         raise SettingsError(
@@ -186,7 +187,7 @@ def settings_of(operator: type[Operator[Any, Any]]) -> type[Any]:
 
 
 def live_of(operator: type[Operator[Any, Any]]) -> tuple[str, ...]:
-    """Its live settings; raises `SettingsError` when `live` names what is no setting."""
+    """Return its live settings; raises `SettingsError` when `live` names an unknown setting."""
     known = {f.name for f in fields(settings_of(operator))}
     for name in operator.live:
         if name not in known:
@@ -198,12 +199,12 @@ def live_of(operator: type[Operator[Any, Any]]) -> tuple[str, ...]:
 
 
 def joined(operator: type[Operator[Any, Any]]) -> tuple[str, ...]:
-    """Names of the inputs that arrive as one set; commands never do."""
+    """Return the names of the inputs that arrive as one set; command inputs never do."""
     return tuple(n for n, i in inputs_of(operator).items() if i.join and not i.command)
 
 
 def handler_of(operator: Operator[Any, Any], names: tuple[str, ...]) -> Callable[..., Any]:
-    """The method `on_<first>_<second>…` for a set of inputs."""
+    """Return the method `on_<first>_<second>…` for a set of inputs."""
     name = "on_" + "_".join(names)
     handler = getattr(operator, name, None)
     if not callable(handler):

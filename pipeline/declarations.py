@@ -1,8 +1,8 @@
-"""Whether a class declares itself as the contract of operators wants it, before it is used.
+"""Check the declarations of an operator class against the contract before it is used.
 
-A class from outside may declare anything: inputs of no message type, settings that cannot be read,
-commands without a method. What is wrong is told here, once and in one sentence, for all who load
-operators.
+A user's class may declare anything: inputs without a message type, settings that cannot be parsed,
+commands without a method. Every loader of operators uses these checks, so that each mistake has
+one error message.
 """
 
 from dataclasses import is_dataclass
@@ -24,7 +24,7 @@ FLAGS = ("join", "optional", "command", "tap")
 
 @cached_by_class
 def check_declarations(operator: type[Operator[Any, Any]]) -> None:
-    """Raise `GraphError` for a class that declares what no operator can."""
+    """Raise `GraphError` for a class whose declarations violate the contract."""
     where = f"{operator.__module__}:{operator.__qualname__}"
     try:
         _check_settings(operator, where)

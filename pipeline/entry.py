@@ -1,10 +1,10 @@
-"""The command `fovea`: answers signals from its first moment, then loads the command line."""
+"""Entry point of the command `fovea`: handles signals first, then loads the command line."""
 
 from pipeline import output, signals
 
 
 def main() -> None:
-    """Load what a command needs, which takes a second, and carry it out."""
+    """Load what a command needs, which takes a second, and run it."""
     signals.quit_at_once()
     output.guard()
     from pipeline import cli

@@ -1,17 +1,17 @@
-"""Everything fovea raises on purpose, as one family.
+"""Every error that fovea raises on purpose, as one family.
 
 FoveaError
 ├── SettingsError   a setting is missing, unknown, of the wrong type or out of range
 ├── GraphError      a graph file does not describe a graph that can run
-├── MessageError    bytes or arrays that are not the message they claim to be
+├── MessageError    bytes or arrays do not form a valid message
 ├── PoolExhausted   every slot of a frame pool is still leased
-├── DriverError     a sensor, a file or a data set does not deliver
-├── WeightsError    a network's weights are absent or not the ones named
-├── InstallError    a package that an extra brings is not installed
-└── RunError        a running graph cannot go on
+├── DriverError     a sensor, a file or a data set does not deliver what it should
+├── WeightsError    a network's weights are missing or have the wrong checksum
+├── InstallError    a package of an optional extra is not installed
+└── RunError        a running graph cannot continue
     └── Silent      no answer came in time
 
-A message says where, what, what was expected and what was got.
+Every message names the place and the subject, what was expected and what was found.
 """
 
 
@@ -28,7 +28,7 @@ class GraphError(FoveaError):
 
 
 class MessageError(FoveaError):
-    """Bytes or arrays that are not the message they claim to be."""
+    """Bytes or arrays do not form a valid message."""
 
 
 class PoolExhausted(FoveaError):
@@ -40,16 +40,16 @@ class DriverError(FoveaError):
 
 
 class WeightsError(FoveaError):
-    """A network's weights are absent or not the ones named."""
+    """A network's weights are missing or have the wrong checksum."""
 
 
 class InstallError(FoveaError):
-    """A package that an extra brings is not installed."""
+    """A package of an optional extra is not installed."""
 
 
 class RunError(FoveaError):
-    """A running graph cannot go on."""
+    """A running graph cannot continue."""
 
 
 class Silent(RunError):
-    """Who was asked does not answer in time."""
+    """A process or host did not answer before the deadline."""

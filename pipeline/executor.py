@@ -1,7 +1,7 @@
-"""Calls the handlers of one operator and checks what they return, in every way to run it.
+"""Call the handlers of one operator and check what they return, for every runner.
 
 A process, a shadow, the in-line runner and `pipeline.testing.drive` all call operators through
-this, so that a wrong answer is the same error, in the same words, wherever it is given.
+this module, so that a wrong return value gives the same error everywhere.
 """
 
 import inspect
@@ -13,12 +13,12 @@ from pipeline.contract import Loan, Operator, handler_of, joined, outputs_of
 from pipeline.errors import MessageError, RunError, SettingsError
 from pipeline.messages import Header, Message
 
-Answers = Mapping[str, Message | None]  # by output; None or absent: nothing for this exposure
+Answers = Mapping[str, Message | None]  # by output; None or missing: no message for this exposure
 M = TypeVar("M", bound=Message)
 
 
 class Executor:
-    """The handlers of one operator. `node` is what errors begin with, `memory` what outputs use."""
+    """Calls one operator. Errors begin with `node`; outputs are allocated from `memory`."""
 
     def __init__(
         self, node: str, operator: Operator[Any, Any], *, memory: Loan | None = None
@@ -34,22 +34,22 @@ class Executor:
 
     @property
     def single(self) -> bool:
-        """Whether there is no named output."""
+        """Whether the operator has no named outputs."""
         return set(self._outputs) <= {"out"}
 
     def allocate_from(self, memory: Loan) -> Loan:
-        """Hand out the memory of outputs from here; returns what it was handed out from before."""
+        """Allocate the memory of outputs from `memory` from now on; return the former allocator."""
         return self._operator.allocate_from(memory)
 
     def is_side(self, names: tuple[str, ...]) -> bool:
-        """Whether inputs are beside the joined set: their handler answers nothing."""
+        """Whether these inputs are outside the joined set; their handler returns None."""
         return not self._together.issuperset(names)
 
     def call(self, messages: Mapping[str, Message | None]) -> Answers:
-        """Call the handler of these inputs; its answers by output, none beside the joined set.
+        """Call the handler of these inputs and return its messages by output.
 
-        Raises `RunError` for an answer that is not of the operator's outputs; what the operator
-        raises passes through.
+        A handler outside the joined set has none. Raises `RunError` for a return value that does
+        not fit the operator's outputs; exceptions of the operator pass through.
         """
         names = tuple(messages)
         handler = self._handlers.get(names) or self._find(names)
@@ -62,7 +62,7 @@ class Executor:
         return {}
 
     def produce(self) -> Answers | None:
-        """The next exposure of a source; None at its end. Raises `RunError` as `call` does."""
+        """Return a source's next exposure, None at its end; raises `RunError` as `call` does."""
         given: Any = self._operator.produce()  # type: ignore[attr-defined]
         if given is None:
             return None
@@ -88,7 +88,7 @@ class Executor:
         return given
 
     def answers(self, given: Any) -> Answers:
-        """What the handler of the joined set returned, by output; raises `RunError`."""
+        """Return the return value of the joined set's handler by output; raises `RunError`."""
         if given is None:
             return self._nothing
         if type(given) is self._outputs.get("out"):
@@ -118,7 +118,7 @@ class Executor:
             )
 
     def _is_alike(self, header: Any) -> bool:
-        """Whether a header is good if the last one was: most differ in two numbers only."""
+        """Whether a header is as valid as the last one: most differ in two numbers only."""
         before = self._header
         return (
             before is not None
@@ -146,7 +146,7 @@ class Executor:
         try:
             inspect.signature(handler).bind(**dict.fromkeys(names))
         except ValueError:
-            pass  # a function that does not tell its arguments
+            pass  # a function without an inspectable signature
         except TypeError as error:
             cls = type(self._operator).__qualname__
             raise SettingsError(
@@ -160,12 +160,12 @@ class Executor:
 
 
 def header_of(answers: Answers) -> Header:
-    """The header of an exposure that `Executor.produce` gave."""
+    """Return the header of an exposure from `Executor.produce`."""
     return next(m.header for m in answers.values() if m is not None)
 
 
 def carried(message: M, where: str) -> M:
-    """A message as its readers get it: checked, its arrays read-only; raises `MessageError`."""
+    """Return a message as its readers get it: checked, arrays read-only; raises `MessageError`."""
     try:
         return codec.carried(message)
     except MessageError as error:
@@ -173,7 +173,7 @@ def carried(message: M, where: str) -> M:
 
 
 def exposure_of(header: Any) -> Any:
-    """What tells exposures apart."""
+    """Return the key that identifies an exposure."""
     return (header.stream, header.seq) if type(header) is Header else header
 
 
@@ -182,7 +182,7 @@ def _kind_of(value: Any) -> str:
 
 
 def _article(name: str) -> str:
-    """A name with its article.
+    """Return a name with its article.
 
     >>> _article("Frame"), _article("int")
     ('a Frame', 'an int')

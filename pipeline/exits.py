@@ -1,6 +1,6 @@
-"""`os._exit` called by an operator's code in a command's own process: an exception, no silent end.
+"""Turn `os._exit`, called by an operator in a command's own process, into an exception.
 
-Node processes are not concerned: there it ends the process, and the supervisor tells of it.
+Node processes are not affected: there the call ends the process and the supervisor reports it.
 """
 
 import contextlib
@@ -14,14 +14,14 @@ _ROOM = os.path.join(Path(__file__).parent, "")
 
 
 class Exits(SystemExit):
-    """Code that is not fovea's own called `os._exit`."""
+    """User code called `os._exit`."""
 
 
 def refuse() -> None:
-    """From now on `os._exit` raises `Exits` in this process, but for fovea's own code.
+    """Make `os._exit` raise `Exits` in this process, except when fovea's own code calls it.
 
-    Processes that are forked from this one may end so. A crash of an extension module, which
-    nothing can catch, is told with the line that called it.
+    Forked processes may still call it. For a crash of an extension module, which cannot be
+    caught, the traceback of the calling Python code is printed.
     """
     pid, leave = os.getpid(), os._exit
 

@@ -1,4 +1,4 @@
-"""Packages that the main job does not need: which extra brings them, and a module loaded late."""
+"""Optional packages: which extra installs each of them, and modules imported on first use."""
 
 from importlib import import_module
 from typing import Any
@@ -16,7 +16,7 @@ WHY = "torch for processors alone; without the index pip takes CUDA along, 5.4 G
 
 
 def remedy(error: ModuleNotFoundError) -> str:
-    """What is missing and how to get it; empty for a module that no extra brings.
+    """Say which package is missing and how to install it; empty for a module of no extra.
 
     >>> remedy(ModuleNotFoundError("no", name="matplotlib.pyplot"))
     "expected the package matplotlib, got none: pip install 'fovea[eval]'"
@@ -32,7 +32,7 @@ def remedy(error: ModuleNotFoundError) -> str:
 
 
 def need(package: str, where: str) -> None:
-    """Raise `InstallError` beginning with `where` unless a package of an extra is installed."""
+    """Raise `InstallError` beginning with `where` unless a package is installed."""
     try:
         import_module(package)
     except ModuleNotFoundError as error:
@@ -40,7 +40,7 @@ def need(package: str, where: str) -> None:
 
 
 class LateModule:
-    """A module that is imported when the first of its names is used."""
+    """A module that is imported on first use of one of its names."""
 
     def __init__(self, name: str) -> None:
         self._name = name

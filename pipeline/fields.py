@@ -1,4 +1,4 @@
-"""How one field of a message travels: its text in the schema, its type for msgspec, its arrays."""
+"""Encoding of one message field: its schema text, its msgspec type and its arrays."""
 
 import math
 from abc import ABC, abstractmethod
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.errors import MessageError
 from pipeline.messages import Shape
 
-PlaceArray = Callable[[NDArray[Any]], bytes | int]  # puts an array somewhere: bytes or an offset
+PlaceArray = Callable[[NDArray[Any]], bytes | int]  # stores an array: its bytes or offset
 Fetch = Callable[[int, int], NDArray[np.uint8]]  # offset, nbytes -> (nbytes,) uint8
 Side = Annotated[int, msgspec.Meta(ge=0)]
 
@@ -20,24 +20,24 @@ DTYPES = {np.dtype(t).str: np.dtype(t) for t in ("?", "u1", "u2", "i4", "i8", "f
 
 
 class Whole(Protocol):
-    """What a field that is a dataclass needs to know of it."""
+    """The encoder and decoder of a dataclass, as `Nested` uses them."""
 
     text: str
     wire: type[Any]
 
     def write(self, value: Any, place: PlaceArray) -> Any:
-        """What msgspec is to encode in the place of a value."""
+        """Return the object that msgspec encodes for a value."""
         ...
 
     def build(self, wire: Any, fetch: Fetch) -> Any:
-        """The value in whose place msgspec decoded `wire`."""
+        """Return the value for the object that msgspec decoded."""
         ...
 
 
 class Kind(ABC):
     """How one field is written and read."""
 
-    plain = False  # msgspec writes and reads it as it is
+    plain = False  # msgspec encodes and decodes it without help
 
     def __init__(self, text: str, wire: Any) -> None:
         self.text, self.wire = text, wire
@@ -50,7 +50,7 @@ class Kind(ABC):
 
 
 class Plain(Kind):
-    """Numbers, texts, and tuples and dataclasses of them."""
+    """Numbers, strings, and tuples and dataclasses of them."""
 
     plain = True
 
@@ -62,7 +62,7 @@ class Plain(Kind):
 
 
 class Tuples(Kind):
-    """A tuple with arrays somewhere inside."""
+    """A tuple that contains arrays at any depth."""
 
     def __init__(self, text: str, wire: Any, items: tuple[Kind, ...], *, endless: bool) -> None:
         super().__init__(text, wire)
@@ -81,7 +81,7 @@ class Tuples(Kind):
 
 
 class Nested(Kind):
-    """A dataclass with arrays somewhere inside."""
+    """A dataclass that contains arrays at any depth."""
 
     def __init__(self, schema: Whole) -> None:
         super().__init__(schema.text, schema.wire)
@@ -95,28 +95,28 @@ class Nested(Kind):
 
 
 class _Spot(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False):
-    """An array on the wire."""
+    """The encoding of an array: dtype, shape, and bytes or offset."""
 
     dtype: str
     sides: tuple[Side, ...]
-    spot: bytes | Side  # its bytes, or where they begin in the pool's slot
+    spot: bytes | Side  # its bytes, or their offset in the pool's slot
 
 
 class Array(Kind):
-    """An array; its dtype, its sides and where it lies are checked before it is made."""
+    """An array; its dtype, shape and offset are checked before it is created."""
 
     def __init__(self, dtypes: frozenset[str], shape: Shape | None) -> None:
         super().__init__(f"array[{'|'.join(sorted(dtypes))}]{shape or ''}", _Spot)
         self.dtypes, self.shape = dtypes, shape
-        self.alone = False  # in its message: its sides agree with no others
-        self._fitting: tuple[int, ...] | None = None  # the last sides, when it is alone
+        self.alone = False  # no other array of the message shares one of its named sides
+        self._fitting: tuple[int, ...] | None = None  # the last valid shape, when it is alone
 
     def pack(self, value: Any, place: PlaceArray, known: dict[str, int], where: str) -> Any:
         self._check(value, known, where)
         return (value.dtype.str, value.shape, place(value))
 
     def carried(self, value: Any, known: dict[str, int], where: str) -> NDArray[Any]:
-        """The array as `unpack` gives it: read-only, in one piece; a view where it is in one."""
+        """Return the array as `unpack` would: read-only and contiguous, a view if possible."""
         self._check(value, known, where)
         view: NDArray[Any] = np.asarray(value)
         view = view.view() if view.flags.c_contiguous else view.copy(order="C")
@@ -140,7 +140,7 @@ class Array(Kind):
             self._check_sides(sides, known, where)
         try:
             array: NDArray[Any] = np.ndarray(sides, dtype, raw)
-        except (ValueError, OverflowError) as error:  # nothing, as 0 x 2^63, is too big as well
+        except (ValueError, OverflowError) as error:  # even an empty array, as 0 x 2^63
             raise MessageError(f"{where}: no array has the sides {sides}") from error
         return array
 

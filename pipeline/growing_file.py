@@ -1,7 +1,7 @@
-"""A file that a library writes in the background: does it still grow, and up to where is it whole?
+"""Monitor a file that a library writes in the background, and truncate it when writing fails.
 
-Libraries that write recordings do not tell of a full disk. Their file is looked at once a second
-instead; when it stops growing it is cut where it was whole last, so that it can be read.
+Libraries that write recordings do not report a full disk. Their file is therefore checked once a
+second; when it stops growing, it is truncated to its last complete state, so that it is readable.
 """
 
 import contextlib
@@ -16,31 +16,31 @@ from pathlib import Path
 LOOK_S = 1.0
 FLUSH_S = 2.0
 CLOSE_S = 2.0
-BLOCK_BYTES = 4096  # with less than this left, a part of what was flushed is not there
-FULL_BYTES = 1 << 20  # with less than this left, the disk is what stopped the writer
+BLOCK_BYTES = 4096  # with less space left, part of the flushed data is missing
+FULL_BYTES = 1 << 20  # with less space left, the full disk is what stopped the writer
 
 
 class GrowingFile:
-    """A recording under way. `flush` waits so long for what was written; False: it is not there."""
+    """A recording in progress. `flush(seconds)` waits for pending writes; False: they failed."""
 
     def __init__(self, path: Path, flush: Callable[[float], bool]) -> None:
         self._path, self._flush = path, flush
-        self._identity: tuple[int, int] | None = None  # of the file that the library has opened
+        self._identity: tuple[int, int] | None = None  # of the file that the library opened
         self._whole_bytes = self._bytes()
         self._seen_bytes = self._whole_bytes
         self._whole_seq: int | None = None
         self._looked_s = time.monotonic()
-        self.failure = ""  # one sentence, once nothing more can be written
-        self.ended = False  # the library has ended the file
+        self.failure = ""  # one sentence, set when nothing more can be written
+        self.ended = False  # the library has closed the file
 
     def is_written(self, seq: int | None) -> bool:
-        """Whether what was handed to the library up to a frame arrives; looked at at times."""
+        """Whether frames up to `seq` reach the file; checked at intervals."""
         if not self.failure and time.monotonic() - self._looked_s >= LOOK_S:
             self.look(seq)
         return not self.failure
 
     def look(self, seq: int | None) -> None:
-        """Wait for what was written up to a frame, and find out whether it is in the file."""
+        """Wait for pending writes up to frame `seq`, and check that they are in the file."""
         if self.failure:
             return
         arrived = self._flush(FLUSH_S) and self._free_bytes() >= BLOCK_BYTES
@@ -49,13 +49,13 @@ class GrowingFile:
         if arrived:
             self._whole_bytes = size
             self._whole_seq = seq if seq is not None else self._whole_seq
-        elif size <= before or self._is_full():  # else it is slow, and grows
+        elif size <= before or self._is_full():  # otherwise it is slow, but grows
             self._give_up()
 
     def close(self, disconnect: Callable[[], None]) -> str:
-        """Have the library end the file; returns what goes wrong over it.
+        """Have the library close the file; return the failure as a sentence, or an empty string.
 
-        What the library cannot end is left to the end of the process.
+        A writer that the library cannot end is left alive until the process ends.
         """
         if self.failure:
             return ""
@@ -64,7 +64,7 @@ class GrowingFile:
         ending.join(CLOSE_S)
         self.ended = not ending.is_alive()
         stopped = self._bytes() <= self._whole_bytes and self._is_full()
-        if stopped or self._free_bytes() < BLOCK_BYTES:  # its last bytes are missing, or some
+        if stopped or self._free_bytes() < BLOCK_BYTES:  # some of its last bytes may be missing
             self._give_up()
         return self.failure
 
@@ -83,7 +83,7 @@ class GrowingFile:
         self.failure = f"{self._path}: {why}; {until}"
 
     def _bytes(self) -> int:
-        """As many as it has; 0 when it is gone, or another file has taken its name."""
+        """Return the file's size; 0 when it is gone or replaced by another file."""
         try:
             found = self._path.stat()
         except OSError:
@@ -91,7 +91,7 @@ class GrowingFile:
         return found.st_size if self._is_it(found) else 0
 
     def _is_it(self, found: os.stat_result) -> bool:
-        """Whether it is the recording: the file that was seen first."""
+        """Whether this is the recording, i.e. the file that was seen first."""
         if self._identity is None:
             self._identity = found.st_dev, found.st_ino
         return self._identity == (found.st_dev, found.st_ino)
@@ -107,8 +107,8 @@ class GrowingFile:
 
 
 def never_collect(writer: object) -> None:
-    """Leave a library's object to the end of the process.
+    """Keep a library's object alive until the process ends.
 
-    Its destructor may wait for a writer thread, which a full disk stops for ever.
+    Its destructor may wait for a writer thread, which a full disk blocks for ever.
     """
     ctypes.pythonapi.Py_IncRef(ctypes.py_object(writer))

@@ -1,7 +1,7 @@
 """Import paths as graph files write them: `module:Class` -> the class.
 
-What the module does when it is imported is the user's code: whatever it raises becomes one
-sentence with the file and line of the cause, and what it prints goes to standard error.
+Importing a module runs user code: whatever it raises becomes one sentence with the file and line of
+the cause, and its output goes to standard error.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ _PATH = re.compile(PATTERN)
 
 
 def is_import_path(value: object) -> bool:
-    """Whether a value is written like an import path.
+    """Whether a value has the form of an import path.
 
     >>> is_import_path("drivers.datasets:VideoFile"), is_import_path("http://x"), is_import_path(5)
     (True, False, False)
@@ -28,7 +28,7 @@ def is_import_path(value: object) -> bool:
 
 
 def check_import_path(value: object, where: str, error: type[FoveaError]) -> str:
-    """The value, which is an import path; raises `error` beginning with `where` for another."""
+    """Return the value if it is an import path; else raise `error` beginning with `where`."""
     if isinstance(value, str) and is_import_path(value):
         return value
     place = f"{where}: " if where else ""
@@ -36,7 +36,7 @@ def check_import_path(value: object, where: str, error: type[FoveaError]) -> str
 
 
 def imported(path: str, error: type[FoveaError], where: str = "") -> Any:
-    """What `module:Name` names; raises `error`, its sentence beginning with `where`.
+    """Import and return what `module:Name` names; raises `error` beginning with `where`.
 
     >>> from pipeline.errors import SettingsError
     >>> imported("math:pi", SettingsError)
@@ -48,7 +48,7 @@ def imported(path: str, error: type[FoveaError], where: str = "") -> Any:
     module, _, name = check_import_path(path, where, error).partition(":")
     place = f"{where}: " if where else ""
     try:
-        known = module in sys.modules  # nothing of it will be run
+        known = module in sys.modules  # no code of it will run
         with contextlib.nullcontext() if known else contextlib.redirect_stdout(sys.stderr):
             return getattr(importlib.import_module(module), name)
     except BaseException as cause:

@@ -1,6 +1,6 @@
-"""ONNX networks on this machine's processor: named arrays in, named arrays out.
+"""Run ONNX networks on the CPU: named arrays in, named arrays out.
 
-The only file that knows ONNX Runtime.
+The only module that imports ONNX Runtime.
 """
 
 import os
@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from pipeline.errors import WeightsError
 from pipeline.weights import pull_hint
 
-# else the library gives this machine a number and reports each session to its maker
+# otherwise the library sends telemetry: a machine id and an event per session
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
-import onnxruntime  # it reads that when it is imported
+import onnxruntime  # reads that variable at import
 
 
 class Network:
@@ -30,7 +30,7 @@ class Network:
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1
         options.log_severity_level = 3
-        # a spinning pool would take the cores that the other stages of the graph need
+        # a spinning thread pool would take cores that the other stages of the graph need
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
             self._session = onnxruntime.InferenceSession(

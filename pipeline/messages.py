@@ -1,6 +1,6 @@
-"""The messages that flow between operators (Eq. 2, 3 and 6 of the paper, and what surrounds them).
+"""The messages that flow between operators (Eq. 2, 3 and 6 of the paper, and those around them).
 
-Every box is `xyxy` float32 in sensor pixels (full resolution), whichever stream it was seen in.
+Every box is `xyxy` float32 in sensor pixels (full resolution), whichever stream it comes from.
 Messages are immutable; absent arrays are empty, never `None`. `Shape` states what the codec
 checks: a number is a fixed side, a name is a side that every array of one message agrees on.
 """
@@ -19,17 +19,17 @@ LONGEST_FIELD = 60  # characters of one in the `repr` of a message
 
 @dataclass(frozen=True)
 class Shape:
-    """The sides of an array, outermost first; several alternatives are allowed."""
+    """The shape of an array, outermost side first; it may list alternatives."""
 
     sides: tuple[tuple[int | str, ...], ...]
 
     @staticmethod
     def of(*sides: int | str) -> "Shape":
-        """One allowed form, e.g. `Shape.of("n", 4)`."""
+        """Return a shape with one allowed form, e.g. `Shape.of("n", 4)`."""
         return Shape((sides,))
 
     def check(self, where: str, shape: tuple[int, ...], known: dict[str, int]) -> None:
-        """Raise `MessageError` unless `shape` fits; named sides are remembered in `known`."""
+        """Raise `MessageError` unless `shape` fits; named sides are stored in `known`."""
         for form in self.sides:
             if len(form) != len(shape):
                 continue
@@ -61,12 +61,12 @@ class Span:
     received_ns: int
     done_ns: int
     handler_ns: int  # inside the operator's own code
-    scheduling_delay_ns: int  # runnable but without a core, between the stage before and this one
+    scheduling_delay_ns: int  # runnable but waiting for a core, since the previous stage
 
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """What the sensor can do, so that no stage hard-codes it; all in sensor pixels."""
+    """Geometry of the sensor and its ROI, in sensor pixels, so that no stage hard-codes it."""
 
     width_px: int = 0
     height_px: int = 0
@@ -75,18 +75,18 @@ class Geometry:
     step_px: int = 1  # windows start at multiples of this
 
     def aligned(self, value_px: int) -> int:
-        """The nearest start at or below `value_px` that the sensor can address."""
+        """Return the largest multiple of `step_px` that is not above `value_px`."""
         return value_px - value_px % self.step_px
 
 
 @dataclass(frozen=True, kw_only=True)
 class Header:
-    """Which exposure a message speaks of; stream, seq and stamp pass every stage untouched."""
+    """The exposure of a message; every stage passes stream, seq and stamp unchanged."""
 
     stream: str  # new each time a sensor is opened
     seq: int  # index k of the exposure within the stream
-    stamp_ns: int  # when the picture was ready, before it was read out
-    clock: str = "monotonic"  # of this host; between hosts, the label of the one that exposed
+    stamp_ns: int  # when the picture was ready, before its readout
+    clock: str = "monotonic"  # this host's; between hosts, the label of the exposing host's clock
     geometry: Geometry = Geometry()
     epoch: int = 0  # instance of the node that sent this; set by the runtime
     trace: tuple[Span, ...] = ()  # stages passed so far; set by the runtime
@@ -94,9 +94,9 @@ class Header:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Message:
-    """Base of everything that travels.
+    """Base class of all messages.
 
-    Its `repr` is short, also for messages of your own: arrays by dtype and sides.
+    Its `repr`, which your own messages inherit, is short: an array is its dtype and shape.
 
     >>> header = Header(stream="s", seq=7, stamp_ns=0)
     >>> Frame(header=header, pixels=np.zeros((2, 4, 3), np.uint8), window=(0, 0, 8, 4))
@@ -113,7 +113,7 @@ status='ok')
     def __repr__(self) -> str:
         rest = [f.name for f in fields(self) if f.name != "header"]
         parts = [f"{name}={_brief(getattr(self, name))}" for name in rest]
-        seq = getattr(self.header, "seq", "?")  # also of a message whose check is to fail
+        seq = getattr(self.header, "seq", "?")  # works for invalid messages, too
         return f"{type(self).__qualname__}({', '.join([f'seq={seq}', *parts])})"
 
 
@@ -121,20 +121,20 @@ status='ok')
 class Frame(Message):
     """Pixels of one exposure: (h, w) for a Bayer mosaic or grey, (h, w, 3) for RGB.
 
-    `window` is the region of the sensor they show (xyxy), so scale = window / size. A sensor that
-    reads no region in this exposure sends an empty picture (0, 0, 3) with an empty window.
+    `window` is the region of the sensor that they show (xyxy), so scale = window / size. A sensor
+    that reads no ROI in this exposure sends an empty picture (0, 0, 3) with an empty window.
     """
 
     pixels: Pixels
     pixel_format: str = "rgb8"  # rgb8 | grey8 | bayer_rggb8 | bayer_rggb16
     window: tuple[int, int, int, int] = (0, 0, 0, 0)  # sensor pixels
-    command_seq: int = -1  # seq of the RoiSchedule that shaped the window, -1: none did
+    command_seq: int = -1  # seq of the RoiSchedule that set the window, -1: none
     status: str = "ok"  # ok | unplanned (no command covered it) | stale (it came too late)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Detections(Message):
-    """Objects seen in one context frame (Eq. 2); n may be 0."""
+    """Objects detected in one context frame (Eq. 2); n may be 0."""
 
     boxes: Boxes
     angles: Scores  # radians, 0 for upright boxes
@@ -146,10 +146,10 @@ class Detections(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracks(Message):
-    """Objects followed over the last To frames and foreseen over the next Tp (Eq. 3).
+    """Objects tracked over the last To frames and predicted for the next Tp (Eq. 3).
 
-    Column To-1 is this frame, column 0 of `predicted` the next. Gaps are filled by the filter;
-    `visible` says which columns were seen.
+    Column To-1 is this frame, column 0 of `predicted` the next one. The filter fills gaps;
+    `visible` marks the columns with a detection.
     """
 
     ids: Ids
@@ -162,17 +162,17 @@ class Tracks(Message):
     names: tuple[str, ...] = ()
 
     def name_of(self, row: int) -> str:
-        """Class name of a track, empty when it has none."""
+        """Return the class name of a track; empty when it has none."""
         label = int(self.labels[row])
         return self.names[label] if 0 <= label < len(self.names) else ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoiFeatures(Message):
-    """High-resolution appearance of the tracks that lay inside this frame's ROI.
+    """High-resolution appearance of the tracks inside this frame's ROI.
 
-    `genuine` is how sure the encoder is, from these pixels, that an object is of the class its
-    label says; 1 where the encoder cannot tell.
+    `genuine` is the encoder's confidence, from these pixels, that an object is of its labelled
+    class; 1 where the encoder does not estimate it.
     """
 
     ids: Ids
@@ -182,29 +182,29 @@ class RoiFeatures(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scanpath(Message):
-    """Which object to look at in each of the next Tp frames (Eq. 6); Tp 0: no proposal."""
+    """The object to look at in each of the next Tp frames (Eq. 6); Tp = 0: no proposal."""
 
     ids: Ids
     probability: Annotated[NDArray[np.float32], Shape.of("horizon", "n")]
-    choice: Annotated[NDArray[np.int32], Shape.of("horizon")]  # track id, -1: a place, no object
+    choice: Annotated[NDArray[np.int32], Shape.of("horizon")]  # track id, -1: a position only
     boxes: Annotated[NDArray[np.float32], Shape.of("horizon", 4)]  # where it will be
-    first_seq: int  # the frame that row 0 speaks of
+    first_seq: int  # the frame of row 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoiSchedule(Message):
-    """The sensor command: one window per frame from `first_seq` on; T 0: nothing new."""
+    """The sensor command: one window per frame from `first_seq` on; T = 0: no change."""
 
     first_seq: int
     windows: Annotated[NDArray[np.int32], Shape.of("frames", 4)]  # xyxy, sensor pixels
-    scanpath_seq: int = -1  # seq of the scanpath it came from
+    scanpath_seq: int = -1  # seq of the scanpath behind it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Percept(Message):
-    """What a consumer made of context and ROI: boxes with ids, texts, or an action.
+    """A consumer's result from context and ROI: boxes with ids, texts, or an action.
 
-    No box means that there is nothing to follow, or that it is lost.
+    Without boxes, there is no target or it is lost.
     """
 
     boxes: Boxes
@@ -218,16 +218,16 @@ class Percept(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth(Message):
-    """What is really in a picture, from a source that knows it; for those who score."""
+    """Ground truth of a picture, from a source that knows it; for scoring."""
 
     boxes: Boxes
     ids: Ids  # constant per object over the whole stream
     labels: tuple[str, ...]  # n, as the source calls them: ball, player, main referee, …
-    visibility: Scores  # share of each object that is not hidden, 0..1
+    visibility: Scores  # visible fraction of each object, 0..1
 
 
 def _brief(value: Any) -> str:
-    """A field as `Message.__repr__` shows it: never more than a line of it."""
+    """Return a field as `Message.__repr__` shows it, on one line."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{list(value.shape)}"
     text = repr(value)
@@ -235,13 +235,15 @@ def _brief(value: Any) -> str:
 
 
 def stamped(header: Header, *, epoch: int, span: Span) -> Header:
-    """The header that leaves a stage: the same exposure, one more span."""
+    """Return the header that leaves a stage: the same exposure with one more span."""
     return altered(header, epoch=epoch, trace=(*header.trace, span))
 
 
 def altered(value: T, **changes: Any) -> T:
-    """A frozen dataclass with other values, as `replace` makes it, without its checks: for every
-    message of every stage."""
+    """Copy a frozen dataclass with changes, as `replace` does, but without its checks.
+
+    It is fast enough for every message of every stage.
+    """
     fresh = object.__new__(type(value))
     fresh.__dict__.update(value.__dict__, **changes)
     return fresh

@@ -1,4 +1,4 @@
-"""The files of the code that a process has imported, installed packages left out."""
+"""Source files of the modules that a process has imported, without installed packages."""
 
 import os
 import sys
@@ -12,7 +12,7 @@ INSTALLED = tuple(
 
 
 def module_files() -> Iterator[str]:
-    """Yield the files of all modules of this process that are no part of an installed package."""
+    """Yield the files of this process's modules, except those of installed packages."""
     for module in list(sys.modules.values()):
         file = getattr(module, "__file__", None)
         if isinstance(file, str) and file and not file.startswith(INSTALLED):
@@ -20,10 +20,10 @@ def module_files() -> Iterator[str]:
 
 
 def edited_since(moment_s: float, files: Iterable[str]) -> bool:
-    """Whether one of the files was edited since; `moment_s` is a time of `time.time()`."""
+    """Whether one of the files was edited after `moment_s`, in seconds as of `time.time()`."""
     for file in files:
         try:
-            if os.stat(file).st_mtime > moment_s:  # a Path would intern each part of it
+            if os.stat(file).st_mtime > moment_s:  # pathlib would intern each part of the path
                 return True
         except (OSError, ValueError):
             continue

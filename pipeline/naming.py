@@ -1,8 +1,8 @@
 """Names that become part of a path, a key expression or a socket: one grammar for all of them.
 
-Graphs, nodes, groups, hosts, inputs and outputs are named by it, wherever the name comes from: a
-graph file, a command line, a run folder, a recording or another host. A name can therefore never
-leave the folder that it is used in, and never mean more than one key.
+It applies to graphs, nodes, groups, hosts, inputs and outputs, whether the name comes from a graph
+file, a command line, a run folder, a recording or another host. A name can therefore neither escape
+from the folder that it is used in nor match more than one key.
 """
 
 import re
@@ -15,7 +15,7 @@ _NAME = re.compile(GRAMMAR)
 
 
 def is_name(value: object) -> bool:
-    """Whether a value is a name.
+    """Whether a value is a valid name.
 
     >>> is_name("main-camera_2"), is_name("../etc"), is_name(""), is_name(None)
     (True, False, False, False)
@@ -24,7 +24,7 @@ def is_name(value: object) -> bool:
 
 
 def check_name(value: object, where: str, error: type[FoveaError] = GraphError) -> str:
-    """The value, which is a name; raises `error` beginning with `where` when it is none.
+    """Return the value if it is a valid name; else raise `error` beginning with `where`.
 
     >>> check_name("a/b", "graph.name")
     Traceback (most recent call last):

@@ -1,9 +1,8 @@
-"""Folders that only this user can enter, reached by descriptor: files are made, read and removed.
+"""Create, read and remove files in folders that only this user can enter, by descriptor.
 
-Shared memory and the temporary folder can be written by every user of a machine. What fovea keeps
-there lies in folders of mode 0700. Every access goes through the descriptor of a folder that was
-checked once, never follows a link, and refuses what belongs to another user, so nobody can put
-something else in its place.
+Every user of a machine can write to shared memory and the temporary folder. fovea's files there are
+in folders of mode 0700. Every access goes through the descriptor of a folder that was checked once,
+never follows a link and refuses files of other users, so that no other user can substitute one.
 """
 
 import contextlib
@@ -16,15 +15,15 @@ from pipeline.errors import RunError
 
 MODE = 0o700
 FILE_MODE = 0o600
-MOST_BYTES = 64 << 20  # no file that is read as a whole is longer
+MOST_BYTES = 64 << 20  # upper limit of a file that is read as a whole
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class PrivateFolder:
-    """An open folder of mode 0700 that belongs to this user; open until it is garbage."""
+    """An open folder of this user with mode 0700; closed when it is garbage-collected."""
 
     def __init__(self, path: Path) -> None:
-        """Open an existing folder; raises `RunError` when it is not a private one of this user."""
+        """Open an existing folder; raises `RunError` unless it is private to this user."""
         self.path = path
         try:
             self.handle = os.open(path, _FOLDER)
@@ -51,26 +50,26 @@ class PrivateFolder:
 
     @property
     def exists(self) -> bool:
-        """Whether this very folder still has its name."""
+        """Whether the path still leads to this folder."""
         try:
             return os.path.samestat(os.fstat(self.handle), self.path.lstat())
         except FileNotFoundError:
             return False
 
     def names(self) -> list[str]:
-        """Everything in it, sorted."""
+        """Return the names of all entries, sorted."""
         return sorted(os.listdir(self.handle))
 
     def has(self, name: str) -> bool:
-        """Whether there is a regular file of this user with that name."""
+        """Whether there is a regular file of this user by that name."""
         return _is_own(self._seen(name), stat.S_IFREG)
 
     def create(self, name: str) -> int:
-        """The descriptor of a new file, for reading and writing; raises `OSError` if it exists."""
+        """Create a file and return its read-write descriptor; raises `OSError` if it exists."""
         return self._open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL)
 
     def open(self, name: str, *, writable: bool = False) -> int:
-        """The descriptor of a regular file of this user; raises `OSError`, also for other files."""
+        """Return a descriptor of a regular file of this user; raises `OSError` for any other."""
         handle = self._open(name, (os.O_RDWR if writable else os.O_RDONLY) | os.O_NONBLOCK)
         if _is_own(os.fstat(handle), stat.S_IFREG):
             return handle
@@ -78,7 +77,7 @@ class PrivateFolder:
         raise PermissionError(1, "not a file of this user", name)
 
     def read(self, name: str, most_bytes: int = MOST_BYTES) -> bytes:
-        """The contents of a file; raises `OSError`, also when it is longer."""
+        """Return the contents of a file; raises `OSError`, also above `most_bytes`."""
         with os.fdopen(self.open(name), "rb") as file:
             data = file.read(most_bytes + 1)
         if len(data) > most_bytes:
@@ -86,7 +85,7 @@ class PrivateFolder:
         return data
 
     def write(self, name: str, data: bytes) -> None:
-        """Give a file these contents, all of them or none; raises `OSError`."""
+        """Write a file atomically; raises `OSError`."""
         part = f"{name}.part"
         self.remove(part)
         try:
@@ -98,20 +97,20 @@ class PrivateFolder:
             raise
 
     def rename(self, name: str, new: str) -> None:
-        """Give a file another name, also that of another file, which is then gone."""
+        """Rename a file, replacing any file with the new name."""
         os.rename(name, new, src_dir_fd=self.handle, dst_dir_fd=self.handle)
 
     def remove(self, name: str) -> bool:
-        """Remove a file or socket of this user; whether there was one."""
+        """Remove a file or socket of this user; return whether there was one."""
         if not _is_own(self._seen(name), stat.S_IFREG, stat.S_IFSOCK):
             return False
-        with contextlib.suppress(OSError):  # gone meanwhile, or the file system is read-only
+        with contextlib.suppress(OSError):  # already gone, or the file system is read-only
             os.unlink(name, dir_fd=self.handle)
             return True
         return False
 
     def remove_itself(self) -> bool:
-        """Remove the folder if it is empty and still has its name; whether it was removed."""
+        """Remove the folder if it is empty and still at its path; return whether it was removed."""
         if self.exists:
             with contextlib.suppress(OSError):
                 self.path.rmdir()
@@ -134,5 +133,5 @@ class PrivateFolder:
 
 
 def _is_own(seen: os.stat_result | None, *kinds: int) -> bool:
-    """Whether it is of one of these kinds and of this user."""
+    """Whether an entry is of one of these kinds and belongs to this user."""
     return seen is not None and seen.st_uid == os.geteuid() and stat.S_IFMT(seen.st_mode) in kinds

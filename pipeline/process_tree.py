@@ -1,7 +1,7 @@
-"""Processes by descent, which no process can shed: not by a group, a session, an environment.
+"""Find and end processes by descent, which a process cannot change as it can group or session.
 
-The children of a process that dies pass to the nearest ancestor that adopts orphans, else to the
-first process of the system, and are no descendants from then on.
+The children of a dead process pass to the nearest ancestor that adopts orphans, otherwise to the
+first process of the system; from then on they are no longer descendants.
 """
 
 import contextlib
@@ -14,20 +14,20 @@ from dataclasses import dataclass
 import psutil
 
 PR_SET_CHILD_SUBREAPER = 36
-ROUNDS = 50  # one that is found may just have started another
-_STATE, _PARENT, _SESSION, _STARTED = 0, 1, 3, 19  # after the name, in /proc/PID/stat
+ROUNDS = 50  # a process may start another while they are listed
+_STATE, _PARENT, _SESSION, _STARTED = 0, 1, 3, 19  # fields after the name in /proc/PID/stat
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A process, told apart from another that gets its number later."""
+    """A process, distinguishable from a later one with the same pid."""
 
     pid: int
     started: int  # clock ticks after the start of the system
 
 
 def adopt_orphans() -> bool:
-    """Become the parent of what descendants leave behind; False where the system has no such."""
+    """Become the parent of orphaned descendants; False where the system does not support it."""
     try:
         adopted: int = ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     except (OSError, AttributeError):
@@ -44,20 +44,20 @@ def children(pid: int) -> Iterator[Member]:
 
 
 def zombies(pid: int) -> Iterator[int]:
-    """Yield the children of a process that have ended and were not waited for."""
+    """Yield the ended children of a process that were not waited for."""
     for child in _child_ids(pid):
         if (stat := _stat(child)) and stat[_STATE] == "Z":
             yield child
 
 
 def session_of(pid: int) -> int:
-    """The session of a process, 0 when there is no such process."""
+    """Return the session id of a process; 0 when there is no such process."""
     stat = _stat(pid)
     return int(stat[_SESSION]) if stat else 0
 
 
 def descendants(pid: int) -> set[Member]:
-    """The living descendants of a process."""
+    """Return the living descendants of a process."""
     found: set[Member] = set()
     fresh = set(children(pid))
     while fresh:
@@ -67,15 +67,15 @@ def descendants(pid: int) -> set[Member]:
 
 
 def lives(member: Member) -> bool:
-    """Whether that process has not ended."""
+    """Whether this very process is still alive."""
     stat = _stat(member.pid)
     return stat is not None and int(stat[_STARTED]) == member.started and stat[_STATE] not in "ZX"
 
 
 def end(members: Iterable[Member]) -> int:
-    """Kill processes and all that descend from them; returns how many there were.
+    """Kill processes and all their descendants; return how many there were.
 
-    They are stopped first: what is stopped starts no other.
+    They are stopped first, because a stopped process cannot start another.
     """
     found: set[Member] = set()
     fresh = {member for member in members if lives(member)}
@@ -92,7 +92,7 @@ def end(members: Iterable[Member]) -> int:
 
 
 def send(member: Member, number: signal.Signals) -> None:
-    """Send a signal to that process, not to one that has got its number since."""
+    """Send a signal to this very process, never to a later one with the same pid."""
     try:
         handle = os.pidfd_open(member.pid)
     except ProcessLookupError:
@@ -111,7 +111,7 @@ def send(member: Member, number: signal.Signals) -> None:
 
 
 def _child_ids(pid: int) -> list[int]:
-    """The children of all threads of a process; none when there is no such process."""
+    """Return the children of all threads of a process; none when there is no such process."""
     found: list[int] = []
     try:
         for thread in os.listdir(f"/proc/{pid}/task"):
@@ -120,13 +120,13 @@ def _child_ids(pid: int) -> list[int]:
                 found += map(int, file.read().split())
         if found or os.path.exists(f"/proc/{pid}/task/{pid}/children"):
             return found
-        return [child.pid for child in psutil.Process(pid).children()]  # a kernel without the file
+        return [child.pid for child in psutil.Process(pid).children()]  # a kernel without that file
     except (OSError, psutil.Error):
         return found
 
 
 def _stat(pid: int) -> list[str] | None:
-    """The entries of a process after its name; None when there is no such process."""
+    """Return the fields of /proc/PID/stat after the name; None when there is no such process."""
     try:
         with open(f"/proc/{pid}/stat", "rb", buffering=0) as file:
             text = file.readall() or b""

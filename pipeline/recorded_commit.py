@@ -1,7 +1,7 @@
-"""Steps of a build that record the commit: the source tree's git -> `pipeline/commit.txt`.
+"""Build steps that record the commit of the source tree in `pipeline/commit.txt`.
 
-`pyproject.toml` names them; nothing else imports this. setuptools loads the file by itself, before
-the project can be imported.
+Only `pyproject.toml` refers to them. setuptools loads this file on its own, before the project can
+be imported.
 """
 
 import importlib.util
@@ -15,7 +15,7 @@ HERE = Path(__file__).resolve().parent
 
 
 class BuildWithCommit(build_py):
-    """Copies the packages into a wheel, with the commit; an editable installation asks git."""
+    """Copies the packages and the commit into a wheel; an editable installation asks git."""
 
     def run(self) -> None:
         """Copy, then record."""
@@ -25,7 +25,7 @@ class BuildWithCommit(build_py):
 
 
 class SourceWithCommit(sdist):
-    """Packs the sources; a wheel that is built from them has no git to ask."""
+    """Packs the sources with the commit, since a wheel built from them has no git to ask."""
 
     def make_release_tree(self, base_dir: str, files: list[str]) -> None:
         """Copy, then record."""

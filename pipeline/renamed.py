@@ -1,4 +1,4 @@
-"""Options that have another name now: the old one is refused in a sentence that gives the new."""
+"""Renamed options: using the old name is an error that names the new one."""
 
 from collections.abc import Callable
 from typing import Any

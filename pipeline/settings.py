@@ -1,8 +1,8 @@
-"""Plain values from outside into settings dataclasses, strictly: mapping -> frozen dataclass.
+"""Build settings dataclasses strictly from plain values: mapping -> frozen dataclass.
 
-Types are checked by pydantic (a list may stand for a tuple, an int for a float and a whole float
-for an int, nothing else is converted); unknown names get a suggestion; ranges are checked by the
-dataclass. Whatever a dataclass raises over its values becomes one sentence.
+pydantic checks types (a list is accepted as a tuple, an int as a float and a whole float as an int;
+nothing else is converted). Unknown names get a suggestion; the dataclass checks ranges. Whatever a
+dataclass raises for its values becomes one sentence.
 """
 
 import difflib
@@ -21,11 +21,11 @@ from pipeline.text import WHOLE_HIGH, WHOLE_LOW, harmless
 from pipeline.wording import shown, shown_key
 
 T = TypeVar("T")
-DEEPEST = 32  # levels of a value
+DEEPEST = 32  # nested levels of a value
 
 
 class WrongSetting(SettingsError):
-    """Which setting is wrong, besides the sentence: the keys that lead to it, outermost first."""
+    """A wrong setting; `path` holds the keys that lead to it, outermost first."""
 
     def __init__(self, sentence: str, path: tuple[str, ...] = ()) -> None:
         super().__init__(sentence)
@@ -33,9 +33,9 @@ class WrongSetting(SettingsError):
 
 
 def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
-    """An instance of the dataclass `cls`; raises `SettingsError` beginning with `where`.
+    """Return an instance of the dataclass `cls`; raises `SettingsError` beginning with `where`.
 
-    A class attribute `FORMER` of `cls` has, by name, a sentence for each setting it no longer has.
+    A class attribute `FORMER` of `cls` maps each removed setting to a sentence for its error.
     """
     known = [f.name for f in fields(cls)]  # type: ignore[arg-type]
     former: Mapping[str, str] = getattr(cls, "FORMER", {})
@@ -52,13 +52,13 @@ def build(cls: type[T], values: Mapping[str, Any], where: str) -> T:
         raise _wrong(error, where) from error
     except FoveaError:
         raise
-    except Exception as error:  # the dataclass's own code broke over its values
+    except Exception as error:  # the dataclass's own code failed on its values
         raise WrongSetting(f"{where}: {cls.__name__} broke: {cause_of(error)}") from error
     return built
 
 
 def check_plain(value: Any, where: str, path: tuple[str, ...] = ()) -> None:
-    """Raise `SettingsError` unless a value is what JSON and messages can carry.
+    """Raise `SettingsError` unless JSON and messages can represent a value.
 
     >>> check_plain({"rate_hz": [float("inf")]}, "capture.options")
     Traceback (most recent call last):
@@ -89,7 +89,7 @@ def check_plain(value: Any, where: str, path: tuple[str, ...] = ()) -> None:
 
 
 def _within_64_bits(schema: Any) -> Any:
-    """A schema whose integers have the range of those that can be carried."""
+    """Return a schema whose integers are limited to the range that messages can carry."""
     if isinstance(schema, list):
         return [_within_64_bits(item) for item in schema]
     if not isinstance(schema, dict):
@@ -100,7 +100,7 @@ def _within_64_bits(schema: Any) -> Any:
 
 
 def _whole(value: Any) -> Any:
-    """Whole numbers as such, as JSON Schema has it: 3.0 is an integer, and a 3 may be a float."""
+    """Convert whole floats to integers, as in JSON Schema: 3.0 is an integer, and 3 a float."""
     if isinstance(value, Mapping):
         return {key: _whole(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -111,13 +111,13 @@ def _whole(value: Any) -> Any:
 
 
 def check_type(cls: type[Any]) -> None:
-    """Raise whatever a settings dataclass raises whose declaration cannot be read."""
+    """Raise the error of a settings dataclass whose declaration cannot be evaluated."""
     fields(cls)
     _strict_adapter(cls)
 
 
 def plain(settings: Any) -> dict[str, Any]:
-    """Every setting's value in the words of a graph file.
+    """Return every setting's value as a graph file would write it.
 
     >>> from pipeline.graph.plan import Restart
     >>> plain(Restart(most=2))
@@ -128,13 +128,13 @@ def plain(settings: Any) -> dict[str, Any]:
 
 
 def json_schema(cls: type[Any]) -> dict[str, Any]:
-    """The JSON Schema of a settings dataclass."""
+    """Return the JSON Schema of a settings dataclass."""
     found: dict[str, Any] = _within_64_bits(_strict_adapter(cls).json_schema())
     return found
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """`, did you mean 'x'?` or, with nothing near, what there is.
+    """Return `, did you mean 'x'?` or, without a close match, a list of the known names.
 
     >>> suggest("capure", ["capture", "policy"])
     ", did you mean 'capture'?"
@@ -167,7 +167,7 @@ def _wrong(error: ValidationError, where: str) -> WrongSetting:
     if first["type"] == "missing":
         return WrongSetting(f"{place}: required, got nothing", path)
     if isinstance(cause := first.get("ctx", {}).get("error"), Exception):
-        if isinstance(cause, FoveaError):  # it begins with the setting's name
+        if isinstance(cause, FoveaError):  # its text begins with the setting's name
             said = str(cause)
             return WrongSetting(f"{where}.{said}", tuple(said.partition(":")[0].split(".")))
         return WrongSetting(f"{place}: {cause_of(cause)}", path)

@@ -1,7 +1,7 @@
-"""Ctrl-C, SIGTERM and a closed terminal: each ends a command quietly, at any moment.
+"""Handling of Ctrl-C, SIGTERM and a closed terminal: each ends a command quietly, at any time.
 
-While the command line loads, a signal ends the process at once. A command is then ended by an
-exception (`Raising`), unless it looks for itself whether it was asked to end (`Interruption`).
+While the command line loads, a signal ends the process at once. Afterwards an exception ends the
+command (`raising`), unless the command polls for signals itself (`Interruption`).
 """
 
 import contextlib
@@ -13,25 +13,25 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
-LAST_RESORT_S = 30.0  # to close what is open, after that the kernel ends the process
-_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")  # not every system has the last
+LAST_RESORT_S = 30.0  # for cleaning up, after that the kernel ends the process
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP")  # SIGHUP does not exist on every system
 Handler = Callable[[int, FrameType | None], Any]
 
 
 class Interrupted(BaseException):
-    """Work that takes too long is given up; no operator's `except Exception` stops it."""
+    """Aborts work that takes too long; an operator's `except Exception` does not catch it."""
 
 
 def quit_at_once() -> None:
-    """Have signals end this process without a word, for as long as nothing is open."""
+    """Make signals end this process silently, while there is nothing to clean up."""
     _install(lambda number, _frame: os._exit(128 + number))
 
 
 @contextmanager
 def raising() -> Iterator[None]:
-    """Have the first signal raise `KeyboardInterrupt` or `SystemExit`; later ones change nothing.
+    """Make the first signal raise `KeyboardInterrupt` or `SystemExit`, and ignore later ones.
 
-    What does not end within `LAST_RESORT_S` is ended by the kernel.
+    After `LAST_RESORT_S` the kernel ends the process.
     """
     asked = 0
 
@@ -56,20 +56,21 @@ def raising() -> Iterator[None]:
 
 
 def ignore() -> None:
-    """Have signals change nothing any more: this process ends as it is."""
+    """Ignore signals from now on: the process is about to end."""
     _install(signal.SIG_IGN)
 
 
 def end_by_kernel(seconds: float) -> None:
-    """Have the kernel end this process unless it has ended by then; main thread only."""
+    """Have the kernel end this process after that time; main thread only."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 class Interruption:
-    """How often the process was asked to end. Use it as a context; nothing is raised in it.
+    """A context that counts signals instead of raising.
 
-    After the `last` one, where there was a signal, more of them change nothing: the process ends.
+    With `last`, once there was a signal, later ones are ignored after the context as well, because
+    the process is about to end.
     """
 
     def __init__(self, *, last: bool = False) -> None:
@@ -77,7 +78,7 @@ class Interruption:
         self.count = 0
         self.number = 0  # the first signal
         self.on_signal: Callable[[], None] = lambda: None
-        self._timeout_s = 0.0  # of the work that may be given up, 0: none may
+        self._timeout_s = 0.0  # for the work that may be aborted; 0: none may
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> "Interruption":
@@ -93,18 +94,18 @@ class Interruption:
 
     @property
     def status(self) -> int:
-        """The exit status that tells of the signal, 0 without one."""
+        """The exit status for the signal, 0 without one."""
         return 128 + self.number if self.number else 0
 
     def asked(self) -> int:
-        """How often the process was asked to end."""
+        """The number of signals so far."""
         return self.count
 
     @contextmanager
     def giving_up(self, timeout_s: float) -> Iterator[None]:
-        """Leave the work in this context that long after a signal, or at the second one.
+        """Abort the work in this context that long after a signal, or at the second signal.
 
-        What is closed on the way out has as long again, then the kernel ends the process.
+        Cleaning up may take as long again, then the kernel ends the process.
         """
         self._timeout_s = timeout_s
         before = signal.signal(signal.SIGALRM, self._give_up)
@@ -135,7 +136,7 @@ class Interruption:
 
 
 def _install(handler: Handler | signal.Handlers) -> dict[int, Any]:
-    """Handle the signals, return how they were handled; a hang-up that is ignored (nohup) stays."""
+    """Install a handler and return the former ones; an ignored SIGHUP (nohup) stays ignored."""
     before = {}
     for name in _NAMES:
         number = getattr(signal, name, None)
@@ -146,7 +147,7 @@ def _install(handler: Handler | signal.Handlers) -> dict[int, Any]:
 
 
 def _restore(before: dict[int, Any], handler: Handler) -> None:
-    """Handle signals as before, but for those that were given another handler meanwhile."""
+    """Restore the former handlers, except for signals that got another one meanwhile."""
     for number, earlier in before.items():
         if signal.getsignal(number) == handler:
             signal.signal(number, earlier)

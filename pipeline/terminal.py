@@ -1,4 +1,4 @@
-"""What a terminal shows: tables that fit into narrow ones too, and bounded log lines."""
+"""Terminal output: tables that fit into narrow terminals, and log lines of bounded length."""
 
 import contextlib
 import logging
@@ -19,12 +19,12 @@ from rich.text import Text
 from pipeline.text import harmless
 
 MOST_LOGGED = 8000  # characters of one record, with its traceback
-MOST_WIDTH = 10_000  # characters of a cell that are counted
-WORDS_WIDTH = 14  # that words which wrap need
+MOST_WIDTH = 10_000  # upper limit for the measured width of a cell, in characters
+WORDS_WIDTH = 14  # characters that wrapped text needs
 
 
 class _Bounded(logging.Formatter):
-    """Whatever is logged, by libraries too, in so many printable characters."""
+    """Limits each log record, also of libraries, to a number of printable characters."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the record's text."""
@@ -32,9 +32,9 @@ class _Bounded(logging.Formatter):
 
 
 def console(*, stderr: bool = False, soft_wrap: bool = False, highlight: bool = True) -> Console:
-    """Return a console; where the user wants no colours (`NO_COLOR`), it writes plain text alone.
+    """Return a console that writes only plain text where `NO_COLOR` is set.
 
-    Rich would leave the colours out and still write bold letters and move the cursor.
+    Rich alone would omit colours, but still write bold text and move the cursor.
     """
     found = Console(stderr=stderr, soft_wrap=soft_wrap, highlight=highlight)
     if found.no_color:
@@ -45,7 +45,7 @@ def console(*, stderr: bool = False, soft_wrap: bool = False, highlight: bool = 
 
 
 class _Handler(RichHandler):
-    """Wraps records for a terminal; for a file, a pipe or a journal each begins its own line."""
+    """Wraps records for a terminal; in a file, pipe or journal each record is its own line."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a record."""
@@ -59,7 +59,7 @@ class _Handler(RichHandler):
 
 
 def log_handler() -> logging.Handler:
-    """Return a handler that shows records without colours: Rich takes minutes over a long one."""
+    """Return a handler without highlighting, for which Rich takes minutes on a long record."""
     handler = _Handler(
         console=console(), show_path=False, highlighter=NullHighlighter(), keywords=[]
     )  # fmt: skip
@@ -68,7 +68,7 @@ def log_handler() -> logging.Handler:
 
 
 def cropped(shown: RenderableType, console: Console) -> RenderableType:
-    """What fits into a terminal from the top, and how much does not."""
+    """Return the top lines that fit into the terminal, and the number of the others."""
     lines = console.render_lines(shown, pad=False)
     if len(lines) <= console.height:
         return shown
@@ -78,17 +78,17 @@ def cropped(shown: RenderableType, console: Console) -> RenderableType:
 
 
 class LeanTable(Table):
-    """A table that leaves columns out where the terminal is too narrow, and says which."""
+    """A table that omits columns when the terminal is too narrow, and lists them."""
 
     def __init__(self, title: str, spare: Sequence[str]) -> None:
-        """`spare`: headings of columns in the order in which they are left out."""
+        """`spare`: headings of columns in the order in which they are omitted."""
         super().__init__(
             title=title, title_justify="left", box=box.SIMPLE_HEAD, show_edge=False, padding=0
         )
         self._spare = spare
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """The table, or a narrower one."""
+        """Yield the table, with fewer columns if necessary."""
         kept, left_out = self._fitting(console, options)
         if not left_out:
             yield from super().__rich_console__(console, options)
@@ -104,7 +104,7 @@ class LeanTable(Table):
         yield narrow
 
     def _fitting(self, console: Console, options: ConsoleOptions) -> tuple[list[str], list[str]]:
-        """The headings that stay and those that do not."""
+        """Return the headings that stay and those that are omitted."""
         widths = {str(c.header): self._width(console, options, c) for c in self.columns}
         left_out: list[str] = []
         for name in self._spare:
@@ -115,7 +115,7 @@ class LeanTable(Table):
         return list(widths), [name for name in left_out if name]
 
     def _width(self, console: Console, options: ConsoleOptions, column: Column) -> int:
-        """How wide a column has to be: words may wrap, names and figures must not."""
+        """Return the width a column needs: text may wrap, names and figures must not."""
         cells = (column.header, *column.cells)
         wide = options.update(max_width=MOST_WIDTH)
         widest = max(Measurement.get(console, wide, cell).maximum for cell in cells)
@@ -130,10 +130,10 @@ def lean_table(
     figures: Sequence[str] = (),
     spare: Sequence[str] = (),
 ) -> Table:
-    """An empty table: columns of names, which stay whole, of words, which wrap, of figures.
+    """Return an empty table with columns of names (never wrapped), text (wrapped) and figures.
 
-    Where it does not fit, columns are left out: `spare` ones, then figures from the right, then
-    words; the first name stays.
+    When it does not fit, columns are omitted: first `spare`, then figures from the right, then
+    text; the first column of names stays.
     """
     order = [*spare, *reversed(figures), *reversed(words), *reversed(names[1:])]
     table = LeanTable(title, list(dict.fromkeys(order)))
@@ -147,7 +147,7 @@ def lean_table(
 
 
 def brief(value: float) -> str:
-    """Three figures, as far as they are before the point or one or two behind it.
+    """Return three significant digits with at most two decimals.
 
     >>> brief(0.317), brief(4.8), brief(37.24), brief(1204.6)
     ('0.32', '4.80', '37.2', '1205')
@@ -156,17 +156,17 @@ def brief(value: float) -> str:
 
 
 def pair(spread: Mapping[str, float]) -> str:
-    """Median and 99th percentile of a summary."""
+    """Return median and 99th percentile of a summary as text."""
     return f"{brief(spread['p50'])}/{brief(spread['p99'])}"
 
 
 def rest(account: Mapping[str, Any]) -> str:
-    """How many messages of an edge were not delivered; `losses` tells what became of them."""
+    """Return the number of undelivered messages of an edge; `losses` breaks it down."""
     return str(account["offered"] - account["delivered"])
 
 
 def losses(origin: str, end: str, account: Mapping[str, Any], *, broken: bool) -> Iterator[Text]:
-    """A line on an edge that dropped or lost messages; none on what is merely in flight."""
+    """Yield a line for an edge that dropped or lost messages; none for messages in flight."""
     parts = [f"{n} dropped, {reason}" for reason, n in account["dropped"].items()]
     if lost := account["lost_in_crash"]:
         parts.append(f"{lost} lost in a crash")

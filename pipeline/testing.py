@@ -1,4 +1,4 @@
-"""Drive one operator by hand: messages in, its answers out. For tests and notebooks."""
+"""Call one operator by hand: messages in, its outputs out. For tests and notebooks."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -13,7 +13,7 @@ from pipeline.settings import build, suggest
 
 
 def header(seq: int = 0, *, stream: str = "test", geometry: Geometry | None = None) -> Header:
-    """A header for a made-up exposure; the field is 1920x1080 with a 480x270 ROI."""
+    """Return a header of a synthetic exposure; by default 1920x1080 pixels with a 480x270 ROI."""
     full_hd = Geometry(width_px=1920, height_px=1080, roi_width_px=480, roi_height_px=270)
     return Header(stream=stream, seq=seq, stamp_ns=seq * 33_333_333, geometry=geometry or full_hd)
 
@@ -23,14 +23,14 @@ def drive(
     messages: Iterable[Message | Mapping[str, Message]],
     settings: Mapping[str, Any] | None = None,
 ) -> list[Any]:
-    """Open the operator, hand it each message (or each set by input name), close it.
+    """Open the operator, pass it each message (or each set by input name), and close it.
 
     A single message goes to the joined set; a mapping whose only key is an unjoined input goes
-    to that input. Returns what the handlers answered: a message, a mapping of named outputs to
-    messages, or None for explicit nothing.
+    to that input. Returns what each handler returned: a message, a mapping of named outputs to
+    messages, or None.
 
-    What a graph would refuse is a `FoveaError` here too: settings, messages of the wrong type, and
-    answers. As in a graph, the operator cannot write into what it is handed.
+    Raises `FoveaError` where a graph would: for wrong settings, messages or return values. As in
+    a graph, the operator cannot write into the arrays it receives.
     """
     name = operator.__qualname__
     subject = operator(build(settings_of(operator), settings or {}, name))
@@ -52,7 +52,7 @@ def drive(
 
 
 def _arguments(operator: type[Operator[Any, Any]], given: Any) -> dict[str, Message | None]:
-    """A message or a set as the arguments of one handler; raises `RunError`, `MessageError`."""
+    """Return the arguments of one handler; raises `RunError` or `MessageError`."""
     name, together = operator.__qualname__, joined(operator)
     if isinstance(given, Message) and together:
         given = {together[0]: given}
@@ -85,7 +85,7 @@ def _arguments(operator: type[Operator[Any, Any]], given: Any) -> dict[str, Mess
 
 
 def _checked(executor: Executor, arguments: dict[str, Message | None], name: str) -> Any:
-    """What the operator answered, after the checks that a graph makes."""
+    """Call the operator and return its outputs after the checks that a graph makes."""
     given = {output: m for output, m in executor.call(arguments).items() if m is not None}
     head = next(m for m in arguments.values() if m is not None).header
     for output, message in given.items():
@@ -94,5 +94,5 @@ def _checked(executor: Executor, arguments: dict[str, Message | None], name: str
 
 
 def picture(height_px: int, width_px: int, *, seed: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """A random RGB picture (h, w, 3)."""
+    """Return a random RGB picture, (h, w, 3) uint8."""
     return np.random.default_rng(seed).integers(0, 256, (height_px, width_px, 3), np.uint8)

@@ -1,21 +1,21 @@
-"""What others wrote, made short and harmless before it is logged, shown or sent on.
+"""Sanitise text from user code before it is logged, shown or sent on.
 
-Exception texts, headlines and summaries come from operators: they may be huge, hold control
-characters that drive a terminal, lone surrogates that no file takes, or fail to be had at all.
+Exception texts, headlines and summaries come from operators: they may be huge, contain terminal
+control characters or lone surrogates that no file accepts, or raise when they are converted.
 """
 
 import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-MOST_CHARS = 1000  # of a sentence that is shown; the whole text is in the node's log
-MOST_DEPTH = 32  # of nested figures
-WHOLE_LOW, WHOLE_HIGH = -(1 << 63), (1 << 64) - 1  # what messages can carry
+MOST_CHARS = 1000  # of a displayed sentence; the node's log has the whole text
+MOST_DEPTH = 32  # nested levels of figures
+WHOLE_LOW, WHOLE_HIGH = -(1 << 63), (1 << 64) - 1  # the integers that messages can carry
 _UNPRINTABLE = {"Cc", "Cs", "Cf", "Co", "Cn", "Zl", "Zp"}
 
 
 def harmless(text: str, most_chars: int = MOST_CHARS, *, lines: bool = False) -> str:
-    r"""Return the text in printable characters, cut to a length; with `lines`, breaks stay.
+    r"""Return the text in printable characters, truncated; `lines` keeps line breaks.
 
     >>> harmless("a\x1b[2J\ud800b\nc")
     'a\\x1b[2J\\ud800b c'
@@ -30,7 +30,7 @@ def harmless(text: str, most_chars: int = MOST_CHARS, *, lines: bool = False) ->
 
 
 def error_text(error: BaseException) -> str:
-    """Return an exception's type and text, also when its text cannot be had.
+    """Return an exception's type and text, even when `str` of it fails.
 
     >>> error_text(ValueError("no"))
     'ValueError: no'
@@ -39,7 +39,7 @@ def error_text(error: BaseException) -> str:
 
 
 def said_by(error: BaseException) -> str:
-    """Return an exception's text, also when `str` of it fails."""
+    """Return an exception's text, even when `str` of it fails."""
     try:
         return str(error)
     except Exception as broken:  # an operator's class may do anything
@@ -47,8 +47,7 @@ def said_by(error: BaseException) -> str:
 
 
 def plain(value: Any, depth: int = MOST_DEPTH, most_chars: int = MOST_CHARS) -> Any:
-    r"""Return figures that came as JSON with harmless strings and keys; what is too deep or long is
-    cut off.
+    r"""Return JSON values with sanitised strings and keys, truncated where too deep or too long.
 
     >>> plain({"a": ["b\x00", 1.5, None]})
     {'a': ['b\\x00', 1.5, None]}

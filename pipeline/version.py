@@ -1,7 +1,7 @@
-"""Which fovea this is: its version, and the commit it was built from.
+"""Version of fovea, and the commit it was built from.
 
-A wheel has its commit in `commit.txt`, written when it was built; the source tree asks git. Where
-neither is there, the version stands alone.
+A wheel has its commit in `commit.txt`, written by the build; the source tree asks git. Without
+either, only the version is known.
 """
 
 import subprocess
@@ -15,13 +15,13 @@ SHOWN = 12  # characters of a commit
 
 
 def described() -> str:
-    """The version, and the commit where it is known: `0.2.0 (commit 1e36e692cf0a)`."""
+    """Return the version, with the commit where known: `0.2.0 (commit 1e36e692cf0a)`."""
     found = commit()
     return f"{version()} (commit {found})" if found else version()
 
 
 def version(root: Path = ROOT) -> str:
-    """The version of the source tree this file lies in, else of the installed package."""
+    """Return the version of the source tree of this file, otherwise of the installed package."""
     try:
         project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
         if project["name"] == "fovea":
@@ -35,7 +35,7 @@ def version(root: Path = ROOT) -> str:
 
 
 def commit(root: Path = ROOT) -> str:
-    """The commit, `+` behind it where tracked files differ; empty where nothing tells."""
+    """Return the commit, followed by `+` where tracked files differ; empty if unknown."""
     if (root / ".git").exists():  # a folder, or the file of a worktree
         found, changed = revision(root)
         return f"{found[:SHOWN]}+" if changed else found[:SHOWN]
@@ -46,7 +46,7 @@ def commit(root: Path = ROOT) -> str:
 
 
 def revision(root: Path = ROOT) -> tuple[str, bool]:
-    """The commit of a folder, empty where git knows none; and whether tracked files differ."""
+    """Return the commit of a folder (empty without git) and whether tracked files differ."""
     found = _git(root, "rev-parse", "HEAD")
     return found, bool(found and _git(root, "status", "--porcelain", "--untracked-files=no"))
 

@@ -1,7 +1,7 @@
-"""Third-party weights: a name -> the path of a file whose contents are the ones named.
+"""Third-party weights: a name -> the path of a file with a verified checksum.
 
-The manifest `operators/weights.toml` says what each file is and where it comes from. Nothing is
-fetched unless `fovea weights pull` is asked to, and nothing is used unless its sha256 is right.
+The manifest `operators/weights.toml` describes each file and its origin. Files are downloaded only
+by `fovea weights pull`, and used only if their sha256 matches the manifest.
 """
 
 import difflib
@@ -27,12 +27,12 @@ from pipeline.whole_file import whole_file
 MANIFEST = Path(__file__).resolve().parents[1] / "operators" / "weights.toml"
 CHUNK_BYTES = 1 << 16
 
-Advance = Callable[[int], None]  # so many bytes more
+Advance = Callable[[int], None]  # called with the number of bytes copied since
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One file of the manifest. An empty `url`: no address, only a mirror has it."""
+    """One file of the manifest. Without `url` it can only come from a mirror."""
 
     name: str
     file: str
@@ -54,7 +54,7 @@ class Entry:
 
 
 def entries(manifest: Path = MANIFEST) -> dict[str, Entry]:
-    """Everything a manifest names. Raises `WeightsError` when it is not a manifest."""
+    """Return all entries of a manifest by name; raises `WeightsError` for an invalid manifest."""
     try:
         tables = tomllib.loads(manifest.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -66,14 +66,14 @@ def entries(manifest: Path = MANIFEST) -> dict[str, Entry]:
 
 
 def default_folder() -> Path:
-    """Where pulled weights lie unless a folder is given."""
+    """Return the default folder of pulled weights."""
     return Path.home() / ".cache" / "fovea" / "weights"
 
 
 def find(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST) -> Path | None:
-    """The pulled copy of `name`, or None when it was not pulled or is not what was named.
+    """Return the path of the pulled copy of `name`; None when it is missing or damaged.
 
-    Raises `WeightsError` for a name that the manifest does not know.
+    Raises `WeightsError` for a name that is not in the manifest.
     """
     entry = _named(name, manifest)
     path = (folder or default_folder()) / entry.file
@@ -81,7 +81,7 @@ def find(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST) ->
 
 
 def require(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST) -> Path:
-    """As `find`, but raises `WeightsError` when there is no good copy, saying how to get one."""
+    """Like `find`, but raise `WeightsError` with a hint when there is no intact copy."""
     path = find(name, folder, manifest=manifest)
     if path is None:
         raise WeightsError(
@@ -92,7 +92,7 @@ def require(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST)
 
 
 def weights_file(weights: str, shipped: Path) -> Path:
-    """The file that a setting names: by path (`….onnx`), by name in weights.toml, or the shipped.
+    """Return the file of a setting: a path (`….onnx`), a name in weights.toml, or else `shipped`.
 
     Raises `WeightsError` for a name without an intact copy.
     """
@@ -102,7 +102,7 @@ def weights_file(weights: str, shipped: Path) -> Path:
 
 
 def pull_hint(path: Path, *, manifest: Path = MANIFEST) -> str:
-    """How to get the file that is missing, or nothing when the manifest names none like it."""
+    """Return a hint how to get a missing file; empty when the manifest does not list it."""
     named = [name for name, entry in entries(manifest).items() if entry.file == path.name]
     return f"; `fovea weights pull {named[0]}` fetches it" if named else ""
 
@@ -116,10 +116,10 @@ def pull(
     timeout_s: float = 30.0,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Bring weights into the folder, from a mirror folder or else from their address.
+    """Copy weights into the folder, from a mirror folder or else from their URL.
 
-    Intact copies stay as they are. Raises `WeightsError` when one cannot be had or is not what
-    the manifest says; then nothing of it is left behind, and earlier ones stay.
+    Intact copies stay as they are. Raises `WeightsError` when a file is unavailable or does not
+    match the manifest; then no part of it is left behind, and earlier files stay.
     """
     wanted = [_named(name, manifest) for name in names]
     folder = folder or default_folder()
@@ -131,7 +131,7 @@ def pull(
 
 
 def matches(path: Path, entry: Entry) -> bool:
-    """Whether a file's size and sha256 are the ones named."""
+    """Whether a file's size and sha256 match the manifest."""
     if path.stat().st_size != entry.size_bytes:
         return False
     with path.open("rb") as file:
@@ -170,7 +170,7 @@ def _pull_one(
     try:
         with opened as (source, origin):
             _take(source, origin, target, entry, advance)
-    except (OSError, http.client.HTTPException) as error:  # a refusing server, a full disk
+    except (OSError, http.client.HTTPException) as error:  # the server refuses, the disk is full
         raise WeightsError(f"{entry.name}: {mirror or entry.url}: {error}") from error
     return target
 
@@ -180,7 +180,7 @@ def _mirrored(entry: Entry, mirror: Path) -> Iterator[tuple[IO[bytes], str]]:
     found = sorted(path for path in mirror.rglob(entry.file) if path.is_file())
     if not found:
         raise WeightsError(f"{entry.name}: expected {entry.file} somewhere in {mirror}, got none")
-    # a mirror may hold several files of that name: prefer the one that is right
+    # a mirror may hold several files of that name: prefer the one that matches
     path = next((path for path in found if matches(path, entry)), found[0])
     with path.open("rb") as file:
         yield file, str(path)
@@ -195,7 +195,7 @@ def _addressed(entry: Entry, timeout_s: float) -> Iterator[tuple[IO[bytes], str]
 
 
 def _take(source: IO[bytes], origin: str, target: Path, entry: Entry, advance: Advance) -> None:
-    """Copy, check, then rename: the target is whole and right or is not there."""
+    """Copy, verify, then rename, so that the target is complete and correct or absent."""
     with whole_file(target) as file:
         size_bytes, sha256 = _copy(source, file, entry.size_bytes, advance)
         if size_bytes != entry.size_bytes:
@@ -212,7 +212,7 @@ def _take(source: IO[bytes], origin: str, target: Path, entry: Entry, advance: A
 def _copy(
     source: IO[bytes], file: IO[bytes], limit_bytes: int, advance: Advance
 ) -> tuple[int, str]:
-    """Bytes and sha256 of what was copied; stops soon after the limit is passed."""
+    """Copy, and return size in bytes and sha256; stop soon after the limit is exceeded."""
     digest, size_bytes = hashlib.sha256(), 0
     while size_bytes <= limit_bytes and (chunk := source.read(CHUNK_BYTES)):
         file.write(chunk)
@@ -231,7 +231,7 @@ def _advance(entry: Entry, progress: Progress | None) -> Advance:
 
 @click.group("weights")
 def weights_commands() -> None:
-    """Third-party networks: list them, pull them."""
+    """List and download third-party networks."""
 
 
 @weights_commands.command("pull")
@@ -243,7 +243,7 @@ def weights_commands() -> None:
 )
 @click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Keep them here.")
 def pull_command(names: tuple[str, ...], mirror: Path | None, folder: Path | None) -> None:
-    """Fetch NAMES, or all that can be had, and check each."""
+    """Download NAMES, or all that are available, and verify each."""
     wanted = names or tuple(n for n, entry in entries().items() if mirror or entry.url)
     columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
     console = terminal.console(stderr=True)
@@ -256,7 +256,7 @@ def pull_command(names: tuple[str, ...], mirror: Path | None, folder: Path | Non
 @weights_commands.command("list")
 @click.option("--folder", type=click.Path(path_type=Path, file_okay=False), help="Look here.")
 def list_command(folder: Path | None) -> None:
-    """Show what the manifest names and which of it is here."""
+    """List the networks of the manifest and which of them are present."""
     table = Table("name", "here", "kB", "licence", "note", box=None)
     for name, entry in entries().items():
         here = "yes" if find(name, folder) else "no"

@@ -1,7 +1,7 @@
-"""Files that are written whole or not at all, beside which nothing of anyone else is touched.
+"""Write files atomically, without touching any other file in the folder.
 
-A temporary file with a random name is made in the same folder, never opened if there is one
-already, and takes the file's name when everything is in it. It is removed when that fails.
+A new temporary file with a random name is written in the same folder and renamed to the final name
+when it is complete. It is removed when that fails.
 """
 
 import contextlib
@@ -11,16 +11,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-PREFIX, SUFFIX = ".fovea-", ".part"  # of the temporary file, which any folder has room for
+PREFIX, SUFFIX = ".fovea-", ".part"  # of the temporary file's name
 _MAKE = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 @contextlib.contextmanager
 def whole_file(path: Path, *, secret: bool = False, durable: bool = False) -> Iterator[IO[bytes]]:
-    """The file that becomes `path` when the block ends without an exception.
+    """Yield a file that becomes `path` when the block ends without an exception.
 
-    A link there is replaced, not followed. Its mode is what the umask says, or 0600 for a secret;
-    one that is durable is there after a power failure, too. Raises `OSError`.
+    A link at `path` is replaced, not followed. The mode follows the umask, or is 0600 with
+    `secret`; with `durable` the file survives a power failure. Raises `OSError`.
     """
     with _folder(path) as folder, _temporary(folder, 0o600 if secret else 0o666) as (name, handle):
         with os.fdopen(handle, "w+b") as file:
@@ -34,13 +34,13 @@ def whole_file(path: Path, *, secret: bool = False, durable: bool = False) -> It
 def write_whole(
     path: Path, data: bytes | str, *, secret: bool = False, durable: bool = False
 ) -> None:
-    """Give a file these contents, all of them or none; raises `OSError` as `whole_file` does."""
+    """Write a file atomically; raises `OSError` as `whole_file` does."""
     with whole_file(path, secret=secret, durable=durable) as file:
         file.write(data.encode() if isinstance(data, str) else data)
 
 
 def try_beside(path: Path) -> None:
-    """Raise `OSError` unless a file can be made in the folder of `path`, which stays as it is."""
+    """Raise `OSError` unless a file can be created in the folder of `path`; change nothing."""
     with _folder(path) as folder, _temporary(folder, 0o600) as (_, handle):
         os.close(handle)
 
@@ -56,7 +56,7 @@ def _folder(path: Path) -> Iterator[int]:
 
 @contextlib.contextmanager
 def _temporary(folder: int, mode: int) -> Iterator[tuple[str, int]]:
-    """A new file's name and descriptor; what still has the name afterwards is removed."""
+    """Yield a new file's name and descriptor; afterwards remove the file if it still exists."""
     name = f"{PREFIX}{secrets.token_hex(8)}{SUFFIX}"
     handle = os.open(name, _MAKE, mode, dir_fd=folder)
     try:

@@ -1,4 +1,4 @@
-"""Modules and classes of users that break when they are imported or looked at, as texts."""
+"""Sources of user modules and classes that fail when they are imported or inspected."""
 
 MODULES = {  # the text, the line of the cause, and what is said of it
     "raises": ("import json\n\njson.loads('x')\n", 3, "JSONDecodeError"),

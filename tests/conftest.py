@@ -1,4 +1,4 @@
-"""What every test may count on: an empty home, no variables of the user, folders of its own."""
+"""Environment of every test: an empty home, no variables of the user, private folders."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Operators with an illness each, to test what a supervisor does about them."""
+"""Operators with one fault each, to test how a supervisor handles them."""
 
 import ctypes
 import multiprocessing

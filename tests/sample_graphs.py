@@ -1,4 +1,4 @@
-"""Small graphs of the samples, and how a test runs one and waits for what shall happen in it."""
+"""Small graphs of the samples, and functions to run one and wait for events in it."""
 
 import os
 import secrets

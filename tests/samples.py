@@ -1,4 +1,4 @@
-"""Small operators to test the runtime with: a source of numbered pictures, things to do to them."""
+"""Small operators to test the runtime: a source of numbered pictures, and their consumers."""
 
 import time
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""A graph with one part that does what no operator should, and how a test runs it."""
+"""A graph with one misbehaving operator, and functions to run it in tests."""
 
 import secrets
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Operators that answer wrongly, in every way that a runtime has to notice."""
+"""Operators with wrong return values of every kind that the runtime must detect."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

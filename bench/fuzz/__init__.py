@@ -1,1 +1,1 @@
-"""Generated input against everything that reads what comes from outside."""
+"""Fuzzing of everything that parses untrusted input."""

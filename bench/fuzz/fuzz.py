@@ -1,4 +1,4 @@
-"""Figures of generated input: cases, refusals, and what broke, which should be nothing.
+"""Figures of fuzzing: cases, refusals, and failures, of which there should be none.
 
 python -m bench.fuzz graphs --count 10000; python -m bench.fuzz orders --count 10000;
 python -m bench.fuzz wire --count 1000000
@@ -27,7 +27,7 @@ SHIPPED = tuple(map(graph_path, ("tracking", "multi_host")))
 
 @click.group()
 def fuzz() -> None:
-    """Give generated input to everything that reads what comes from outside."""
+    """Fuzz everything that parses untrusted input."""
 
 
 def options(count: int) -> Callable[..., Any]:
@@ -44,7 +44,7 @@ def options(count: int) -> Callable[..., Any]:
 @click.argument("graphs", nargs=-1, type=click.Path(path_type=Path))
 @options(10_000)
 def graphs(graphs: Sequence[Path], count: int, seed: int, path: Path | None) -> None:
-    """Load malformed versions of GRAPHS, of the shipped ones without any."""
+    """Load malformed versions of GRAPHS (default: the shipped ones)."""
     with tempfile.TemporaryDirectory() as folder:
         tally = fuzz_graphs(graphs or SHIPPED, count, Path(folder), seed=seed)
     tell("graphs", tally, seed, path)
@@ -53,7 +53,7 @@ def graphs(graphs: Sequence[Path], count: int, seed: int, path: Path | None) -> 
 @fuzz.command(cls=Bench)
 @options(10_000)
 def orders(count: int, seed: int, path: Path | None) -> None:
-    """Give malformed orders to a small graph that runs, and to a node."""
+    """Send malformed orders to a small running graph and to a node."""
     with tempfile.TemporaryDirectory() as folder:
         tally = fuzz_orders(count, Path(folder), seed=seed)
     tell("orders", tally, seed, path)

@@ -1,4 +1,4 @@
-"""Values, names and texts that programs stumble over, and how a valid document is spoilt."""
+"""Problematic values, names and texts, and mutation of valid documents."""
 
 import copy
 import json

@@ -1,4 +1,4 @@
-"""Spoilt orders to a running graph: each is answered once, in one sentence, and the graph goes on.
+"""Malformed orders to a running graph: each gets one reply, and the graph keeps running.
 
 Orders to the supervisor go to the control server of a small running graph; those to a node go to an
 operator in this process, as its host would pass them on.
@@ -58,7 +58,7 @@ class TunableSettings:
 
 
 class Tunable(Operator[TunableSettings, None]):
-    """Can be set and told."""
+    """An operator with live settings and commands."""
 
     live = ("gain",)
     commands = ("recall",)

@@ -1,4 +1,4 @@
-"""What came of generated cases: how many were accepted, refused, or broke something."""
+"""Outcomes of generated cases: accepted, refused or failed."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ CHANGES = ("os.mkdir", "os.remove", "os.rename", "os.rmdir", "os.link", "os.syml
 
 
 class TooSlow(BaseException):
-    """A case took longer than it may; no `except Exception` keeps it."""
+    """A case exceeded its time limit; not caught by `except Exception`."""
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Spoilt byte strings against every decoder: each says what it is, or raises a `FoveaError`."""
+"""Malformed byte strings against every decoder: it decodes them or raises a `FoveaError`."""
 
 import random
 from collections.abc import Callable, Mapping

@@ -1,6 +1,6 @@
-"""The floor: a shared mapping and a few bytes through a fifo; nothing is guarded or named.
+"""Lower bound: a shared mapping and a few bytes through a fifo, without any protection.
 
-What it takes to be woken and to read memory that another core wrote; no bus can go below.
+It measures waking up and reading memory that another core wrote; no bus can be faster.
 """
 
 import mmap

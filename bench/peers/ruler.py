@@ -1,4 +1,4 @@
-"""The one ruler every contestant is measured by: writes every byte, reads every byte, five clocks.
+"""Measurement shared by all contestants: writes every byte, reads every byte, five clocks.
 
 A message's first 64 bytes hold its number and the sender's clocks, the rest one value. Per message:
 asked (before memory is borrowed), writing, written (= handed over), received (the receiver holds an

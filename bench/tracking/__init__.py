@@ -1,1 +1,1 @@
-"""How well an object is tracked at a pixel budget, by acquisition strategy."""
+"""Evaluation of tracking at a pixel budget, by acquisition strategy."""

@@ -1,4 +1,4 @@
-"""What follows from an evaluation, as sentences: paired differences of the policy to the others.
+"""Conclusions of an evaluation as sentences: paired differences of the policy to the others.
 
 Of one clip no interval is claimed: its frames show one another's content, and from one clip nothing
 can be redrawn. Over few clips an interval is too narrow: of simulated "95 %" intervals .81 held the

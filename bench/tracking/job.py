@@ -1,4 +1,4 @@
-"""Cases of one clip, followed in a process of their own: a clip's name -> a file for each case."""
+"""Run the cases of one clip in a worker process: a clip's name -> a file per case."""
 
 import logging
 from collections.abc import Iterator, Sequence

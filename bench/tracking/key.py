@@ -1,4 +1,4 @@
-"""By what a unit is known again: everything that its figures come from, by content."""
+"""Key of a unit of work: everything that determines its figures, by content."""
 
 import json
 from collections.abc import Container

@@ -1,4 +1,4 @@
-"""What an evaluation is asked for: words of a command line -> values, refused before any work."""
+"""Options of an evaluation: command-line arguments -> values, validated before any work."""
 
 import os
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Parts of the loop replaced by the truth, to tell what each of them costs."""
+"""Parts of the loop replaced by the ground truth, to measure the error of each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""The operators of a graph without its runner: one process, any frame again and again.
+"""The operators of a graph without its runner: in one process, with random access to frames.
 
 What the loop computes of the context does not depend on where the ROI is: it is computed once for a
 clip, and every episode adds policy, encoder and tracker only. That this is the loop itself is

@@ -1,4 +1,4 @@
-"""What is measured, on disk: whole files, and drafts of what is not finished; damaged ones go."""
+"""Storage of results: complete files, and drafts of unfinished ones; damaged files are removed."""
 
 import json
 from collections.abc import Iterable, Sequence

@@ -1,4 +1,4 @@
-"""Whom to track from which frame on, and what state a ball is in, told by the truth alone."""
+"""Targets, their start frames and the state of the ball, from the ground truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

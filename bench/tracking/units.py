@@ -1,4 +1,4 @@
-"""The work of an evaluation, cut into units that are written as they are done: cases x clips."""
+"""Units of work of an evaluation (cases x clips), each written when it is done."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, wait

@@ -1,4 +1,4 @@
-"""Picture files, whole or not at all: a path in, RGB pixels out."""
+"""Read picture files and detect truncated ones: a path in, RGB pixels out."""
 
 import os
 from pathlib import Path
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from pipeline.errors import DriverError
 
-# the last thing in a whole file; in JPEG's compressed data these two bytes cannot follow each other
+# end markers of complete files; in JPEG data these two bytes cannot follow each other
 ENDINGS = {".jpg": b"\xff\xd9", ".jpeg": b"\xff\xd9", ".png": b"IEND"}
 TAIL_BYTES = 4096  # some cameras pad the end of a file
 
 
 def read_picture(path: Path, out: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-    """The picture as (h, w, 3) RGB, decoded into `out` where it is given.
+    """Return the picture as (h, w, 3) RGB, decoded into `out` if given.
 
-    Raises `DriverError` naming the file when it is missing, cut off, no picture, or not of the
-    size of `out`. Decoders fill what is missing with grey, so the end of the file is looked at.
+    Raises `DriverError` naming the file when it is missing, truncated, no picture, or not of the
+    size of `out`. Decoders fill missing parts with grey, so the end of the file is checked.
     """
     ending = ENDINGS.get(path.suffix.lower())
     tail = _tail(path)
@@ -49,5 +49,5 @@ def _decode(path: Path, out: NDArray[np.uint8] | None) -> NDArray[Any] | None:
         try:
             return cv2.imread(os.fspath(path), out, cv2.IMREAD_COLOR_RGB)
         except cv2.error:
-            pass  # it does not fit: decode it elsewhere, to say how
+            pass  # wrong size: decode it elsewhere, to report the size
     return cv2.imread(os.fspath(path), cv2.IMREAD_COLOR_RGB)

@@ -23,7 +23,7 @@ _SPAN = re.compile(r"([0-9]+)(?:-([0-9]+))?")
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceInfo:
-    """What seqinfo.ini says."""
+    """The contents of seqinfo.ini."""
 
     name: str
     folder: Path  # of the pictures
@@ -70,7 +70,7 @@ class NumberedPictures:
 
 
 def span(text: str) -> tuple[int, int]:
-    """Frames A-B as they are typed, counted from 1 as the files are; A alone is that one.
+    """Parse a range of frames A-B, counted from 1 as the files are, or a single frame A.
 
     Raises `SettingsError`, a ValueError as argparse wants it.
 

@@ -1,6 +1,6 @@
 """A SoccerNet Tracking sequence: its folder in, pictures and truth by role out.
 
-The class of a track stands in gameinfo.ini, not in gt.txt: `trackletID_7= player team right;34`.
+The class of a track is in gameinfo.ini, not in gt.txt: `trackletID_7= player team right;34`.
 """
 
 import re
@@ -28,7 +28,7 @@ _REFEREES = {"main": "main referee", "side": "assistant referee"}
 
 @dataclass(frozen=True, kw_only=True)
 class Tracklet:
-    """Who a track is."""
+    """The role, team and shirt number of a track."""
 
     label: str  # ball, player, goalkeeper, main referee, assistant referee
     team: str  # left, right, or empty
@@ -57,7 +57,7 @@ class SoccerNetSequence:
         return self._pictures.picture(index)
 
     def truth(self, index: int) -> Annotations | None:
-        """Boxes of everybody in frame `index`; how visible they are is not known and reads 1."""
+        """Boxes of everybody in frame `index`; their visibility is unknown and set to 1."""
         return None if self._truth is None else self._truth.get(index, no_objects())
 
     def close(self) -> None:

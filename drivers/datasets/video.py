@@ -15,7 +15,7 @@ SKIP_FRAMES = 48  # up to so many frames ahead, skipping is cheaper than seeking
 class VideoFile:
     """A `FrameSource` over whatever OpenCV's FFmpeg decodes. It knows no truth.
 
-    `length` is what can really be read: containers promise a frame or two too many.
+    `length` is the number of readable frames: containers often declare a few too many.
     """
 
     def __init__(self, *, path: str) -> None:
@@ -62,7 +62,7 @@ class VideoFile:
         self._capture.release()
 
     def _readable(self, promised: int) -> int:
-        """The promised number of frames less those at the end that are not there."""
+        """Return the declared number of frames minus missing ones at the end."""
         for length in range(promised, max(0, promised - max(2, round(self.rate_hz))), -1):
             if self._read(length - 1):
                 self._next = -1  # the picture of this frame was not converted

@@ -1,4 +1,4 @@
-"""Scenes that are drawn as they are asked for, with exact truth."""
+"""Procedural scenes, drawn on request, with exact ground truth."""
 
 from drivers.scenes.soccer import SoccerScene
 

@@ -1,4 +1,4 @@
-"""How much of the truth the ROI saw: boxes and windows in, shares per label out."""
+"""Coverage of the ground truth by the ROI: boxes and windows in, shares per label out."""
 
 import numpy as np
 from numpy.typing import NDArray

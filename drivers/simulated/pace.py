@@ -1,4 +1,4 @@
-"""The timetable of exposures: frame numbers in, due times out; nothing late ever moves it."""
+"""Schedule of exposures: frame numbers in, due times out, unaffected by delays."""
 
 
 class Pace:

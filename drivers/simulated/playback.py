@@ -1,7 +1,7 @@
-"""A source played as a sensor sees it: source frames in, one picture per exposure at its time out.
+"""Play a source like a sensor: source frames in, one picture per exposure at its due time out.
 
-In realtime exposure k is due at start + k / rate whatever the reader does: what cannot be ready or
-read in time is left out and counted, so time is never stretched. In lockstep nothing waits.
+In realtime, exposure k is due at start + k / rate whatever the reader does: exposures that are not
+ready or read in time are skipped and counted, so time is never stretched. Lockstep never waits.
 """
 
 import math
@@ -69,8 +69,8 @@ class Playback:
     def done(self, ready: Ready) -> None:
         """The picture may be overwritten by the next.
 
-        The next one is begun with the next `take`: until then this exposure is on its way into the
-        graph, and making pictures of the world must not take the core from that.
+        The next picture is started by the next `take`: until then this exposure is being sent, and
+        rendering must not compete with it for a core.
         """
         self._next = self._following(ready.seq, time.monotonic_ns())
 
@@ -84,9 +84,9 @@ class Playback:
         self._ahead.close()
 
     def _missed(self, ready: Ready, now_ns: int) -> bool:
-        """Whether the reader came after the next exposure for a picture that was in time.
+        """Whether the reader missed a timely picture, as the next exposure is already due.
 
-        One the source was late with is the newest there is: leaving it out would gain nothing.
+        A picture that the source delivered late is still the latest one, so it is not skipped.
         """
         passed = self._pace.passed
         return passed(ready.seq, now_ns) and not passed(ready.seq, ready.ready_ns)

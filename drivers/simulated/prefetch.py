@@ -60,7 +60,7 @@ class Prefetch:
         self._thread.join()
 
     def _work(self) -> None:
-        # the world costs nothing in reality: where cores are short, the graph goes first
+        # a real sensor needs no CPU: give the graph priority where cores are scarce
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), WORLD_NICENESS)
         while (task := self._asked.get()) is not None:
             try:

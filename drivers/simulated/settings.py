@@ -1,4 +1,4 @@
-"""What a graph may set of the simulated sensor, checked; sampling and geometry follow from it."""
+"""Settings of the simulated sensor, and the sampling and geometry derived from them."""
 
 import math
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ RATES_HZ = (0.01, 10_000.0)
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSensorSettings:
-    """What a graph may set. Exactly one of `scene` and `source` says what there is to see."""
+    """Settings of the simulated sensor; exactly one of `scene` and `source` is required."""
 
     scene: str = ""  # soccer, or an import path module:Class
     source: str = ""  # import path of a recording, e.g. drivers.datasets:VideoFile
@@ -39,7 +39,7 @@ class SimulatedSensorSettings:
     loop: bool = False  # begin again where the source ends
     mosaic: bool = False  # Bayer RGGB instead of RGB
     noise: float = 0.0  # standard deviation, digital numbers of 8 bit
-    latency_frames: int = 0  # a command from frame j shapes j + 1 + latency_frames at the earliest
+    latency_frames: int = 0  # a command from frame j affects j + 1 + latency_frames at the earliest
     budget: float = 0.125  # share of the full pixel rate
     strategy: Strategy = "foveated"
     oracle_label: str = "ball"
@@ -73,7 +73,7 @@ class SimulatedSensorSettings:
 
     @property
     def share(self) -> float:
-        """The budget that holds: everything for `full`."""
+        """The effective budget; 1 for `full`."""
         return 1.0 if self.strategy == "full" else self.budget
 
     @property
@@ -82,7 +82,7 @@ class SimulatedSensorSettings:
         return 2 if self.mosaic else 1
 
     def sampling(self, size_px: tuple[int, int]) -> Sampling:
-        """What is read of a field of this size; raises `SettingsError` over the budget."""
+        """Return the sampling of a field of this size; raises `SettingsError` over the budget."""
         return sampling(
             self.strategy,
             size_px,

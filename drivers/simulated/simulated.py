@@ -1,7 +1,7 @@
 """The simulated dual-stream sensor: Eq. 1 over any full-resolution source.
 
-The full frame never leaves it. Every strategy the paper compares is a setting of this one class,
-so all are measured by one ruler at one pixel budget.
+The full frame never leaves the sensor. All strategies that the paper compares are settings of this
+class, so that they are measured in the same way at the same pixel budget.
 """
 
 import math

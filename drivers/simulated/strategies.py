@@ -1,7 +1,7 @@
-"""How a pixel budget is spent: settings and field size in, a sampling of space and time out.
+"""Sampling strategies for a pixel budget: settings and field size in, sampling out.
 
-Every strategy of the paper (Table 1 and supplement) is measured by one ruler: pixels emitted per
-exposure over full-resolution pixels of the source time it stands for.
+All strategies of the paper (Table 1 and supplement) are measured in the same way: pixels emitted
+per exposure divided by full-resolution pixels of the source time that it covers.
 """
 
 import math

@@ -1,8 +1,8 @@
-"""Follow objects through time: Detections -> Tracks, with gaps filled and the near future foreseen.
+"""Track objects: Detections -> Tracks, with gaps filled and the next frames predicted.
 
 Paper, section 3.3: Hungarian matching with the same class first, and a constant-velocity Kalman
-filter on the centre. The size is no part of the filter's state (as in the paper) and is smoothed
-beside it: a velocity of the size, extrapolated over Tp frames, blows boxes up or turns them over.
+filter on the centre. As in the paper, the size is not in the filter's state; it is smoothed
+separately, since a velocity of the size, extrapolated over Tp frames, inflates or inverts boxes.
 """
 
 from dataclasses import dataclass, replace
@@ -25,17 +25,17 @@ class AssociationSettings:
     """What a graph may set; noises and the gate are the paper's (see kalman.py for their units)."""
 
     observed: int = 4  # To, frames of history
-    horizon: int = 16  # Tp, frames foreseen
+    horizon: int = 16  # Tp, predicted frames
     max_objects: int = 25
     iou_gate: float = 0.1
     process_noise: float = 0.001
     measurement_noise: float = 0.01
-    confirm: int = 2  # sightings before an object is reported
-    max_missed: int = 12  # frames an object may stay unseen
+    confirm: int = 2  # detections before an object is reported
+    max_missed: int = 12  # frames an object may stay undetected
     max_missed_unconfirmed: int = 2
     birth_score: float = 0.0  # detections below it continue tracks but start none
-    small_share: float = 0.02  # of the field's width: smaller objects may also match by nearness
-    small_reach: float = 1.25  # how far such an object may stray, box sizes per frame; 0: off
+    small_share: float = 0.02  # of the field's width: smaller objects may also match by distance
+    small_reach: float = 1.25  # distance limit of such a match, box sizes per frame; 0: off
 
     def __post_init__(self) -> None:
         for name in ("observed", "horizon", "max_objects", "confirm"):
@@ -53,7 +53,7 @@ class AssociationSettings:
 
 
 class Association(Operator[AssociationSettings, Tracks]):
-    """Report at most `max_objects` confirmed objects, ordered by id; the same input, the same ids.
+    """Report at most `max_objects` confirmed objects, ordered by id; deterministic.
 
     Raises `MessageError` when frames run backwards or the number of feature channels changes.
     """
@@ -68,22 +68,22 @@ class Association(Operator[AssociationSettings, Tracks]):
         self._table = empty(s.observed, 0)
 
     def on_stream(self, header: Header) -> None:
-        """Objects of another stream are other objects."""
+        """Drop all objects: those of another stream are different ones."""
         self._table = empty(self.settings.observed, 0)
 
     def do_forget(self) -> dict[str, int]:
-        """Give up every object, as if the scene began; ids are not given again."""
+        """Drop every object, as at the start of a scene; ids are not reused."""
         forgotten, table = len(self._table.ids), self._table
         nobody = empty(self.settings.observed, table.features.shape[2], table.names)
         self._table = replace(nobody, seq=table.seq, next_id=table.next_id)
         return {"forgotten": forgotten}
 
     def state(self) -> Table:
-        """Everything known about the objects."""
+        """Return the table of objects."""
         return self._table
 
     def restore(self, state: Table) -> None:
-        """Go on with the objects of another instance; raises `SettingsError` when To differs."""
+        """Take over the objects of another instance; raises `SettingsError` when To differs."""
         if state.boxes.shape[1] != self.settings.observed:
             raise SettingsError(
                 f"observed: the state holds {state.boxes.shape[1]} frames, "
@@ -92,7 +92,7 @@ class Association(Operator[AssociationSettings, Tracks]):
         self._table = state
 
     def on_detections(self, detections: Detections) -> Tracks:
-        """Match, correct, bury, give birth and report."""
+        """Match and update tracks, end old ones, start new ones, and report."""
         s, table = self.settings, self._foreseen(detections)
         pairs = match(
             table.boxes[:, -1],
@@ -104,13 +104,13 @@ class Association(Operator[AssociationSettings, Tracks]):
         table = see(table, pairs, detections, self._model)
         table = select(table, alive(table, detections.header.geometry, s))
         fresh = newcomers(detections.scores, pairs[:, 1], s.birth_score)
-        # the detector's noise may fill four places for each that is reported, no more
+        # keep at most four objects per reported one, against detector noise
         fresh = np.sort(fresh[: max(4 * s.max_objects - len(table.ids), 0)])
         self._table = born(table, fresh, detections, self._model)
         return self._report(detections.header)
 
     def _foreseen(self, detections: Detections) -> Table:
-        """The table at this frame, before anything is matched."""
+        """Return the table predicted for this frame, before matching."""
         s, table, seq = self.settings, self._table, detections.header.seq
         channels = detections.features.shape[1]
         if len(table.ids) and channels != table.features.shape[2]:
@@ -125,7 +125,7 @@ class Association(Operator[AssociationSettings, Tracks]):
         return advance(table, seq, self._model)
 
     def _report(self, header: Header) -> Tracks:
-        """The objects worth telling, with their future."""
+        """Return the tracks to report, with their predictions."""
         s = self.settings
         kept = select(self._table, worth_telling(self._table, s.confirm, s.max_objects))
         ahead = extrapolate(kept.mean, np.arange(1, s.horizon + 1))
@@ -144,10 +144,10 @@ class Association(Operator[AssociationSettings, Tracks]):
 
 
 def reaches(table: Table, width_px: int, s: AssociationSettings) -> NDArray[np.float32]:
-    """How far each object may be from where it was foreseen: (n,), pixels; 0 if it is not small.
+    """Return how far each small object may be from its prediction: (n,), pixels; 0 for others.
 
-    A 16 px ball at 18 px per frame does not overlap its last box, and not its foreseen one either
-    before the filter knows its speed.
+    A 16 px ball at 18 px per frame overlaps neither its last box nor, before the filter has
+    learned its speed, its predicted one.
     """
     sizes = box_sizes(table)
     elapsed = (table.seq - table.last_seq).astype(np.float32)
@@ -156,7 +156,7 @@ def reaches(table: Table, width_px: int, s: AssociationSettings) -> NDArray[np.f
 
 
 def alive(table: Table, field: Geometry, s: AssociationSettings) -> NDArray[np.bool_]:
-    """Which objects to go on with: (n,). Unseen ones end, sooner if unconfirmed or outside."""
+    """Return which objects to keep: (n,). Unseen ones end, sooner if unconfirmed or outside."""
     missed = table.seq - table.last_seq
     patience = np.where(table.hits >= s.confirm, s.max_missed, s.max_missed_unconfirmed)
     if not field.width_px:
@@ -175,10 +175,10 @@ def newcomers(
 
 
 def worth_telling(table: Table, confirm: int, most: int) -> NDArray[np.int64]:
-    """Rows of at most `most` confirmed objects, ascending.
+    """Return the rows of at most `most` confirmed objects, ascending.
 
-    The best of every class comes first, the rarest class before the others, so that 25 players do
-    not push out the one ball; then score, then age.
+    The best object of every class has priority, rarest class first, so that 25 players do not
+    displace the one ball; then score, then age.
     """
     rows = np.flatnonzero(table.hits >= confirm)
     if len(rows) <= most:

@@ -1,7 +1,7 @@
 """A constant-velocity Kalman filter for many boxes at once (paper, section 3.3 and supplement).
 
-The state of one object is its centre and its velocity (x, y, vx, vy). The two axes share one model
-and never mix, so the 4x4 covariance is one 2x2 block for both, and n filters are a few arrays.
+The state of one object is its centre and velocity (x, y, vx, vy). The two axes share one model and
+are independent, so the 4x4 covariance reduces to one 2x2 block, and n filters are a few arrays.
 
 The paper gives process noise 0.001 and measurement noise 0.01 without units. What the units do:
 
@@ -48,10 +48,9 @@ def motion_model(process_noise: float, measurement_noise: float) -> MotionModel:
 
 
 def predict(mean: Array, covariance: Array, model: MotionModel) -> tuple[Array, Array]:
-    """One frame ahead: means (n, 4) in pixels, covariances (n, 2, 2) in box sizes -> the same.
+    """Predict one frame ahead: means (n, 4) in pixels, covariances (n, 2, 2) in box sizes.
 
-    A step of several frames is this, repeated: that is what the filter would have done had it seen
-    nothing in between.
+    Repeat it for a step of several frames, as for frames without detections.
     """
     ahead = np.concatenate([mean[:, :2] + mean[:, 2:], mean[:, 2:]], axis=1)
     f = model.transition
@@ -61,7 +60,7 @@ def predict(mean: Array, covariance: Array, model: MotionModel) -> tuple[Array, 
 def update(
     mean: Array, covariance: Array, measured: Array, model: MotionModel
 ) -> tuple[Array, Array]:
-    """Take in one measured centre each: means (n, 4), covariances (n, 2, 2), centres (n, 2)."""
+    """Update with one measured centre each: means (n, 4), covariances (n, 2, 2), centres (n, 2)."""
     gain = covariance[:, :, 0] / (covariance[:, 0, 0] + model.measurement)[:, None]  # (n, 2)
     residual = measured - mean[:, :2]
     corrected = mean + np.concatenate([gain[:, :1] * residual, gain[:, 1:] * residual], axis=1)

@@ -1,4 +1,4 @@
-"""Which detection is which track: predicted boxes and detected boxes -> pairs of indices."""
+"""Match detections to tracks: predicted and detected boxes -> pairs of indices."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,13 @@ def match(
     same: NDArray[np.bool_],  # (n, m): of one class
     *,
     iou_gate: float,
-    reach_px: NDArray[np.float32],  # (n,): how far a small object may have strayed, 0: not small
+    reach_px: NDArray[np.float32],  # (n,): distance limit of small objects, 0: not small
 ) -> Pairs:
     """Pair tracks with detections, each at most once; (k, 2) indices, ordered by track.
 
-    Same class first by overlap, then by nearness for what is too small to overlap, then across
-    classes by overlap. Nearness goes before the change of class: a ball that outran its box is
-    likelier than a ball that became a boot.
+    The same class is matched first by overlap, then by distance for objects too small to overlap,
+    then across classes by overlap. Distance precedes a change of class: a ball that left its box is
+    more likely than a ball that became a boot.
     """
     if not len(predicted) or not len(detected):
         return np.zeros((0, 2), np.int64)
@@ -46,7 +46,7 @@ def assign(value: NDArray[np.float32], allowed: NDArray[np.bool_]) -> Pairs:
     """
     if not allowed.any():
         return np.zeros((0, 2), np.int64)
-    # most detections rival at most one other: only rows and columns with a choice are solved
+    # most detections compete with at most one other: solve only rows and columns with a choice
     rows, columns = np.flatnonzero(allowed.any(1)), np.flatnonzero(allowed.any(0))
     part = np.ix_(rows, columns)
     row, column = linear_sum_assignment(np.where(allowed[part], value[part], 0), maximize=True)
@@ -59,14 +59,14 @@ def near(
 ) -> NDArray[np.float32]:
     """1 where centres coincide, falling to 0 at the track's reach: (n, 4), (m, 4), (n,) -> (n, m).
 
-    A detection more than twice as wide or high, or less than half, is another thing: 0.
+    0 for a detection more than twice or less than half as wide or high.
     """
     away = centres(predicted)[:, None] - centres(detected)[None]
     distance = np.hypot(away[..., 0], away[..., 1])
     side = predicted[:, 2:] - predicted[:, :2]
     other = detected[:, 2:] - detected[:, :2]
     less, more = np.minimum(side[:, None], other[None]), np.maximum(side[:, None], other[None])
-    alike = (more <= 2 * less).all(-1)  # no ratio: a side may be 0, or turned over
+    alike = (more <= 2 * less).all(-1)  # no ratio: a side may be 0 or negative
     closeness = 1 - distance / np.maximum(reach_px, 1e-6)[:, None]
     return np.asarray(np.where(alike, np.maximum(closeness, 0), 0), np.float32)
 

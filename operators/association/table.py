@@ -1,7 +1,7 @@
-"""The objects being followed, as one table: a row per object, To columns of history.
+"""The tracked objects as one table: a row per object, To columns of history.
 
-Every function takes a table and gives a new one; nothing is changed in place, so that a table is
-at the same time the state that survives a swap.
+Every function takes a table and returns a new one, so that the table is also the state that
+survives a swap.
 """
 
 from dataclasses import dataclass, replace
@@ -14,8 +14,8 @@ from operators.association.kalman import MotionModel, predict, update
 from pipeline.boxes import areas, centres, from_centres
 from pipeline.messages import Detections
 
-SIZE_GAIN = 0.3  # share of a new width and height that is believed
-SCORE_GAIN = 0.25  # share of a new score that is believed; unseen counts as 0
+SIZE_GAIN = 0.3  # weight of a new width and height
+SCORE_GAIN = 0.25  # weight of a new score; an undetected object scores 0
 RELABEL_AFTER = 3  # detections of another class in succession before a track changes its class
 
 
@@ -65,12 +65,12 @@ def empty(observed: int, channels: int, names: tuple[str, ...] = ()) -> Table:
 
 
 def select(table: Table, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Table:
-    """The table with these rows only."""
+    """Return the table with these rows only."""
     return replace(table, **{name: getattr(table, name)[rows] for name in ROWS})
 
 
 def advance(table: Table, seq: int, model: MotionModel) -> Table:
-    """The table at frame `seq`, nothing seen yet: each frame between is filled by the filter."""
+    """Return the table predicted for frame `seq`; the filter fills the frames between."""
     observed = table.boxes.shape[1]
     mean, covariance = table.mean, table.covariance
     boxes, visible = table.boxes, table.visible
@@ -94,7 +94,7 @@ def advance(table: Table, seq: int, model: MotionModel) -> Table:
 def see(
     table: Table, pairs: NDArray[np.int64], detections: Detections, model: MotionModel
 ) -> Table:
-    """Take in what was matched: pairs (k, 2) of row and detection; the rest counts as unseen."""
+    """Update matched rows: pairs (k, 2) of row and detection; other rows count as undetected."""
     row, seen = pairs[:, 0], pairs[:, 1]
     found = detections.boxes[seen]
     mean, covariance = table.mean.copy(), table.covariance.copy()
@@ -134,7 +134,7 @@ def relabelled(
     row: NDArray[np.int64],
     seen: NDArray[np.int32],
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Labels (n,) and doubts (n,) after rows (k,) were seen as labels (k,)."""
+    """Return labels (n,) and doubts (n,) after rows (k,) were detected as labels (k,)."""
     labels, doubts = labels.copy(), doubts.copy()
     doubts[row] = np.where(labels[row] == seen, 0, doubts[row] + 1)
     convinced = doubts[row] >= RELABEL_AFTER
@@ -149,9 +149,9 @@ def born(
     detections: Detections,
     model: MotionModel,
 ) -> Table:
-    """Add one row per unmatched detection `fresh` (k,), at rest for all that is known.
+    """Add one row per unmatched detection `fresh` (k,), with zero velocity.
 
-    The columns before its birth repeat its first box and features, invisible.
+    Earlier columns repeat its first box and features, marked as not visible.
     """
     count, observed = len(fresh), table.boxes.shape[1]
     found = detections.boxes[fresh]

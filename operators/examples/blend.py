@@ -24,14 +24,14 @@ class Blend(Operator[BlendSettings, Frame]):
     """Mix two pictures of one size.
 
     The runtime joins inputs by `seq`: the handler, which is named after both, gets frames of the
-    same exposure, however long each was under way.
+    same exposure, whatever the delay of each.
     """
 
     left = Input(Frame)
     right = Input(Frame)
 
     def on_left_right(self, left: Frame, right: Frame) -> Frame:
-        """Answer each pair with one frame; raises `MessageError` for pictures that do not fit."""
+        """Return one frame per pair; raises `MessageError` for pictures of different sizes."""
         for frame in (left, right):
             if frame.pixels.dtype != np.uint8:
                 raise MessageError(f"blend: expected 8-bit pixels, got {frame.pixels.dtype}")

@@ -1,4 +1,4 @@
-"""Stateless: a frame in, the same frame brighter out.
+"""Stateless: a frame in, a brighter frame out.
 
 fovea run examples/brighten --frames 100
 """
@@ -21,12 +21,12 @@ class BrightenSettings:
 
 
 class Brighten(Operator[BrightenSettings, Frame]):
-    """Multiply every pixel; keep header and window, by which others join and place the frame."""
+    """Multiply every pixel; keep header and window, by which readers join and locate the frame."""
 
     frame = Input(Frame, keep="latest")  # a late frame is dropped, and counted
 
     def on_frame(self, frame: Frame) -> Frame:
-        """Answer each frame with one; raises `MessageError` for pixels of more than 8 bits."""
+        """Return one frame per frame; raises `MessageError` for pixels of more than 8 bits."""
         if frame.pixels.dtype != np.uint8:
             raise MessageError(f"brighten: expected 8-bit pixels, got {frame.pixels.dtype}")
         bright = np.minimum(frame.pixels * self.settings.gain, 255)

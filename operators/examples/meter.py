@@ -1,4 +1,4 @@
-"""Live settings and commands: frames in, nothing out; the brightness is told when asked for.
+"""Live settings and commands: frames in, nothing out; commands return the brightness.
 
 fovea run examples/meter
 fovea set meter meter alarm_above=50           (in another terminal)
@@ -12,7 +12,7 @@ from typing import Any
 
 from fovea import Frame, Input, Operator, SettingsError
 
-KEPT = 1000  # frames: what runs for weeks must not grow
+KEPT = 1000  # frames; bounded, since a graph may run for weeks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +28,7 @@ class MeterSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """All that a successor needs to go on counting."""
+    """The counts, for a successor."""
 
     frames: int
     alarms: int
@@ -45,46 +45,46 @@ class Meter(Operator[MeterSettings, None]):
     frame = Input(Frame, keep="latest")
 
     def open(self) -> None:
-        """Nothing measured yet."""
+        """Start with empty counts."""
         self._kept: deque[tuple[float, int]] = deque(maxlen=KEPT)  # mean and seq
         self._frames = self._alarms = 0
 
     def on_frame(self, frame: Frame) -> None:
-        """Measure; there is nobody to answer."""
+        """Measure one frame; there is no output."""
         mean = float(frame.pixels.mean())
         self._kept.append((mean, frame.header.seq))
         self._frames += 1
         self._alarms += mean > self.settings.alarm_above
 
     def state(self) -> Measured:
-        """What a successor takes over."""
+        """Return the counts for a successor."""
         means, seqs = [mean for mean, _ in self._kept], [seq for _, seq in self._kept]
         return Measured(
             frames=self._frames, alarms=self._alarms, means=tuple(means), seqs=tuple(seqs)
         )
 
     def restore(self, state: Measured) -> None:
-        """Count on."""
+        """Take over the counts of another instance."""
         self._kept.extend(zip(state.means, state.seqs, strict=True))
         self._frames, self._alarms = state.frames, state.alarms
 
     def do_brightest(self, count: int = 1) -> Mapping[str, Any]:
-        """The brightest of the last frames: their numbers and means."""
+        """Return seq and mean of the brightest of the last frames."""
         if count < 1:
             raise SettingsError(f"brightest.count: must be at least 1, got {count}")
         found = sorted(self._kept, reverse=True)[:count]
         return {"frames": [seq for _, seq in found], "means": [round(mean, 2) for mean, _ in found]}
 
     def do_forget(self) -> None:
-        """Begin anew."""
+        """Reset the counts."""
         self.open()
 
     def headline(self) -> str:
-        """A few words for the line that `fovea run` shows."""
+        """Return a few words for the status line of `fovea run`."""
         return f"alarms {self._alarms}"
 
     def summary(self) -> Mapping[str, Any]:
-        """Figures for the report of the run."""
+        """Return figures for the report of the run."""
         return {
             "headline": f"{self._alarms} of {self._frames} frames were too bright",
             "brightness": {"frames": self._frames, "alarms": self._alarms},

@@ -1,4 +1,4 @@
-"""Stateful: a frame in, what differs from the background out; the background survives a swap.
+"""Stateful: a frame in, its difference from the background out; the background survives a swap.
 
 fovea run examples/motion
 fovea swap motion motion --set rate=0.2        (in another terminal)
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 class MotionSettings:
     """What a graph may set."""
 
-    rate: float = 0.05  # share of a new frame in the background
+    rate: float = 0.05  # weight of a new frame in the background
 
     def __post_init__(self) -> None:
         if not 0 < self.rate <= 1:
@@ -24,7 +24,7 @@ class MotionSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Background:
-    """All that a successor needs to go on: one dataclass of plain values and arrays."""
+    """The state for a successor: one dataclass of plain values and arrays."""
 
     mean: NDArray[np.float32]  # (h, w, 3), empty before the first frame
     frames: int
@@ -34,20 +34,20 @@ EMPTY = Background(mean=np.zeros((0, 0, 3), np.float32), frames=0)
 
 
 class Motion(Operator[MotionSettings, Frame]):
-    """Keep a running mean of the frames; answer with the distance of each frame from it."""
+    """Keep a running mean of the frames; send the absolute difference of each frame from it."""
 
-    frame = Input(Frame, keep="every")  # a background that misses frames is another one
+    frame = Input(Frame, keep="every")  # a missed frame would change the background
 
     def open(self) -> None:
-        """Know nothing yet."""
+        """Start without a background."""
         self._background = EMPTY
 
     def on_stream(self, header: Header) -> None:
-        """Another stream, another background."""
+        """Forget the background of another stream."""
         self._background = EMPTY
 
     def on_frame(self, frame: Frame) -> Frame:
-        """Answer each frame with its difference from the background.
+        """Return the difference of a frame from the background.
 
         Raises `MessageError` for pixels of more than 8 bits.
         """
@@ -62,9 +62,9 @@ class Motion(Operator[MotionSettings, Frame]):
         return replace(frame, pixels=difference.astype(np.uint8))
 
     def state(self) -> Background:
-        """What a successor takes over; asked for between two frames."""
+        """Return the background for a successor; called between two frames."""
         return self._background
 
     def restore(self, state: Background) -> None:
-        """Go on where another instance stopped; called after `open`."""
+        """Take over the background of another instance; called after `open`."""
         self._background = state

@@ -1,4 +1,4 @@
-"""A source: nothing in, one grey frame per exposure out, with a bright square that moves.
+"""A source: nothing in, one grey frame per exposure out, with a moving bright square.
 
 fovea run examples/moving_square --frames 100
 """
@@ -35,19 +35,19 @@ class MovingSquareSettings:
 
 
 class MovingSquare(Source[MovingSquareSettings, Frame]):
-    """The square goes from left to right, and again. There is no device: `open` starts a clock."""
+    """The square moves from left to right, repeatedly. Without a device, `open` starts a clock."""
 
     def open(self) -> None:
-        """Begin a new stream; its id tells the rest of the graph to forget an older one."""
+        """Begin a new stream; its new id makes the rest of the graph forget the former one."""
         self._stream, self._seq = uuid4().hex, 0
         self._began_s = self._newest_s = time.monotonic()
 
     def produce(self) -> dict[str, Frame] | None:
-        """The next exposure, one message per output; None when the stream has ended."""
+        """Return the next exposure, one message per output; None at the end of the stream."""
         settings, seq = self.settings, self._seq
         if settings.length and seq >= settings.length:
             return None
-        if self.realtime:  # else the runner asks for a frame when the graph has answered the last
+        if self.realtime:  # in lockstep, the runner requests each frame
             due_s = self._began_s + seq / settings.rate_hz
             time.sleep(max(0.0, due_s - time.monotonic()))
         self._seq, self._newest_s = seq + 1, time.monotonic()
@@ -61,8 +61,8 @@ class MovingSquare(Source[MovingSquareSettings, Frame]):
         return {"out": Frame(header=header, pixels=pixels, window=(0, 0, side, side))}
 
     def summary(self) -> Mapping[str, Any]:
-        """The rate that was asked for and the one that was held: the report judges by them."""
-        took_s = self._newest_s - self._began_s  # over one interval less than frames
+        """Return target and achieved rate, by which the report judges the run."""
+        took_s = self._newest_s - self._began_s  # one interval fewer than frames
         achieved_hz = (self._seq - 1) / took_s if took_s > 0 else 0.0
         rate = {"asked_hz": self.settings.rate_hz, "achieved_hz": round(achieved_hz, 2)}
         return {"rate": rate} if self.realtime and self._seq > 1 else {}

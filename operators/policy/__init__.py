@@ -1,6 +1,6 @@
-"""Policies: tracks and what the ROI showed of them -> which object to look at in the next frames.
+"""Policies: tracks and their ROI features -> which object to look at in the next frames.
 
-One class for each strategy; they take the same inputs, so that one can take the place of another.
+There is one class per strategy; all have the same inputs, so that they are interchangeable.
 """
 
 from typing import TYPE_CHECKING
@@ -31,9 +31,9 @@ __all__ = [
 ]
 
 
-if not TYPE_CHECKING:  # a checker shall see the names above and no others
+if not TYPE_CHECKING:  # type checkers see only the names above
 
     def __getattr__(name: str) -> object:
-        """Raise the sentence that names what took the place of the class with all strategies."""
+        """Raise an error that names the successors of the former class `Policy`."""
         missing = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(NO_POLICY if name == "Policy" else missing)

@@ -1,4 +1,4 @@
-"""Which tracks could be the target, and how good they are: tracks -> numbers per track."""
+"""Rate tracks as candidates for the target: tracks -> numbers per track."""
 
 from dataclasses import dataclass
 
@@ -9,26 +9,26 @@ from operators.policy.motion import common
 from pipeline import Tracks
 from pipeline.boxes import areas, centres, intersections, sizes
 
-BRISK = 0.25  # box sizes per frame: from here on something counts as moving
-MOVING_BONUS = 0.15  # worth in score of a brisk motion
-INSIDE_MALUS = 0.15  # cost in score of lying within somebody
+BRISK = 0.25  # box sizes per frame: minimum speed that counts as moving
+MOVING_BONUS = 0.15  # score bonus of a moving candidate
+INSIDE_MALUS = 0.15  # score penalty of a candidate inside a person
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sightings:
-    """In how many frames each present track was seen; tracks that are gone are forgotten."""
+    """Number of frames with a detection of each current track."""
 
     ids: NDArray[np.int32]  # (n,)
     counts: NDArray[np.int32]  # (n,)
 
 
 def none_seen() -> Sightings:
-    """Before the first frame."""
+    """Return empty counts."""
     return Sightings(ids=np.zeros(0, np.int32), counts=np.zeros(0, np.int32))
 
 
 def count(before: Sightings, tracks: Tracks) -> Sightings:
-    """Add this frame. A track new to us counts what its history shows, at most To frames."""
+    """Add a frame. A new track counts the detections in its history, at most To frames."""
     history = tracks.visible.sum(axis=1).astype(np.int32)
     known = {int(i): int(c) for i, c in zip(before.ids, before.counts, strict=True)}
     counts = [
@@ -39,10 +39,10 @@ def count(before: Sightings, tracks: Tracks) -> Sightings:
 
 
 def mobility(tracks: Tracks) -> NDArray[np.float32]:
-    """How briskly each track moves against the others, 0..1: (n,).
+    """Return the relative speed of each track, 0..1: (n,).
 
-    The median motion of all stands for the camera's, so that what lies still in a panned picture
-    (a corner flag, the penalty spot, their false balls) counts as still.
+    The median motion of all tracks is taken as the camera's, so that static objects in a panned
+    picture (a corner flag, the penalty spot, false balls there) count as still.
     """
     if not len(tracks.ids) or tracks.predicted.shape[1] < 2:
         return np.zeros(len(tracks.ids), np.float32)
@@ -53,9 +53,9 @@ def mobility(tracks: Tracks) -> NDArray[np.float32]:
 
 
 def worth(tracks: Tracks, carriers: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """How good a candidate each track is: (n,). Score, more if it moves, less inside a carrier.
+    """Return a rating per track: (n,). Its score, higher if it moves, lower inside a carrier.
 
-    False balls are boots and socks (inside a person) and marks on the ground (still), see
+    False balls are boots and socks (inside a person) and marks on the ground (still), hence
     `INSIDE_MALUS` and `MOVING_BONUS`.
     """
     boxes = tracks.boxes[:, -1]
@@ -68,9 +68,9 @@ def worth(tracks: Tracks, carriers: NDArray[np.bool_]) -> NDArray[np.float32]:
 def nearest(
     box: NDArray[np.float32], others: NDArray[np.float32], reach_px: float
 ) -> tuple[int, float]:
-    """Index of the nearest of `others` (n, 4) to the centre of `box` (4,), and how far it is.
+    """Return index and distance of the nearest of `others` (n, 4) to the centre of `box` (4,).
 
-    The distance is to the edge, 0 inside; index -1 when nothing lies within the reach.
+    The distance is to the edge, 0 inside; the index is -1 when none is within reach.
 
     >>> near = np.array([[0, 0, 10, 10], [30, 0, 40, 10]], np.float32)
     >>> nearest(np.array([24, 4, 26, 6], np.float32), near, 8.0)

@@ -1,7 +1,7 @@
-"""The carrier of a target: a ball in a person's hands moves with them, whatever was foreseen of it.
+"""The carrier of a target: a ball in a person's hands moves with them, not as predicted.
 
-Carried is what was last seen in the upper part of a person's box; at their feet it may be kicked,
-or lie there while they leave.
+A target last seen in the upper part of a person's box counts as carried; at the feet it may be
+kicked or left behind.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,13 @@ from pipeline import Tracks
 from pipeline.boxes import centres
 
 PEOPLE = ("player", "goalkeeper", "referee", "person")
-UPPER_PART = 0.75  # share of a person's height, from the top: what is lower is at their feet
-LARGEST = 0.5  # of their height: what is larger is beside them
+UPPER_PART = 0.75  # share of a person's height, from the top; anything lower is at the feet
+LARGEST = 0.5  # of the person's height; a larger object is not carried
 Array = NDArray[np.float32]
 
 
 def can_carry(tracks: Tracks, people: Sequence[str], target: str) -> NDArray[np.bool_]:
-    """Which tracks can carry a target of that class: (n,). People do not carry people."""
+    """Return which tracks can carry a target of that class: (n,). People do not carry people."""
     could = np.zeros(len(tracks.ids), np.bool_)
     if target not in people:
         for name in people:
@@ -29,9 +29,9 @@ def can_carry(tracks: Tracks, people: Sequence[str], target: str) -> NDArray[np.
 
 
 def carrier_of(box: Array, tracks: Tracks, could: NDArray[np.bool_]) -> int:
-    """Id of the nearest person whose upper part the middle of `box` (4,) is in; -1: none.
+    """Return the id of the nearest person whose upper part contains `box`'s centre; -1: none.
 
-    Only people seen in this frame count: a box that is foreseen may lie anywhere.
+    Only people detected in this frame count, because a predicted box is unreliable.
     """
     rows = np.flatnonzero(could & tracks.visible[:, -1])
     people, (x, y) = tracks.boxes[rows, -1], centres(box)
@@ -45,6 +45,6 @@ def carrier_of(box: Array, tracks: Tracks, could: NDArray[np.bool_]) -> int:
 
 
 def carried_motion(tracks: Tracks, row: int) -> tuple[Array, Array]:
-    """How what that track carries has moved and will: (To, 2) and (Tp, 2), pixels from here."""
+    """Return past and future motion of what a track carries: (To, 2), (Tp, 2), relative pixels."""
     here = centres(tracks.boxes[row, -1])
     return centres(tracks.boxes[row]) - here, centres(tracks.predicted[row]) - here

@@ -1,4 +1,4 @@
-"""A policy that looks at the middle of the field, whatever is there: Tracks -> Scanpath.
+"""A policy that always looks at the middle of the field: Tracks -> Scanpath.
 
 A baseline of the paper.
 """
@@ -25,13 +25,13 @@ class CentredPolicySettings:
 
 
 class CentredPolicy(Operator[CentredPolicySettings, Scanpath]):
-    """Answers every frame with the same place."""
+    """Returns the same position for every frame."""
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
 
     def on_features(self, features: RoiFeatures) -> None:
-        """Nothing: the input is there so that one policy can take the place of another."""
+        """Do nothing; the input makes policies interchangeable."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""

@@ -1,11 +1,11 @@
-"""Encode the target for the network: the condition, and the prompted place as a candidate.
+"""Encode the target for the network: the condition, and the prompted position as a candidate.
 
-The paper conditions on the features at the target's first place and on its box. Here it is the box
-where the target was last believed to be (`target.py`).
+The paper conditions on the features at the target's first position and on its box. Here it is the
+target's last estimated box (`target.py`).
 
-The place itself is a candidate too while its target is not in view. That is ours, not the paper's:
-a ball that lies still at the corner flag stays below a detector's threshold, and nothing but the
-prompt says where it is.
+The position itself is also a candidate while the target is not in view. This is our addition: a
+still ball at the corner flag stays below the detector's threshold, and only the prompt tells where
+it is.
 """
 
 import numpy as np
@@ -20,11 +20,11 @@ from pipeline import Tracks
 
 CHANNELS = 64  # of the detector's feature map
 CONDITION = CHANNELS + BOX + CLASSES + 4
-GRACE = 8  # frames a prompt may wait for its track before that is worth a word
+GRACE = 8  # frames without a matching track before a warning
 
 
 def encode_condition(target: TargetState, spec: TargetSpec, tracks: Tracks) -> Array:
-    """The condition (CONDITION,): features, box, class, and what is known of the target."""
+    """Return the condition (CONDITION,): features, box, class and state of the target."""
     encoded = np.zeros(CONDITION, np.float32)
     encoded[: min(len(target.features), CHANNELS)] = target.features[:CHANNELS]
     if target.placed:
@@ -42,7 +42,7 @@ def encode_condition(target: TargetState, spec: TargetSpec, tracks: Tracks) -> A
 
 
 def unmet(target: TargetState, spec: TargetSpec, tracks: Tracks) -> str:
-    """A sentence when no track is the target that was asked for, else empty."""
+    """Return a sentence when no track matches the prompt, else an empty string."""
     if sentence := unknown_label(spec.label, tracks.names):
         return sentence
     seq = tracks.header.seq
@@ -57,10 +57,10 @@ def unmet(target: TargetState, spec: TargetSpec, tracks: Tracks) -> str:
 def encode_place(
     target: TargetState, spec: TargetSpec, tracks: Tracks, looks: Array, *, patience: int
 ) -> Objects | None:
-    """The prompted place as a candidate; None while its target is in view, and after `patience`.
+    """Return the prompted position as a candidate; None while in view, or after `patience`.
 
-    The place at a carrier is a candidate for longer. `looks` (To, D) is what the
-    ROI lately showed of the target.
+    A position at a carrier remains a candidate for longer. `looks` (To, D) are the target's recent
+    ROI features.
     """
     unseen = tracks.header.seq - target.seen_seq
     row, carrier = row_of(tracks, target.bound_id), carrier_row(target, tracks)
@@ -93,9 +93,9 @@ def encode_place(
 def unlike(
     target: TargetState, spec: TargetSpec, tracks: Tracks, ids: NDArray[np.int32]
 ) -> NDArray[np.bool_]:
-    """Which candidates (n,) cannot be what is in the box: of another size.
+    """Return which candidates (n,) differ too much in size from the prompted box.
 
-    Nothing else is known of a box before it is bound; then looks, class and motion are.
+    Before a box is bound to a track, only its size is known; later also features, class and motion.
     """
     refused = np.zeros(len(ids), np.bool_)
     if spec.boxed and target.bound_id < 0 and target.placed:

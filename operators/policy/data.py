@@ -1,8 +1,8 @@
-"""Clips to learn from: seeds -> what the loop computes of each, kept on disk.
+"""Training clips of the policy: seeds -> recorded outputs of the loop, on disk.
 
-What the loop computes of the context does not depend on where the ROI was, so it is computed once,
-by the operators themselves in the in-line runner (graphs/tasks/tracking_recording.yaml). Every
-object's appearance at full resolution is kept too; a roll-out reveals it where its ROI looks.
+Outputs that depend only on the context are the same wherever the ROI is, so they are computed once,
+by the operators in the in-line runner (graphs/tasks/tracking_recording.yaml). The appearance of
+every object at full resolution is stored, too; a roll-out reveals it where its ROI looks.
 """
 
 from collections.abc import Callable, Iterable
@@ -37,17 +37,17 @@ class Moment:
     """One frame of a recording."""
 
     tracks: Tracks
-    seen: RoiFeatures  # of every track, as if the ROI had shown all of them
+    seen: RoiFeatures  # for every track, as if the ROI contained all of them
     truth: Truth
 
 
 class Recording:
-    """One clip; the messages of frame k are put together when they are asked for."""
+    """One clip; the messages of a frame are assembled on request."""
 
     def __init__(self, path: Path) -> None:
         self._arrays = files.read(path)
         if self._arrays.get("geometry", np.zeros(0)).shape != (5,):
-            raise DriverError(f"{path}: expected a recording of this version, record it anew")
+            raise DriverError(f"{path}: expected a recording of this version; record it again")
         self.path = path
 
     def __len__(self) -> int:
@@ -115,7 +115,7 @@ class Recording:
         )
 
     def path_of(self, object_id: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Where an object really is: boxes (F, 4) and share visible (F,), 0 where it is not."""
+        """Return an object's true boxes (F, 4) and visible share (F,); 0 where it is absent."""
         a, frames = self._arrays, len(self)
         boxes, visible = np.zeros((frames, 4), np.float32), np.zeros(frames, np.float32)
         for row in np.flatnonzero(a["truth_ids"] == object_id):
@@ -125,13 +125,13 @@ class Recording:
 
     @cached_property
     def people_and_ball(self) -> dict[int, str]:
-        """Label of every object that is really there at some time, by id."""
+        """Return the label of every true object of the clip, by id."""
         pairs = zip(self._arrays["truth_ids"], self._arrays["truth_labels"], strict=True)
         return {int(i): str(label) for i, label in pairs}
 
 
 def made_with(frames: int, changes: tuple[str, ...] = ()) -> dict[str, str]:
-    """What decides a recording beside its seed; raises `FoveaError` for changes that fit nothing.
+    """Return what determines a recording besides its seed; raises `FoveaError` for bad changes.
 
     `changes` are settings as `--set` takes them, e.g. other weights for the detector.
     """
@@ -151,8 +151,8 @@ def record(
 ) -> list[Path]:
     """Record the first `frames` frames of each seed's scene; clips already there are kept.
 
-    Those that are damaged, or were recorded with other settings, networks or code, are recorded
-    anew and replaced one by one: a detector that was trained anew needs no other folder.
+    Clips that are damaged, or were recorded with other settings, networks or code, are recorded
+    again one by one, so that a retrained detector needs no other folder.
     """
     made = made_with(frames, changes)
     folder.mkdir(parents=True, exist_ok=True)
@@ -181,7 +181,7 @@ def _record(path: Path, frames: int, changes: tuple[str, ...], made: Identity) -
 
 
 def arrays(heard: list[dict[str, Any]]) -> Arrays:
-    """The messages of all frames, one after the other; features in half precision."""
+    """Concatenate the messages of all frames; features in half precision."""
     tracks: list[Tracks] = [h["association.out"] for h in heard]
     truths: list[Truth] = [h["capture.truth"] for h in heard]
     appearance = [aligned(t.ids, h["roi_features.out"]) for t, h in zip(tracks, heard, strict=True)]

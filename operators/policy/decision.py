@@ -1,7 +1,7 @@
-"""What the learned policy decides: tracks, looks and a prompt -> a plan (paper, section 3.5).
+"""Decisions of the learned policy: tracks, ROI features and a prompt -> a plan (section 3.5).
 
-`observe` and `decide` are the same for the live graph and for training's roll-outs; they differ in
-how many moments the network judges at once.
+The live graph and the roll-outs of the training share `observe` and `decide`; only the batch size
+of the network differs.
 """
 
 from dataclasses import dataclass, field, replace
@@ -22,34 +22,34 @@ Selection = Literal["argmax", "sample"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PolicyState:
-    """What the learned policy remembers from frame to frame; it is replaced, never changed."""
+    """State of the learned policy between frames; immutable."""
 
     spec: TargetSpec = field(default_factory=TargetSpec)  # the target that was asked for
     target: TargetState = field(default_factory=TargetState)
     memory: Memory = field(default_factory=blank)
-    first_seq: int = 0  # the frame that row 0 of the last choice speaks of
+    first_seq: int = 0  # the frame of row 0 of the last choice
     choice: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))  # (Tp,)
     probability: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (Tp,)
 
     def asked_for(self, spec: TargetSpec) -> "PolicyState":
-        """The state for this target: without the past of another, but with all looks."""
+        """Return the state for this target, reset if it is another one; keep all ROI features."""
         return self if spec == self.spec else PolicyState(spec=spec, memory=self.memory)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """What a graph sets of it."""
+    """The rules that a graph may set."""
 
-    patience: int = 64  # frames for which the place of a target out of sight stays a candidate
+    patience: int = 64  # frames for which the position of an unseen target stays a candidate
     least_genuine: float = 0.2
     roi_channels: int = 576
-    target_prior: float = 30.0  # how much likelier the target's own track is; 1: no more so
+    target_prior: float = 30.0  # prior odds of the target's own track; 1: none
 
 
 def observe(
     before: PolicyState, tracks: Tracks, rules: Rules
 ) -> tuple[PolicyState, Objects, Array]:
-    """Take in one frame: what to remember, the candidates, the condition."""
+    """Process a frame; return the new state, the candidates and the condition."""
     seq, observed = tracks.header.seq, tracks.boxes.shape[1]
     spec, memory = before.spec, before.memory
     target = follow(before.target, spec, tracks, chosen_for(before, seq))
@@ -67,11 +67,11 @@ def observe(
 
 
 def with_prior(probability: Array, candidates: Objects, target: TargetState, prior: float) -> Array:
-    """The network's belief (N, Tp) times the target's own; each step's sum is 1 again.
+    """Multiply the network's probability (N, Tp) by the target's prior, and normalise each step.
 
-    The target is followed by motion, the network knows it by its looks and its place. Among
-    players of one team looks tell little: who was meant a moment ago is still meant, unless the
-    network is `prior` times surer of another.
+    The target is tracked by motion; the network knows it by appearance and position. Players of one
+    team look alike, so the previous target is kept unless the network is `prior` times surer of
+    another one.
     """
     own = candidates.ids == target.bound_id
     if target.bound_id < 0 or not own.any():
@@ -81,14 +81,14 @@ def with_prior(probability: Array, candidates: Objects, target: TargetState, pri
 
 
 def fault(tracks: Tracks) -> str:
-    """A sentence when the tracks hold something that is no number, else empty."""
+    """Return a sentence when the tracks contain non-finite numbers, else an empty string."""
     if all(np.isfinite(a).all() for a in (tracks.features, tracks.boxes, tracks.predicted)):
         return ""
     return f"policy.tracks: expected finite numbers in frame {tracks.header.seq}, got others"
 
 
 def chosen_for(state: PolicyState, seq: int) -> Choice:
-    """What the last plan had chosen for frame `seq`; nothing past its end."""
+    """Return the last plan's choice for frame `seq`; none past its end."""
     row = seq - state.first_seq
     if not 0 <= row < len(state.choice):
         return Choice()
@@ -102,7 +102,7 @@ def decide(
     probability: Array,
     picked: NDArray[np.intp],
 ) -> tuple[GazePlan, PolicyState]:
-    """The plan that looks at candidate `picked[t]` (Tp,) at step t, and what to remember of it."""
+    """Return the plan that looks at candidate `picked[t]` (Tp,) at step t, and the new state."""
     steps = np.arange(len(picked))
     choice = candidates.ids[picked]
     over = np.zeros((len(picked), len(tracks.ids)), np.float32)
@@ -118,7 +118,7 @@ def decide(
 
 
 def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArray[np.intp]:
-    """One candidate for each step: (N, Tp) -> (Tp,)."""
+    """Pick one candidate per step: (N, Tp) -> (Tp,)."""
     if how == "argmax":
         return np.asarray(probability.argmax(0))
     reached = probability.cumsum(0) >= rng.random(probability.shape[1]) * probability.sum(0)
@@ -126,7 +126,7 @@ def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArra
 
 
 def without_candidates(state: PolicyState, tracks: Tracks, horizon: int) -> GazePlan:
-    """Without candidates: where the target was last believed to be, or the middle of the field."""
+    """Return the plan without candidates: the target's last position, or the field's middle."""
     if state.target.placed:
         return stay(state.target.box, horizon)
     return stay(field_centre(tracks.header.geometry), horizon)

@@ -1,4 +1,4 @@
-"""Settings that policies no longer have: what is said to a graph that still has them."""
+"""Removed settings of policies, with the error for graphs that still use them."""
 
 from collections.abc import Mapping
 

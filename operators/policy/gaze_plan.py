@@ -1,4 +1,4 @@
-"""A plan: which object or place to look at in each of the next frames."""
+"""A plan: the object or position to look at in each of the next frames."""
 
 from dataclasses import dataclass
 
@@ -16,35 +16,35 @@ class GazePlan:
 
     choice: NDArray[np.int32]  # (Tp,), track id or PLACE
     boxes: NDArray[np.float32]  # (Tp, 4), sensor pixels
-    # (Tp, n) of each track; the rest to 1 is that of a place. None: 1 for the chosen object
+    # (Tp, n) per track; the rest to 1 belongs to a position. None: 1 for the chosen object
     probability: NDArray[np.float32] | None = None
 
 
 def future(tracks: Tracks, row: int, horizon: int) -> NDArray[np.float32]:
-    """Where object `row` is foreseen: (Tp, 4); past the tracks' own horizon it stays."""
+    """Return the predicted boxes of object `row`: (Tp, 4), constant past the tracks' horizon."""
     path = tracks.predicted[row] if tracks.predicted.shape[1] else tracks.boxes[row, -1:]
     return path[np.minimum(np.arange(horizon), len(path) - 1)]
 
 
 def follow(tracks: Tracks, row: int, horizon: int) -> GazePlan:
-    """Look at one object all the time."""
+    """Return a plan that looks at one object."""
     choice = np.full(horizon, tracks.ids[row], np.int32)
     return GazePlan(choice=choice, boxes=future(tracks, row, horizon))
 
 
 def stay(boxes: NDArray[np.float32], horizon: int) -> GazePlan:
-    """Look at places: one box (4,) for all frames, or (Tp, 4)."""
+    """Return a plan that looks at positions: one box (4,) for all frames, or (Tp, 4)."""
     places = np.broadcast_to(boxes, (horizon, 4)).astype(np.float32)
     return GazePlan(choice=np.full(horizon, PLACE, np.int32), boxes=places)
 
 
 def no_proposal() -> GazePlan:
-    """No proposal: the plan before stays in force."""
+    """Return an empty plan: the previous one stays in effect."""
     return GazePlan(choice=np.zeros(0, np.int32), boxes=np.zeros((0, 4), np.float32))
 
 
 def check_horizon(frames: int) -> None:
-    """Raise `SettingsError` unless a plan can speak of so many frames."""
+    """Raise `SettingsError` for an invalid number of planned frames."""
     if frames < 1:
         raise SettingsError(f"horizon: must be at least 1, got {frames}")
 
@@ -57,7 +57,7 @@ def field_centre(geometry: Geometry) -> NDArray[np.float32]:
 
 
 def of_class(tracks: Tracks, name: str) -> NDArray[np.bool_]:
-    """Which tracks are of the class `name`: (n,); the empty name means all, an unknown none."""
+    """Return which tracks are of class `name`: (n,); all for "", none for an unknown name."""
     if not name:
         return np.ones(len(tracks.ids), np.bool_)
     label = tracks.names.index(name) if name in tracks.names else -1
@@ -65,7 +65,7 @@ def of_class(tracks: Tracks, name: str) -> NDArray[np.bool_]:
 
 
 def row_of(tracks: Tracks, object_id: int) -> int:
-    """Row of an id, -1 when it is not there (or is no object)."""
+    """Return the row of an id, -1 when it is missing (or no object)."""
     rows = np.flatnonzero(tracks.ids == object_id)
     return int(rows[0]) if object_id != PLACE and len(rows) else -1
 

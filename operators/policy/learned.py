@@ -1,7 +1,7 @@
-"""A policy that was trained: Tracks (and what the ROI showed of them) -> Scanpath.
+"""A trained policy: Tracks (and their ROI features) -> Scanpath.
 
-Answers every frame k with a plan for k+1 … k+Tp: a network chooses among the tracks and the place
-of the target.
+For every frame k it returns a plan for k+1 … k+Tp: a network chooses among the tracks and the
+position of the target.
 """
 
 import logging
@@ -47,14 +47,14 @@ class LearnedPolicySettings:
     selection: Selection = "argmax"  # the likeliest object, or one drawn by its probability
     seed: int = 0  # of what is drawn
     target_prior: float = Rules.target_prior  # see `decision.with_prior`; 1: the network alone
-    least_genuine: float = Rules.least_genuine  # below it a look says false object
+    least_genuine: float = Rules.least_genuine  # below it an object is refuted
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id
     prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
     carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
     horizon: int = 16  # Tp, frames planned
     observed: int = 4  # To, frames of looks that are remembered
-    place_patience: int = Rules.patience  # frames for which the last place stays worth a look
+    place_patience: int = Rules.patience  # frames for which the last position stays a candidate
     threads: int = 1
 
     def __post_init__(self) -> None:
@@ -84,9 +84,9 @@ class LearnedPolicySettings:
 
 
 class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
-    """Never silent: a frame without objects is answered with places to look at.
+    """Always proposes windows: without objects, positions to look at.
 
-    Only what is no number is answered with no proposal, so that the last plan stays in force.
+    Only for non-finite inputs it makes no proposal, so that the last plan stays in effect.
     """
 
     tracks = Input(Tracks, keep="every")
@@ -94,7 +94,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
 
     def open(self) -> None:
-        """Start without a past; raises `WeightsError` when no network fits the settings."""
+        """Load the network; raises `WeightsError` when it does not fit the settings."""
         s = self.settings
         self._network = PolicyNetwork(Path(s.weights) if s.weights else SHIPPED, threads=s.threads)
         self._network.suits(horizon=s.horizon, observed=s.observed)
@@ -103,7 +103,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
         self._names: Sequence[str] = ()  # of the classes that tracks have
 
     def on_settings(self, settings: LearnedPolicySettings) -> None:
-        """Another target from the next plan on; the looks at all objects stay known.
+        """Change the target from the next plan on; ROI features of all objects are kept.
 
         Raises `SettingsError` for a class that the tracks do not have.
         """
@@ -115,19 +115,19 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
             self._warned.discard("prompt")
 
     def on_stream(self, header: Header) -> None:
-        """Ids of another stream are other objects."""
+        """Forget everything: ids of another stream are different objects."""
         self._state = PolicyState(spec=self._state.spec)
 
     def state(self) -> PolicyState:
-        """Everything remembered."""
+        """Return the state."""
         return self._state
 
     def restore(self, state: PolicyState) -> None:
-        """Go on where another instance stopped; after another target, if it had another."""
+        """Take over another instance's state, reset if its target was another one."""
         self._state = state.asked_for(self._state.spec)
 
     def on_features(self, features: RoiFeatures) -> None:
-        """Keep the looks of the last frames."""
+        """Store the ROI features of the last frames."""
         wrong = fault_of_looks(features)
         self._warn_once("looks", wrong)
         if not wrong:
@@ -140,7 +140,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
         return scanpath(tracks, self._plan(tracks))
 
     def _plan(self, tracks: Tracks) -> GazePlan:
-        """What the network chooses."""
+        """Return the network's plan."""
         s, network = self.settings, self._network
         network.check(tracks)
         wrong = fault(tracks)
@@ -167,7 +167,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
         return plan
 
     def _warn_once(self, about: str, sentence: str) -> None:
-        """Log a sentence once, until there is none any more."""
+        """Log a sentence once, until it changes or is empty."""
         if sentence and about not in self._warned:
             log.warning(sentence)
         (self._warned.add if sentence else self._warned.discard)(about)

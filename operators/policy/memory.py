@@ -1,7 +1,7 @@
-"""What the ROI showed of each object lately: RoiFeatures in, features over To frames out.
+"""Memory of ROI features per object: RoiFeatures in, features over To frames out.
 
-Beside them stands a verdict: how sure the encoder was, over all looks at an object, that it is what
-its label says. What was looked at and found to be nothing is not worth another look.
+It also keeps a verdict per object: the encoder's mean confidence that the object is of its labelled
+class. An object that was refuted need not be looked at again.
 """
 
 from dataclasses import dataclass
@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from pipeline import RoiFeatures
 from pipeline.errors import MessageError
 
-CAPACITY = 100  # verdicts: objects come and go, four for each of those that are reported at once
-LOOKS = 2  # before a verdict counts
-WEIGHT = 0.5  # of the newest look in a verdict
+CAPACITY = 100  # verdicts: four per object reported at once, as objects come and go
+LOOKS = 2  # views before a verdict counts
+WEIGHT = 0.5  # of the latest view in a verdict
 Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Memory:
-    """Looks of the last frames, and verdicts on at most `capacity` objects, oldest first."""
+    """ROI features of the last frames, and verdicts on at most `capacity` objects, oldest first."""
 
     capacity: int
     seqs: NDArray[np.int64]  # (m,) frame of each look
@@ -32,7 +32,7 @@ class Memory:
 
 
 def blank(capacity: int = CAPACITY) -> Memory:
-    """Nothing remembered."""
+    """Return an empty memory."""
     return Memory(
         capacity=capacity,
         seqs=np.zeros(0, np.int64),
@@ -45,7 +45,7 @@ def blank(capacity: int = CAPACITY) -> Memory:
 
 
 def remember(memory: Memory, seen: RoiFeatures, observed: int) -> Memory:
-    """The memory after one more ROI, of which the looks of `observed` frames are kept.
+    """Return the memory after one more ROI; it keeps the features of `observed` frames.
 
     Raises `MessageError` when the features change their width.
     """
@@ -68,14 +68,14 @@ def remember(memory: Memory, seen: RoiFeatures, observed: int) -> Memory:
 
 
 def fault(seen: RoiFeatures) -> str:
-    """A sentence when a look holds something that is no number, else empty."""
+    """Return a sentence when features contain non-finite numbers, else an empty string."""
     if np.isfinite(seen.features).all() and np.isfinite(seen.genuine).all():
         return ""
     return f"policy.features: expected finite numbers in frame {seen.header.seq}, got others"
 
 
 def _judge(memory: Memory, seen: RoiFeatures) -> tuple[NDArray[np.int32], Array, NDArray[np.int32]]:
-    """Return the verdicts with this look; the object looked at longest ago is forgotten first."""
+    """Return the updated verdicts; the object viewed longest ago is dropped first."""
     now, then = np.nonzero(seen.ids[:, None] == memory.judged)
     before, genuine = np.zeros(len(seen.ids), np.int32), seen.genuine.copy()
     before[now] = memory.looks[then]
@@ -93,7 +93,7 @@ def _judge(memory: Memory, seen: RoiFeatures) -> tuple[NDArray[np.int32], Array,
 def recall(
     memory: Memory, ids: NDArray[np.int32], *, seq: int, observed: int, channels: int
 ) -> Array:
-    """Looks at these objects in frames seq-To+1 … seq: (n,) -> (n, To, D); 0 where there is none.
+    """Return features of objects in frames seq-To+1 … seq: (n,) -> (n, To, D); 0 where missing.
 
     Raises `MessageError` when the features are not `channels` wide.
     """
@@ -113,6 +113,6 @@ def recall(
 
 
 def refuted(memory: Memory, ids: NDArray[np.int32], least: float) -> NDArray[np.bool_]:
-    """Which objects were looked at and found not to be what they seemed: (n,)."""
+    """Return which objects were viewed and refuted: (n,)."""
     false = memory.judged[(memory.looks >= LOOKS) & (memory.genuine < least)]
     return np.isin(ids, false)

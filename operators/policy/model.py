@@ -1,8 +1,8 @@
-"""The network that chooses: what is known of up to 25 objects -> logits over them for Tp frames.
+"""The policy network: features of up to 25 objects -> logits over them for Tp frames.
 
 Paper, section 3.5 and supplement "Scanpath Selection Policy": a token of 192 numbers per object
-from four parts, each normalised by itself, in a Set Transformer together with one condition token.
-There is no encoding of position: the order of the objects means nothing.
+from four parts, each normalised separately, in a Set Transformer together with one condition token.
+There is no positional encoding, as the order of the objects has no meaning.
 """
 
 # mypy: disallow-subclassing-any=False
@@ -18,7 +18,7 @@ from operators.training.onnx_files import write
 WIDTHS = {"roi": 64, "global": 64, "detection": 32, "motion": 32}
 EMBEDDED, HEADS, LAYERS, FEED_FORWARD = 128, 4, 2, 256
 HIDDEN = 96  # of the convolutions along time
-NEVER = -1e4  # the logit of what is no object
+NEVER = -1e4  # the logit of padding
 INPUTS = ("roi", "context", "boxes", "predicted", "label", "place", "condition", "mask")
 
 
@@ -46,7 +46,7 @@ def perceptron(inputs: int, width: int) -> nn.Sequential:
 
 
 class Layer(nn.Module):
-    """A standard encoder layer, normalised first; torch's own cannot be exported with an open N."""
+    """A pre-norm encoder layer; torch's own cannot be exported with a dynamic N."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -90,7 +90,7 @@ class PolicyNet(nn.Module):
         self.use = use
         self.roi = History(roi_channels, observed, WIDTHS["roi"])
         self.context = History(context_channels, observed, WIDTHS["global"])
-        # beside the boxes: whether each was seen, the class, and whether it is the prompted place
+        # besides boxes: visibility, class, and whether it is the prompted position
         self.detection = perceptron((BOX + 1) * observed + CLASSES + 1, WIDTHS["detection"])
         self.motion = perceptron(BOX * horizon, WIDTHS["motion"])
         self.norms = nn.ModuleDict({name: nn.LayerNorm(width) for name, width in WIDTHS.items()})
@@ -154,7 +154,7 @@ def example(net: PolicyNet, count: int = 3) -> dict[str, Tensor]:
 
 
 def export(net: PolicyNet, path: Path) -> None:
-    """One ONNX file with open B and N, which says what it expects."""
+    """Write an ONNX file with dynamic B and N, and its expected inputs as metadata."""
     both = {0: "b", 1: "n"}
     sides = {name: both for name in (*INPUTS, "logits")} | {"condition": {0: "b"}}
     facts = {name: str(side) for name, side in net.sides.items()}

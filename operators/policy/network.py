@@ -1,4 +1,4 @@
-"""The learned policy's network: candidates and a condition -> the probability of each candidate."""
+"""Inference of the learned policy: candidates and a condition -> probability per candidate."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -16,7 +16,7 @@ SHIPPED = Path(__file__).with_name("policy.onnx")
 
 
 class PolicyNetwork:
-    """The network of one ONNX file; raises `WeightsError` when it is none of ours."""
+    """The network of one ONNX file; raises `WeightsError` unless it is a policy network."""
 
     def __init__(self, path: Path, *, threads: int = 1) -> None:
         if path == SHIPPED and not path.is_file():

@@ -1,4 +1,4 @@
-"""What a round of roll-outs left to learn from: samples -> batches on the device that learns."""
+"""Training samples of a round of roll-outs: samples -> batches on the training device."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,9 +17,9 @@ FEATURES = ("roi", "context")  # kept in half precision
 
 
 class Pool:
-    """Samples of the newest round in tensors of fixed width, on a GPU that has room for them.
+    """Samples of the latest round in tensors of fixed width, on the GPU if they fit.
 
-    A batch is then no transfer but an index.
+    A batch is then an index operation without transfer.
     """
 
     def __init__(self, samples: Sequence[Sample], device: torch.device) -> None:
@@ -44,7 +44,7 @@ class Pool:
         return len(self.kept["mask"])
 
     def batch(self, rows: NDArray[np.intp]) -> dict[str, Tensor]:
-        """Some of them, on the device."""
+        """Return a batch on the device."""
         index = moved(torch.from_numpy(rows), self.kept["mask"].device)
         found = {
             name: moved(values.index_select(0, index), self._device)
@@ -54,7 +54,7 @@ class Pool:
 
 
 def padded(moments: Sequence[Objects], conditions: Sequence[Array]) -> dict[str, NDArray[Any]]:
-    """As `batched`, always `MOST_OBJECTS` wide."""
+    """Like `batched`, but always `MOST_OBJECTS` wide."""
     given: dict[str, NDArray[Any]] = dict(batched(moments, conditions))
     for name, values in given.items():
         if name != "condition":

@@ -1,8 +1,8 @@
-"""A policy that pursues one object: Tracks -> Scanpath.
+"""A policy that follows one object by rules: Tracks -> Scanpath.
 
-It finds the object, stays with it, waits where it was lost, and searches for it.
+It finds the object, follows it, waits where it was lost, and searches for it.
 
-The rules that keep a small ball (false locks lose it, not prediction):
+A small ball is lost by false locks rather than by bad predictions, hence these rules:
 
 - A candidate must have been seen in `confirm` frames, and a rival must be better by a margin for
   `confirm` frames in succession, before the gaze changes. Moving candidates are preferred to still
@@ -37,8 +37,8 @@ from operators.policy.target import BIND_IOU, GROWTH, TargetSpec, check_box, che
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
-MARGIN = 0.2  # by how much a rival must be better, in score
-COAST = 3  # frames a target may be unseen before a person near it counts as its carrier
+MARGIN = 0.2  # score by which a rival must be better
+COAST = 3  # frames without detection before a person nearby counts as carrier
 CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 
 
@@ -77,7 +77,7 @@ class PursuitPolicySettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PursuitState:
-    """What is remembered from frame to frame; it is replaced, never changed."""
+    """State between frames; immutable."""
 
     spec: TargetSpec = field(default_factory=TargetSpec)  # the target that was asked for
     locked: int = -1  # track id
@@ -90,24 +90,24 @@ class PursuitState:
     sightings: Sightings = field(default_factory=none_seen)
 
     def asked_for(self, spec: TargetSpec) -> "PursuitState":
-        """The state for this target: without the past of another."""
+        """Return the state for this target, reset if the target is another one."""
         return self if spec == self.spec else PursuitState(spec=spec)
 
 
 class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
-    """Never silent: a frame without objects is answered with places to look at."""
+    """Always proposes windows: without objects, positions to look at."""
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box")
 
     def open(self) -> None:
-        """Start without a past."""
+        """Start without state."""
         self._state = PursuitState(spec=self.settings.spec)
         self._names: Sequence[str] = ()  # of the classes that tracks have
 
     def on_settings(self, settings: PursuitPolicySettings) -> None:
-        """Another target from the next plan on.
+        """Change the target from the next plan on.
 
         Raises `SettingsError` for a class that the tracks do not have.
         """
@@ -117,19 +117,19 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
         self._state = self._state.asked_for(settings.spec)
 
     def on_stream(self, header: Header) -> None:
-        """Ids of another stream are other objects."""
+        """Forget everything: ids of another stream are different objects."""
         self._state = PursuitState(spec=self._state.spec)
 
     def state(self) -> PursuitState:
-        """Everything remembered."""
+        """Return the state."""
         return self._state
 
     def restore(self, state: PursuitState) -> None:
-        """Go on where another instance stopped; after another target, if it had another."""
+        """Take over another instance's state, reset if its target was another one."""
         self._state = state.asked_for(self._state.spec)
 
     def on_features(self, features: RoiFeatures) -> None:
-        """Nothing: the input is there so that one policy can take the place of another."""
+        """Do nothing; the input makes policies interchangeable."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
@@ -143,7 +143,7 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
 def pursue(
     tracks: Tracks, before: PursuitState, *, confirm: int, patience: int, horizon: int
 ) -> tuple[GazePlan, PursuitState]:
-    """The plan for the frames after these tracks, and what to remember."""
+    """Return the plan for the frames after these tracks, and the new state."""
     spec = before.spec
     now = replace(before, sightings=count(before.sightings, tracks))
     now = locked_on(tracks, now, spec, confirm)
@@ -217,7 +217,7 @@ def noted(tracks: Tracks, row: int, now: PursuitState, spec: TargetSpec) -> Purs
     """Remember where the target is, what it is and who is beside it."""
     box, target = tracks.boxes[row, -1], tracks.name_of(row)
     if not tracks.visible[row, -1]:
-        # asked for while unseen: its absence counts from now
+        # prompted while undetected: its absence counts from now
         return replace(
             now, box=box, seen_seq=now.seen_seq if now.seen_seq >= 0 else tracks.header.seq
         )
@@ -235,7 +235,7 @@ def noted(tracks: Tracks, row: int, now: PursuitState, spec: TargetSpec) -> Purs
 def wait(
     tracks: Tracks, now: PursuitState, spec: TargetSpec, *, patience: int, horizon: int
 ) -> GazePlan:
-    """Where to look while there is no target: at its carrier, at its last place, all over."""
+    """Return where to look without a target: its carrier, its last position, then everywhere."""
     carrier = row_of(tracks, now.carrier_id)
     if carrier >= 0:
         return stay(future(tracks, carrier, horizon), horizon)

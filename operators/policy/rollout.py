@@ -1,8 +1,8 @@
-"""The policy in its own loop on recorded clips: its inputs, and what each choice was worth.
+"""Roll-outs of the policy on recorded clips: its inputs, and the utility of each choice.
 
-A recording holds everything that does not depend on where the ROI looked; a roll-out adds what
-does: the looks. It is the loop itself, without pictures: the same observing, deciding and
-dispatching, so the network learns from the situations that it gets itself into.
+A recording contains everything that does not depend on the ROI; a roll-out adds the ROI features
+that its windows reveal. It is the loop itself without pictures, with the same observing, deciding
+and dispatching, so that the network learns from situations that it causes itself.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,14 +34,14 @@ from pipeline.boxes import centres, covered, roi_window
 from pipeline.errors import SettingsError
 
 INSIDE = 0.5  # share of a box that the ROI must show, as operators.roi_features has it
-BY_CLASS = ("ball", "main referee")  # of whom there is one, as far as a class tells them
+BY_CLASS = ("ball", "main referee")  # classes with a single object
 Choose = Callable[[Sequence[Objects], Sequence[Array]], Sequence[Array]]  # -> (N, Tp) each
 Window = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Late:
-    """How late and how seldom plans come in half of the episodes; in the others neither."""
+    """Delays and replanning intervals of half of the episodes; the others have neither."""
 
     delays: tuple[int, ...] = (1, 2, 4)  # frames
     replans: tuple[int, ...] = (4, 8)  # Ta
@@ -56,14 +56,14 @@ class Late:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One episode: whom to look at in which clip, from which frame on, and how."""
+    """One episode: clip, first frame, target, prompt and timing."""
 
     clip: int
     start: int  # frame, counted from 0
     target: int  # id in the truth
     prompt: Literal["box", "class"] = "box"
     replan: int = 1  # Ta
-    delay: int = 0  # frames by which a plan comes late
+    delay: int = 0  # delay of a plan in frames
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +76,7 @@ class Sample:
 
 
 class Episode:
-    """One task being carried out, frame by frame."""
+    """One task in progress, frame by frame."""
 
     def __init__(self, recording: Recording, task: Task, rules: Rules) -> None:
         self.recording, self.task, self._rules = recording, task, rules
@@ -120,14 +120,14 @@ class Episode:
         return self._candidates, condition
 
     def worth(self) -> Array:
-        """What each candidate would be worth: (N, Tp)."""
+        """Return the utility of each candidate: (N, Tp)."""
         horizon = self._candidates.path.shape[1]
         ahead = self.truth[self.frame + 1 : self.frame + 1 + horizon]
         ahead = np.concatenate([ahead, np.zeros((horizon - len(ahead), 4), np.float32)])
         return gains(self._candidates.path, ahead, self.recording.geometry)
 
     def act(self, probability: Array, how: Selection, rng: np.random.Generator) -> None:
-        """Look where the policy says, and go on to the next frame."""
+        """Look where the policy decides, and advance by one frame."""
         if len(self._candidates.ids):
             probability = with_prior(
                 probability, self._candidates, self._state.target, self._rules.target_prior
@@ -155,7 +155,7 @@ class Episode:
 
 
 def within(seen: RoiFeatures, tracks: Tracks, window: Window) -> RoiFeatures:
-    """Those looks that a ROI at `window` shows."""
+    """Return the features of objects inside a ROI at `window`."""
     shares = covered(tracks.boxes[:, -1], np.array(window, np.float32))
     kept = np.isin(seen.ids, tracks.ids[shares >= INSIDE])
     return replace(
@@ -172,9 +172,9 @@ def roll(
     rng: np.random.Generator,
     keep: float = 1.0,
 ) -> list[Sample]:
-    """Carry out all episodes side by side for `frames` frames; a share `keep` of the moments.
+    """Run all episodes in parallel for `frames` frames; return a share `keep` of the moments.
 
-    Moments in which nothing is worth anything teach nothing and are left out.
+    Moments without any utility are left out, as they teach nothing.
     """
     samples: list[Sample] = []
     for _ in range(frames):
@@ -194,7 +194,7 @@ def roll(
 
 
 def teacher(episodes: Sequence[Episode], noise: float, rng: np.random.Generator) -> Choose:
-    """Somebody who knows the truth, and with probability `noise` a frame does not."""
+    """Return a teacher that knows the truth, except with probability `noise` per frame."""
 
     def choose(moments: Sequence[Objects], _: Sequence[Array]) -> Sequence[Array]:
         running = [episode for episode in episodes if not episode.over]
@@ -213,11 +213,11 @@ def teacher(episodes: Sequence[Episode], noise: float, rng: np.random.Generator)
 def tasks(
     recordings: Sequence[Recording], count: int, *, frames: int, seed: int, late: Late | None
 ) -> list[Task]:
-    """`count` episodes: half of them follow the ball, the others the main referee or a player.
+    """Return `count` episodes: half of them follow the ball, the others the referee or a player.
 
-    Nobody starts on a target that cannot be seen. Most prompts are boxes; some of those for the
-    ball or the referee name the class alone. Plans come as late and as seldom as `late` says; with
-    None all are prompted by a box and planned in time with every frame.
+    Every episode starts on a visible target. Most prompts are boxes; some for the ball or the
+    referee only name the class. `late` sets delays and replanning intervals; with None, all
+    prompts are boxes and every frame is planned without delay.
     """
     rng = np.random.default_rng([seed, 5])
     found: list[Task] = []

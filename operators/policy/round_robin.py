@@ -39,21 +39,21 @@ class RoundRobinPolicySettings:
 
 @dataclass(frozen=True, kw_only=True)
 class RoundRobinState:
-    """The object whose turn it is, and since which frame."""
+    """The current object, and the frame in which its turn began."""
 
     object_id: int = -1
     since_seq: int = -1
 
 
 class RoundRobinPolicy(Operator[RoundRobinPolicySettings, Scanpath]):
-    """Answers a frame without objects with the middle of the field."""
+    """Without objects, it looks at the middle of the field."""
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target",)
 
     def open(self) -> None:
-        """Begin a round."""
+        """Start a round."""
         self._state = RoundRobinState()
         self._names: Sequence[str] = ()  # of the classes that tracks have
 
@@ -68,15 +68,15 @@ class RoundRobinPolicy(Operator[RoundRobinPolicySettings, Scanpath]):
         self._state = RoundRobinState()
 
     def state(self) -> RoundRobinState:
-        """The turn."""
+        """Return the current turn."""
         return self._state
 
     def restore(self, state: RoundRobinState) -> None:
-        """Go on with the round of another instance."""
+        """Take over the round of another instance."""
         self._state = state
 
     def on_features(self, features: RoiFeatures) -> None:
-        """Nothing: the input is there so that one policy can take the place of another."""
+        """Do nothing; the input makes policies interchangeable."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
@@ -90,10 +90,10 @@ class RoundRobinPolicy(Operator[RoundRobinPolicySettings, Scanpath]):
 def round_robin(
     tracks: Tracks, turn: RoundRobinState, *, target: str, dwell: int, horizon: int
 ) -> tuple[GazePlan, RoundRobinState]:
-    """Each object in turn, by id, `dwell` frames each; `target` limits the round to one class.
+    """Return a plan that visits each object by id for `dwell` frames; `target` selects a class.
 
-    The turn passes to the next higher id, so that objects may come and go without disturbing the
-    round. Without objects it is the middle of the field.
+    The next higher id is next, so that appearing and disappearing objects do not disturb the round.
+    Without objects the plan is the middle of the field.
     """
     rows = np.flatnonzero(of_class(tracks, target))
     if not len(rows):

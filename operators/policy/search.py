@@ -1,4 +1,4 @@
-"""A search of the whole field, window by window: geometry and frame counts -> places."""
+"""Search of the whole field, window by window: geometry and frame counts -> boxes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,10 @@ DWELL = 2  # frames per window: enough for a consumer to see it, short enough to
 def search(
     geometry: Geometry, start: NDArray[np.float32] | None, frames: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """Where the search is `frames` (t,) after its beginning: boxes of the ROI's size (t, 4).
+    """Return the search windows `frames` (t,) after its start: boxes of the ROI's size (t, 4).
 
-    The windows tile the field and are visited in the order of their distance from `start` (x, y),
-    or from the middle; then again from the beginning.
+    The windows tile the field and are visited cyclically, in the order of their distance from
+    `start` (x, y) or from the middle.
     """
     places = tiles(geometry)
     middle = np.array([geometry.width_px, geometry.height_px], np.float32) / 2

@@ -1,8 +1,8 @@
-"""The target: what a prompt (a box, a track id, a class) asks for, followed through time.
+"""The target of a prompt (a box, a track id or a class), tracked over time.
 
-A target is bound to a track and follows it. When the track is gone its place moves with the camera,
-or with its carrier (`carrier.py`), until it is bound again: to the track that is there, or to
-what the policy itself chose.
+A target is bound to a track and follows it. When the track ends, its position moves with the camera
+or with its carrier (`carrier.py`) until it is bound again: to a track at that position, or to the
+policy's own choice.
 """
 
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ from pipeline.boxes import centres, from_centres, iou, sizes
 
 BIND_IOU = 0.1
 BACK_IOU = 0.3
-ALIKE = 2.0  # what overlaps nothing binds to what is near, if their sides differ by less
+ALIKE = 2.0  # without overlap, a near box binds if sides differ by less than this factor
 SURE = 0.5  # probability from which a choice binds the target
-GROWTH = 0.1  # box sizes by which the doubt grows with every frame
-CARRIED_AFTER = 2  # sightings at the same person before that one counts as the carrier
-CARRIED_AT_MOST = 250  # frames without a sighting: ten seconds; a keeper may hold a ball for eight
+GROWTH = 0.1  # box sizes per frame by which the uncertainty grows
+CARRIED_AFTER = 2  # detections at the same person before it counts as the carrier
+CARRIED_AT_MOST = 250  # frames without a detection: ten seconds; a keeper may hold a ball for eight
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetSpec:
-    """What to follow: an id, else the object in a box, else a class; nothing given: any object."""
+    """The prompt: an id, else the object in a box, else a class; without any: any object."""
 
     object_id: int = -1
     box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
@@ -38,12 +38,12 @@ class TargetSpec:
 
     @property
     def one(self) -> bool:
-        """Whether one object is meant, and not any of a class."""
+        """Whether the prompt means one object, not any of a class."""
         return self.object_id >= 0 or self.boxed
 
     @property
     def boxed(self) -> bool:
-        """Whether a box says who is meant; an id goes before it."""
+        """Whether a box determines the object; an id takes precedence."""
         return self.object_id < 0 and self.box[2] > self.box[0]
 
 
@@ -53,40 +53,40 @@ def _nowhere() -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TargetState:
-    """What became of the target that was asked for."""
+    """The state of the target."""
 
-    bound_id: int = -1  # the track that is believed to be the target
+    bound_id: int = -1  # the target's track
     label: str = ""  # its class, once known
     asked_seq: int = -1  # the first frame after the prompt; -1: not yet
-    at_seq: int = -1  # the frame for which all this holds
+    at_seq: int = -1  # the frame of this state
     seen_seq: int = -1  # when it was last seen, or asked for; -1: neither yet
-    box: Array = field(default_factory=_nowhere)  # where it is believed to be, sensor pixels
+    box: Array = field(default_factory=_nowhere)  # estimated box, sensor pixels
     features: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (C,) when bound
     carrier_id: int = -1  # the person it was last seen at
-    carried_count: int = 0  # sightings there in succession
+    carried_count: int = 0  # consecutive detections there
     offset: Array = field(default_factory=lambda: np.zeros(2, np.float32))  # from their middle, px
 
     @property
     def is_carried(self) -> bool:
-        """Whether it was last seen at one person for long enough."""
+        """Whether it counts as carried."""
         return self.carrier_id >= 0 and self.carried_count >= CARRIED_AFTER
 
     @property
     def placed(self) -> bool:
-        """Whether a place is known."""
+        """Whether a position is known."""
         return bool(self.box[2] > self.box[0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """What the policy chose for one frame."""
+    """The policy's choice for one frame."""
 
     object_id: int = PLACE
     probability: float = 0.0
 
 
 def follow(before: TargetState, spec: TargetSpec, tracks: Tracks, chosen: Choice) -> TargetState:
-    """The target after one more frame, for which the policy had chosen `chosen`."""
+    """Return the target after one more frame, for which the policy had chosen `chosen`."""
     seq = tracks.header.seq
     frames = seq - before.at_seq if before.at_seq >= 0 else 1
     asked_seq = before.asked_seq if before.asked_seq >= 0 else seq
@@ -105,7 +105,7 @@ def follow(before: TargetState, spec: TargetSpec, tracks: Tracks, chosen: Choice
 
 
 def carrier_row(target: TargetState, tracks: Tracks) -> int:
-    """Row of the carrier of a target that is out of sight, -1: none."""
+    """Return the row of the carrier of an unseen target, -1: none."""
     row = row_of(tracks, target.bound_id)
     seen = row >= 0 and tracks.visible[row, -1]
     late = tracks.header.seq - target.seen_seq > CARRIED_AT_MOST
@@ -120,20 +120,20 @@ def check_box(name: str, box: tuple[float, float, float, float]) -> None:
 
 
 def check_label(label: str, names: Sequence[str]) -> None:
-    """Raise `SettingsError` for a class that is none of those that the tracks have."""
+    """Raise `SettingsError` for a class that the tracks do not have."""
     if sentence := unknown_label(label, names):
         raise SettingsError(sentence)
 
 
 def unknown_label(label: str, names: Sequence[str]) -> str:
-    """A sentence when a class is none of those that the tracks have, as far as that is known."""
+    """Return a sentence for a class that the tracks do not have; empty if it is unknown yet."""
     if not label or not names or label in names:
         return ""
     return f"policy.target: expected one of {', '.join(names)}, got {label}"
 
 
 def _moved(now: TargetState, tracks: Tracks, frames: int) -> Array:
-    """The place `frames` later: at its carrier, else moved with the camera."""
+    """Return the position `frames` later: at its carrier, else moved with the camera."""
     row = carrier_row(now, tracks)
     if row < 0:
         return now.box + frames * np.tile(camera_motion(tracks), 2)
@@ -142,7 +142,7 @@ def _moved(now: TargetState, tracks: Tracks, frames: int) -> Array:
 
 
 def _taken(now: TargetState, spec: TargetSpec, label: str, tracks: Tracks) -> TargetState:
-    """The target, seen at its box, with the person who may carry it."""
+    """Return the target detected at its box, with its possible carrier."""
     carrier_id = carrier_of(now.box, tracks, can_carry(tracks, spec.carriers, label))
     carried_count = now.carried_count + 1 if carrier_id == now.carrier_id else 1
     row = row_of(tracks, carrier_id)
@@ -151,7 +151,7 @@ def _taken(now: TargetState, spec: TargetSpec, label: str, tracks: Tracks) -> Ta
 
 
 def _first(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
-    """Row of what was asked for by id or box, -1: not there."""
+    """Return the row prompted by id or box, -1: missing."""
     if spec.object_id >= 0:
         return row_of(tracks, spec.object_id)
     if not spec.one or not len(tracks.ids):
@@ -160,9 +160,9 @@ def _first(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
 
 
 def _back(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
-    """Return the row of its class at the target's expected place, -1: none, or not sure.
+    """Return the row of its class at the target's expected position, -1: none or uncertain.
 
-    A track that ends and begins again is another track; the two boxes tell that it is the same.
+    It reconnects a track that ended and began again under another id.
     """
     if not spec.one or not len(tracks.ids) or now.is_carried:
         return -1
@@ -172,9 +172,9 @@ def _back(tracks: Tracks, spec: TargetSpec, now: TargetState) -> int:
 
 
 def in_box(boxes: Array, box: Array) -> int:
-    """Which of `boxes` (n, 4) is meant by `box` (4,): the greatest overlap, else the nearest.
+    """Return which of `boxes` (n, 4) `box` (4,) means: the greatest overlap, else the nearest.
 
-    The nearest must be about as large, and not further than that; -1: none. A drawn prompt and a
+    The nearest must be of similar size and within that distance; -1: none. A drawn prompt and a
     ball of a few pixels hardly overlap.
     """
     overlap = iou(boxes, box[None])[:, 0]
@@ -186,13 +186,13 @@ def in_box(boxes: Array, box: Array) -> int:
 
 
 def alike(boxes: Array, box: Array) -> NDArray[np.bool_]:
-    """Which of `boxes` (n, 4) are about as large as `box` (4,): (n,)."""
+    """Return which of `boxes` (n, 4) are of similar size as `box` (4,): (n,)."""
     size, others = _size(box), sizes(boxes)
     return np.asarray(np.maximum(others / size, size / others) <= ALIKE)
 
 
 def _again(tracks: Tracks, spec: TargetSpec, now: TargetState, chosen: Choice) -> int:
-    """Row of the policy's own choice where it may be the target, -1: it may not."""
+    """Return the row of the policy's own choice if it may be the target, else -1."""
     row = row_of(tracks, chosen.object_id)
     if row < 0 or chosen.probability < SURE or not tracks.visible[row, -1]:
         return -1
@@ -200,12 +200,12 @@ def _again(tracks: Tracks, spec: TargetSpec, now: TargetState, chosen: Choice) -
     if wanted and tracks.name_of(row) != wanted:
         return -1
     if now.bound_id < 0 and now.placed and not alike(tracks.boxes[row, -1][None], now.box)[0]:
-        return -1  # of a box that was never bound nothing is known but its size
+        return -1  # of an unbound box only the size is known
     return row if not spec.one or _near(tracks, row, now) else -1
 
 
 def _near(tracks: Tracks, row: int, now: TargetState) -> bool:
-    """Whether the target may have gone there since it was seen; False for one never placed."""
+    """Whether the target can have moved there since its last detection."""
     if not now.placed:
         return False
     gone = tracks.header.seq - now.seen_seq
@@ -218,16 +218,16 @@ def _size(box: Array) -> float:
 
 
 def _reach(geometry: Geometry) -> float:
-    """How far a target may have gone unseen: a part of the ROI, which was meant to show it."""
+    """Return the distance an unseen target may have moved: a part of the ROI."""
     return 0.25 * geometry.roi_width_px
 
 
 def _bound(tracks: Tracks, row: int, now: TargetState, spec: TargetSpec) -> TargetState:
-    """The target, bound to the track at `row`."""
+    """Return the target bound to the track at `row`."""
     visible, label = bool(tracks.visible[row, -1]), now.label or tracks.name_of(row)
     if visible:
         now = _taken(replace(now, box=tracks.boxes[row, -1]), spec, label, tracks)
-    elif not now.is_carried:  # else it is with them, not where it was going before they caught it
+    elif not now.is_carried:  # a carried one stays with its carrier
         now = replace(now, box=tracks.boxes[row, -1])
     fresh = int(tracks.ids[row]) != now.bound_id
     first = fresh and not now.features.any()

@@ -1,4 +1,4 @@
-"""Encode objects as network inputs: Tracks and what the ROI showed of them -> arrays.
+"""Encode objects as network inputs: Tracks and ROI features -> arrays.
 
 Paper, section 3.5 and supplement "Scanpath Selection Policy": per object its appearance in the ROI
 and in the context over the last To frames, its class, its boxes and when it was visible over them,
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from pipeline import Geometry, Tracks
 
-PARTS = ("roi", "global", "motion")  # what an ablation may leave out
+PARTS = ("roi", "global", "motion")  # parts that an ablation may omit
 MOST_OBJECTS = 25
 BOX = 4  # numbers of one encoded box
-CLASSES = 8  # of a detector that have a place of their own
+CLASSES = 8  # of a detector with their own column
 Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Objects:
-    """N candidates of one moment. Zeros stand for what was not seen."""
+    """N candidates of one moment. Zeros mean not seen."""
 
     ids: NDArray[np.int32]  # (N,) track ids, PLACE for the prompted place
     roi: Array  # (N, To, D) features of the ROI encoder, where the ROI showed the object
@@ -78,7 +78,7 @@ def encode_objects(tracks: Tracks, roi: Array) -> Objects:
 
 
 def joined(first: Objects, second: Objects) -> Objects:
-    """The candidates of both; the last ones of the first give way past `MOST_OBJECTS`."""
+    """Return both sets of candidates, without the last of the first beyond `MOST_OBJECTS`."""
     kept = slice(MOST_OBJECTS - len(second.ids))
     return Objects(
         **{
@@ -89,7 +89,7 @@ def joined(first: Objects, second: Objects) -> Objects:
 
 
 def without(candidates: Objects, refused: NDArray[np.bool_]) -> Objects:
-    """The candidates that are not refused (N,); all of them when nobody would be left."""
+    """Return the candidates that are not refused (N,); all if none would be left."""
     if refused.all() or not refused.any():
         return candidates
     return Objects(
@@ -112,7 +112,7 @@ def batched(
         for name in ("roi", "context", "boxes", "predicted", "label", "place")
     }
     for name, shape in shapes.items():
-        if len(moments) == 1 and len(first.ids) == most:  # as it is while a graph runs
+        if len(moments) == 1 and len(first.ids) == most:  # the case of a running graph
             inputs[name] = getattr(first, name)[None]
             continue
         padded = np.zeros((len(moments), most, *shape), np.float32)

@@ -1,6 +1,6 @@
 """Train the policy on roll-outs of itself: `python -m operators.policy.train --help`.
 
-What may be asked of a training; the training itself, which needs torch, is in `training_run.py`.
+This module defines the options; the training itself, which needs torch, is in `training_run.py`.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -36,7 +36,7 @@ def _frames(option: str, text: str) -> tuple[int, ...]:
     help=(__doc__ or "").split("\n", 1)[0],
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-@click.option("--data", type=Path, required=True, help="recorded clips, made where missing")
+@click.option("--data", type=Path, required=True, help="recorded clips, created if missing")
 @click.option("--out", type=Path, required=True, help="checkpoint, log, plot, policy.onnx")
 @click.option("--use", default=",".join(PARTS), show_default=True, help="inputs; for ablations")
 @click.option("--delays", default=_told(Late.delays), show_default=True, help="frames, when late")
@@ -47,7 +47,7 @@ def command(
     data: Path, out: Path, use: str, delays: str, replans: str, device: str,
     changes: tuple[str, ...], **numbers: float,
 ) -> None:  # fmt: skip
-    """See the module."""
+    """Train the policy on roll-outs of itself."""
     parts = tuple(part for part in use.split(",") if part)
     for part in parts:
         if part not in PARTS:

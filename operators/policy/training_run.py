@@ -1,14 +1,14 @@
-"""The training of the policy: roll-outs of itself, and a network that learns from them.
+"""Training of the policy on roll-outs of itself.
 
-Records procedural clips, then alternates: the policy, drawing its choices, follows targets through
-the clips; the network learns from its inputs and what each choice would have been worth. Only
-the first round, a sixth of the iterations, is driven by a teacher who knows the truth: a fresh
-network would show nothing but its own confusion. From then on every situation is one that the
-policy got itself into, looks it did not take included.
+It records procedural clips, then alternates two steps: the policy, sampling its choices, follows
+targets through the clips; the network learns from its inputs and the utility of each choice. Only
+the first round, a sixth of the iterations, is driven by a teacher that knows the truth, because an
+untrained network would reach only useless situations. In later rounds, every situation, with its
+missing views, is caused by the policy itself.
 
-Lowered is the expected utility's negative, sum over steps and objects of p U, which fits every task
-(labels are the case of a one-hot U), and a share of the cross-entropy to softmax(U / temperature):
-where p is next to 0, the expected utility alone has no gradient.
+The loss is the negative expected utility, the sum over steps and objects of p U, which fits every
+task (labels are the case of a one-hot U), plus a share of the cross-entropy to softmax(U /
+temperature): where p is close to 0, the expected utility alone has no gradient.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -47,11 +47,11 @@ PHASES = Phases(CLIPS, TRAIN, SCORE)
 def loss_of(
     logits: Tensor, worth: Tensor, mask: Tensor, settings: TrainSettings
 ) -> tuple[Tensor, Tensor]:
-    """What is lowered, and the expected utility of a step; logits and worth are (B, N, Tp)."""
+    """Return loss and expected utility of a step; logits and worth are (B, N, Tp)."""
     chance = logits.softmax(1)
     gained = (chance * worth).sum(1)
     wanted = (worth / settings.temperature).masked_fill(~mask[..., None], -1e4).softmax(1)
-    counts = (worth.amax(1) > 0).float()  # steps in which there is something to gain
+    counts = (worth.amax(1) > 0).float()  # steps with any utility
     steps = counts.sum().clamp(min=1)
     imitation = -(wanted * logits.log_softmax(1)).sum(1)
     utility = (gained * counts).sum() / steps
@@ -59,7 +59,7 @@ def loss_of(
 
 
 def network_choice(net: PolicyNet) -> Choose:
-    """The network, where it is, as roll-outs use it: many moments at once."""
+    """Return the network as the policy of roll-outs, for many moments at once."""
     device = next(net.parameters()).device
 
     def choose(moments: Sequence[Objects], conditions: Sequence[Array]) -> Sequence[Array]:
@@ -76,7 +76,7 @@ def network_choice(net: PolicyNet) -> Choose:
 
 
 class Run(Progress):
-    """A training: network, optimiser, who drives the roll-outs of this round."""
+    """A training: network, optimiser, and the policy of this round's roll-outs."""
 
     def __init__(self, settings: TrainSettings, net: PolicyNet) -> None:
         self.device = device_of(settings.device)
@@ -91,27 +91,27 @@ class Run(Progress):
         super().__init__(settings.out, parts, identity_of(settings))
 
     def hand_over(self) -> None:
-        """Let the network as it is drive from now on."""
+        """Use a copy of the current network for roll-outs from now on."""
         self.roller.load_state_dict(self.net.state_dict())
 
 
 @dataclass
 class Clips:
-    """Recordings and what the policy is to follow in them."""
+    """Recordings, and episodes on them."""
 
     recordings: Sequence[Recording]
     rules: Rules
     settings: TrainSettings
 
     def episodes(self, count: int, *, seed: int, plain: bool = False) -> list[Episode]:
-        """Fresh episodes; `plain` ones are prompted by a box, replan always and come in time."""
+        """Return new episodes; `plain`: prompted by a box, replanned every frame, no delay."""
         late = None if plain else self.settings.late
         found = tasks(self.recordings, count, frames=self.settings.length, seed=seed, late=late)
         return [Episode(self.recordings[t.clip], t, self.rules) for t in found]
 
 
 def round_of(run: Run, clips: Clips, number: int) -> Pool:
-    """The samples of one round of roll-outs; the same for the same seed, round and roller."""
+    """Return the samples of one round of roll-outs; deterministic for seed, round and policy."""
     s = run.settings
     rng = np.random.default_rng([s.seed, number])
     episodes = clips.episodes(s.episodes, seed=1000 * s.seed + number)
@@ -127,24 +127,24 @@ def round_of(run: Run, clips: Clips, number: int) -> Pool:
 
 
 def coverage(net: PolicyNet, clips: Clips, *, count: int, seed: int) -> dict[str, float]:
-    """Share of the target that the ROI shows when the policy is in charge, by label."""
+    """Return the share of the target that the ROI shows under the policy, by label."""
     episodes = clips.episodes(count, seed=seed, plain=True)
     rng = np.random.default_rng(seed)
     roll(episodes, network_choice(net), frames=clips.settings.length, how="argmax", rng=rng, keep=0)
     shown: dict[str, list[float]] = {}
     for episode in episodes:
         shown.setdefault(episode.label, []).extend(episode.shown[1:])
-    # an episode may end with its clip, before the policy's first choice is seen
+    # an episode may end with its clip, before the policy's first choice takes effect
     judged = {label: values for label, values in sorted(shown.items()) if values}
     return {label: round(float(np.mean(values)), 4) for label, values in judged.items()}
 
 
 def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> PolicyNet:
-    """Record what is missing, train what is left, write checkpoint and log; returns the network."""
+    """Record missing clips, train the remaining steps, write checkpoint and log."""
     torch.set_num_threads(settings.threads)
     settings.out.mkdir(parents=True, exist_ok=True)
-    device_of(settings.device)  # refused now, and not after the recording
-    left(path_in(settings.out), identity_of(settings))  # likewise
+    device_of(settings.device)  # fail before the recording, not after it
+    left(path_in(settings.out), identity_of(settings))  # fail early, too
     began = time.monotonic()
     learn, check = recorded(settings, say)
     sides = learn.recordings[0].sides
@@ -169,7 +169,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
                 run.save_when_due()
             run.hand_over()
             run.save()
-            del pool  # the next one is as large
+            del pool  # free it before the next one
             say(f"round {number}: {json.dumps(coverage(run.net, check, count=48, seed=7))}")
     with bar(PHASES[SCORE], 1) as shown:
         covered = coverage(run.net, check, count=160, seed=8)
@@ -186,7 +186,7 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Pol
 
 
 def identity_of(settings: TrainSettings) -> dict[str, str]:
-    """What decides the network; raises `SettingsError` for plans that come when they are over."""
+    """Return what determines the network; raises `SettingsError` for plans that come too late."""
     made = made_with(settings.frames, settings.changes)
     reach, latest = int(made["association.horizon"]), max(settings.late.delays)
     if latest >= reach:
@@ -198,7 +198,7 @@ def identity_of(settings: TrainSettings) -> dict[str, str]:
 
 
 def recorded(settings: TrainSettings, say: Callable[[str], None]) -> tuple[Clips, Clips]:
-    """Clips to learn from, and others to check on."""
+    """Return training clips and validation clips."""
     groups = []
     asked = (
         (PHASES[CLIPS], TRAIN_SEEDS, settings.clips),
@@ -216,7 +216,7 @@ def recorded(settings: TrainSettings, say: Callable[[str], None]) -> tuple[Clips
             name=name,
         )
         recordings = [Recording(path) for path in paths]
-        # the network alone: what the prior would correct is what it has to learn
+        # without the prior: the network has to learn what the prior would correct
         rules = Rules(roi_channels=recordings[0].sides["roi_channels"], target_prior=1)
         groups.append(Clips(recordings=recordings, rules=rules, settings=settings))
     return groups[0], groups[1]

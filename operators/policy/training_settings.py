@@ -1,4 +1,4 @@
-"""What a training of the policy may be told."""
+"""Settings of the policy's training."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +30,7 @@ class TrainSettings:
     late: Late = field(default_factory=Late)
     seed: int = 1
     threads: int = 2
-    device: str = "auto"  # where the network is; clips are recorded on processors
+    device: str = "auto"  # of the network; clips are recorded on the CPU
     use: tuple[str, ...] = PARTS
     changes: tuple[str, ...] = ()  # of the recording graph, as --set takes them
 

@@ -1,11 +1,11 @@
-"""What looking at each candidate would be worth: foreseen boxes and the truth -> utilities.
+"""Utility of looking at each candidate: predicted boxes and the truth -> utilities.
 
 The paper trains "end-to-end with frozen task-specific perception models" and gives no loss. For
-tracking the frozen tracker gains where the ROI shows the target and the surroundings it searches:
-U[i, t] is the share of them inside the window that dispatch would command for candidate i at step
-t. So a neighbour of a hidden ball is worth nearly as much as the ball itself: its window shows
-both. Nearly: what lies in the middle of the window stays inside when it moves otherwise than
-foreseen, so the gain falls with the square of the target's distance from it.
+tracking, the frozen tracker gains where the ROI shows the target and its search area: U[i, t] is
+the share of them inside the window that dispatch would command for candidate i at step t. A
+neighbour of a hidden ball has nearly the utility of the ball, as its window shows both. The gain
+falls with the square of the target's distance from the window's centre, because a centred target
+stays inside even when it moves unlike its prediction.
 """
 
 import numpy as np
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from pipeline import Geometry
 from pipeline.boxes import centres, from_centres
 
-SURROUNDINGS = 4.0  # side of what must be seen in sides of the target's box: the tracker's search
-CENTRING = 0.5  # share of the gain that is lost at the window's edge
+SURROUNDINGS = 4.0  # side of the tracker's search area, in sides of the target's box
+CENTRING = 0.5  # share of the gain lost at the window's edge
 
 
 def windows(boxes: NDArray[np.float32], geometry: Geometry) -> NDArray[np.float32]:

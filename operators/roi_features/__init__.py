@@ -1,4 +1,4 @@
-"""Appearance at full resolution: ROI frame and tracks -> features and verdicts."""
+"""ROI encoder: ROI frame and tracks -> appearance features and verdicts."""
 
 from operators.roi_features.roi_features import RoiEncoder, RoiEncoderSettings
 

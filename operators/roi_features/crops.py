@@ -1,4 +1,4 @@
-"""Cut squares out of a picture: boxes and a frame -> small pictures of one size."""
+"""Crop squares from a picture: boxes and a frame -> small pictures of one size."""
 
 from collections.abc import Iterator
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline import Frame
 
-FILL = 114  # grey around what the frame does not show
+FILL = 114  # grey value outside the frame
 
 
 def to_squares(boxes: NDArray[np.float32], roi: Frame, margin: float) -> NDArray[np.float32]:
@@ -29,7 +29,7 @@ def cut(
 ) -> Iterator[NDArray[np.float32]]:
     """Squares (n, 4) of a picture (h, w, 3), scaled to (width, height); outside it is grey.
 
-    Whole numbers, 0..255. Each may stand in the memory of the one before.
+    Values are integers 0..255. A crop may reuse the memory of the previous one.
     """
     width_px, height_px = side_px
     canvas = np.empty((height_px, width_px, 3), np.float32)

@@ -1,8 +1,8 @@
-"""Crops to learn appearance from: procedural scenes at full resolution -> squares of 96 pixels.
+"""Training crops of the encoder: procedural scenes at full resolution -> squares of 96 pixels.
 
-Of each moment: people and the ball, boxes disturbed as a detector in the small context disturbs
-them, and what a detector takes for a ball: boots, bright sleeves, socks and numbers of people,
-whatever is small and white (marks and crossings of lines, letters, bits of crowd, the goal), grass.
+Each moment yields people and the ball, in boxes perturbed like those of a detector on the context,
+and false balls: boots, bright sleeves, socks and numbers of people, small white objects (marks and
+crossings of lines, letters, bits of crowd, the goal), grass.
 """
 
 from collections.abc import Iterable
@@ -42,7 +42,7 @@ class Crops:
 
     pictures: Picture  # (n, 96, 96, 3) RGB
     kinds: NDArray[np.int64]  # (n,) index into CLASSES
-    persons: NDArray[np.int64]  # (n,) who it is, the same over a scene; NOBODY: no person
+    persons: NDArray[np.int64]  # (n,) id, constant over a scene; NOBODY: no person
     scenes: NDArray[np.int64]  # (n,)
     moments: NDArray[np.int64]  # (n,) frame
 
@@ -64,7 +64,7 @@ def crops_of(picture: Picture, boxes: Boxes) -> Picture:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates:
-    """What a detector may offer in one picture, and what it is."""
+    """Possible detections in one picture, with their true class."""
 
     picture: Picture  # (h, w, 3) RGB
     boxes: Boxes  # (n, 4) its pixels
@@ -113,7 +113,7 @@ def moment(source: FrameSource, index: int, scene: int, rng: np.random.Generator
 def chosen(
     truth: Annotations, rng: np.random.Generator, most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows of at most so many people, officials first, and of the ball, of what can be seen."""
+    """Return the rows of at most so many visible people, officials first, and of the ball."""
     seen = np.array([label in CLASS_OF_ROLE for label in truth.labels], np.bool_)
     seen &= truth.visibility >= LEAST_SEEN
     ball = np.array([label == "ball" for label in truth.labels], np.bool_)
@@ -126,7 +126,7 @@ def chosen(
 
 
 def disturbed(boxes: Boxes, rng: np.random.Generator) -> Boxes:
-    """Boxes as found in the context: people a little, a ball of four pixels by a lot."""
+    """Perturb boxes like detections in the context: people a little, a small ball strongly."""
     size = boxes[:, 2:] - boxes[:, :2]
     error = np.clip(3.0 / np.sqrt(np.maximum(areas(boxes), 1)), 0.03, 0.2)[:, None]
     centre = centres(boxes) + rng.normal(size=size.shape) * size * error
@@ -138,7 +138,7 @@ def disturbed(boxes: Boxes, rng: np.random.Generator) -> Boxes:
 def false_candidates(
     picture: Picture, truth: Annotations, count: int, rng: np.random.Generator
 ) -> Boxes:
-    """Boxes (count, 4) of what is nothing: no ball in them, and nobody as a whole."""
+    """Return boxes (count, 4) of false candidates, with neither a ball nor a whole person."""
     height, width = picture.shape[:2]
     found: list[NDArray[np.float64]] = []
     standing_out = outstanding(picture, rng)
@@ -160,7 +160,7 @@ def false_candidates(
 
 
 def on_person(picture: Picture, box: Boxes, rng: np.random.Generator) -> NDArray[np.float64]:
-    """A place on somebody: at their boots, or as bright as some others, or any."""
+    """Return a position on a person: at the boots, at a bright spot, or anywhere."""
     left, top, right, bottom = box
     if rng.random() < 0.3:
         return np.array([rng.uniform(left, right), bottom - 0.04 * (bottom - top)])
@@ -171,13 +171,13 @@ def on_person(picture: Picture, box: Boxes, rng: np.random.Generator) -> NDArray
 
 
 def outstanding(picture: Picture, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Places (64, 2) as white against what is around them as a ball is, or nearly."""
+    """Return positions (64, 2) with about the contrast of a ball."""
     light = picture.min(2).astype(np.int16)
     contrast = light - cv2.blur(picture.min(2), (41, 41))
     rows, columns = np.nonzero(contrast > 40)
     if not len(rows):
         return rng.random((64, 2)) * picture.shape[1::-1]
-    # most of it is in the stands: half of the places are taken from the lower part of the picture
+    # most are in the stands: take half of the positions from the lower part of the picture
     low = np.flatnonzero(rows > picture.shape[0] * 0.4)
     drawn = rng.integers(len(rows), size=64)
     if len(low):
@@ -198,7 +198,7 @@ def free(box: NDArray[np.float64], truth: Annotations, small: bool) -> bool:
 
 
 def made_with(count: int, span: int) -> dict[str, str]:
-    """What decides the crops of a scene beside its seed."""
+    """Return what determines the crops of a scene besides its seed."""
     code = of_code(
         "drivers.scenes.soccer", "operators.roi_features.data", "operators.roi_features.crops"
     )
@@ -209,9 +209,9 @@ def render(
     seeds: Iterable[int], count: int, span: int, folder: Path, workers: int = 2,
     name: str = "draw crops",
 ) -> list[Path]:  # fmt: skip
-    """Crops of `count` moments of each seed's scene on disk; those already there are kept.
+    """Render crops of `count` moments of each seed's scene to disk, unless they exist.
 
-    Those that are damaged, or were rendered with other settings or code, are rendered anew.
+    Files that are damaged, or were rendered with other settings or code, are rendered again.
     """
     made = made_with(count, span)
     folder.mkdir(parents=True, exist_ok=True)
@@ -236,12 +236,12 @@ def _render_scene(path: Path, count: int, span: int, made: Identity) -> None:
 
 
 def load(paths: Iterable[Path]) -> Crops:
-    """What `render` left, all scenes together."""
+    """Load the files of `render`, all scenes together."""
     return joined(Crops(**read(path)) for path in paths)
 
 
 def joined(parts: Iterable[Crops]) -> Crops:
-    """Many as one."""
+    """Concatenate crops."""
     kept = list(parts)
     names = Crops.__dataclass_fields__
     return Crops(**{name: np.concatenate([getattr(part, name) for part in kept]) for name in names})

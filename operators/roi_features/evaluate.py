@@ -1,8 +1,8 @@
-"""Score an encoder on scenes it never saw: `python -m operators.roi_features.evaluate --help`.
+"""Score an encoder on held-out scenes: `python -m operators.roi_features.evaluate --help`.
 
-Runs the operator's own encoder on boxes disturbed as a detector disturbs them. Two questions: is a
-candidate what its label says, against false candidates; and who of those in one picture is the one
-that was seen two seconds before, by likeness of features alone.
+Runs the operator's encoder on boxes perturbed like a detector's. It measures two tasks: verifying a
+candidate's label against false candidates; and re-identifying a person after two seconds among
+those in one picture, by similarity of features alone.
 """
 
 import argparse
@@ -39,7 +39,7 @@ SETTINGS: dict[str, RoiEncoderSettings] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Look:
-    """What the encoder says of the candidates in one picture."""
+    """The encoder's output for the candidates in one picture."""
 
     features: NDArray[np.float32]  # (n, d)
     logits: NDArray[np.float32]  # (n, k)
@@ -66,7 +66,7 @@ def looked_at(encoder: Encoder, found: Candidates, team_of: TeamOf) -> Look:
 
 
 def told_apart(looks: Iterable[Look], names: list[str], least: float) -> dict[str, float]:
-    """Share of right classes; of each, precision and recall of who is at `least` so genuine."""
+    """Return accuracy, and per class precision and recall of verdicts of at least `least`."""
     kept = list(looks)
     logits, kinds = (
         np.concatenate([k.logits for k in kept]),
@@ -88,7 +88,7 @@ def told_apart(looks: Iterable[Look], names: list[str], least: float) -> dict[st
 
 
 def found_again(pairs: Iterable[tuple[Look, Look]]) -> dict[str, float]:
-    """Share of people whose likest in the earlier picture is themselves; and what chance gives."""
+    """Return the re-identification rate between two pictures, and the rate of chance."""
     marks: dict[str, list[float]] = {"all": [], "all_chance": [], "team": [], "team_chance": []}
     for earlier, later in pairs:
         there, here = np.flatnonzero(earlier.persons != NOBODY), later.persons != NOBODY
@@ -106,7 +106,7 @@ def found_again(pairs: Iterable[tuple[Look, Look]]) -> dict[str, float]:
 
 
 def alike(one: NDArray[np.float32], others: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Correlation of one vector (d,) with others (n, d): as behind a LayerNorm."""
+    """Return the correlation of one vector (d,) with others (n, d)."""
     one, others = one - one.mean(), others - others.mean(1, keepdims=True)
     lengths = np.linalg.norm(one) * np.linalg.norm(others, axis=1)
     return np.asarray(others @ one / np.maximum(lengths, 1e-9), np.float32)
@@ -123,7 +123,7 @@ def of_scenes(seeds: Iterable[int], count: int) -> Iterator[Pair]:
 
 
 def of_sequence(folder: Path, stride: int, frames: tuple[int, int]) -> Iterator[Pair]:
-    """The same of frames A-B (from 1; B 0: to the end) of a SoccerNet sequence."""
+    """Yield pairs of frames A-B (from 1; B 0: to the end) of a SoccerNet sequence."""
     source = SoccerNetSequence(path=str(folder))
     last = min(frames[1] or (source.length or 0), source.length or 0)
     if not 1 <= frames[0] <= last - GAP:
@@ -143,13 +143,13 @@ def pair(source: FrameSource, start: int, rng: np.random.Generator) -> Pair:
 
 
 def team_in_scene(person: int) -> int:
-    """Of a procedural scene: who wears the same; players of a team are ten ids in a row."""
+    """Return the team of a person in a procedural scene; each team has ten consecutive ids."""
     who = person - 1
     return who // 10 if who < 20 else who if who < 22 else 2
 
 
 def teams_of(folder: Path) -> TeamOf:
-    """Of a SoccerNet sequence: who wears the same."""
+    """Return a function for the team of each id of a SoccerNet sequence."""
     source = SoccerNetSequence(path=str(folder))
     kits = {key: (who.label.split()[-1], who.team) for key, who in source.tracklets.items()}
     order = sorted(set(kits.values()))

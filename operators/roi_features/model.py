@@ -1,9 +1,9 @@
 """MobileNetV3-Small (Howard et al. 2019, table 2): crops (n, 3, S, S) RGB -> 576 features.
 
-Own code after the published table. The modules are named as in torchvision, so that its ImageNet
-weights load as they are (`load_imagenet`). Of the 2.5 million parameters the network is known by,
-0.9 are the trunk; the rest is a head for ImageNet's thousand classes, of no use here: one layer
-tells what the object is, a false candidate included, and the features themselves tell who it is.
+Own implementation of the published table. The modules are named as in torchvision, so that its
+ImageNet weights can be loaded (`load_imagenet`). Of the published 2.5 million parameters, 0.9 are
+the trunk; the rest, the head for the classes of ImageNet, is replaced: one layer classifies the
+object, with a class for false candidates, and the features identify it.
 """
 
 # mypy: disallow-subclassing-any=False
@@ -33,7 +33,7 @@ TABLE = (
     (5, 576, 96, True, True, 1),
     (5, 576, 96, True, True, 1),
 )
-# of RGB 0..1 in ImageNet: networks trained on it expect it subtracted, and the rest divided
+# mean and deviation of RGB 0..1 in ImageNet, by which its networks normalise inputs
 MEAN, DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -54,7 +54,7 @@ def convolution(
 
 
 class Excite(nn.Module):
-    """Squeeze and excite: each channel is weighted by what all of them show."""
+    """Squeeze and excite: each channel is weighted by a function of all channels' means."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -107,15 +107,15 @@ class EncoderNet(nn.Module):
     def forward(self, crops: Tensor) -> tuple[Tensor, Tensor]:
         """Crops (n, 3, S, S), RGB 0..1 -> features (n, 576), logits of `CLASSES` (n, 4).
 
-        Each row of features has mean 0 and deviation 1: a dot product compares two of them, and a
-        LayerNorm behind leaves them as they are.
+        Each row of features has mean 0 and deviation 1, so that a dot product compares two of them
+        and a following LayerNorm does not change them.
         """
         seen = self.pool(self.features(crops)).flatten(1)
         return F.layer_norm(seen, (FEATURES,)), self.kind(seen)
 
 
 def rounded(channels: float) -> int:
-    """To the nearest multiple of 8, at least 8, never below nine tenths of it.
+    """Round to the nearest multiple of 8, at least 8 and at least 0.9 times the value.
 
     >>> rounded(4), rounded(18), rounded(72 / 4), rounded(24)
     (8, 24, 24, 24)
@@ -147,9 +147,9 @@ def load_imagenet(net: EncoderNet, path: Path) -> None:
 
 
 def take_plain(stem: nn.Sequential) -> None:
-    """Let a first layer that expects ImageNet's mean and deviation removed do that itself.
+    """Fold ImageNet's normalisation into the first layer.
 
-    Exact but where the filter reaches over the picture's edge, which it now takes for black.
+    Exact except at the picture's edge, where the padding now means black.
     """
     kernel, norm = stem[0].weight, stem[1]
     with torch.no_grad():
@@ -158,7 +158,7 @@ def take_plain(stem: nn.Sequential) -> None:
 
 
 def of_head(name: str) -> bool:
-    """Whether an entry is no weight of the trunk."""
+    """Whether an entry belongs to the head, not to the trunk."""
     return "classifier" in name or "conv_head" in name or name.endswith("num_batches_tracked")
 
 

@@ -1,8 +1,8 @@
-"""Describe tracked objects at full resolution: ROI Frame and Tracks -> RoiFeatures.
+"""Encode tracked objects at full resolution: ROI Frame and Tracks -> RoiFeatures.
 
-Each track that lies in the ROI is cut out, scaled to the encoder's square and encoded; all of
-them go through the network in one batch where it allows one. A network with a second output,
-`classes`, verifies too: it says how likely each object is what the context made of it.
+Each track inside the ROI is cropped, scaled to the encoder's square and encoded, in one batch if
+the network allows. A network with a second output, `classes`, also verifies: it gives the
+probability that each object is of its labelled class.
 """
 
 from collections.abc import Sequence
@@ -63,7 +63,7 @@ class RoiEncoderSettings:
 
 
 class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
-    """One answer per exposure; no track inside the ROI gives empty arrays (0, d)."""
+    """Sends one message per exposure, with empty arrays (0, d) without a track in the ROI."""
 
     roi = Input(Frame, keep="latest")
     tracks = Input(Tracks, keep="latest")
@@ -72,7 +72,7 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
         self._encoder = Encoder(self.settings)
 
     def state(self) -> None:
-        """Nothing must survive: what changes is room for a batch."""
+        """Return None: only scratch memory changes."""
 
     def on_roi_tracks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
         if roi.pixels.size and (roi.pixels.ndim != 3 or roi.pixels.dtype != np.uint8):
@@ -170,7 +170,7 @@ class Encoder:
 def verdicts(
     logits: NDArray[np.float32], names: Sequence[str], labels: Sequence[str]
 ) -> NDArray[np.float32]:
-    """How likely each object (n,) is of its label's class, by logits (n, k) of the named classes.
+    """Return the probability (n,) that each object is of its labelled class, from logits (n, k).
 
     1 for a label that is not among the names.
     """

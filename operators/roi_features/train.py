@@ -1,6 +1,6 @@
 """Train the ROI encoder on procedural scenes: `python -m operators.roi_features.train --help`.
 
-What may be asked of a training; the training itself, which needs torch, is in `training_run.py`.
+This module defines the options; the training itself, which needs torch, is in `training_run.py`.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -16,7 +16,7 @@ from pipeline.extras import need
 
 
 def asked(words: Sequence[str] | None) -> TrainSettings:
-    """What a command line means."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, required=True, help="rendered crops, made if missing")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint, log, roi_encoder.onnx")

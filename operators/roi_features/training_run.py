@@ -1,12 +1,12 @@
-"""The training of the ROI encoder on procedural scenes.
+"""Training of the ROI encoder on procedural scenes.
 
-Two objectives, for the two things the loop asks of it. *What is it?*, false candidates included: a
-ball in the context is four pixels, and so is a boot; at full resolution the two can be told apart.
-*Who is it?*, by a supervised contrast (Khosla et al. 2020) among those of one scene: a policy that
-was shown somebody must know them again, and of eleven alike only number, skin, hair and build tell.
+It has two objectives. Classification, including false candidates: in the context, a ball and a boot
+are four pixels each; at full resolution they can be distinguished. Identification, by supervised
+contrastive loss (Khosla et al. 2020) within each scene: a policy must recognise a person, and
+team mates differ only in number, skin, hair and build.
 
-With `--head-of CHECKPOINT` the features stay what they are, so that policies trained on them stay
-valid, and only the verdict on candidates is learned anew.
+With `--head-of CHECKPOINT` the features are frozen, so that policies trained on them stay valid;
+only the classification is trained again.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -58,9 +58,9 @@ def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.
 def changed(
     picture: NDArray[np.uint8], light: int, rng: np.random.Generator, *, mirror: bool
 ) -> NDArray[np.uint8]:
-    """One crop as it is never seen twice: shifted, zoomed, coarser, relit, softened, mirrored.
+    """Augment a crop: shift, zoom, coarsen, relight, soften, mirror.
 
-    Crops of the same `light` are relit alike: one camera shows a shirt in one colour.
+    Crops of the same `light` are relit alike, as one camera shows a shirt in one colour.
     """
     side, zoom = -1 if mirror else 1, np.exp(rng.uniform(-0.2, 0.2))
     shift = CROP_PX / 2 * (1 - np.array([side * zoom, zoom])) + rng.uniform(-7, 7, 2)
@@ -90,12 +90,12 @@ def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
 
 
 def losses(net: EncoderNet, given: dict[str, Tensor], weight: float) -> dict[str, Tensor]:
-    """Both objectives; their sum is lowered."""
-    # in bfloat16 the filters of single channels are slower, and a step takes twice as long
+    """Return both losses; training minimises their sum."""
+    # in bfloat16 depthwise convolutions are slower, and a step takes twice as long
     features, kinds = net(given["pictures"])
     what = F.cross_entropy(kinds, given["kinds"], label_smoothing=0.02)
     who = identity_loss(features, given["persons"], given["scenes"])
-    return {"what": what, "who": weight * who}  # of kept features it is only told
+    return {"what": what, "who": weight * who}  # only reported if the features are frozen
 
 
 class Run(checkpoint.Progress):
@@ -121,14 +121,14 @@ class Run(checkpoint.Progress):
         super().__init__(settings.out, parts, of_settings(settings) | crops)
 
     def prepare(self) -> None:
-        """Learn from here on; what is kept keeps its averages too."""
+        """Switch to training mode; frozen layers keep their batch statistics."""
         self.net.train()
         if self.settings.head_of is not None:
             self.net.features.eval()
 
 
 def train(settings: TrainSettings) -> EncoderNet:
-    """Render what is missing, train what is left, write checkpoint and log; returns the network."""
+    """Render missing crops, train the remaining steps, write checkpoint and log."""
     torch.set_num_threads(settings.threads)
     settings.out.mkdir(parents=True, exist_ok=True)
     run = Run(settings)
@@ -160,7 +160,7 @@ def advance(run: Run, crops: Crops) -> dict[str, float]:
     s = run.settings
     rng = np.random.default_rng([s.seed, 12, run.step])
     rows = batch_rows(crops, s.batch, rng)
-    # a number in a mirror is another one
+    # mirroring would change a shirt number
     mirrored = (crops.persons[rows] == NOBODY) & (rng.random(len(rows)) < 0.5)
     pictures = [
         changed(

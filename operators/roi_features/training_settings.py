@@ -1,4 +1,4 @@
-"""What a training of the encoder may be told."""
+"""Settings of the encoder's training."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Saliency: context frames in, candidate objects out."""
+"""Saliency: context frames in, detected objects out."""
 
 from operators.saliency.saliency import Saliency, SaliencySettings
 

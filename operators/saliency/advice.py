@@ -1,4 +1,4 @@
-"""What a detector knows and whether it is shown that: metadata and a source -> sentences."""
+"""Advice on a detector and its source: metadata and a source -> sentences."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -7,10 +7,10 @@ MOST_NAMES = 8  # that are listed; COCO has 80
 
 
 def advice(names: Iterable[str], metadata: Mapping[str, str], shown: Any | None) -> Iterable[str]:
-    """Sentences about classes, training and source; `shown` has `shows` and `source`, or is None.
+    """Yield sentences on classes, training and source; `shown` has `shows`, `source`, or is None.
 
-    The metadata says in `domain` what kind of scene the detector is for, in `trained_on` what it
-    was trained on.
+    In the metadata, `domain` is the kind of scene that the detector is for, `trained_on` its
+    training data.
     """
     domain, trained_on = metadata.get("domain", ""), metadata.get("trained_on", "")
     yield f"the detector finds {listed(list(names))}; " + (

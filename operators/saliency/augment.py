@@ -1,7 +1,7 @@
-"""Change a training picture so that no two epochs show it alike: Example -> Example.
+"""Augment a training picture: Example -> Example.
 
-Pasted balls decide whether a ball is learned at all; pasted look-alikes, what is not one. Clutter
-behind everybody keeps the network from knowing our stands by heart: real ones look otherwise.
+Without pasted balls the network hardly learns balls; pasted look-alikes reduce false ones. Clutter
+in the background prevents overfitting to the procedural stands.
 """
 
 from dataclasses import replace
@@ -14,7 +14,7 @@ from operators.saliency.example import BALL, NAMES, Example
 from operators.training.photometric import degrade, recolour
 
 BALL_LABEL = NAMES.index(BALL)
-LEAST_SHARE = 0.3  # of an object that must remain in the picture to count
+LEAST_SHARE = 0.3  # share of an object that must remain in the picture
 BALL_TO_PERSON = (0.085, 0.17)  # diameter over height; a ball measures 0.22 m
 FINE = 8  # sub-pixels a side of a pasted thing
 
@@ -68,7 +68,7 @@ def _area(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def clutter(example: Example, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """Patches of noise, blobs, bars and letters where nobody is; mostly in the upper part."""
+    """Add patches of noise, blobs, bars and letters outside people; mostly in the upper part."""
     picture = example.picture.copy()
     height, width = picture.shape[:2]
     taken = np.zeros((height, width), np.bool_)
@@ -90,7 +90,7 @@ def clutter(example: Example, rng: np.random.Generator) -> NDArray[np.uint8]:
 
 
 def _texture(wide: int, tall: int, rng: np.random.Generator) -> NDArray[np.uint8]:
-    """What a stand, a banner, a fence or a hoarding may look like from afar: (tall, wide, 3)."""
+    """Return a texture like a distant stand, banner, fence or hoarding: (tall, wide, 3)."""
     ground = rng.uniform(10, 230, 3)
     patch = np.empty((tall, wide, 3), np.float32)
     patch[:] = ground
@@ -122,7 +122,7 @@ def _texture(wide: int, tall: int, rng: np.random.Generator) -> NDArray[np.uint8
 
 
 def paste(example: Example, rng: np.random.Generator) -> Example:
-    """Balls over people, lines, grass and stands, and white things that are no balls."""
+    """Paste balls over people, lines, grass and stands, and white look-alikes."""
     people = example.boxes[example.labels != BALL_LABEL]
     tall = float(np.median(people[:, 3] - people[:, 1])) if len(people) else 36.0
     picture = example.picture.copy()
@@ -144,7 +144,7 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
 
 
 def _somewhere(example: Example, rng: np.random.Generator) -> tuple[float, float]:
-    """A place: about a person as often as anywhere, now and then on something bright."""
+    """Return a position: near a person or anywhere, sometimes on a bright spot."""
     height, width = example.picture.shape[:2]
     draw = rng.random()
     if draw < 0.4 and len(example.boxes):

@@ -1,4 +1,4 @@
-"""Which classes a detector has, how they are reported and from which confidence on."""
+"""Classes of a detector: their names, reported names and confidence thresholds."""
 
 import ast
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ def named_classes(metadata: Mapping[str, str]) -> list[str]:
 def report_as(
     own: list[str], wanted: Mapping[str, str]
 ) -> tuple[tuple[str, ...], NDArray[np.intp]]:
-    """Reported names, and for each class of the network its index among them, -1: left out.
+    """Return reported names, and per class of the network its index among them (-1: left out).
 
     Several classes may be reported under one name; an empty table reports all as they are.
 
@@ -59,7 +59,7 @@ def own_confidence(metadata: Mapping[str, str]) -> dict[str, float]:
 def thresholds(
     names: Sequence[str], own: Mapping[str, float], wanted: Mapping[str, float], default: float
 ) -> NDArray[np.float32]:
-    """Least confidence of each reported name, and 2, which nothing reaches, behind the last.
+    """Return the threshold of each reported name, followed by 2, which no score reaches.
 
     >>> thresholds(["player", "ball"], {"ball": 0.5}, {}, 0.25).tolist()
     [0.25, 0.5, 2.0]

@@ -1,4 +1,4 @@
-"""Training batches: rendered scenes, bent, recoloured and littered anew each time."""
+"""Training batches of rendered scenes, augmented differently in each epoch."""
 
 # mypy: disallow-subclassing-any=False
 from collections.abc import Iterable, Iterator
@@ -36,10 +36,10 @@ class Batch:
 
 
 class Rendered(Dataset[Example]):
-    """Everything in some of `render`'s files, as one endless stream.
+    """The examples in files of `render`, as one endless stream.
 
-    Item n depends on the seed and the files only, not on the worker or the order: epochs are
-    shuffled anew, pictures changed anew, and a resumed training goes on where it stood.
+    Item n depends only on the seed and the files, not on worker or order: each epoch is shuffled
+    and augmented differently, and a resumed training continues exactly.
     """
 
     def __init__(self, files: Iterable[Path], *, seed: int) -> None:

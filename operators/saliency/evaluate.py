@@ -1,8 +1,8 @@
-"""Score a detector on scenes it never saw: `python -m operators.saliency.evaluate --help`.
+"""Score a detector on held-out scenes: `python -m operators.saliency.evaluate --help`.
 
-Runs the operator as a graph does, so that what is scored is what runs. Thresholds are chosen on
-validation scenes (`--choose`, which writes them into the network's metadata); the figures that
-count come from test scenes, or from a SoccerNet sequence (`--data`).
+Runs the operator as in a graph. Thresholds are chosen on validation scenes (`--choose`, which
+writes them into the network's metadata); reported figures come from test scenes, or from a
+SoccerNet sequence (`--data`).
 """
 
 import argparse

@@ -1,6 +1,6 @@
-"""What training lowers: a network's raw answer and what is really there -> losses.
+"""Losses of the detector's training: raw outputs and ground truth -> losses.
 
-People are found at three strides by task-aligned assignment, the ball by a heat-map at stride 4.
+People are detected at three strides by task-aligned assignment, the ball by a heat-map at stride 4.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -17,7 +17,7 @@ from operators.saliency.model import BALL_STRIDE, STRIDES, Raw, ball_boxes, cell
 
 @dataclass(frozen=True, kw_only=True)
 class Assigned:
-    """What each anchor shall say."""
+    """The training target of each anchor."""
 
     quality: Tensor  # (B, A, people) wanted scores, 0 where nobody is
     boxes: Tensor  # (B, A, 4) wanted box, where there is one

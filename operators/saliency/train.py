@@ -1,6 +1,6 @@
 """Train the shipped detector on procedural scenes: `python -m operators.saliency.train --help`.
 
-What may be asked of a training; the training itself, which needs torch, is in `training_run.py`.
+This module defines the options; the training itself, which needs torch, is in `training_run.py`.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -16,7 +16,7 @@ from pipeline.extras import need
 
 
 def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
-    """What a command line means: a training, and where to export instead of training."""
+    """Parse the command line: the settings, and the file to export to instead of training."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="rendered scenes")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint and log")

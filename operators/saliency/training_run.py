@@ -1,8 +1,7 @@
-"""The training of the shipped detector on procedural scenes.
+"""Training of the shipped detector on procedural scenes.
 
-Renders what is missing, trains in bfloat16, keeps a running mean of the weights,
-writes a checkpoint now and then and goes on from it when started again. `--export` writes
-the ONNX file that fovea ships.
+It renders missing scenes, trains in bfloat16 with a running mean of the weights, and writes
+checkpoints at intervals, from which it resumes. `--export` writes the ONNX file that fovea ships.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -70,13 +69,13 @@ class Run(checkpoint.Progress):
 
 
 def drawn(settings: TrainSettings) -> list[Path]:
-    """Files of the scenes that are drawn for this training; others may lie beside them."""
+    """Return the files of scenes rendered for this training, ignoring others in the folder."""
     seeds = range(TRAIN_SEEDS, TRAIN_SEEDS + settings.scenes)
     return [settings.data[0] / f"{seed}.npz" for seed in seeds]
 
 
 def given(settings: TrainSettings) -> list[Path]:
-    """Files of the folders that are taken as they are; one named twice counts twice."""
+    """Return the files of given folders; a folder named twice counts twice."""
     folders = settings.data[1:] if settings.scenes else settings.data
     return [path for folder in folders for path in rendered_in(folder)]
 
@@ -89,7 +88,7 @@ def contents(files: Sequence[Path]) -> str:
 
 
 def train(settings: TrainSettings) -> Run:
-    """Render what is missing, train until the steps or the minutes are used up."""
+    """Render missing scenes, then train until the limit of steps or minutes."""
     torch.set_num_threads(settings.threads)
     settings.out.mkdir(parents=True, exist_ok=True)
     run = Run(settings)
@@ -104,10 +103,10 @@ def train(settings: TrainSettings) -> Run:
     started = time.monotonic() - run.elapsed_s
     log = settings.out / "log.csv"
     shorten(log, run.step)
-    # a training that its minutes ended is over: its weights must stay what they are
+    # a training ended by its limit of minutes is complete: do not change its weights
     over = run.elapsed_s > settings.minutes * 60
     steps = range(run.step, run.step if over else settings.steps)
-    # beside a GPU the processors have nothing else to do
+    # with a GPU, all CPU cores are available for the loader
     workers = 1 if run.device.type == "cpu" else settings.threads
     files = [*drawn(settings), *given(settings)]
     batches = stream(files, settings.batch, steps, seed=settings.seed, workers=workers)

@@ -1,4 +1,4 @@
-"""What a training of the detector may be told."""
+"""Settings of the detector's training."""
 
 from dataclasses import dataclass
 from pathlib import Path

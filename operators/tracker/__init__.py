@@ -1,4 +1,4 @@
-"""Trackers: context and ROI -> where the one followed object is. One class for each method."""
+"""Trackers: context and ROI -> the box of one object. One class per method."""
 
 from operators.tracker.correlation import CorrelationSettings, CorrelationTracker
 from operators.tracker.following import TrackerState

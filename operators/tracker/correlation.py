@@ -1,11 +1,11 @@
-"""A search-template tracker without weights: normalised correlation over places and sizes.
+"""A template tracker without weights: normalised correlation over positions and sizes.
 
-Two templates are compared with the search picture, the first one and a slowly renewed one: the
-renewed follows changes of light, pose and resolution, the first keeps it from drifting away. The
-object's last motion says where to search, and a window prefers places near there.
+Two templates are compared with the search picture, the initial one and a slowly updated one: the
+latter adapts to changes of light, pose and resolution, the former prevents drift. The search is
+centred on the position extrapolated from the last motion, and a window prefers positions nearby.
 
-A box that comes from a policy lies some pixels beside the object, and a template keeps that offset.
-It is measured over the frames in which both follow the same object, and taken out.
+A box from a policy may be some pixels beside the object, and a template keeps that offset. The
+offset is estimated while policy and tracker follow the same object, and removed.
 """
 
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ TEMPLATE_PX = 32  # of a look twice as wide as the object: 16 px for the object 
 SEARCH_PX = 96  # of a look six times as wide, at the same scale
 FACTOR = 2.0
 SCALES = (0.95, 1.0, 1.05)
-SCALE_COST = 0.02  # by how much another size must be better
-RENEWAL = 0.05  # share of a new sight that enters the renewed template
-TRUSTED = 0.6  # score above which a sight may enter it
+SCALE_COST = 0.02  # penalty of another size
+RENEWAL = 0.05  # weight of a new view in the updated template
+TRUSTED = 0.6  # minimum score of a view for an update
 SPEED_GAIN = 0.5
 WINDOW_WEIGHT = 0.25  # of the preference for the foreseen place
 ALIGN_GAIN = 0.2  # share of what the box and the foreseen one differ by that is taken over
@@ -47,7 +47,7 @@ class CorrelationTracker(Tracker[CorrelationSettings]):
 
 
 class Correlation:
-    """Follows one object with nothing but its own picture."""
+    """Follows one object by its appearance."""
 
     patience_score = 0.35
 
@@ -66,7 +66,7 @@ class Correlation:
         return self._first, self._renewed, self._velocity, self._offset
 
     def resume(self, memory: Memory) -> bool:
-        """Take over what `memory` gave."""
+        """Take over another instance's memory."""
         if tuple(part.shape for part in memory) != SHAPES:
             return False
         first, renewed, velocity, offset = (part.astype(np.float32) for part in memory)
@@ -76,7 +76,7 @@ class Correlation:
         return True
 
     def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
-        """Where the object is now, given where it was, and how sure that is (0..1)."""
+        """Return the object's box, given the previous one, and a confidence 0..1."""
         scale = scale_of(box)
         before = centres(box) - scale * self._offset  # of the template
         foreseen = before + self._velocity

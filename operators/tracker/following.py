@@ -1,9 +1,9 @@
-"""Follow one object by a method, and let go of it where the policy shows another.
+"""Follow one object by a method, and drop it when the policy has chosen another.
 
-A method (correlation, ViTTrack, MixFormerV2) finds an object again from frame to frame and does not
-notice when it slips onto another one. The scanpath does: for every frame it names the object that
-the policy chose and where that one is foreseen. The two are compared in every frame, and only
-disagreement for several frames in succession counts: one wrong scanpath changes nothing.
+A method (correlation, ViTTrack, MixFormerV2) finds an object again from frame to frame, but does
+not notice when it drifts to another one. The scanpath reveals this: for every frame it contains the
+policy's object and its predicted box. Both are compared in every frame, and only disagreement in
+several consecutive frames counts, so that a single wrong scanpath has no effect.
 """
 
 from dataclasses import dataclass, field
@@ -16,8 +16,8 @@ from operators.tracker.look import Streams
 from pipeline import Frame, Scanpath
 from pipeline.boxes import centres, covered, sizes
 
-NOBODY = -1  # the id of an object that is no track
-NEAR = 0.75  # centres this near are one object, in sizes of the larger box
+NOBODY = -1  # id of an object without a track
+NEAR = 0.75  # maximum distance of centres of one object, in sizes of the larger box
 ALIKE = 2.0  # if their sizes differ by less than this factor
 SHOWN = 0.5  # share of a box inside the ROI from which the ROI shows it
 FAR_PX = 2.0**20  # beyond any field: no box, and nothing to calculate with
@@ -26,29 +26,29 @@ Memory = tuple[NDArray[np.uint8] | NDArray[np.float32], ...]
 
 
 class Method(Protocol):
-    """A way to find one object again and again."""
+    """A method to find one object in every frame."""
 
-    patience_score: float  # a lower score means that the object is not there
+    patience_score: float  # a lower score means that the object is not found
 
     def start(self, streams: Streams, box: Box) -> None:
-        """Learn what the object in this box looks like."""
+        """Initialise with the object in this box."""
 
     def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
-        """Where the object is now, given where it was, and how sure that is (0..1)."""
+        """Return the object's box, given the previous one, and a confidence 0..1."""
 
     def aligned(self, box: Box, foreseen: Box) -> Box:
-        """The box, brought nearer to where the same object was foreseen, if that helps."""
+        """Return the box, corrected towards the predicted one if the method benefits."""
 
     def memory(self) -> Memory:
-        """What it has learned, for another instance; empty before `start`."""
+        """Return its state for another instance; empty before `start`."""
 
     def resume(self, memory: Memory) -> bool:
-        """Go on with another instance's memory; False, and nothing changed, when it is not one."""
+        """Take over another instance's memory; return False, unchanged, if it is invalid."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """When to let go of an object, in frames in succession."""
+    """When to drop an object, in consecutive frames."""
 
     lost_score: float  # below it the method has not found the object
     lost_after: int  # frames without finding it
@@ -59,7 +59,7 @@ class Rules:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackerState:
-    """What a successor needs to go on with the same object."""
+    """The state for a successor."""
 
     box: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     object_id: int = NOBODY  # the track that the policy calls it; NOBODY: the box was given
@@ -73,14 +73,14 @@ class TrackerState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Proposal:
-    """What the policy shows in one frame: an object, or a place (`NOBODY`)."""
+    """The policy's choice in one frame: an object, or a position (`NOBODY`)."""
 
     object_id: int
     box: Box
 
 
 class Following:
-    """One object at a time: started on what is given or shown, followed, let go of."""
+    """Follows one object at a time, given by a prompt or chosen by the policy."""
 
     def __init__(self, method: Method, rules: Rules) -> None:
         self.rules, self._method = rules, method
@@ -118,15 +118,15 @@ class Following:
         self._begun = state.begun and self._method.resume(state.memory)
 
     def forget(self) -> None:
-        """Follow nothing, until there is something to follow."""
+        """Drop the object."""
         self.restore(TrackerState())
 
     def take(self, box: Box) -> None:
-        """Follow what is in this box from the next frame on, whatever the policy shows."""
+        """Follow the object in this box from the next frame on, whatever the policy chooses."""
         self.restore(TrackerState(box=box[None].copy(), prompted=True))
 
     def step(self, streams: Streams, shown: Proposal | None) -> float:
-        """Go on by one frame; returns the method's score, 1 at a start, 0 without an object."""
+        """Process one frame; return the method's score, 1 at a start, 0 without an object."""
         score = 0.0
         if len(self._box) and self._begun:
             score = self._follow(streams)
@@ -148,7 +148,7 @@ class Following:
         return score
 
     def _compare(self, streams: Streams, shown: Proposal | None) -> None:
-        """Count the frames in which the policy shows something else; silence counts nothing."""
+        """Count consecutive frames in which the policy chooses something else."""
         if shown is None or self._prompted:
             return
         if shown.object_id == NOBODY:
@@ -164,7 +164,7 @@ class Following:
             self._box = self._method.aligned(self._box[0], shown.box)[None]
 
     def _let_go(self, shown: Proposal | None) -> None:
-        """Forget the object once one of the counts is reached."""
+        """Drop the object once one of the limits is reached."""
         rules = self.rules
         switched = shown is not None and shown.object_id not in (NOBODY, self._id)
         reasons = {

@@ -1,7 +1,7 @@
-"""Look at a square of the sensor through both streams: frames and a square -> a small RGB picture.
+"""Sample a square of the sensor from both streams: frames and a square -> a small RGB picture.
 
-The two streams are fed separately: a look takes its pixels from the ROI where the ROI has them and
-from the context elsewhere, at the size the tracker wants. No picture of the whole field is made.
+The streams are not merged into a picture of the whole field: a look takes its pixels from the ROI
+where available and from the context elsewhere, at the tracker's input size.
 """
 
 from dataclasses import dataclass, field

@@ -1,10 +1,9 @@
-"""The paper's tracker by network (MixFormerV2 exported to ONNX): look -> box and score.
+"""The paper's tracker (MixFormerV2 exported to ONNX): look -> box and score.
 
-The network compares two templates, one from the start and one renewed now and then, with a search
-picture and answers one box. Names and sizes of inputs are those of the exports in circulation
-(`img_t`, `img_ot`, `img_search` -> `pred_boxes`, `pred_scores`), factors those of the authors'
-settings. No weights of it lie in this repository; it is tested with networks whose answers are
-known.
+The network compares two templates, the initial one and one updated at intervals, with a search
+picture and returns one box. Names and sizes of inputs are those of public exports (`img_t`,
+`img_ot`, `img_search` -> `pred_boxes`, `pred_scores`), factors those of the authors' settings. This
+repository contains no weights for it; it is tested with networks of known output.
 """
 
 from collections.abc import Iterable, Mapping
@@ -98,7 +97,7 @@ class MixFormer:
         return self._feeds["img_t"], self._feeds["img_ot"], self._candidate, counts
 
     def resume(self, memory: Memory) -> bool:
-        """Take over what `memory` gave."""
+        """Take over another instance's memory."""
         shapes, templates = [part.shape for part in memory], (self._feeds[n] for n in INPUTS[:2])
         rest = [[look, (2,)] for look in ((self._template_px, self._template_px, 3), NO_LOOK)]
         if shapes[:2] != [t.shape for t in templates] or shapes[2:] not in rest:
@@ -109,11 +108,11 @@ class MixFormer:
         return True
 
     def aligned(self, box: Box, foreseen: Box) -> Box:
-        """The box: the network's own is nearer to the object than what was foreseen."""
+        """Return the box unchanged: it is more accurate than the prediction."""
         return box
 
     def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
-        """Where the object is now, given where it was, and how sure that is (0..1)."""
+        """Return the object's box, given the previous one, and a confidence 0..1."""
         side = SEARCH_FACTOR * size_of(box)
         normalise(streams.look(centres(box), side, self._search_px), self._feeds["img_search"])
         answers = self._network(self._feeds)

@@ -1,11 +1,11 @@
 """Follow one object through context and ROI: Frame, Frame (and a Scanpath) -> Percept.
 
-The consumer of the paper's tracking task. It follows what the policy shows: it starts on the object
-that a scanpath chose, is bound anew when the policy chooses another object or has been beside this
-one for some frames, and answers without a box while it has lost it: an empty `Percept` says *lost*,
-or that there was nothing to follow yet. `follow` and `reset` override it.
+The consumer of the paper's tracking task. It follows the policy's object: it starts on the object
+that a scanpath chose, and changes when the policy chooses another object or has been beside this
+one for some frames. An empty `Percept` means that the object is lost, or that there is none yet.
+The commands `follow` and `reset` override the policy.
 
-A graph names one class for each method: `CorrelationTracker`, `VitTracker`, `MixFormerTracker`.
+There is one class per method: `CorrelationTracker`, `VitTracker`, `MixFormerTracker`.
 """
 
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
-"""A search-template tracker by network (ViTTrack, `vitTracker.onnx`): look -> box and score.
+"""A template tracker by network (ViTTrack, `vitTracker.onnx`): look -> box and score.
 
-The network compares a 128 px template with a 256 px search picture and answers three 16x16 maps.
+The network compares a 128 px template with a 256 px search picture and returns three 16x16 maps.
 Sizes, factors, mean and deviation, and the meaning of the maps are those of OpenCV's `TrackerVit`
 (Apache-2.0), against which this is tested with the same weights.
 """
@@ -82,18 +82,18 @@ class VitTrack:
         return (self._template,)
 
     def resume(self, memory: Memory) -> bool:
-        """Take over what `memory` gave."""
+        """Take over another instance's memory."""
         if [part.shape for part in memory] != [self._template.shape]:
             return False
         self._template[:] = memory[0]
         return True
 
     def aligned(self, box: Box, foreseen: Box) -> Box:
-        """The box: the network's own is nearer to the object than what was foreseen."""
+        """Return the box unchanged: it is more accurate than the prediction."""
         return box
 
     def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
-        """Where the object is now, given where it was, and how sure that is (0..1)."""
+        """Return the object's box, given the previous one, and a confidence 0..1."""
         side = SEARCH_FACTOR * size_of(box)
         normalise(streams.look(centres(box), side, SEARCH_PX), self._search)
         maps = self._network({"template": self._template, "search": self._search})

@@ -1,1 +1,1 @@
-"""What several trainings share. Nothing that runs live imports it."""
+"""Code shared by trainings; never imported by a running graph."""

@@ -1,4 +1,4 @@
-"""Files of arrays that say what they were made with; written whole or not at all."""
+"""Files of arrays with a record of how they were made; written atomically."""
 
 import json
 from collections import Counter
@@ -30,7 +30,7 @@ def read(path: Path) -> Arrays:
 
 
 def outdated(paths: Iterable[Path], made: Identity, say: Callable[[str], None]) -> list[Path]:
-    """Those to make: not there, damaged, or made with something else; says why in a line."""
+    """Return the files to make again: missing, damaged, or made otherwise; report why."""
     found, reasons = [], Counter[str]()
     for path in paths:
         if path.exists():
@@ -60,6 +60,6 @@ def _read(path: Path) -> tuple[Arrays, Identity]:
             found = dict(file)
         told = json.loads(str(found.pop(MADE_WITH, "{}")))
         return found, dict(told)
-    except Exception as error:  # there are as many kinds as there are ways to damage a file
+    except Exception as error:  # a damaged file can raise almost anything
         reason = str(error).split("\n", 1)[0] or "nothing"
         raise DriverError(f"{path}: expected arrays, got {reason}") from error

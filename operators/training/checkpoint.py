@@ -1,4 +1,4 @@
-"""A training on disk: written whole or not at all, read for whatever device goes on with it."""
+"""Checkpoints of trainings: written atomically, readable on any device."""
 
 import time
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from operators.training.identity import Identity, differing
 from pipeline.errors import SettingsError, WeightsError
 from pipeline.whole_file import whole_file
 
-EVERY_S = 30.0  # with the roll-outs of a round, which are repeated, it is less than a minute
+EVERY_S = 30.0  # a crash loses less than a minute, including repeated roll-outs
 
 
 class Stateful(Protocol):
@@ -25,7 +25,7 @@ class Stateful(Protocol):
 
 
 class Progress:
-    """How far a training has come: its parts, steps and seconds, and its settings, in one file."""
+    """The state of a training (parts, steps, seconds, settings), stored in one file."""
 
     def __init__(self, out: Path, parts: Mapping[str, Stateful], identity: Identity) -> None:
         self.path, self.parts, self.identity = path_in(out), dict(parts), dict(identity)
@@ -46,7 +46,7 @@ class Progress:
             self.save()
 
     def resume(self) -> None:
-        """Go on where a checkpoint stopped, if there is one; raises as `left` and `take` do."""
+        """Resume from a checkpoint, if there is one; raises as `left` and `take` do."""
         if state := left(self.path, self.identity):
             take(self.path, self.parts, state)
             self.step, self.elapsed_s = state["step"], state["elapsed_s"]
@@ -58,10 +58,10 @@ def path_in(out: Path) -> Path:
 
 
 def left(path: Path, identity: Identity) -> Mapping[str, Any]:
-    """What a training left there, empty for nothing; raises `SettingsError` if it was another.
+    """Return a training's checkpoint, empty if none; raises `SettingsError` for another training.
 
-    Its result would be called what it is not. Nor can steps be added to it: the learning rate has
-    already fallen as the steps that it began with say.
+    Otherwise its result would be mislabelled. Nor can steps be added, because the learning rate has
+    already followed the original number of steps.
     """
     if not path.exists():
         return {}
@@ -69,7 +69,7 @@ def left(path: Path, identity: Identity) -> Mapping[str, Any]:
     before = state.get("settings")
     if not isinstance(before, Mapping) or not {"step", "elapsed_s"} <= set(state):
         raise WeightsError(
-            f"{path}: expected a checkpoint that tells its settings, got one of an earlier "
+            f"{path}: expected a checkpoint with its settings, got one of an earlier "
             "version; use another --out"
         )
     if other := differing(before, identity):
@@ -83,7 +83,7 @@ def left(path: Path, identity: Identity) -> Mapping[str, Any]:
 
 
 def take(path: Path, parts: Mapping[str, Stateful], state: Mapping[str, Any] | None = None) -> None:
-    """Give parts their states from a checkpoint; raises `WeightsError` where they do not fit."""
+    """Load parts from a checkpoint; raises `WeightsError` where they do not fit."""
     state = read(path) if state is None else state
     for name, part in parts.items():
         try:

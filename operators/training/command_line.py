@@ -1,4 +1,4 @@
-"""What the command lines of trainings and their evaluations share: options, and how they end."""
+"""Options and error handling shared by the commands of trainings and their evaluations."""
 
 import argparse
 import signal
@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from pipeline.errors import FoveaError
 from pipeline.extras import remedy
 
-GOES_ON = "interrupted; the same command goes on where it was"
+GOES_ON = "interrupted; repeat the command to resume"
 REFUSED, INTERRUPTED, STOPPED = 2, 128 + signal.SIGINT, 128 + signal.SIGTERM
 
 
@@ -31,10 +31,10 @@ def count(text: str) -> int:
 
 @contextmanager
 def in_a_sentence(interrupted: str = "interrupted") -> Iterator[None]:
-    """End the process with a sentence and a status where something goes wrong as it may.
+    """End the process with a sentence and a status on an expected error.
 
-    SIGTERM ends it as an error does, so that jobs beside it end too. `interrupted` is what a
-    Ctrl-C is answered with.
+    SIGTERM is handled like an error, so that worker processes end, too. `interrupted` is the
+    message after Ctrl-C.
     """
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(STOPPED))
     try:

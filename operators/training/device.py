@@ -1,4 +1,4 @@
-"""Where a training computes: a device's name -> the device, and tensors on their way to it."""
+"""Devices of trainings: a device's name -> the device, and transfer of tensors."""
 
 import torch
 from torch import Tensor

@@ -1,7 +1,7 @@
-"""What decides a result, as names and words: settings as they are, files and code by content.
+"""Identity of a result: everything that determines it, as names and texts.
 
-Equal words mean that what was made before is what would be made now. Where files lie, how many
-threads work and on which device says nothing about the result and is left out.
+Settings count by value, files and code by content. Equal identities mean that an earlier result is
+still valid. File paths, number of threads and device do not affect the result and are excluded.
 """
 
 import json

@@ -16,12 +16,12 @@ def note(log: Path, step: int, elapsed_s: float, figures: Mapping[str, float]) -
 
 
 def shorten(log: Path, step: int) -> None:
-    """Forget what was logged after the checkpoint that a training goes on from."""
+    """Remove log lines after the checkpoint that a training resumes from."""
     if not log.exists():
         return
     header, *lines = log.read_text().splitlines() or [""]
     told = [(line.partition(",")[0], line) for line in lines]
-    # what is no number was torn when the machine went off
+    # a line without a number was torn by a power failure
     kept = [line for number, line in told if number.isdigit() and int(number) <= step]
     if kept:
         log.write_text("".join(f"{line}\n" for line in [header, *kept]))

@@ -1,4 +1,4 @@
-"""Write torch networks as ONNX, and what such a file says about itself. For training only."""
+"""Write torch networks and their metadata as ONNX; for training only."""
 
 import warnings
 from collections.abc import Mapping

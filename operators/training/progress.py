@@ -1,6 +1,6 @@
-"""What a training shows of itself: "phase 1 of 3: record clips", each phase with a bar of its own.
+"""Progress display of a training: "phase 1 of 3: record clips", with a bar per phase.
 
-In a pipe there are no bars: a phase says that it begins, and the training's log.csv has the rest.
+In a pipe there are no bars: each phase is announced, and the training's log.csv has the rest.
 """
 
 import sys

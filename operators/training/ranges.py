@@ -1,4 +1,4 @@
-"""Refuse settings that are out of range, in a sentence; no torch is needed for it."""
+"""Range checks of training settings, without torch."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""How fast a training learns: a step's number -> its learning rate."""
+"""Learning-rate schedule: a step's number -> its learning rate."""
 
 import math
 

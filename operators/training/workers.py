@@ -1,4 +1,4 @@
-"""Jobs in processes beside this one, which end with it."""
+"""Worker processes that end with this process."""
 
 import ctypes
 import os

@@ -1,4 +1,4 @@
-"""Rerun's server for browsers, a program of its own, and whether anything listens at an address."""
+"""Start Rerun's server for browsers, and check for listeners at an address."""
 
 import socket
 import sys

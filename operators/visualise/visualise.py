@@ -1,7 +1,7 @@
-"""Show a running graph in Rerun: every message of it -> pictures, boxes, paths and latencies.
+"""Show a running graph in Rerun: its messages -> pictures, boxes, paths and latencies.
 
-The only file that imports Rerun. It answers nothing and is connected by taps: what it is too slow
-for is missing in the picture, never in the graph. Everything is drawn in sensor pixels under
+The only module that imports Rerun. It sends nothing and is connected by taps: when it is too slow,
+frames are missing in the view, never in the graph. Everything is drawn in sensor pixels under
 `sensor`.
 """
 
@@ -69,7 +69,7 @@ class VisualiseSettings:
 
 
 class Visualise(Operator[VisualiseSettings, None]):
-    """Connect what is there: every input is optional. Memory is bounded, by Rerun and by us."""
+    """Shows the connected inputs, all of which are optional. Memory use is bounded."""
 
     context = Input(Frame, join=False, optional=True, tap=True)
     roi = Input(Frame, join=False, optional=True, tap=True)
@@ -101,10 +101,10 @@ class Visualise(Operator[VisualiseSettings, None]):
             self._file = GrowingFile(Path(s.save).absolute(), partial(flushed, self._recording))
 
     def state(self) -> None:
-        """Nothing must survive: trails grow again."""
+        """Return None: trails grow again."""
 
     def summary(self) -> Mapping[str, Any]:
-        """Whether the recording is whole, and if not, up to where."""
+        """Return whether the recording is complete and, if not, up to which frame."""
         if self._file is not None:
             self._file.look(self._newest)
             if self._file.failure:
@@ -112,7 +112,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         return {}
 
     def close(self) -> None:
-        """Write out what is left and end the server; raises `RunError` when that is not all."""
+        """Flush the recording and end the server; raises `RunError` if data was lost."""
         recording, self._recording = self._recording, None
         late = ""  # what went wrong after the summary
         if recording is not None and self._file is not None:

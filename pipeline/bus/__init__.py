@@ -1,1 +1,1 @@
-"""Bytes between processes and the accounts of them: keys, frame pool, ledger, ends of an edge."""
+"""Transport between processes and its accounting: sessions, frame pools, ports, ledger."""

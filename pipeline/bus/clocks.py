@@ -1,7 +1,7 @@
-"""What the clocks of other hosts show: label -> offset and error, in a small file of the run.
+"""Clock offsets between hosts: label -> offset and error, in a small file of the run.
 
-Every time in a message's header is in the clock of the host that exposed it; the header names it.
-The agent writes the file; the nodes of the run read it. One host alone needs none.
+All times of a header are in the clock of the exposing host, which the header names. The agent
+writes the file, the nodes of the run read it. A graph on a single host has no such file.
 """
 
 import ctypes
@@ -14,29 +14,29 @@ from pathlib import Path
 from pipeline.messages import Header
 from pipeline.private_folder import PrivateFolder
 
-ALONE = "monotonic"  # what a header says where there is one host only
+ALONE = "monotonic"  # label of the clock where there is only one host
 MOST_HOSTS = 64
 
 
 class Reading(ctypes.Structure):
-    """How far another clock is ahead of this host's."""
+    """Offset of another clock relative to this host's."""
 
     offset_ns: int
-    error_ns: int  # the true offset lies within this of the other; 0: not known yet
+    error_ns: int  # maximum error of the offset; 0: not known yet
 
     _fields_ = [("offset_ns", ctypes.c_int64), ("error_ns", ctypes.c_uint64)]
 
 
 @dataclass(frozen=True)
 class Clocks:
-    """The clocks of all hosts as one of them sees them."""
+    """The clocks of all hosts relative to the clock of one host."""
 
     own: str = ALONE
     readings: Mapping[str, Reading] = field(default_factory=dict)
 
     @staticmethod
     def create(path: Path, own: str, hosts: tuple[str, ...]) -> "Clocks":
-        """Make the file, with nothing known."""
+        """Create the file, with every offset unknown."""
         PrivateFolder(path.parent).write(path.name, bytes(MOST_HOSTS * ctypes.sizeof(Reading)))
         return Clocks.open(path, own, hosts)
 
@@ -51,20 +51,20 @@ class Clocks:
         )
 
     def ahead_ns(self, clock: str) -> int | None:
-        """What to add to this host's time to get the time of that clock; None: not known."""
+        """Return the offset to add to this host's time to get that clock's; None: not known."""
         if clock in (self.own, ALONE):
             return 0
         reading = self.readings.get(clock)
         return reading.offset_ns if reading is not None and reading.error_ns else None
 
     def error_ns(self, clock: str) -> int | None:
-        """By how much that may be wrong; None: not known."""
+        """Return the maximum error of the offset; None: not known."""
         if clock in (self.own, ALONE):
             return 0
         reading = self.readings.get(clock)
         return reading.error_ns or None if reading is not None else None
 
     def age_ns(self, header: Header, now_ns: int) -> int | None:
-        """How old an exposure is; None while its clock is not known."""
+        """Return the age of an exposure; None while its clock is not known."""
         ahead = self.ahead_ns(header.clock)
         return None if ahead is None else now_ns + ahead - header.stamp_ns

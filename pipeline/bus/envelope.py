@@ -1,4 +1,4 @@
-"""What surrounds a message on the bus: untrusted bytes -> numbers, fingerprint, slot, body."""
+"""Envelope of a message on the bus: untrusted bytes -> numbers, fingerprint, slot, body."""
 
 from typing import Annotated, Any, Literal
 
@@ -7,25 +7,25 @@ import msgspec
 from pipeline import codec
 from pipeline.bus.pool import SlotRef
 
-VERSION = 2  # also below, where a type checker wants the number itself
+VERSION = 2  # repeated below, where a type checker needs the literal
 Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
 HANDSHAKE, MESSAGE, NOTHING = 0, 1, 2
-# bodies of handshakes: of an instance that took over without a loss, and of one after a loss
+# bodies of handshakes: from an instance that took over without a loss, and from one after a loss
 GOES_ON, LOST = msgspec.msgpack.encode(True), msgspec.msgpack.encode(False)
 
 EPOCH_BITS = 32
 
 
 def first_of(epoch: int) -> int:
-    """The first number of an instance whose output has no reader, and so no account to go on from.
+    """Return the first ordinal of an instance whose output has no reader, hence no account.
 
-    Numbers of one output thus only grow, also where no predecessor's are known.
+    Ordinals of one output thus always increase, even if the predecessor's are unknown.
     """
     return (epoch << EPOCH_BITS) + 1
 
 
 class Envelope(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
-    """What surrounds a message on the bus."""
+    """The envelope of a message on the bus."""
 
     version: Literal[2]
     kind: Literal[0, 1, 2]
@@ -39,12 +39,12 @@ class Envelope(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
     def render(
         kind: int, ordinal: int, epoch: int, fingerprint: bytes, slot: SlotRef | None, body: Any
     ) -> bytes:
-        """The envelope of what `codec.pack` gave; raises `MessageError` for what cannot travel."""
+        """Encode an output of `codec.pack` with its envelope; raises `MessageError`."""
         return codec.to_bytes((VERSION, kind, ordinal, epoch, fingerprint, slot, body))
 
     @staticmethod
     def parse(payload: bytes) -> "Envelope":
-        """Read an envelope from untrusted bytes; raises `MessageError`."""
+        """Decode an envelope from untrusted bytes; raises `MessageError`."""
         return codec.parse(_read_envelope, payload, "not an envelope of this version")
 
 

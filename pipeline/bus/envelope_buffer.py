@@ -1,6 +1,6 @@
-"""Envelopes kept for a successor, in the order in which they came.
+"""A buffer of received envelopes during a handover, in the order of their arrival.
 
-A successor keeps them until it takes over, a predecessor until its successor has proven itself.
+A successor buffers until it takes over, a predecessor until its successor has passed probation.
 """
 
 from collections import deque
@@ -14,15 +14,15 @@ MOST = 4096  # descriptors
 
 
 class EdgeCut(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
-    """Where one instance stopped reading an edge and another begins."""
+    """The position on an edge at which one instance stops reading and another begins."""
 
-    seen: int  # the last ordinal it took
-    unfinished: list[int]  # of these the ones that it has not finished
+    seen: int  # the last ordinal received
+    unfinished: list[int]  # received ordinals that are not finished
     sender_epoch: int
 
 
 class EnvelopeBuffer:
-    """Envelopes of one edge; after the ordinal `complete_after` none is missing."""
+    """Envelopes of one edge, without gaps after the ordinal `complete_after`."""
 
     def __init__(self, complete_after: int | None = None) -> None:
         self.envelopes: deque[Envelope] = deque(maxlen=MOST)
@@ -30,7 +30,7 @@ class EnvelopeBuffer:
         self._last, self._epoch = complete_after or 0, -1
 
     def add(self, envelope: Envelope) -> None:
-        """Keep one more; before the writer's handshake there is no telling what came before it."""
+        """Append an envelope; before the writer's handshake, earlier ones may be missing."""
         handshake = envelope.kind == HANDSHAKE
         if self.complete_after is None:
             if not handshake:
@@ -44,19 +44,19 @@ class EnvelopeBuffer:
         self.envelopes.append(envelope)
 
     def trim(self, done: int) -> None:
-        """Forget what is finished, up to an ordinal."""
+        """Discard envelopes up to an ordinal, because they are finished."""
         while self.envelopes and self.envelopes[0].ordinal <= done:
             self.envelopes.popleft()
 
 
 class DropCounts:
-    """What an edge's reader had dropped at some moment."""
+    """A snapshot of the drop counters of an edge's reader."""
 
     def __init__(self, account: EdgeAccount) -> None:
         self._drops = {reason: account.dropped(reason) for reason in DROPS}
 
     def refund(self, account: EdgeAccount, excess: int) -> None:
-        """Take back so many of the drops that were counted since."""
+        """Subtract `excess` of the drops that were counted since the snapshot."""
         for reason, before in self._drops.items():
             back = min(max(0, excess), account.dropped(reason) - before)
             account.acknowledge(reason, -back)

@@ -1,7 +1,7 @@
-"""Latencies in a fixed piece of memory: durations in, percentiles out.
+"""Latency histogram in a fixed block of memory: durations in, percentiles out.
 
-Buckets grow by 2 %, from 1 us to beyond ten minutes, so a percentile is exact to 1 % and memory
-never grows. The memory may be shared: one process counts, any other reads.
+Buckets grow by 2 % each, from 1 us to over ten minutes, so a percentile is accurate to 1 % in
+constant memory. The memory may be shared: one process counts, others read.
 """
 
 import math
@@ -14,7 +14,7 @@ _GROWTH = math.log(1.02)
 
 
 class Histogram:
-    """Counts per bucket over someone else's memory, (BUCKETS,) uint32."""
+    """A view of counts per bucket in external memory, (BUCKETS,) uint32."""
 
     def __init__(self, counts: NDArray[np.uint32]) -> None:
         self.counts = counts
@@ -24,16 +24,16 @@ class Histogram:
         self.counts[min(BUCKETS - 1, int(math.log(max(duration_ns, 1000) / 1000) / _GROWTH))] += 1
 
     def since(self, earlier: NDArray[np.uint32]) -> "Histogram":
-        """What was counted since a copy of `counts` was taken."""
+        """Return the counts since `earlier`, a copy of `counts`."""
         return Histogram(self.counts - earlier)
 
     @property
     def total(self) -> int:
-        """How many durations were counted."""
+        """Return the number of durations."""
         return int(self.counts.sum(dtype=np.int64))
 
     def percentile_ms(self, share: float) -> float:
-        """The duration below which `share` (0..1) of all lie; 0 when there are none.
+        """Return the duration in ms below which a `share` (0..1) of all lie; 0 when there are none.
 
         >>> h = Histogram(np.zeros(BUCKETS, np.uint32))
         >>> for ms in range(1, 101): h.add(ms * 1_000_000)
@@ -46,7 +46,7 @@ class Histogram:
         return math.exp((min(bucket, BUCKETS - 1) + 0.5) * _GROWTH) / 1000
 
     def summary(self) -> dict[str, float]:
-        """`{"p50": ms, "p99": ms}`, rounded to the microsecond."""
+        """Return `{"p50": ms, "p99": ms}`, rounded to the microsecond."""
         return {
             "p50": round(self.percentile_ms(0.50), 3),
             "p99": round(self.percentile_ms(0.99), 3),

@@ -1,8 +1,8 @@
-"""What waits in front of an operator: arrivals in, complete sets of one exposure out.
+"""Queues and joins in front of an operator: arrivals in, complete sets of one exposure out.
 
-Inputs that belong together are joined on `seq`, exactly. Streams are ordered, so once an input has
-delivered frame k+1 its frame k will never come: a set that waits for it is given up at once, and
-its members are counted as unmatched. No thread and no clock of its own: the caller gives the time.
+Joined inputs are matched on equal `seq`. Streams are ordered, so once an input has delivered frame
+k+1, its frame k will never come: a set that waits for it is dropped at once, and its members count
+as unmatched. The inbox has no thread and no clock: the caller passes the time.
 """
 
 from collections import deque
@@ -15,25 +15,25 @@ from pipeline.bus.outport import Arrival
 from pipeline.contract import Input
 from pipeline.messages import Header, Message
 
-GRACE_NS = 1_000_000_000  # after a loss: what is not lost of the frames before comes by then
+GRACE_NS = 1_000_000_000  # after a loss: earlier frames that are not lost arrive within this time
 # input, outcome ("delivered" or a drop's name), ordinal
 Acknowledge = Callable[[str, str, int], None]
 
-AgeNs = Callable[[Header, int], int | None]  # of an exposure now; None where nobody knows
+AgeNs = Callable[[Header, int], int | None]  # age of an exposure; None if unknown
 
 
 class Work(NamedTuple):
-    """One call of a handler; `answer` is False when there is nothing to answer: hand that on."""
+    """One call of a handler; with `answer` False, send on that this exposure has no message."""
 
     header: Header
     messages: Mapping[str, Message | None]  # by input name, in the handler's order
-    arrived: Mapping[str, int]  # whose arrivals are to be acknowledged: input -> ordinal
+    arrived: Mapping[str, int]  # arrivals to acknowledge: input -> ordinal
     answer: bool
     new_stream: bool = False
 
 
 class InboxPosition(NamedTuple):
-    """How far an inbox has come."""
+    """The progress of an inbox."""
 
     stream: str
     retired: list[str]
@@ -42,13 +42,13 @@ class InboxPosition(NamedTuple):
 
 
 class _Set:
-    """What has come of one exposure."""
+    """The arrivals of one exposure."""
 
     __slots__ = ("arrivals", "complete_ns")
 
     def __init__(self) -> None:
         self.arrivals: dict[str, Arrival] = {}
-        self.complete_ns: int | None = None  # when the last required member came
+        self.complete_ns: int | None = None  # when the last required member arrived
 
 
 class Inbox:
@@ -65,20 +65,20 @@ class Inbox:
         self._needed = frozenset(self._required)
         self._every = lockstep or any(inputs[n].keep == "every" for n in self._joined)
         depths = [inputs[n].depth for n in self._joined] or [1]
-        # lossless writers stop by themselves, with one message in hand beyond the depth
+        # lossless writers stop on their own, with at most one message beyond the depth
         self._depth = sum(d + 1 for d in depths) if self._every else max(depths)
         self._wait_ns = max((int(inputs[n].wait_ms * 1e6) for n in self._joined), default=0)
         self._stale_ns = 0 if lockstep else _limit_ns(inputs[n] for n in self._joined)
         self._sets: dict[int, _Set] = {}
         self._last: dict[str, int] = {}
         self._handled = -1
-        self._doomed = deque[tuple[int, int]]()  # when incomplete sets up to which seq are given up
+        self._doomed = deque[tuple[int, int]]()  # (when, seq): drop incomplete sets up to it
         self._stream, self._retired = "", deque[str](maxlen=16)
         self._fresh = False
         self._side: deque[tuple[str, Arrival]] = deque()
 
     def offer(self, name: str, arrival: Arrival, now_ns: int) -> None:
-        """Take an arrival in."""
+        """Add an arrival."""
         header = arrival.header
         if header.stream != self._stream and not self._change_stream(
             name, header.stream, arrival.ordinal
@@ -96,7 +96,7 @@ class Inbox:
             if waiting is None:
                 waiting = self._sets[seq] = _Set()
             arrivals = waiting.arrivals
-            if name in arrivals:  # its writer died before it knew that it had sent this
+            if name in arrivals:  # its writer died before it recorded having sent this
                 self._acknowledge(name, "unmatched", arrivals[name].ordinal)
             arrivals[name] = arrival
             if waiting.complete_ns is None and arrivals.keys() >= self._needed:
@@ -107,10 +107,10 @@ class Inbox:
             self._drop(min(self._sets), "unmatched")
 
     def lost(self, name: str, now_ns: int) -> None:
-        """Some frames were lost on the way to an input: its member of a waiting set may never come.
+        """Record a loss on the way to an input: its member of a waiting set may never come.
 
-        Without this two lossless inputs that go back to one source could wait for each other for
-        ever: one for a frame that is lost, the other one's writer for the room that it takes.
+        Otherwise two lossless inputs with a common source could deadlock: one waits for the lost
+        frame, while the writer of the other waits for room in the queue.
         """
         lacking = [s for s, waiting in self._sets.items() if name not in waiting.arrivals]
         newest = self._doomed[-1][1] if self._doomed else -1
@@ -118,7 +118,7 @@ class Inbox:
             self._doomed.append((now_ns + GRACE_NS, max(lacking)))
 
     def take(self, now_ns: int) -> Work | None:
-        """The next call to make, or None while nothing is complete."""
+        """Return the next call to make; None while no set is complete."""
         while self._doomed and now_ns >= self._doomed[0][0]:
             _, newest = self._doomed.popleft()
             self._give_up(partial(self._hopeless, newest))
@@ -144,7 +144,7 @@ class Inbox:
         return self._work(header, waiting.arrivals)
 
     def due_ns(self) -> int | None:
-        """When a set stops waiting for members that are optional or lost; None when none does."""
+        """Return when a set stops waiting for optional or lost members; None if no set does."""
         times = [
             s.complete_ns + self._wait_ns for s in self._sets.values() if s.complete_ns is not None
         ]
@@ -154,11 +154,11 @@ class Inbox:
 
     @property
     def capacity(self) -> int:
-        """How many arrivals of one input may wait here."""
+        """Return the capacity of one input in arrivals."""
         return self._depth
 
     def position(self) -> "InboxPosition":
-        """Return how far it has come, for a successor; what waits here is not part of it."""
+        """Return the progress for a successor, without the waiting arrivals."""
         last = dict(self._last)
         for seq, waiting in self._sets.items():
             for name in waiting.arrivals:
@@ -166,14 +166,14 @@ class Inbox:
         return InboxPosition(self._stream, list(self._retired), self._handled, last)
 
     def go_on_from(self, position: "InboxPosition") -> None:
-        """Go on where another inbox stopped; what waits there has to be offered again."""
+        """Continue where another inbox stopped; offer its waiting arrivals again."""
         self._stream, self._handled = position.stream, position.handled
         self._last = dict(position.last)
         self._retired.extend(position.retired)
         self._fresh = False
 
     def abandon(self, name: str) -> None:
-        """An input comes from somewhere else now: what it had brought meets its end."""
+        """Drop the waiting arrivals of an input that was connected to another output."""
         for waiting in self._sets.values():
             arrival = waiting.arrivals.pop(name, None)
             if arrival is not None:
@@ -186,7 +186,7 @@ class Inbox:
         self._last.pop(name, None)
 
     def forget(self, done: Callable[[str, int], bool]) -> None:
-        """Drop the arrivals (input, ordinal) that somebody else has acknowledged meanwhile."""
+        """Discard the arrivals (input, ordinal) that another instance has acknowledged."""
         for seq, waiting in list(self._sets.items()):
             for name in [n for n, a in waiting.arrivals.items() if done(n, a.ordinal)]:
                 del waiting.arrivals[name]
@@ -212,7 +212,7 @@ class Inbox:
         return fresh
 
     def _change_stream(self, name: str, stream: str, ordinal: int) -> bool:
-        """Forget the old stream; False when the new one was retired before."""
+        """Switch to another stream; return False if it is one that had ended before."""
         if stream in self._retired:
             self._acknowledge(name, "unmatched", ordinal)
             return False
@@ -235,7 +235,7 @@ class Inbox:
         self._side.append((name, arrival))
 
     def _side_may_go(self) -> bool:
-        """In lockstep the set of a frame is handled before what comes beside it."""
+        """Whether a side input may run: in lockstep the set of its frame comes first."""
         first = self._side[0][1].header.seq
         return not self._lockstep or not self._joined or first <= self._handled
 
@@ -265,6 +265,6 @@ class Inbox:
 
 
 def _limit_ns(inputs: Iterable[Input]) -> int:
-    """The least age at which a set is dropped, 0: never."""
+    """Return the smallest age limit of the inputs that drop stale messages; 0: none."""
     limits = [i.max_age_ms for i in inputs if i.max_age_ms and i.stale == "drop"]
     return int(min(limits, default=0) * 1e6)

@@ -1,4 +1,4 @@
-"""The reading end of an edge: descriptors to messages, each of them accounted for."""
+"""Reading end of an edge: descriptors in, messages out, each one accounted for."""
 
 from collections.abc import Callable
 from functools import partial
@@ -15,14 +15,14 @@ from pipeline.bus.pool import PoolReader
 from pipeline.errors import MessageError
 from pipeline.messages import Header, Message
 
-TAP_SLOTS = 2  # what a viewer may pin before it copies
+TAP_SLOTS = 2  # slots that a viewer may pin before it copies
 
 
 class InPort:
-    """One input of a node: accounts for everything that arrives, hands on what is good.
+    """One input of a node: accounts for all arrivals and passes on the valid ones.
 
-    `receive` is called by one thread at a time. While `holding`, descriptors are kept as they are:
-    another instance answers for this node now, and this one may have to go on where it stops.
+    `receive` is called by one thread at a time. While `holding`, descriptors are only buffered:
+    another instance runs for this node, and this one may have to continue where it stops.
     """
 
     def __init__(
@@ -34,33 +34,33 @@ class InPort:
         self._epoch, self._deliver, self._tap = epoch, deliver, tap
         self._sender_epoch, self._fingerprint = -1, self._schema.fingerprint
         self._seen = max(account.seen, account.accounted)
-        self._open: set[int] = set()  # delivered here and not finished
+        self._open: set[int] = set()  # delivered here, not yet finished
         self._careful = False
         self._buffer: EnvelopeBuffer | None = None
-        self.also: Callable[[Envelope], None] | None = None  # a shadow's, while holding
-        self.on_loss: Callable[[], None] = lambda: None  # frames that were on their way are gone
+        self.also: Callable[[Envelope], None] | None = None  # of a shadow, while holding
+        self.on_loss: Callable[[], None] = lambda: None  # called when frames in flight were lost
         if holding:
             self._buffer = EnvelopeBuffer()
-        else:  # what the predecessor had taken and not finished died with it
+        else:  # messages that the predecessor had not finished are lost
             account.lost_in_crash += max(0, account.seen - account.accounted)
 
     @property
     def buffer(self) -> EnvelopeBuffer | None:
-        """What is held, while it is."""
+        """The buffered envelopes, while holding."""
         return self._buffer
 
     @property
     def dropped(self) -> int:
-        """Messages that came to nothing here, and those lost on their way."""
+        """Number of messages dropped here or lost on their way."""
         return sum(self._account.dropped(name) for name in DROPS) + self._account.lost_in_crash
 
     def receive(self, payload: bytes) -> None:
-        """Take one descriptor; never raises."""
+        """Receive one descriptor; never raises."""
         try:
             envelope = Envelope.parse(payload)
         except MessageError:
             if self._buffer is None:
-                self._account.unexpected += 1  # without a number it is nobody's message
+                self._account.unexpected += 1  # without an ordinal it belongs to no edge
             return
         envelope.ordinal -= self._account.base
         if self._buffer is None:
@@ -71,11 +71,11 @@ class InPort:
                 self.also(envelope)
 
     def divert(self, deliver: Callable[[Arrival], None]) -> None:
-        """Hand everything to somebody else from now on."""
+        """Deliver everything to another callable from now on."""
         self._deliver = deliver
 
     def shadow(self, deliver: Callable[[Arrival], None]) -> "InPort":
-        """A port for a trial: it gets what this one holds and keeps its own accounts."""
+        """Return a port for a shadow run: it gets what this one holds and has its own account."""
         port = InPort(
             self._message, private_ledger(1, 0).edges[0], self._pool, self._epoch, deliver,
             tap=True, holding=True,
@@ -87,30 +87,30 @@ class InPort:
         return port
 
     def finished(self, ordinal: int) -> None:
-        """A message that was delivered here has met its end."""
+        """Mark a delivered message as finished."""
         self._open.discard(ordinal)
         if self._careful:
             self._tell_seen()
 
     def finished_up_to(self, ordinal: int) -> bool:
-        """Whether everything up to there has come and met its end."""
+        """Whether every message up to an ordinal has arrived and is finished."""
         return self._seen >= ordinal and all(o > ordinal for o in self._open)
 
     def cut(self) -> EdgeCut:
-        """Hold from now on; where the one that takes over has to begin."""
+        """Start holding; return where the successor has to begin."""
         self._buffer, self._careful = EnvelopeBuffer(self._seen), True
         self._tell_seen()
         return self.here()
 
     def here(self) -> EdgeCut:
-        """How far it has come."""
+        """Return the current position."""
         return EdgeCut(self._seen, sorted(self._open), self._sender_epoch)
 
     def take_over(self, cut: EdgeCut) -> None:
-        """Go on where another instance stopped, with what it has not finished and what came since.
+        """Continue where another instance stopped, with its unfinished messages and later ones.
 
-        Until `confirm` the writer is told that a message was seen only when it is finished: its
-        memory is then still there for the other instance, should this one fail.
+        Until `confirm`, a message counts as seen only when it is finished, so that its memory is
+        still there for the other instance if this one fails.
         """
         buffer, self._buffer = self._buffer or EnvelopeBuffer(), None
         self._seen, self._sender_epoch, self._careful = cut.seen, cut.sender_epoch, True
@@ -124,15 +124,15 @@ class InPort:
         self._tell_seen()
 
     def confirm(self) -> None:
-        """This instance stays."""
+        """End the probation of this instance: messages count as seen when they arrive."""
         self._careful = False
         self._tell_seen()
 
     def resume(self, epoch: int, before: DropCounts) -> Callable[[int], bool]:
-        """Continue after a successor has failed; returns which ordinals it had finished.
+        """Continue after a successor has failed; return a test for ordinals that it had finished.
 
-        What it had dropped beyond the last message it finished is judged again, and not counted
-        twice. The caller lets its inbox forget what is done, then replays the buffer.
+        Its drops beyond the last message that it finished are decided again, and not counted
+        twice. The caller makes its inbox forget finished messages, then replays the buffer.
         """
         account, done = self._account, self._account.seen
         buffer = self._buffer or EnvelopeBuffer()
@@ -146,7 +146,7 @@ class InPort:
         return lambda ordinal: ordinal <= done
 
     def replay(self) -> None:
-        """Receive what was held."""
+        """Receive the buffered envelopes."""
         buffer, self._buffer = self._buffer or EnvelopeBuffer(), None
         for envelope in buffer.envelopes:
             if envelope.ordinal >= self._seen + (envelope.kind != HANDSHAKE):
@@ -184,7 +184,7 @@ class InPort:
         self._account.seen = min(self._open) - 1 if careful else self._seen
 
     def _read(self, envelope: Envelope) -> tuple[Arrival | None, str]:
-        """The arrival, or None and which drop it counts as (none for a handshake)."""
+        """Return the arrival, or None with the reason of the drop (empty for a handshake)."""
         if envelope.kind == HANDSHAKE:
             return None, ""
         if envelope.epoch < self._account.writer_epoch:
@@ -207,7 +207,7 @@ class InPort:
         return Arrival(message.header, message, envelope.ordinal), ""
 
     def _affordable(self, raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What a tap would pin beyond its share is copied."""
+        """Return the memory, copied if a viewer would otherwise pin more than `TAP_SLOTS`."""
         if self._tap and self._pool.pinned > TAP_SLOTS:
             raw = raw.copy()
             raw.flags.writeable = False
@@ -215,7 +215,7 @@ class InPort:
 
 
 def _tells_loss(handshake: Envelope, *, fresh: bool) -> bool:
-    """Who died had frames in hand; who took over from a living one says that nothing is lost."""
+    """Whether a handshake means a loss: a dead predecessor had frames in hand, a live one not."""
     said = bytes(handshake.body)
     return said == LOST or (fresh and said != GOES_ON)
 

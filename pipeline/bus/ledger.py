@@ -1,7 +1,7 @@
-"""The accounts of a graph in shared memory: who was offered what, and what became of it.
+"""The accounts of a graph in shared memory: messages offered on each edge and their outcome.
 
-One file holds a page per edge and a page per node. Every counter has a single writer, so no lock is
-needed, and nothing is lost when a process is killed: its successor goes on from the same numbers.
+One file holds the pages of every edge and node. Every counter has a single writer, so no lock is
+needed, and a killed process loses no counts: its successor continues from the same numbers.
 
     offered = delivered + dropped + in flight + lost in a crash
 """
@@ -25,18 +25,18 @@ PAGE_BYTES = 4096
 EDGE_BYTES = 2 * PAGE_BYTES  # counters, then the histogram of ages
 NODE_BYTES = 6 * PAGE_BYTES  # counters, then the histograms below
 DROPS = (
-    "superseded",  # a newer message took its place (keep latest)
-    "unmatched",  # no partner of its frame came
+    "superseded",  # replaced by a newer message (keep latest)
+    "unmatched",  # another member of its set is missing
     "stale",  # older than max_age_ms
-    "refused",  # not a message of this schema
+    "refused",  # no message of this schema
     "fenced",  # sent by a superseded instance
-    "overwritten",  # its slot was reused before this reader came for it
-    "gap",  # the transport lost it
+    "overwritten",  # its slot was reused before this reader got to it
+    "gap",  # lost by the transport
 )
 HISTOGRAMS = ("handler", "loop", "overhead", "scheduling_delay", "hop")
 
-ROOM_EDGES, ROOM_NODES = 16, 4  # for what is added while a graph runs
-_LAYOUT = struct.Struct("<QQ")  # the file ends with how many edges and nodes it has
+ROOM_EDGES, ROOM_NODES = 16, 4  # spare pages for edges and nodes added at run time
+_LAYOUT = struct.Struct("<QQ")  # the file ends with its numbers of edges and nodes
 
 STATES = ("absent", "starting", "waiting", "busy", "credit", "finished", "stopped")
 _STATE_NUMBERS = {name: number for number, name in enumerate(STATES)}
@@ -58,9 +58,9 @@ class EdgeAccount(ctypes.Structure):
     # the supervisor
     reader_epoch: int
     writer_epoch: int
-    receiver_epoch: int  # which instance of the reader packets go to, 0: none
-    next_receiver_epoch: int  # and which other one listens while the reader is being swapped
-    base: int  # the writer's: how much its output had sent before this edge began
+    receiver_epoch: int  # the reader's instance that receives packets, 0: none
+    next_receiver_epoch: int  # a second one, while the reader is being swapped
+    base: int  # the writer's: what its output had sent before this edge existed
 
     age: Histogram
     _ends: memoryview
@@ -76,7 +76,7 @@ class EdgeAccount(ctypes.Structure):
 
     @staticmethod
     def over(memory: memoryview) -> "EdgeAccount":
-        """The account that lies in EDGE_BYTES of memory."""
+        """Map the account in EDGE_BYTES of memory."""
         account = EdgeAccount.from_buffer(memory)
         first, last = EdgeAccount.delivered.offset, EdgeAccount.lost_in_crash.offset  # type: ignore[attr-defined]
         account._ends = memory[first : last + 8].cast("Q")
@@ -84,36 +84,36 @@ class EdgeAccount(ctypes.Structure):
         return account
 
     def dropped(self, reason: str) -> int:
-        """Messages dropped for one of the `DROPS`."""
+        """Return the number of messages dropped for one of the `DROPS`."""
         return int(getattr(self, reason))
 
     def acknowledge(self, outcome: str, count: int = 1) -> None:
-        """Count the end of messages: delivered, one of the `DROPS`, lost_in_crash."""
+        """Count messages with an outcome: delivered, one of the `DROPS`, or lost_in_crash."""
         setattr(self, outcome, getattr(self, outcome) + count)
 
     @property
     def accounted(self) -> int:
-        """Messages of which the reader knows the end: delivered, dropped or lost."""
+        """Number of messages with an outcome: delivered, dropped or lost."""
         return sum(self._ends)
 
     def clear(self) -> None:
-        """Begin anew: an edge that was removed, or one that takes its place."""
+        """Reset the account of a removed edge, or for the edge that reuses it."""
         ctypes.memset(ctypes.addressof(self), 0, ctypes.sizeof(self))
         self.age.counts[:] = 0
 
     @property
     def in_flight(self) -> int:
-        """Sent and not yet accounted for."""
+        """Number of messages sent and not yet accounted for."""
         return max(0, self.sent - sum(self._ends))
 
     @property
     def live(self) -> bool:
-        """A reader is there and has heard this writer: it counts for back-pressure."""
+        """Whether a reader has received this writer's handshake: it then exerts back-pressure."""
         reader = self.reader_epoch
         return reader != 0 and self.attached_epoch >= reader
 
     def report(self) -> dict[str, Any]:
-        """The account as the run's report shows it."""
+        """Return the account for the report of the run."""
         dropped = {name: self.dropped(name) for name in DROPS if self.dropped(name)}
         if self.overrun:
             dropped["overrun"] = self.overrun
@@ -127,7 +127,7 @@ class EdgeAccount(ctypes.Structure):
 
 
 class NodeAccount(ctypes.Structure):
-    """The state, the progress and the latencies of one node; the supervisor only announces it."""
+    """State, progress and latencies of one node; the supervisor only announces it."""
 
     epoch: int
     state: int
@@ -145,7 +145,7 @@ class NodeAccount(ctypes.Structure):
 
     @staticmethod
     def over(memory: memoryview) -> "NodeAccount":
-        """The account that lies in NODE_BYTES of memory."""
+        """Map the account in NODE_BYTES of memory."""
         account = NodeAccount.from_buffer(memory)
         account.histograms = {
             name: Histogram(np.frombuffer(memory, np.uint32, BUCKETS, PAGE_BYTES * (1 + i)))
@@ -154,31 +154,31 @@ class NodeAccount(ctypes.Structure):
         return account
 
     def clear(self) -> None:
-        """Begin anew, for another node."""
+        """Reset the account for another node."""
         ctypes.memset(ctypes.addressof(self), 0, ctypes.sizeof(self))
         for histogram in self.histograms.values():
             histogram.counts[:] = 0
 
     @property
     def condition(self) -> str:
-        """The state in words."""
+        """The name of the state."""
         return STATES[min(self.state, len(STATES) - 1)]
 
     def enter(self, state: str) -> None:
-        """Note a change of state."""
+        """Record a change of state."""
         self.state = _STATE_NUMBERS[state]
 
 
 @dataclass(frozen=True)
 class Ledger:
-    """The mapped accounts of a graph: edges and nodes in the loader's order."""
+    """The mapped accounts of a graph: edges and nodes in the order of the loader."""
 
     edges: tuple[EdgeAccount, ...]
     nodes: tuple[NodeAccount, ...]
 
     @staticmethod
     def create(folder: PrivateFolder, edges: int, nodes: int) -> "Ledger":
-        """Make the file with room for more; raises `RunError` when there is no room for it."""
+        """Create the file with spare pages; raises `RunError` when memory is short."""
         size = ledger_bytes(edges, nodes)
         handle = folder.create(FILE)
         try:
@@ -195,7 +195,7 @@ class Ledger:
 
     @staticmethod
     def open(folder: PrivateFolder) -> "Ledger":
-        """Map the accounts of a run; raises `RunError` when they are not there."""
+        """Map the accounts of a run; raises `RunError` when they do not exist."""
         try:
             with os.fdopen(folder.open(FILE, writable=True), "r+b") as file:
                 memory = memoryview(mmap.mmap(file.fileno(), 0))
@@ -209,25 +209,25 @@ class Ledger:
         )
 
     def drained(self) -> bool:
-        """Nothing is under way on any edge: every message has met its end.
+        """Whether no message is in flight on any edge.
 
-        All ends are read before all beginnings. Edge by edge, a message could leave on one that was
-        looked at already and its cause end on one that was not.
+        All outcomes are read before any count of sent messages. Edge by edge, a message could be
+        sent on an edge already checked while its cause ends on one that is not.
         """
         return all(edge.sent == end for edge, end in zip(self.edges, self.ends(), strict=True))
 
     def ends(self) -> list[int]:
-        """Messages that have met their end, by edge."""
+        """Return the number of messages with an outcome, by edge."""
         return [edge.accounted for edge in self.edges]
 
 
 def ledger_bytes(edges: int, nodes: int) -> int:
-    """How big the accounts of a graph are, room for more included."""
+    """Return the size of a graph's ledger, including spare pages."""
     return (edges + ROOM_EDGES) * EDGE_BYTES + (nodes + ROOM_NODES) * NODE_BYTES + _LAYOUT.size
 
 
 def private_ledger(edges: int, nodes: int) -> Ledger:
-    """The same accounts in this process's own memory, for the in-line runner and tests."""
+    """Return a ledger in this process's own memory, for the in-line runner and tests."""
     memory = memoryview(bytearray(edges * EDGE_BYTES + nodes * NODE_BYTES))
     first = edges * EDGE_BYTES
     return Ledger(

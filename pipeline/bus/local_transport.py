@@ -1,10 +1,10 @@
-"""Direct transport between processes of one host: packets from writer to reader, no thread between.
+"""Direct transport between processes of one host: packets from writer to reader, without a thread.
 
 A reader has one unix socket in the graph's private folder and reads it on the thread that runs its
-operator; a writer sends its descriptor straight into it. The kernel keeps packets whole and in
-order. Where a reader does not drain its socket the writer hears that there is no room: a reader of
-the latest then loses the packet and notices the gap in the numbers; credit keeps lossless ones far
-from that, and a writer tries again for them.
+operator; writers send descriptors directly to it. The kernel keeps packets whole and in order.
+When a reader does not drain its socket, the writer gets an error: a `keep="latest"` reader loses
+the packet and notices the gap in the ordinals. Credit normally prevents this for lossless readers,
+and the writer retries for them.
 """
 
 import contextlib
@@ -15,20 +15,20 @@ import struct
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
-LARGEST_BYTES = 1 << 18  # above what a socket's buffer admits as one packet
+LARGEST_BYTES = 1 << 18  # more than a socket buffer accepts as one packet
 MOST_ROUNDS = 256
 _AT_ONCE = int(socket.MSG_DONTWAIT | socket.MSG_NOSIGNAL)
-_EDGE = struct.Struct("<I")  # a link's first packet says which edge it is
+_EDGE = struct.Struct("<I")  # the first packet of a link contains the edge
 _UNKNOWN = -1
 Target = tuple[int, Path]  # edge and address of a receiver
 
 
 class LocalReceiver:
-    """The reading side of one node. One thread waits; any may `wake` it."""
+    """The reading side of one node. One thread waits; any thread may `wake` it."""
 
     def __init__(self, address: Path) -> None:
         self._address = address
-        address.unlink(missing_ok=True)  # a killed predecessor's
+        address.unlink(missing_ok=True)  # of a killed predecessor
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
         self._listener.bind(str(address))
@@ -43,18 +43,18 @@ class LocalReceiver:
         self._buffer = memoryview(bytearray(LARGEST_BYTES))
 
     def expect(self, edge: int, receive: Callable[[bytes], None]) -> None:
-        """Hand every packet of an edge to `receive`, on the waiting thread."""
+        """Pass every packet of an edge to `receive`, on the waiting thread."""
         self._receivers[edge] = receive
 
     def wake(self) -> None:
-        """Let `wait` return."""
-        with contextlib.suppress(OSError):  # closed meanwhile
+        """Make `wait` return."""
+        with contextlib.suppress(OSError):  # already closed
             os.eventfd_write(self._wakeup, 1)
 
     def wait(self, timeout_s: float) -> None:
-        """Receive what has come; sleeps up to `timeout_s` while there is nothing."""
+        """Receive pending packets; sleep up to `timeout_s` while there are none."""
         ready = self._poll.poll(timeout_s)
-        for _ in range(MOST_ROUNDS):  # a flood must not keep the operator from its work
+        for _ in range(MOST_ROUNDS):  # a flood of packets must not starve the operator
             if not ready:
                 return
             for handle, _event in ready:
@@ -68,7 +68,7 @@ class LocalReceiver:
             ready = self._poll.poll(0)
 
     def close(self) -> None:
-        """Give back every socket."""
+        """Close every socket."""
         for handle in list(self._links):
             self._drop(handle)
         self._poll.close()
@@ -84,9 +84,9 @@ class LocalReceiver:
             self._poll.register(link, select.EPOLLIN)
 
     def _read(self, handle: int) -> None:
-        """One packet; what is left makes the socket ready again.
+        """Read one packet; if more are left, the socket becomes ready again.
 
-        Where a writer has had a successor, what the older one sent is read before.
+        Packets of a writer's predecessor are read before the writer's own.
         """
         for older in list(self._lines.get(self._links[handle][1], ())):
             if older == handle:
@@ -96,7 +96,7 @@ class LocalReceiver:
         self._read_one(handle)
 
     def _read_one(self, handle: int) -> bool:
-        """Whether there was a packet."""
+        """Read one packet; return whether there was one."""
         link, edge = self._links[handle]
         try:
             size = link.recv_into(self._buffer)
@@ -138,13 +138,13 @@ class LocalSender:
         self.set_targets(readers)
 
     def set_targets(self, readers: Sequence[Target], beside: Sequence[Target] = ()) -> None:
-        """From now on packets go to these; `beside` are those that nobody is held up for."""
+        """Set the targets of packets; `beside` are those that no writer waits for."""
         self._readers, self._beside = (*readers, *beside), frozenset(beside)
         for target in self._links.keys() - set(self._readers):
             self._links.pop(target).close()
 
     def connect(self) -> bool:
-        """Connect to readers that have opened their receiver since; True when one had."""
+        """Connect to readers that have opened their receiver since; return whether one had."""
         if len(self._links) == len(self._readers):
             return False
         before = len(self._links)
@@ -154,7 +154,7 @@ class LocalSender:
         return len(self._links) > before
 
     def send(self, payload: bytes, only: Collection[Target] | None = None) -> list[Target]:
-        """Hand a packet to the readers that are there; never waits. Those without room."""
+        """Send a packet to the connected readers, without waiting; return those without room."""
         full = []
         for target, link in list(self._links.items()):
             if only is not None and target not in only:
@@ -169,13 +169,13 @@ class LocalSender:
         return full
 
     def close(self) -> None:
-        """Give back every socket."""
+        """Close every socket."""
         while self._links:
             self._links.popitem()[1].close()
 
 
 def connect(edge: int, address: Path) -> socket.socket | None:
-    """A link to a receiver after the handshake; None while there is none."""
+    """Return a link to a receiver after the handshake; None while there is no receiver."""
     link = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     link.setblocking(False)
     try:

@@ -1,7 +1,7 @@
-"""How a session reaches other hosts: end points, who it is, and what each other may do with it.
+"""Network settings of a session: end points, credentials, and the permissions of each peer.
 
-Without credentials only unix sockets are allowed; a network address needs TLS in both directions.
-What no permit names is denied to every peer.
+Without credentials only unix sockets are allowed; a network address requires mutual TLS. Peers are
+denied everything that no permit names.
 """
 
 from dataclasses import dataclass
@@ -12,24 +12,24 @@ from pipeline.errors import SettingsError
 
 Deed = Literal["put", "declare_subscriber", "query", "reply", "declare_queryable"]
 LOCAL = "unixsock-stream/"
-LARGEST_BYTES = 256 << 20  # no message is longer than this
-AGENT_PORT = 7447  # where an agent listens unless it is told otherwise
-NODE_PORTS = (7500, 7599)  # first and last, of nodes with an edge to another host, likewise
+LARGEST_BYTES = 256 << 20  # upper limit of a message
+AGENT_PORT = 7447  # where an agent listens by default
+NODE_PORTS = (7500, 7599)  # default range for nodes with an edge to another host
 MOST_SESSIONS = 64
-HALF_OPEN = 128  # links that are being opened; a flood of them fills no memory
+HALF_OPEN = 128  # links being opened at once, so that a flood of them fills no memory
 OPEN_MS = 3000
-RETRY_MS = (100, 1000)  # first and last pause between two attempts to reach a host
-# of a host that is gone without a word: links are closed after this long without a sign of life
+RETRY_MS = (100, 1000)  # first and longest pause between attempts to reach a host
+# links to a host that has vanished are closed after this time without a sign of life
 LEASE_MS = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Permit:
-    """One thing that the bearer of an identity may do with this session."""
+    """A permission of an identity on this session."""
 
     identity: str  # common name
-    inward: tuple[Deed, ...] = ()  # what may come from it
-    outward: tuple[Deed, ...] = ()  # what may go to it
+    inward: tuple[Deed, ...] = ()  # what it may send to this session
+    outward: tuple[Deed, ...] = ()  # what this session may send to it
     key: str
 
 
@@ -41,11 +41,11 @@ class Network:
     connect: tuple[str, ...] = ()
     credentials: str = ""  # folder with ca.pem, own.pem, own.key; empty: unix sockets only
     permits: tuple[Permit, ...] = ()
-    # for so long a message waits for a link that takes nothing; then it is lost, and counted
+    # a message waits this long for a blocked link; then it is lost, and counted
     timeout_ms: int = 0
 
     def config(self) -> dict[str, Any]:
-        """Zenoh's configuration; raises `SettingsError` for a network without credentials."""
+        """Return Zenoh's configuration; raises `SettingsError` without required credentials."""
         for point in (*self.listen, *self.connect):
             wanted = "tls/" if self.credentials else LOCAL
             if not point.startswith(wanted):
@@ -87,7 +87,7 @@ class Network:
 
 
 def access_control(permits: tuple[Permit, ...]) -> dict[str, Any]:
-    """Zenoh's access list: nothing but the permits."""
+    """Return Zenoh's access-control list, which allows only the permits."""
     rules, subjects, policies = [], [], []
     for number, permit in enumerate(permits):
         subjects.append({"id": f"s{number}", "cert_common_names": [permit.identity]})
@@ -115,7 +115,7 @@ def _tls(credentials: Path) -> dict[str, Any]:
         "enable_mtls": True,
         "listen_certificate": own, "listen_private_key": key,
         "connect_certificate": own, "connect_private_key": key,
-        # who it is says the common name, which the access list goes by; where it is may change
+        # the access list checks the common name; the address of a peer may change
         "verify_name_on_connect": False,
         "close_link_on_expiration": True,
     }  # fmt: skip

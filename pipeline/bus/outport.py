@@ -1,8 +1,8 @@
-"""The writing end of an edge: messages to descriptors.
+"""Writing end of an output: messages in, descriptors out.
 
-Big arrays go through the frame pool, small ones inside the descriptor. Readers of the graph on this
-host get it by `local_transport`, taps on the output's Zenoh key; subscribers that do
-not share this host's memory get everything on a second key; both only while somebody listens.
+Large arrays go through the frame pool, small ones inside the descriptor. Readers in the graph on
+this host get descriptors by `local_transport`, taps by the output's Zenoh key, and subscribers on
+other hosts get complete messages by a second key; the keys are used only while somebody subscribes.
 """
 
 import math
@@ -25,14 +25,14 @@ from pipeline.bus.session import Sender
 from pipeline.errors import MessageError, PoolExhausted
 from pipeline.messages import Header, Message
 
-INLINE_BYTES = 8192  # arrays up to this size travel inside the descriptor
-INSIST_S = 5.0  # longer than a frozen reader lives
-PROBE_S = 0.5  # a reader that gives no credit for so long may wait for what was lost on its way
-BYTES_SUFFIX = "/bytes"  # the key below an output's own that carries everything inline
+INLINE_BYTES = 8192  # arrays up to this size are sent inside the descriptor
+INSIST_S = 5.0  # by then a frozen reader has been replaced
+PROBE_S = 0.5  # a reader without credit for this long may be waiting for a lost message
+BYTES_SUFFIX = "/bytes"  # suffix of the key with complete messages
 
 
 class Arrival(NamedTuple):
-    """What came through an input: a message, or word that there is none for this exposure."""
+    """An arrival at an input: a message, or the notice that this exposure has none."""
 
     header: Header
     message: Message | None
@@ -47,19 +47,19 @@ class Reader:
     lossless: bool
     depth: int
     edge: int = 0
-    address: Callable[[int], Path] | None = None  # of its receiver; None: goes by bytes
+    address: Callable[[int], Path] | None = None  # of its receiver; None: on another host
 
     def targets(self, instance: int) -> list[Target]:
-        """Where an instance of it listens, if it does."""
+        """Return the target of an instance, if it listens."""
         return [(self.edge, self.address(instance))] if self.address and instance else []
 
     def has_credit(self) -> bool:
-        """Whether one more message finds room; readers that are gone do not count."""
+        """Whether the reader has room for one more message; True for a reader that is gone."""
         account = self.account
         return not self.lossless or account.in_flight < self.depth or not account.live
 
     def claim(self, ordinal: int, newest: int) -> int:
-        """What it still wants of a message: KEPT, SPARE or DONE."""
+        """Return its claim on a message: KEPT, SPARE or DONE."""
         account = self.account
         if not account.live:
             return SPARE if account.reader_epoch else DONE
@@ -84,22 +84,22 @@ class OutPort:
         self._fingerprint = self._schema.fingerprint
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
-        self._receivers = [(0, 0)] * len(self.readers)  # of every reader: the instances that listen
-        self._goes_on: bool | None = None  # True: from another instance, with what it had in hand
+        self._receivers = [(0, 0)] * len(self.readers)  # per reader: the instances that listen
+        self._goes_on: bool | None = None  # True: continues a live predecessor, without a loss
         self._lost = False
-        self._no_credit_since_s = 0.0  # since when there is no credit, or the last probe
+        self._no_credit_since_s = 0.0  # start of the wait for credit, or time of the last probe
 
     def begin(self, epoch: int) -> None:
-        """Send for the node from now on, after its predecessor's last message."""
+        """Start sending for the node, after its predecessor's last message."""
         self._epoch, self._goes_on = epoch, True
         self._ordinal = self._counted()
         self._receivers = [(0, 0)] * len(self.readers)
-        self._sender.set_targets(())  # a reader takes what comes on its newest link last
+        self._sender.set_targets(())  # a reader reads its newest link last
         self._pool.refresh()
         self.handshake()
 
     def change_readers(self, readers: Sequence[Reader], slots: int) -> None:
-        """Other edges begin here from the next message on; who stays notices nothing."""
+        """Change the readers from the next message on; the remaining ones are not affected."""
         known = {id(r.account) for r in self.readers}
         for reader in readers:
             if id(reader.account) not in known:
@@ -112,11 +112,11 @@ class OutPort:
         self.handshake()
 
     def let_go(self) -> None:
-        """While somebody else speaks: give back the slots that no reader wants any more."""
+        """While another instance sends: release the slots that no reader needs any more."""
         self._pool.let_go()
 
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """Memory in the pool for an array of the next message; raises `PoolExhausted`."""
+        """Return pool memory for an array of the next message; raises `PoolExhausted`."""
         nbytes = math.prod(shape) * np.dtype(dtype).itemsize
         if nbytes <= INLINE_BYTES:
             return np.empty(shape, dtype)
@@ -133,15 +133,16 @@ class OutPort:
 
     def has_credit(self) -> bool:
         """Whether every lossless reader has room for one more message."""
-        for reader in self.readers:  # noqa: SIM110 - for every message: no generator
+        for reader in self.readers:  # noqa: SIM110 - a hot path: no generator
             if not reader.has_credit():
                 return False
         return True
 
     def handshake(self) -> bool:
-        """Send a handshake to readers without one; True when all that live have had it.
+        """Send a handshake to readers without one; return whether all live ones have had it.
 
-        One without credit gets one too, now and then: a handshake tells how much was sent.
+        A reader without credit is also probed with one at intervals: it contains the number of
+        messages sent.
         """
         waiting = [r for r in self.readers if r.account.reader_epoch and not r.account.live]
         receivers = [
@@ -155,17 +156,17 @@ class OutPort:
         return not waiting
 
     def has_lost(self) -> None:
-        """With the next handshake readers hear that some frames will not come; any thread."""
+        """Announce a loss of frames with the next handshake; callable from any thread."""
         self._lost = True
 
     def send(self, message: Message | None, header: Header) -> None:
-        """Publish a message, or with None the word that there is nothing for this exposure.
+        """Publish a message, or with None the notice that this exposure has none.
 
-        Raises `PoolExhausted` (a slot is not to be had) before anything was counted.
+        Raises `PoolExhausted`, when no slot is free, before anything is counted.
         """
         for reader in self.readers:
             if reader.account.writer_epoch > self._epoch:
-                return  # a successor speaks for this node now
+                return  # a successor sends for this node now
         if message is None:
             self.discard()
             self._count()
@@ -184,27 +185,27 @@ class OutPort:
         if lease is not None:
             self._leases.remove(lease)
             self._pool.publish(lease, self._ordinal + 1)
-        self.discard()  # loans of this handler call that went into no message
+        self.discard()  # loans of this handler call that no message used
         self._count()
         self._send(self._wrap(MESSAGE, lease.ref() if lease else None, body), (message,))
         if lease is not None:
             self._pool.prepare()
 
     def discard(self) -> None:
-        """Give back loans that were not sent."""
+        """Release loans that were not sent."""
         for lease in self._leases:
             self._pool.abandon(lease)
         self._leases.clear()
 
     def overrun(self) -> None:
-        """Count an exposure that found no room, and mark the edge that is to blame."""
+        """Count an exposure without a free slot, and mark the edge that caused it."""
         for reader in self.readers:
             reader.account.overrun += 1
             if not reader.has_credit():
                 reader.account.broken = 1
 
     def _counted(self) -> int:
-        """The number of the last message, whichever instance sent it."""
+        """Return the ordinal of the last message, of whichever instance."""
         sent = (r.account.base + r.account.sent for r in self.readers)
         return max(sent, default=first_of(self._epoch) - 1)
 
@@ -229,13 +230,13 @@ class OutPort:
         self._receivers = receivers
 
     def _count(self) -> None:
-        """Before it is sent: killed in between, the message counts as lost, never as sent twice."""
+        """Count before sending: after a kill in between, the message is lost, never sent twice."""
         self._ordinal += 1
         for reader in self.readers:
             reader.account.sent += 1
 
     def _send(self, payload: bytes, inline: tuple[Message, ...]) -> None:
-        """Send to the readers; to taps of the key; and whole, to readers that share no memory."""
+        """Send to the readers, to taps, and complete to readers on other hosts."""
         if full := self._sender.send(payload):
             self._insist(payload, full)
         if self._taps.matching():
@@ -245,7 +246,7 @@ class OutPort:
             self._remote.send(whole[0] if whole else payload)
 
     def _insist(self, payload: bytes, full: list[Target]) -> None:
-        """Lossless readers get it even when their socket is full of big small messages."""
+        """Retry for lossless readers whose socket is full of large inline messages."""
         deadline = time.monotonic() + INSIST_S
         lossless = {r.edge for r in self.readers if r.lossless}
         while (full := [t for t in full if t[0] in lossless]) and time.monotonic() < deadline:
@@ -256,7 +257,7 @@ class OutPort:
         return Envelope.render(kind, self._ordinal, self._epoch, self._fingerprint, ref, body)
 
     def _room_for(self, message: Message) -> Lease | None:
-        """The slot the message was written into, or one for arrays that are elsewhere."""
+        """Return the slot that holds the message, or one for arrays that are elsewhere."""
         arrays = [a for a in vars(message).values() if isinstance(a, np.ndarray)]
         big = [a for a in arrays if a.nbytes > INLINE_BYTES]
         for lease in self._leases:
@@ -271,7 +272,7 @@ class OutPort:
         return lease
 
     def _claim(self, ordinal: int) -> int:
-        """Of all readers; taps keep no account, so what they might want goes last."""
+        """Return the strongest claim of all readers; taps have no account, so theirs is weakest."""
         claim = SPARE if self._taps.matching() else DONE
         for reader in self.readers:
             claim = min(claim, reader.claim(ordinal, self._ordinal))
@@ -279,7 +280,7 @@ class OutPort:
 
 
 def _place(lease: Lease | None, array: NDArray[Any]) -> bytes | int:
-    """Where an array of a message goes: it may lie in the slot already."""
+    """Store an array of a message, unless it is in the slot already; return offset or bytes."""
     if lease is None or array.nbytes <= INLINE_BYTES:
         return array.tobytes()
     offset = lease.offset_of(array)

@@ -3,9 +3,9 @@
 A pool is one tmpfs file: a header page with a generation counter per slot, then page-aligned slots.
 The writer holds an exclusive open-file-description lock on a slot's byte while it fills it and a
 shared one until its readers had their chance; a reader holds a shared lock while any numpy view of
-the slot lives. The kernel drops the locks of a dead process, so nobody can leak a slot.
+the slot exists. The kernel releases the locks of a dead process, so a crash cannot leak a slot.
 
-A pool never changes its size: bigger messages get a new file, named in their descriptor. The file
+A pool never changes its size: larger messages get a new file, named in their descriptor. The file
 outlives its writer; the supervisor removes it with the memory folder of the run.
 """
 
@@ -23,11 +23,11 @@ from pipeline.errors import MessageError, PoolExhausted, RunError
 from pipeline.private_folder import PrivateFolder
 
 AHEAD_BYTES = 1 << 20
-KEPT, SPARE, DONE = 0, 1, 2  # what readers still want of a slot
+KEPT, SPARE, DONE = 0, 1, 2  # claims of readers on a slot
 
 
 class SlotRef(NamedTuple):
-    """Where a message's arrays lie; travels in its descriptor."""
+    """The slot with a message's arrays, as its descriptor names it."""
 
     file: str
     pool_id: int
@@ -37,7 +37,7 @@ class SlotRef(NamedTuple):
 
 
 class Lease:
-    """A slot being written: numpy memory, then a descriptor. Give it back with `abandon`."""
+    """A slot being written: numpy memory, then a descriptor. `abandon` releases it."""
 
     def __init__(self, pool: PoolFile, slot: int, generation: int) -> None:
         self.pool, self.slot, self.generation = pool, slot, generation
@@ -45,7 +45,7 @@ class Lease:
         self._given: list[tuple[NDArray[Any], int]] = []
 
     def array(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any] | None:
-        """The next piece of the slot as an array, or None when it does not fit."""
+        """Return the next part of the slot as an array; None when it does not fit."""
         kind = np.dtype(dtype)
         nbytes = math.prod(shape) * kind.itemsize
         first = -(-self.used_bytes // 64) * 64
@@ -59,7 +59,7 @@ class Lease:
         return array
 
     def offset_of(self, array: NDArray[Any]) -> int | None:
-        """Offset of a contiguous array within this slot; None when it lies elsewhere."""
+        """Return the offset (bytes) of a contiguous array in this slot; None if it is elsewhere."""
         for given, first in self._given:
             if given is array:
                 return first
@@ -71,7 +71,7 @@ class Lease:
         return int(offset) if inside else None
 
     def ref(self) -> SlotRef:
-        """The descriptor of what was written."""
+        """Return the descriptor of the written slot."""
         pool = self.pool
         return SlotRef(pool.name, pool.pool_id, self.slot, self.generation, self.used_bytes)
 
@@ -79,10 +79,10 @@ class Lease:
 class PoolWriter:
     """The writing end of one output port.
 
-    `claim` is asked about written slots with the ordinal that `publish` was told: KEPT for readers
-    on their way, SPARE when it may be overwritten, DONE when nobody will come any more. The slot
-    written last is taken first where it is done: the processor still knows the way to its pages,
-    and writing 9 MB takes half the time. Of those to spare it is the oldest.
+    `claim` maps the ordinal of a published slot to KEPT (a reader will still read it), SPARE (it
+    may be overwritten) or DONE (no reader will come). Of the DONE slots the last written one is
+    reused first: its pages are still in the TLB, which halves the time to write 9 MB. Of the SPARE
+    ones the oldest is reused first.
     """
 
     def __init__(
@@ -94,22 +94,22 @@ class PoolWriter:
         self._file: PoolFile | None = None
         self._held: dict[int, int] = {}  # slot -> ordinal of the message in it
         self._lent: set[int] = set()
-        self._recent = list(range(slots))  # the slot written last comes first
+        self._recent = list(range(slots))  # the last written slot comes first
         self._ahead: Lease | None = None
         self._outgrown: list[PoolFile] = []
         self._kept = 0
 
     def lease(self, nbytes: int) -> Lease:
-        """A slot of at least `nbytes`; raises `PoolExhausted` when none is free right now."""
+        """Lease a slot of at least `nbytes`; raises `PoolExhausted` when none is free now."""
         ahead, self._ahead = self._ahead, None
         if ahead is not None and nbytes <= ahead.pool.slot_bytes:
             return ahead
         return self._lease(nbytes)
 
     def prepare(self) -> None:
-        """Lease the next slot while there is time, if one is free: asking for it is then quick.
+        """Lease a free slot ahead of time, if there is one, so that the next `lease` is fast.
 
-        Not for big ones: to wait until the newest is done with gains more.
+        Not for large slots: waiting until the newest one is DONE gains more.
         """
         if self._ahead is None and self._file and self._file.slot_bytes <= AHEAD_BYTES:
             with contextlib.suppress(PoolExhausted):
@@ -128,7 +128,7 @@ class PoolWriter:
                 generation = file.generations[slot] + 1
                 file.generations[slot] = generation
                 return Lease(file, slot, generation)
-            if slot in self._held:  # a reader is in it: our own shared lock is no longer needed
+            if slot in self._held:  # a reader holds it: our own shared lock is no longer needed
                 del self._held[slot]
                 file.lock(fcntl.F_UNLCK, slot)
         raise PoolExhausted(f"{file.name}: all {self._slots} slots are leased")
@@ -147,7 +147,7 @@ class PoolWriter:
         yield from reversed(spare)
 
     def publish(self, lease: Lease, ordinal: int) -> None:
-        """From now on readers may come; must be called before the descriptor leaves."""
+        """Open the slot for readers; must be called before the descriptor is sent."""
         lease.pool.lock(fcntl.F_RDLCK, lease.slot)
         if self._outgrown:
             self._kept -= 1
@@ -160,7 +160,7 @@ class PoolWriter:
             self._recent.insert(0, lease.slot)
 
     def let_go(self) -> None:
-        """While another process writes here: give back every slot that no reader wants."""
+        """While another process writes: release every slot that no reader needs."""
         if self._ahead is not None:
             self.abandon(self._ahead)
             self._ahead = None
@@ -170,10 +170,10 @@ class PoolWriter:
                 self._file.lock(fcntl.F_UNLCK, slot)
 
     def resize(self, slots: int) -> None:
-        """More slots from the next message on; what was sent from the old file stays readable."""
+        """Change the number of slots from the next message on; the old file stays readable."""
         if slots > self._slots and self._file is not None:
             self._outgrown.append(self._file)  # with the locks it holds
-            self._kept = slots  # messages later every reader has had its chance
+            self._kept = slots  # after this many messages every reader has had its chance
             self._file, self._ahead = None, None
             self._held.clear()
             self._lent.clear()
@@ -181,12 +181,12 @@ class PoolWriter:
         self._recent = list(range(self._slots))
 
     def refresh(self) -> None:
-        """Another process may have outgrown the file meanwhile."""
+        """Open the current file, which another process may have replaced by a larger one."""
         if self._file is not None and not self._folder.has(self._file.name):
             self._file = None
 
     def abandon(self, lease: Lease) -> None:
-        """The slot is not going to be sent."""
+        """Release a slot that will not be sent."""
         lease.pool.lock(fcntl.F_UNLCK, lease.slot)
         if lease.pool is self._file:
             self._lent.discard(lease.slot)
@@ -200,9 +200,9 @@ class PoolReader:
         self._file: PoolFile | None = None
 
     def take(self, ref: SlotRef) -> NDArray[np.uint8] | None:
-        """The slot's bytes, leased while any view of them lives; None when it was reused.
+        """Return the slot's bytes, leased while any view of them exists; None when it was reused.
 
-        Raises `MessageError` when the descriptor does not fit the pool it names.
+        Raises `MessageError` when the descriptor does not match the pool that it names.
         """
         file = self.file_of(ref)
         if not file.lock(fcntl.F_RDLCK, ref.slot):
@@ -216,7 +216,7 @@ class PoolReader:
         return bytes_
 
     def file_of(self, ref: SlotRef) -> PoolFile:
-        """The pool that a descriptor names; raises `MessageError` when it does not fit."""
+        """Return the pool that a descriptor names; raises `MessageError` for a mismatch."""
         file = self._file
         if file is None or file.name != ref.file or file.pool_id != ref.pool_id:
             file = self._open(ref)
@@ -226,7 +226,7 @@ class PoolReader:
 
     @property
     def pinned(self) -> int:
-        """Slots that views of this reader keep from being reused."""
+        """Number of slots that views of this reader keep from being reused."""
         return sum(1 for count in self._file.views.values() if count) if self._file else 0
 
     def _open(self, ref: SlotRef) -> PoolFile:

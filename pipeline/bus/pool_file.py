@@ -1,7 +1,7 @@
-"""The file of a frame pool: a header page with a generation per slot, page-aligned slots, locks.
+"""File of a frame pool: a header page with a generation per slot, page-aligned slots, locks.
 
-Pool files lie in the private memory folder of a run: another user can neither read nor shorten one,
-nor be there first with a file of the same name.
+Pool files are in the private memory folder of a run: another user can neither read nor truncate
+them, nor create a file of that name first.
 """
 
 import fcntl
@@ -50,16 +50,16 @@ class PoolFile:
             _HEADER_WORDS : _HEADER_WORDS + MAX_SLOTS
         ]
         self.address = words.__array_interface__["data"][0]
-        self.views: dict[int, int] = {}  # open-file-description locks do not nest: count views
+        self.views: dict[int, int] = {}  # the locks do not nest: count the views
         self._watched: dict[int, tuple[weakref.ref[Any], int]] = {}
         self._requests: dict[tuple[int, int], bytes] = {}
 
     def start(self, slot: int) -> int:
-        """Offset of a slot in the file."""
+        """Return the offset of a slot in the file, in bytes."""
         return PAGE_BYTES + slot * self.slot_bytes
 
     def lock(self, kind: int, slot: int) -> bool:
-        """Set or drop this handle's lock on a slot; False when somebody else's is in the way."""
+        """Set or release this handle's lock on a slot; return False if another lock conflicts."""
         request = self._requests.get((kind, slot))
         if request is None:
             request = struct.pack("hhqqi", kind, os.SEEK_SET, slot, 1, 0)
@@ -71,7 +71,7 @@ class PoolFile:
         return True
 
     def hold(self, slot: int, view: NDArray[np.uint8]) -> None:
-        """Keep the shared lock until the view, and every view of it, is gone."""
+        """Hold the shared lock until the view and all views derived from it are gone."""
         self.views[slot] = self.views.get(slot, 0) + 1
         watch = weakref.ref(view, self._let_go)
         self._watched[id(watch)] = (watch, slot)
@@ -85,7 +85,7 @@ class PoolFile:
 
 
 def reuse_or_create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -> PoolFile:
-    """A restarted writer goes on in its predecessor's file, so readers keep their mapping."""
+    """Open the predecessor's file, so that readers keep their mapping, or create a new one."""
     for name in folder.names():
         if not is_pool(name, stem):
             continue
@@ -95,12 +95,12 @@ def reuse_or_create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -
             continue
         if file.slots == slots and file.slot_bytes >= nbytes:
             return file
-        folder.remove(name)  # outgrown; readers inside keep it alive until they leave
+        folder.remove(name)  # too small; it exists until its last reader closes it
     return _create(folder, stem, slots, nbytes)
 
 
 def is_pool(name: str, stem: str) -> bool:
-    """Whether a file is called as the pools of a port are.
+    """Whether a file name is that of a pool of a port.
 
     >>> is_pool("eye.out.0123abcd", "eye.out"), is_pool("eye.out.0123abcd.part", "eye.out")
     (True, False)
@@ -115,7 +115,7 @@ def _create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -> PoolFi
     part = f"{name}.part"
     handle = folder.create(part)
     try:
-        os.posix_fallocate(handle, 0, size)  # a full disk is an error now, not a SIGBUS later
+        os.posix_fallocate(handle, 0, size)  # a lack of memory is an error now, not a SIGBUS later
         header = np.array([MAGIC, secrets.randbits(63), slots, slot_bytes], np.uint64)
         os.pwrite(handle, header.tobytes(), 0)
     except OSError as error:

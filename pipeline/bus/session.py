@@ -1,9 +1,9 @@
-"""Bytes between processes: the only file that knows Zenoh.
+"""Zenoh sessions; the only module that imports Zenoh.
 
-Every node listens on a unix socket of its own in a private directory and connects to the hub (the
-supervisor's session); gossip then gives the peers direct links. Only a session `across` hosts
-listens on a network, no multicast is sent, and Zenoh's own shared memory is off: frames travel
-through `pipeline.bus.pool`.
+Every node listens on its own unix socket in a private directory and connects to the hub (the
+supervisor's session); gossip then establishes direct links between peers. Only a session `across`
+hosts listens on a network, no multicast is sent, and Zenoh's own shared memory is off, because
+frames go through `pipeline.bus.pool`.
 """
 
 import json
@@ -21,39 +21,39 @@ from pipeline.errors import RunError
 
 OnBytes = Callable[[bytes], None]
 OnQuestion = Callable[[bytes, OnBytes], None]  # the question, and how to reply
-LOGGED = "error,zenoh::net::protocol::gossip=off"  # which mistakes a peer that leaves for a fault
-PANIC = "PanicException"  # how Rust fails without descriptors or threads; it has no other name here
-_SOURCE_LINE = re.compile(r" at /\S+\.rs:\d+\.?")  # where Zenoh was compiled
+LOGGED = "error,zenoh::net::protocol::gossip=off"  # gossip logs a leaving peer as an error
+PANIC = "PanicException"  # raised by Rust without descriptors or threads; not importable
+_SOURCE_LINE = re.compile(r" at /\S+\.rs:\d+\.?")  # a source line of Zenoh
 _TAKEN = re.compile("acquire lock|in use", re.IGNORECASE)
-AGAIN_S = 0.05  # a new session does not know at once who answers
+AGAIN_S = 0.05  # a new session takes time to discover who answers
 
 
 class Sender(Protocol):
-    """One key's writing end."""
+    """The publisher of one key."""
 
     def send(self, payload: bytes) -> None:
-        """Hand over to the transport; waits for a reader only where the session has a timeout."""
+        """Pass a payload to the transport; wait for a reader only if the session has a timeout."""
         ...
 
     def matching(self) -> bool:
-        """Whether anybody subscribes."""
+        """Whether there is a subscriber."""
         ...
 
 
 class Session:
-    """A peer of the graph's bus. Close it before the process ends, or Zenoh keeps it alive."""
+    """A peer on the graph's bus. Close it, or Zenoh keeps the process alive at its end."""
 
     def __init__(
         self, folder: Path, name: str, *, hub: str = "hub", timeout_s: float = 10.0,
         guest: bool = False,
     ) -> None:  # fmt: skip
-        """`timeout_s`: how long a frozen peer may keep this one from opening or closing a link.
+        """`timeout_s`: how long a frozen peer may delay opening or closing a link.
 
-        A `guest` listens nowhere: it leaves no socket behind, however it ends, and no other process
+        A `guest` does not listen: it leaves no socket behind, however it ends, and no other process
         ever waits for it to open a link.
         """
         self._files: tuple[Path, ...] = ()
-        if name != hub and not guest:  # the hub's go with the run's folder
+        if name != hub and not guest:  # the hub's socket is removed with the run's folder
             self._files = (folder / f"{name}.sock", folder / f"{name}.sock.lock")
         own = f"unixsock-stream/{folder / name}.sock"
         links = {"listen": {"endpoints": [] if guest else [own]}}
@@ -65,7 +65,7 @@ class Session:
 
     @classmethod
     def across(cls, network: Network) -> "Session":
-        """Open a session with other hosts; it does not wait for any of them."""
+        """Open a session with other hosts, without waiting for them."""
         session = cls.__new__(cls)
         session._files = ()
         session._session = _open(network.config(), ", ".join(network.listen) or "network")
@@ -75,11 +75,11 @@ class Session:
         return session
 
     def sender(self, key: str, *, urgent: bool = False, patient: bool = False) -> Sender:
-        """A publisher; `urgent` ones (sensor commands) overtake everything else.
+        """Return a publisher; an `urgent` one (sensor commands) overtakes everything else.
 
-        Descriptors are small and the runtime's own credit bounds them: a queue can only fill behind
-        a reader that stopped, and waiting for it would stop the others too. Whole pictures need a
-        `patient` sender, which waits for the link.
+        Descriptors are small, and the runtime's credit limits their number: a queue can only fill
+        up behind a stopped reader, and waiting for it would block the others. Complete pictures
+        need a `patient` sender, which waits for the link.
         """
         control = zenoh.CongestionControl
         publisher = self._session.declare_publisher(
@@ -91,9 +91,9 @@ class Session:
         return _Sender(publisher)
 
     def listen(self, key: str, on_bytes: OnBytes) -> Callable[[], None]:
-        """Call `on_bytes` from the transport's thread for every payload; returns the way to stop.
+        """Call `on_bytes` on the transport's thread for every payload; return a function to stop.
 
-        It must be quick and must not call the bus.
+        The callback must be fast and must not call the bus.
         """
 
         def receive(sample: zenoh.Sample) -> None:
@@ -105,9 +105,9 @@ class Session:
         return subscriber.undeclare
 
     def answer(self, key: str, on_question: OnQuestion) -> Callable[[], None]:
-        """Call `on_question` from the transport's thread for every question; returns how to stop.
+        """Call `on_question` on the transport's thread for every query; return a function to stop.
 
-        It must be quick; the reply may be given later, by any thread, at most once.
+        It must be fast; it may reply later, from any thread, at most once.
         """
 
         def receive(query: zenoh.Query) -> None:
@@ -120,9 +120,9 @@ class Session:
         return queryable.undeclare
 
     def serve(self, keys: str, on_question: Callable[[str, bytes, OnBytes], None]) -> None:
-        """Call `on_question` with key, question and how to reply, for every key under a wildcard.
+        """Call `on_question` with key, query and reply function, for every key under a wildcard.
 
-        As for `answer`; without a reply within the asker's timeout it gets nothing.
+        The rules of `answer` apply; without a reply in time the client gets None.
         """
 
         def receive(query: zenoh.Query) -> None:
@@ -131,14 +131,14 @@ class Session:
 
             def reply(answer: bytes) -> None:
                 query.reply(key, answer)
-                query.drop()  # type: ignore[no-untyped-call] # the asker hears the answer when no other can come
+                query.drop()  # type: ignore[no-untyped-call] # completes the query for the client
 
             on_question(key, question, reply)
 
         self._session.declare_queryable(keys, zenoh.handlers.Callback(receive, indirect=False))
 
     def hear(self, keys: str, on_bytes: Callable[[str, bytes], None]) -> None:
-        """Call `on_bytes` with key and payload of everything under a wildcard; as for `listen`."""
+        """Call `on_bytes` with key and payload for every key under a wildcard, as `listen` does."""
 
         def receive(sample: zenoh.Sample) -> None:
             on_bytes(str(sample.key_expr), sample.payload.to_bytes())
@@ -148,9 +148,9 @@ class Session:
     def ask(
         self, key: str, question: bytes, timeout_s: float, still: Callable[[], bool] = lambda: True
     ) -> bytes | None:
-        """Return the answer to a question; None when the deadline passes, or `still` is false.
+        """Return the reply to a query; None when the deadline passes or `still` returns False.
 
-        Retries until then, also while nothing answers at that key yet.
+        Retry until then, also while no process serves that key yet.
         """
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0 and still():
@@ -164,7 +164,7 @@ class Session:
         self, keys: str, question: bytes, timeout_s: float,
         enough: Callable[[Mapping[str, bytes]], bool],
     ) -> dict[str, bytes]:  # fmt: skip
-        """Return all answers under a wildcard, by key; until `enough` is true or time is up."""
+        """Return all replies under a wildcard by key, until `enough` returns True or time is up."""
         found: dict[str, bytes] = {}
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0:
@@ -177,7 +177,7 @@ class Session:
         return found
 
     def close(self) -> None:
-        """Leave the bus; Zenoh would leave the files of its socket behind."""
+        """Leave the bus and remove the socket files, which Zenoh leaves behind."""
         self._session.close()  # type: ignore[no-untyped-call]
         for file in self._files:
             file.unlink(missing_ok=True)
@@ -209,7 +209,7 @@ _COMMON: dict[str, object] = {
 }
 _TRANSPORT: dict[str, object] = {
     "shared_memory": {"enabled": False},
-    # an express message takes a batch of its own; two, the default, overflow while the
+    # an express message takes a whole batch; the default of two overflows while the
     # transport's thread waits a few milliseconds for a core
     "link": {"tx": {"queue": {"size": {"data": 16, "real_time": 16}}}},
 }
@@ -221,9 +221,9 @@ def _hasten(event: zenoh.LinkEvent) -> None:
 
 
 def silence() -> None:
-    """Let Zenoh print nothing in this process: for commands, whose standard output is an answer.
+    """Stop Zenoh from printing in this process, for commands whose output is a result.
 
-    It goes before the first session; RUST_LOG, where it is set, has the last word.
+    Call it before the first session. A user's RUST_LOG takes precedence.
     """
     zenoh.init_log_from_env_or("off")
 
@@ -239,7 +239,7 @@ def _open(config: dict[str, object], what: str) -> zenoh.Session:
 
 
 def reason(error: BaseException) -> str:
-    """What Zenoh says of a session that cannot be opened, without lines of its source.
+    """Return Zenoh's reason why a session cannot be opened, without its source lines.
 
     >>> reason(ValueError("no such host at /build/zenoh/src/unicast.rs:356."))
     'no such host'

@@ -1,10 +1,10 @@
-"""Links to other hosts that give up a cable that was pulled, at once and altogether.
+"""TCP options that make links to other hosts fail fast after a network failure.
 
-Zenoh offers no setting for either: what it sends waits for a dead connection for as long as the
-kernel tries (minutes), and closing one waits until everything was acknowledged (SO_LINGER, ten
-seconds), on a thread that serves its other links too. So a pulled cable silenced hosts whose cables
-were in; and a link that was closed late, when the cable was in again, was taken for its successor,
-which was then closed in its place on one side and never opened again.
+Zenoh has no settings for this: sending blocks on a dead connection for as long as the kernel
+retries (minutes), and closing one waits until all data is acknowledged (SO_LINGER, ten seconds), on
+a thread that also serves other links. A pulled cable therefore silenced hosts whose cables were
+plugged in. And a link that was closed late, after the cable was back, was mistaken for its
+successor, which was then closed instead on one side and never reopened.
 """
 
 import contextlib
@@ -14,17 +14,17 @@ import struct
 
 import psutil
 
-TCP = ("tcp", "tls")  # the protocols of locators that are a TCP connection
-DEAD_MS = 1500  # without an acknowledgement; less than the lease that Zenoh has with a peer
+TCP = ("tcp", "tls")  # protocols of locators that use TCP
+DEAD_MS = 1500  # without an acknowledgement; less than Zenoh's lease
 _AT_ONCE = struct.pack("ii", 0, 0)
 End = tuple[str, int]  # address, port
 
 
 def hasten(own: str, other: str) -> bool:
-    """Let this process's TCP connection from one locator to another not outlive its cable.
+    """Make this process's TCP connection between two locators fail fast.
 
-    A locator is as Zenoh tells it, `tls/10.0.0.1:7447`; connections between others stay as they
-    are, and so does what is no TCP connection. True when there is one.
+    Locators are in Zenoh's form, `tls/10.0.0.1:7447`. Other connections stay as they are. Returns
+    whether there is such a TCP connection.
     """
     if own.partition("/")[0] not in TCP:
         return False
@@ -43,7 +43,7 @@ def _hasten(number: int) -> None:
         borrowed.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
         borrowed.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, DEAD_MS)
     finally:
-        borrowed.detach()  # it stays its owner's
+        borrowed.detach()  # the owner keeps the descriptor
 
 
 def _end(locator: str) -> End:
@@ -53,7 +53,7 @@ def _end(locator: str) -> End:
 
 
 def _plain(host: str, port: int) -> End:
-    """One way to write an address: a socket for both kinds tells IPv4 ones as IPv6."""
+    """Normalise an address: dual-stack sockets report IPv4 ones as IPv6."""
     address = ipaddress.ip_address(host)
     mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
     return str(mapped or address), port

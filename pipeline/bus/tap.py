@@ -1,8 +1,8 @@
-"""Hears an output from outside the graph: descriptors in, headers and small values out.
+"""Listen to an output from outside the graph: descriptors in, headers and small values out.
 
-A tap has no account in the graph and never looks into the frame pool: big arrays are told by their
-type and shape alone. So it cannot hold a slot, whatever becomes of it, and a slot that is written
-anew costs it nothing. What it misses it counts: every message has a number.
+A tap has no account in the graph and never reads the frame pool: of large arrays it reports only
+dtype and shape. So it can neither hold a slot nor lose a message because a slot was reused. It
+counts the messages that it misses, since every message has an ordinal.
 """
 
 import queue
@@ -21,7 +21,7 @@ from pipeline.errors import MessageError
 from pipeline.fields import Fetch
 from pipeline.messages import Header, Message
 
-ROOM = 4096  # descriptors that may wait for a terminal
+ROOM = 4096  # queued descriptors, while a terminal is slow
 
 
 class Reader(Protocol):
@@ -29,32 +29,32 @@ class Reader(Protocol):
 
     @property
     def fingerprint(self) -> bytes:
-        """Of the schema."""
+        """Return the fingerprint of the schema."""
         ...
 
     def read(self, data: codec.Buffer, fetch: Fetch) -> Any:
-        """A message, which has a `header`; raises `MessageError`."""
+        """Decode a message, which has a `header`; raises `MessageError`."""
         ...
 
 
 class Heard(NamedTuple):
     """What an output sent for one exposure."""
 
-    at_ns: int  # monotonic, when it came
+    at_ns: int  # monotonic time of arrival
     header: Header
-    message: Any  # what the reader gave; big arrays are zeros; None: it had nothing to say
-    after_loss: bool  # whether something was missed just before it
+    message: Any  # from the reader, large arrays as zeros; None: no message for this exposure
+    after_loss: bool  # whether messages were missed just before it
 
 
 class Missed(NamedTuple):
-    """How many messages a tap did not get, by reason."""
+    """Number of messages that a tap did not get, by reason."""
 
-    on_the_way: int = 0  # the bus dropped them, or they died with their node
-    slow: int = 0  # the tap's own reader did not come for them
-    refused: int = 0  # not of the schema that the tap expects
+    on_the_way: int = 0  # dropped by the bus, or lost with their node
+    slow: int = 0  # the tap's user did not fetch them in time
+    refused: int = 0  # not of the expected schema
 
     def __str__(self) -> str:
-        """The reasons in words.
+        """Return the counts and reasons as text.
 
         >>> str(Missed(on_the_way=2, slow=1)), str(Missed())
         ('missed 3: 2 lost on the way, 1 not read in time', '')
@@ -64,13 +64,13 @@ class Missed(NamedTuple):
         return f"missed {sum(self)}: {', '.join(reasons)}" if reasons else ""
 
     def since(self, earlier: "Missed") -> "Missed":
-        """What was missed after an earlier count."""
+        """Return the difference to an earlier count."""
         return Missed(*(b - a for a, b in zip(earlier, self, strict=True)))
 
 
 @dataclass
 class _Instance:
-    """What came of one instance of the node: the first number it used, the last, how many."""
+    """Arrivals from one instance of the node: first ordinal, last ordinal, count."""
 
     first: int
     last: int
@@ -78,26 +78,26 @@ class _Instance:
 
 
 class Tap:
-    """`receive` is called by the transport's thread, everything else by one other."""
+    """A tap; the transport's thread calls `receive`, one other thread everything else."""
 
     def __init__(self, message: type[Message] | Reader, room: int = ROOM) -> None:
-        """Messages of a class, or of what reads them without one."""
+        """`message`: the class of the messages, or a reader that needs no class."""
         self._schema: Reader = codec.schema(message) if isinstance(message, type) else message
         self._fingerprint = self._schema.fingerprint
         self._waiting: queue.Queue[tuple[int, Envelope, bool]] = queue.Queue(room)
         self._lock = threading.Lock()
         self._instances: dict[int, _Instance] = {}  # by epoch
         self._slow = self._refused = 0
-        self.skipped = 0  # of what came by way of a relay: for want of room there
-        self._after_loss = False  # something was missed since the last one that was kept
+        self.skipped = 0  # messages that a relay skipped for lack of room
+        self._after_loss = False  # messages were missed since the last one kept
 
     def receive(self, payload: bytes, at_ns: int = 0) -> None:
-        """Take one descriptor, which came now or `at_ns`; never raises, never waits."""
+        """Receive one descriptor, arrived now or at `at_ns`; never raises or waits."""
         at_ns = at_ns or time.monotonic_ns()
         try:
             envelope = Envelope.parse(payload)
         except MessageError:
-            return  # without a number it is no message of the output
+            return  # without an ordinal it is no message
         with self._lock:
             if not self._count(envelope):
                 return
@@ -113,7 +113,7 @@ class Tap:
                 self._after_loss = True
 
     def next(self, timeout_s: float) -> Heard | None:
-        """The next exposure; None when nothing came in time."""
+        """Return the next exposure; None after the timeout."""
         deadline = time.monotonic() + timeout_s
         while True:
             try:
@@ -128,31 +128,31 @@ class Tap:
 
     @property
     def missed(self) -> Missed:
-        """What did not come since the first descriptor that did."""
+        """Return the messages missed since the first descriptor."""
         with self._lock:
             instances = sorted(self._instances.items())
             lost = sum(max(0, i.last - i.first + 1 - i.heard) for _, i in instances)
             for (_, before), (epoch, after) in pairwise(instances):
-                if after.first < first_of(epoch):  # it goes on with its predecessor's numbers
+                if after.first < first_of(epoch):  # it continues its predecessor's ordinals
                     lost += max(0, after.first - before.last - 1)
             skipped = min(lost, self.skipped)
             return Missed(lost - skipped, self._slow + skipped, self._refused)
 
     @property
     def instances(self) -> int:
-        """How many instances of the node were heard."""
+        """Return the number of instances that were heard."""
         return len(self._instances)
 
     def _count(self, envelope: Envelope) -> bool:
-        """Whether it is a message of the instance that spoke for the node when it was sent."""
+        """Count an envelope; return whether its instance was the active one when it was sent."""
         epoch, ordinal, handshake = envelope.epoch, envelope.ordinal, envelope.kind == HANDSHAKE
         known = self._instances.get(epoch)
         if known is None:
             if any(other > epoch for other in self._instances):
-                return False  # not heard while it spoke
+                return False  # not heard while it was active
             first = ordinal + handshake
             if self._instances and first > first_of(epoch):
-                first = first_of(epoch)  # it counts anew, and this is not its first
+                first = first_of(epoch)  # new ordinals, and this is not the first
             known = self._instances[epoch] = _Instance(first, first - 1)
         later = [i.first for e, i in self._instances.items() if e > epoch]
         if later and min(later) <= ordinal:
@@ -171,7 +171,7 @@ class Tap:
         def blank(offset: int, nbytes: int) -> NDArray[np.uint8]:
             if offset + nbytes > slot_bytes:
                 raise MessageError(f"an array ends at {offset + nbytes} of {slot_bytes} bytes")
-            return np.zeros(nbytes, np.uint8)  # memory that nobody touches costs nothing
+            return np.zeros(nbytes, np.uint8)  # untouched memory costs nothing
 
         message = self._schema.read(envelope.body, blank)
         return message.header, message

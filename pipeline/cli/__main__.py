@@ -1,4 +1,4 @@
-"""The command line as `python -m pipeline.cli`."""
+"""Run the command line by `python -m pipeline.cli`."""
 
 from pipeline.cli import main
 

@@ -1,4 +1,4 @@
-"""Words of a command line that several commands share: graphs, nodes, numbers, values, `--json`."""
+"""Arguments that several commands share: graphs, nodes, numbers, values, `--json`."""
 
 import math
 from collections.abc import Callable
@@ -15,10 +15,10 @@ MOST_LINES = 1_000_000
 
 
 class Finite(click.FloatRange):
-    """A number within a range; neither infinite nor none at all."""
+    """A finite number within a range."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """The number."""
+        """Return the number."""
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{number} is no finite number.", param, ctx)
@@ -26,12 +26,12 @@ class Finite(click.FloatRange):
 
 
 class _Running(click.types.StringParamType):
-    """The name of a running graph; completed from those that run."""
+    """The name of a running graph, with completion."""
 
     name = "graph"
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        """Names that begin so."""
+        """Return matching names."""
         from pipeline.client.find import graphs
 
         return [CompletionItem(name) for name in graphs() if name.startswith(incomplete)]
@@ -47,21 +47,21 @@ BUDGET_MS = Finite(0, 1000 * DAY_S)
 
 
 def named_value(word: str) -> tuple[str, Any]:
-    """Name and value of `NAME=VALUE`; raises `click.UsageError` or `GraphError`."""
+    """Parse `NAME=VALUE`; raises `click.UsageError` or `GraphError`."""
     name, equals, text = word.partition("=")
     if not equals or not name:
         raise click.UsageError(f"{shown_change(word)}: expected NAME=VALUE")
     return name, read_value(text, name)
 
 
-JSON = click.option("--json", "as_json", is_flag=True, help="The answer as JSON.")
+JSON = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 GRAPH = click.argument("graph", type=RUNNING)
 
 
 def second(name: str, metavar: str = "", *, form: str) -> Callable[..., Any]:
-    """The word behind GRAPH; a command line without one is told the `form` that is expected.
+    """Declare the argument after GRAPH; without it, an error shows the expected `form`.
 
-    Raises `click.UsageError`.
+    The error is a `click.UsageError`.
     """
 
     def check(context: click.Context, _parameter: click.Parameter, word: str | None) -> str:
@@ -78,6 +78,6 @@ def second(name: str, metavar: str = "", *, form: str) -> Callable[..., Any]:
 
 
 def print_json(value: Any, *, compact: bool = False) -> None:
-    """Print a value, structs included, as JSON: indented, or on one line."""
+    """Print a value, which may contain structs, as JSON: indented, or on one line."""
     data = msgspec.json.encode(value, enc_hook=str)
     click.echo(data if compact else msgspec.json.format(data, indent=1))

@@ -1,20 +1,20 @@
-"""`fovea completion bash | zsh | fish`: the script by which a shell completes commands and graphs.
+"""`fovea completion bash | zsh | fish`: print a completion script for commands and graphs.
 
-The script calls `fovea` again with the words so far; names of commands come without loading one.
+The script calls `fovea` with the words so far; completing a command's name loads no command.
 """
 
 import click
 from click.shell_completion import get_completion_class
 
 SHELLS = ("bash", "zsh", "fish")
-VARIABLE = "_FOVEA_COMPLETE"  # by which the script tells click that words are to be completed
+VARIABLE = "_FOVEA_COMPLETE"  # set by the script to request completion from click
 
 
 @click.command()
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
 def completion(context: click.Context, shell: str) -> None:
-    """Print what completes words in a SHELL.
+    """Print completion code for a SHELL.
 
     \b
     bash:  eval "$(fovea completion bash)"            in ~/.bashrc

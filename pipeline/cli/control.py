@@ -1,4 +1,4 @@
-"""`fovea set | tell | swap | add | remove | rewire | stop`: what a running graph is told to do."""
+"""`fovea set | tell | swap | add | remove | rewire | stop`: orders to a running graph."""
 
 import json
 from pathlib import Path
@@ -45,7 +45,7 @@ def set_command(graph: str, node: str, changes: tuple[str, ...], as_json: bool) 
             f"{shown_change(node)}: expected NODE SETTING=VALUE: fovea set {graph} "
             f"{shown_change(new)}"
         )
-    wanted = dict(named_value(change) for change in changes)  # all are read before any is changed
+    wanted = dict(named_value(change) for change in changes)  # parse all before changing any
     answer = find(graph).configure(node, wanted)
     if as_json:
         print_json({"node": node, "settings": answer.settings, "live": answer.live})
@@ -61,9 +61,9 @@ def set_command(graph: str, node: str, changes: tuple[str, ...], as_json: bool) 
 @NODE
 @click.argument("command")
 @click.argument("arguments", nargs=-1, metavar="[NAME=VALUE]…")
-@click.option("--json", is_flag=True, expose_value=False, help="It is JSON anyway.")
+@click.option("--json", is_flag=True, expose_value=False, help="The result is always JSON.")
 def tell_command(graph: str, node: str, command: str, arguments: tuple[str, ...]) -> None:
-    """Have a running node do something; `fovea schema GRAPH NODE` shows what it can."""
+    """Call a command of a running node; `fovea schema GRAPH NODE` lists its commands."""
     given = dict(named_value(argument) for argument in arguments)
     click.echo(json.dumps(find(graph).command(node, command, given).answer))
 
@@ -73,9 +73,9 @@ def tell_command(graph: str, node: str, command: str, arguments: tuple[str, ...]
 @NODE
 @click.option("--operator", default="", metavar="MODULE:CLASS", help="Another operator.")
 @click.option("--set", "changes", multiple=True, metavar="SETTING=VALUE")
-@click.option("--defaults", is_flag=True, help="Begin with the operator's own settings.")
-@click.option("--shadow", default=0, type=FRAMES_OR_NONE, help="Frames to compare before.")
-@click.option("--at", default=0, type=FRAMES_OR_NONE, help="Not before this frame.")
+@click.option("--defaults", is_flag=True, help="Start from the operator's default settings.")
+@click.option("--shadow", default=0, type=FRAMES_OR_NONE, help="Frames to run as a shadow first.")
+@click.option("--at", default=0, type=FRAMES_OR_NONE, help="Earliest frame of the handover.")
 @click.option("--probation", default=30, type=FRAMES, show_default=True, help="Frames.")
 @click.option("--budget-ms", default=0.0, type=BUDGET_MS, help="Per frame.")
 @JSON
@@ -101,7 +101,7 @@ def add(graph: str, file: str, as_json: bool) -> None:
 @NODE
 @JSON
 def remove(graph: str, node: str, as_json: bool) -> None:
-    """Remove a node that nobody reads from a running graph."""
+    """Remove a node without readers from a running graph."""
     result = find(graph).remove(node)
     _tell(result, topology_lines(result), as_json=as_json)
 
@@ -111,13 +111,13 @@ def remove(graph: str, node: str, as_json: bool) -> None:
 @second("wire", "NODE.INPUT=SOURCE[.OUTPUT]", form="GRAPH NODE.INPUT=SOURCE[.OUTPUT]")
 @JSON
 def rewire(graph: str, wire: str, as_json: bool) -> None:
-    """Let a node of a running graph read another output."""
+    """Connect an input of a node of a running graph elsewhere: NODE.INPUT=SOURCE.OUTPUT."""
     result = find(graph).rewire(wire)
     _tell(result, topology_lines(result), as_json=as_json)
 
 
 def end(graph: str, *, as_json: bool) -> None:
-    """Stop a graph and say how it ended; one that has ended detached is told of as well."""
+    """Stop a graph and print how it ended; also for a detached run that has already ended."""
     ended = None if graph in graphs() else detached.noted(graph)
     if ended is not None:
         if as_json:
@@ -146,10 +146,10 @@ def end(graph: str, *, as_json: bool) -> None:
 @GRAPH
 @JSON
 def stop(graph: str, as_json: bool) -> None:
-    """End a running graph, here or on all its hosts, and wait for that.
+    """Stop a running graph, here or on all its hosts, and wait until it has ended.
 
-    As after Ctrl-C, what is under way may arrive, for 5 s at most; a second `fovea stop` does not
-    wait for it.
+    As after Ctrl-C, messages in flight may arrive for up to 5 s; a second `fovea stop` does not
+    wait for them.
     """
     end(graph, as_json=as_json)
 

@@ -1,4 +1,4 @@
-"""A command that is imported when it is used: a name and a summary until then."""
+"""A command that is imported on first use; until then it has only a name and a summary."""
 
 from importlib import import_module
 from typing import Any
@@ -7,14 +7,14 @@ import click
 
 
 class Deferred(click.Command):
-    """Stands for the command at an import path; everything but its summary is that command's."""
+    """A placeholder for the command at an import path; only the summary is its own."""
 
     def __init__(self, name: str, path: str, summary: str) -> None:
         super().__init__(name, help=summary)
         self.path = path
 
     def loaded(self) -> click.Command:
-        """The command."""
+        """Import and return the command."""
         module, _, name = self.path.partition(":")
         found: click.Command = getattr(import_module(module), name)
         return found
@@ -23,5 +23,5 @@ class Deferred(click.Command):
         self, info_name: str | None, args: list[str], parent: click.Context | None = None,
         **extra: Any,
     ) -> click.Context:  # fmt: skip
-        """A context of the command itself, which is what will be invoked and completed."""
+        """Return a context of the imported command, for calls and completion."""
         return self.loaded().make_context(info_name, args, parent, **extra)

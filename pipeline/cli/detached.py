@@ -1,8 +1,8 @@
-"""`fovea run --detach`: a run in a process without a terminal, which is left once it works.
+"""`fovea run --detach`: start a run in a process without a terminal, and return once it works.
 
-The process that stays is `fovea run` with the hidden option `--detached FD`. Until its graph runs,
+The remaining process is `fovea run` with the hidden option `--detached FD`. Until its graph runs,
 it prints where its parent does. Then it writes the graph's name as a line to the descriptor, prints
-into the run folder from there on, and notes at its end how it ended.
+to a file in the run folder from there on, and records its outcome when it ends.
 """
 
 import os
@@ -34,9 +34,9 @@ WAIT_S = 0.25
 
 
 def start(words: Sequence[str]) -> tuple[str, int]:
-    """Start `fovea run WORDS` on its own and wait until its graph runs; the graph, the process id.
+    """Start `fovea run WORDS`, wait until its graph runs, and return graph name and process id.
 
-    Ends this process with the status of the other one when that ends before.
+    If that process ends before, this one exits with the same status.
     """
     told, tells = os.pipe()
     command = [sys.executable, "-m", "pipeline.entry", "run", "--detached", str(tells), *words]
@@ -46,21 +46,21 @@ def start(words: Sequence[str]) -> tuple[str, int]:
         os.close(tells)
         try:
             graph = _told(told, process)
-        except BaseException:  # Ctrl-C while it starts
+        except BaseException:  # e.g. Ctrl-C during the start
             process.terminate()
             process.wait()
             raise
         if is_name(graph):
-            process.returncode = 0  # it goes on; this process does not wait for it
+            process.returncode = 0  # it keeps running; this process does not wait for it
             return graph, process.pid
         process.wait()
     sys.exit(process.returncode if process.returncode > 0 else 1)
 
 
 def _told(told: int, process: "subprocess.Popen[bytes]") -> str:
-    """The line that a process writes; empty when it ends before, also where a child goes on.
+    """Return the line that a process writes; empty if it ends before.
 
-    What an operator's module forks when it is imported holds the pipe open.
+    The end of the pipe is no sign of that: a child forked by an operator's module keeps it open.
     """
     poll = select.poll()
     poll.register(told, select.POLLIN)
@@ -72,7 +72,7 @@ def _told(told: int, process: "subprocess.Popen[bytes]") -> str:
 
 
 class DetachedRun:
-    """The run that stays."""
+    """The run in the remaining process."""
 
     def __init__(self, tells: int) -> None:
         self.graph, self._tells = "", tells
@@ -81,7 +81,7 @@ class DetachedRun:
 
     @contextmanager
     def noting(self) -> Iterator[Callable[[int, str, dict[str, Any]], None]]:
-        """Note how the run ended: what is told to the function given, or what is raised here."""
+        """Record the outcome: what is passed to the yielded function, or what the block raises."""
         try:
             yield self._end
         except FoveaError as error:
@@ -92,11 +92,11 @@ class DetachedRun:
             raise
 
     def leave(self, graph: str) -> None:
-        """The graph runs: let the parent go, and print into the run folder from now on."""
+        """Signal the parent that the graph runs, and print to the run folder from now on."""
         self.graph = graph
         facts = running().get(self.graph)
         if facts is None:
-            raise RunError(f"{self.graph}: expected it to run, got no facts of it")
+            raise RunError(f"{self.graph}: expected a running graph, got no record of it")
         self._noted = detached.begin(self.graph, facts["run"], os.getpid())
         output.flush()
         output.redirect(log_to(folder_of(self.graph) / detached.WORDS, fresh=True).fileno())
@@ -104,17 +104,17 @@ class DetachedRun:
         os.close(self._tells)
 
     def _end(self, exit_status: int, why: str, report: dict[str, Any] | None) -> None:
-        """Note how it ended, once, if its graph ever ran."""
+        """Record the outcome once, if the graph ever ran."""
         if self._noted is None or self._noted.ended:
             return
         try:
             detached.end(self._noted, exit_status, why, report)
         except OSError as error:
-            click.echo(f"{self.graph}: its end cannot be noted: {error.strerror}", err=True)
+            click.echo(f"{self.graph}: its outcome cannot be recorded: {error.strerror}", err=True)
 
 
 def attach(client: GraphClient) -> str:
-    """Show a graph on one line until Ctrl-C, which leaves it as it is; what to say then."""
+    """Show a graph on one line until Ctrl-C, which leaves it running; return a closing line."""
     console = terminal.console()
     with (
         Interruption() as asked,
@@ -138,7 +138,7 @@ def attach(client: GraphClient) -> str:
 
 
 def ended_line(found: detached.Detached) -> str:
-    """How a detached run ended."""
+    """Describe how a detached run ended."""
     status = "was killed" if found.exit_status is None else f"exit status {found.exit_status}"
     why = f": {found.why}" if found.why else ""
     report = f"; report: {found.report}" if found.report else ""

@@ -1,4 +1,4 @@
-"""Files that a command writes: tried before anything runs, written whole or not at all."""
+"""Output files of a command: checked before anything runs, written atomically."""
 
 import contextlib
 import json
@@ -13,7 +13,7 @@ from pipeline.whole_file import try_beside, write_whole
 
 
 def try_recording(path: Path, option: str) -> None:
-    """Raise `SettingsError` unless a file can be written there; nothing there is changed."""
+    """Raise `SettingsError` unless a file can be written there; change nothing."""
     try:
         _try(path)
     except (OSError, ValueError) as error:
@@ -21,7 +21,7 @@ def try_recording(path: Path, option: str) -> None:
 
 
 def try_report(path: Path, option: str) -> None:
-    """Likewise for `write_report`, which makes missing folders; those made here are removed."""
+    """Check a path for `write_report`, which creates missing folders; remove those made here."""
     try:
         with _folders_made(path.parent):
             _try(path)
@@ -32,7 +32,7 @@ def try_report(path: Path, option: str) -> None:
 
 
 def write_report(path: Path, report: dict[str, Any], option: str) -> str:
-    """Write a report, an older one staying until it is whole; returns why it is not written."""
+    """Replace a report atomically; return an error sentence, or an empty string."""
     text = json.dumps(report, indent=1)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -56,23 +56,23 @@ def _try(path: Path) -> None:
 
 @contextlib.contextmanager
 def _folders_made(folder: Path) -> Iterator[None]:
-    """With this folder and those above it; what had to be made for it goes again."""
+    """Create a folder and its parents for the block; remove those created."""
     missing = [f for f in (folder, *folder.parents) if not f.exists()]
     made: list[Path] = []
     try:
         for one in reversed(missing):
-            with contextlib.suppress(FileExistsError):  # someone else made it meanwhile
+            with contextlib.suppress(FileExistsError):  # created by another process meanwhile
                 one.mkdir()
                 made.append(one)
         yield
     finally:
         for one in reversed(made):
-            with contextlib.suppress(OSError):  # someone has put something there
+            with contextlib.suppress(OSError):  # another process has put a file there
                 one.rmdir()
 
 
 def _is_special(path: Path) -> bool:
-    """Whether it is a device or a pipe, which nothing can take the place of."""
+    """Whether it is a device or a pipe, which cannot be replaced by a file."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 

@@ -1,4 +1,4 @@
-"""`fovea agent`, `fovea up`, `fovea down`, `fovea secure`: the commands for several hosts."""
+"""`fovea agent | up | attach | down | export | secure`: the commands for several hosts."""
 
 import logging
 from collections.abc import Callable
@@ -44,19 +44,19 @@ from pipeline.signals import Interruption
 
 GRAPH = click.argument("graph", type=GRAPH_FILE)
 CREDENTIALS = click.option(
-    "--credentials", type=click.Path(path_type=Path, file_okay=False), help="Who you are."
+    "--credentials", type=click.Path(path_type=Path, file_okay=False), help="Your credentials."
 )
 
 
 @click.command("agent")
 @click.option("--config", type=click.Path(path_type=Path, dir_okay=False), help="The agent's file.")
 @click.option(
-    "--label", default="", help="Without a file: this host's label; any operator of yours may run."
+    "--label", default="", help="Without --config: this host's label; any operator may run."
 )
-@click.option("--state", type=click.Path(path_type=Path, file_okay=False), help="Instead of its.")
-@click.option("--unit", is_flag=True, help="Print a systemd unit and leave.")
+@click.option("--state", type=click.Path(path_type=Path, file_okay=False), help="State folder.")
+@click.option("--unit", is_flag=True, help="Print a systemd unit and exit.")
 def agent_command(config: Path | None, label: str, state: Path | None, unit: bool) -> None:
-    """Run parts of graphs on this host for those who may deploy them."""
+    """Run parts of graphs on this host for its users, as permitted by its configuration."""
     if unit:
         config = config or Path("agent.yaml")
         known = read(config).state if config.is_file() else config.resolve().parent
@@ -73,7 +73,7 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
         own = replace(own, file=replace(own.file, state=str(state.resolve())))
     with Interruption(last=True) as asked, Agent(own, Reaper()) as agent:
         asked.on_signal = agent.stop
-        if asked.count:  # while it came up
+        if asked.count:  # asked to end during the start
             agent.stop()
         agent.run()
     logging.getLogger(__name__).info("host %s: stopped", own.label)
@@ -86,12 +86,12 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
     "words",
     multiple=True,
     metavar="LABEL=ADDRESS,…",
-    help="Where hosts are; else as the credentials know, else on this machine.",
+    help="Addresses of hosts; default: from the credentials, else this machine.",
 )
 @CREDENTIALS
 @renamed_option("--papers", "--credentials")
-@click.option("--replace", "again", is_flag=True, help="Also where the graph runs already.")
-@click.option("--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file.")
+@click.option("--replace", "again", is_flag=True, help="Replace the graph where it already runs.")
+@click.option("--source", type=SOURCE_FILE, help="Source of frames: a shipped one or a file.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node.")
 @JSON
@@ -99,7 +99,7 @@ def up_command(
     graph: Path, words: tuple[str, ...], credentials: Path | None, again: bool,
     source: Path | None, changes: tuple[str, ...], wanted: tuple[str, ...], as_json: bool,
 ) -> None:  # fmt: skip
-    """Start a graph on the hosts that its `host` labels name, through their agents."""
+    """Start a graph on the hosts that its nodes name, through their agents."""
     plan = load(graph, Overlay(source, changes, "", wanted))
     with Fleet(read_hosts(words, credentials, plan.hosts)) as fleet:
         up(fleet, plan, again=again)
@@ -121,10 +121,10 @@ def up_command(
 def attach_command(
     graph: str, words: tuple[str, ...], credentials: Path | None, as_json: bool
 ) -> None:
-    """Watch a graph that runs here until Ctrl-C, or look after one on hosts, deployed elsewhere.
+    """Watch a running graph of this host until Ctrl-C, or adopt one on hosts, deployed elsewhere.
 
-    Ctrl-C leaves the graph as it is. `ps`, `top`, `stop` and the rest reach a graph on hosts from
-    now on.
+    Ctrl-C leaves the graph running. After adoption, `ps`, `top`, `stop` and the other commands
+    reach the deployed graph from here.
     """
     if not words and credentials is None and graph in running():
         if as_json:
@@ -160,13 +160,13 @@ def down_command(graph: str, as_json: bool) -> None:
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("credentials"),
     show_default=True,
-    help="The folder of `fovea secure`.",
+    help="Folder made by `fovea secure`.",
 )
-@click.option("--user", "name", metavar="NAME", help="Who deploys; without it, you.")
+@click.option("--user", "name", metavar="NAME", help="User who deploys; default: you.")
 @renamed_option("--papers", "--credentials")
 @renamed_option("--person", "--user")
 def export_command(engine: str, graph: Path, credentials: Path, name: str | None) -> None:
-    """Print a graph's hosts as units or manifests for an engine of your own."""
+    """Print a graph's hosts as units or manifests for another engine."""
     who = check_user(name or default_user(), "--user")
     bundle = Bundle(graph.resolve(), credentials.resolve(), who)
     click.echo(KINDS[engine](load(graph), bundle), nl=False)
@@ -174,18 +174,18 @@ def export_command(engine: str, graph: Path, credentials: Path, name: str | None
 
 @click.group("secure")
 def secure_commands() -> None:
-    """A private certificate authority for your hosts, nodes and users."""
+    """Manage a private certificate authority for hosts, nodes and users."""
 
 
 def _identities(command: Callable[..., None]) -> Callable[..., None]:
-    """The folder of an authority, and for whom credentials are made."""
+    """Declare the authority's folder and the identities that get credentials."""
     for option in (
         renamed_option("--person", "--user"),
-        click.option("--user", "users", multiple=True, metavar="NAME", help="Who may deploy."),
+        click.option("--user", "users", multiple=True, metavar="NAME", help="May deploy."),
         click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE, help="For its nodes."),
         renamed_option("--box", "--host"),
         click.option(
-            "--host", "hosts", multiple=True, metavar="LABEL=ADDRESS", help="Of an agent."
+            "--host", "hosts", multiple=True, metavar="LABEL=ADDRESS", help="Agent's host."
         ),
         click.argument(
             "folder", type=click.Path(path_type=Path, file_okay=False), metavar="CREDENTIALS"
@@ -198,14 +198,14 @@ def _identities(command: Callable[..., None]) -> Callable[..., None]:
 @secure_commands.command("init")
 @_identities
 def init_command(folder: Path, **named: Any) -> None:
-    """Make an authority, and credentials for hosts, users and the nodes of graphs."""
+    """Create an authority, and credentials for hosts, users and the nodes of graphs."""
     _add(folder, fresh=True, **named)
 
 
 @secure_commands.command("add")
 @_identities
 def add_command(folder: Path, **named: Any) -> None:
-    """Make credentials that are missing below an authority; renew those that end soon."""
+    """Create missing credentials of an authority; renew those that expire soon."""
     _add(folder, fresh=False, **named)
 
 

@@ -1,4 +1,4 @@
-"""`fovea ps | top | health | schema | logs | echo | hz`: looking at running graphs."""
+"""`fovea ps | top | health | schema | logs | echo | hz`: inspect running graphs."""
 
 import itertools
 import time
@@ -55,7 +55,7 @@ def ps(as_json: bool) -> None:
 
 @click.command()
 @click.argument("graph", required=False, type=RUNNING)
-@click.option("--once", is_flag=True, help="Print one table and leave.")
+@click.option("--once", is_flag=True, help="Print one table and exit.")
 @click.option("--every-s", default=1.0, type=INTERVAL_S, show_default=True)
 @JSON
 def top(graph: str | None, once: bool, every_s: float, as_json: bool) -> None:
@@ -73,7 +73,7 @@ def top(graph: str | None, once: bool, every_s: float, as_json: bool) -> None:
     if once:
         console.print(*found)
         return
-    if not console.is_terminal:  # a pipe: one after the other
+    if not console.is_terminal:  # a pipe: print one after the other
         for table in found:
             console.print(table)
         return
@@ -86,7 +86,7 @@ def top(graph: str | None, once: bool, every_s: float, as_json: bool) -> None:
 @click.argument("graph", required=False, type=RUNNING)
 @JSON
 def health_command(graph: str | None, as_json: bool) -> None:
-    """Ask every node of a running graph, or of all of them, how it is; on all hosts."""
+    """Show the health of every node of one or all running graphs, on all hosts."""
     asked = {graph: clients.find(graph)} if graph else clients.graphs()
     if not asked:
         raise RunError("expected a running graph, got none")
@@ -108,9 +108,9 @@ def health_command(graph: str | None, as_json: bool) -> None:
 @GRAPH
 @NODE
 @renamed_option("--graph", "`fovea schema GRAPH NODE`")
-@click.option("--json", is_flag=True, expose_value=False, help="It is JSON anyway.")
+@click.option("--json", is_flag=True, expose_value=False, help="The result is always JSON.")
 def schema_command(graph: str, node: str) -> None:
-    """Print what a running node takes and gives, its settings and its commands."""
+    """Print inputs, outputs, settings and commands of a running node."""
     print_json(fields_of(clients.find(graph).schema(node)))
 
 
@@ -122,7 +122,7 @@ def schema_command(graph: str, node: str) -> None:
 @click.option("--lines", "-n", default=40, type=LINES, show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 def logs(graph: str, node: str | None, follow: bool, lines: int, as_json: bool) -> None:
-    """Show what a node wrote, also after it ended; without NODE, what a detached run printed."""
+    """Show a node's log, also after it has ended; without NODE, the output of a detached run."""
     if node is None and (follow or detached.noted(graph) is None):
         raise click.UsageError(f"expected `fovea logs GRAPH NODE`, got {harmless(graph)} alone")
     found = (
@@ -141,10 +141,10 @@ def logs(graph: str, node: str | None, follow: bool, lines: int, as_json: bool) 
 @GRAPH
 @OUTPUT
 @renamed_option("--graph", "`fovea echo GRAPH NODE[.OUTPUT]`")
-@click.option("--count", default=0, type=FRAMES_OR_NONE, help="Leave after so many.")
+@click.option("--count", default=0, type=FRAMES_OR_NONE, help="Exit after this many.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object a line.")
 def echo(graph: str, output: str, count: int, as_json: bool) -> None:
-    """Print the messages of an output as they come."""
+    """Print the messages of an output as they arrive."""
     for item in listening.echo(clients.find(graph).listen(output), count):
         if as_json:
             print_json(listening.plain(item), compact=True)
@@ -168,7 +168,7 @@ def hz(graph: str, output: str, duration_s: float, as_json: bool) -> None:
 
 
 def _looks(client: GraphClient, every_s: float) -> Iterator[tuple[Status, Status, float]]:
-    """The status, the one before it and the seconds between, until the graph ends."""
+    """Yield former status, current status and seconds between, until the graph ends."""
     with client.watching() as look:
         before, at_s = look(), time.monotonic()
         time.sleep(min(every_s, 1.0))

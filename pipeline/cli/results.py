@@ -1,4 +1,4 @@
-"""Results of orders to running graphs, as lines for a terminal."""
+"""Format results of orders to running graphs as lines for a terminal."""
 
 from pipeline.node.operator_state import lost_words
 from pipeline.protocol.codec import fields_of
@@ -6,7 +6,7 @@ from pipeline.protocol.orders import ShadowReport, SwapResult, TopologyResult
 
 
 def topology_lines(result: TopologyResult) -> list[str]:
-    """What was changed.
+    """Return a line per kind of change.
 
     >>> topology_lines(TopologyResult(added=["eye"], removed=[], connected=["a -> e.x"], cut=[]))
     ['added: eye', 'connected: a -> e.x']
@@ -15,13 +15,13 @@ def topology_lines(result: TopologyResult) -> list[str]:
 
 
 def swap_lines(result: SwapResult) -> list[str]:
-    """How a swap went.
+    """Describe a completed swap.
 
     >>> swap_lines(SwapResult(node="a", hot=True, seq=7, gap_ms=1.25, state="none",
     ...                       proven_frames=30))
     ['a: swapped after frame 7, stood still for 1.2 ms, state none, 30 frames of probation']
 
-    What the operator kept and did not declare is a line of its own.
+    State that the operator kept but did not declare has a line of its own.
     """
     cut = f"after frame {result.seq}" if result.hot else "by stopping and starting"
     words = [

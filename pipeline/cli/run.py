@@ -1,4 +1,4 @@
-"""`fovea run | check | draw`: a graph file, what is laid over it, and what becomes of it."""
+"""`fovea run | check | draw`: load a graph file with overlays, and run, check or draw it."""
 
 import json
 import sys
@@ -29,20 +29,20 @@ from pipeline.run.rundir import folder_of
 from pipeline.run.verdict import crashed
 from pipeline.text import harmless
 
-CRASHED = 3  # the exit status of a run that came to its end although processes crashed
+CRASHED = 3  # exit status of a run that completed although processes crashed
 console = terminal.console()
 GRAPH = click.argument("graph", type=GRAPH_FILE)
 
 
 def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The options that lay something over a graph file."""
+    """Add the options that overlay a graph file."""
     for option in (
         click.option(
-            "--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file."
+            "--source", type=SOURCE_FILE, help="Source of frames: a shipped one or a file."
         ),
         click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE"),
         click.option("--clock", type=click.Choice(["realtime", "lockstep"])),
-        click.option("--with", "wanted", multiple=True, metavar="NODE", help="A manual node."),
+        click.option("--with", "wanted", multiple=True, metavar="NODE", help="Manual node to run."),
     ):
         command = option(command)
     return command
@@ -52,16 +52,16 @@ def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
 @GRAPH
 @overlaid
 @click.option("--inline", is_flag=True, help="One thread, no processes, in lockstep.")
-@click.option("--frames", type=FRAMES, help="Stop after so many exposures.")
-@click.option("--duration-s", type=DURATION_S, help="Stop after this.")
+@click.option("--frames", type=FRAMES, help="Stop after this many exposures.")
+@click.option("--duration-s", type=DURATION_S, help="Stop after this time.")
 @click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
 @click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
 @click.option("--verbose", is_flag=True, help="Print every edge and stage below the verdict.")
-@click.option("--detach", is_flag=True, help="Return when it runs; `fovea stop` ends it.")
-@click.option("--json", "as_json", is_flag=True, help="With --detach: where it runs, as JSON.")
+@click.option("--detach", is_flag=True, help="Return once it runs; `fovea stop` stops it.")
+@click.option("--json", "as_json", is_flag=True, help="With --detach: print JSON.")
 @click.option("--detached", type=int, hidden=True)
 def run(detach: bool, as_json: bool, detached: int | None, **given: Any) -> None:
-    """Run a graph until its source ends, a limit, or Ctrl-C."""
+    """Run a graph until its source ends, a limit or Ctrl-C."""
     if given["frames"] and given["duration_s"]:
         raise click.UsageError("--frames and --duration-s: give one of them")
     if given["inline"] and (given["clock"] == "realtime" or given["duration_s"]):
@@ -89,7 +89,7 @@ def _run(
     when_it_runs: Callable[[str], None] | None = None,
     note: Callable[[int, str, Report], None] = lambda *_: None, **laid: Any,
 ) -> int:  # fmt: skip
-    """Run it here; the exit status."""
+    """Run in this process; return the exit status."""
     if inline:
         laid["clock"] = "lockstep"
     if report:
@@ -149,7 +149,7 @@ def _detach(given: Mapping[str, Any], *, as_json: bool) -> None:
 @click.argument("graph", required=False, type=GRAPH_FILE)
 @overlaid
 @click.option("--schema", is_flag=True, help="Print the JSON Schema of graph files.")
-@click.option("--no-import", is_flag=True, help="Look at the files alone, execute nothing of them.")
+@click.option("--no-import", is_flag=True, help="Check only the files, without running any code.")
 @JSON
 def check(graph: Path | None, schema: bool, no_import: bool, as_json: bool, **laid: Any) -> None:
     """Check a graph without starting anything."""

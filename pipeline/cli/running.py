@@ -1,4 +1,4 @@
-"""`fovea run`: a plan, as processes or in line, with a live line; the report comes back."""
+"""Run a plan, as processes or in line, with a status line; return the report."""
 
 import threading
 import time
@@ -27,21 +27,21 @@ from pipeline.terminal import pair
 from pipeline.text import harmless
 
 REFRESH_S = 0.25
-MOST_TRACEBACK = 20_000  # characters that are shown of one
+MOST_TRACEBACK = 20_000  # characters of a displayed traceback
 
 
 def inline(
     plan: Plan, frames: int, console: Console, asked: Interruption, *, verbose: bool = False
 ) -> Report:
-    """Run in this thread, frame by frame, until it is asked to end.
+    """Run in this thread, frame by frame, until a signal.
 
-    A frame that takes longer than a run may take to stop is given up; what is known is reported.
-    An operator that breaks over a frame is the report's `failure`, with its traceback if `verbose`.
+    A frame that takes too long after a signal is aborted; the report covers the frames before. The
+    exception of an operator becomes the report's `failure`, with its traceback if `verbose`.
     """
     name = TextColumn("{task.description}", markup=False)
     columns = (SpinnerColumn(), name, MofNCompleteColumn(), TimeElapsedColumn())
     runner, report, failure = _loaded(plan), None, ""
-    broken: list[BaseException] = []  # what ended threads that operators started
+    broken: list[BaseException] = []  # exceptions that ended threads of operators
     try:
         with (
             asked.giving_up(STOP_S), _thread_errors(broken), runner,
@@ -78,7 +78,7 @@ def _fovea_error(error: BaseException, told: str) -> FoveaError:
 
 
 def _told(error: BaseException, node: str) -> str:
-    """What an operator's error is, in a sentence; raises fovea's own and those of signals again."""
+    """Describe an operator's error in a sentence; re-raise fovea's own and those of signals."""
     if isinstance(error, FoveaError):
         return harmless(str(error))
     if is_signal(error):
@@ -88,7 +88,7 @@ def _told(error: BaseException, node: str) -> str:
 
 @contextmanager
 def _thread_errors(found: list[BaseException]) -> Iterator[None]:
-    """Note the errors that end threads which operators started."""
+    """Collect the exceptions that end threads of operators."""
     before = threading.excepthook
     threading.excepthook = lambda broken: found.extend(filter(None, [broken.exc_value]))
     try:
@@ -102,9 +102,9 @@ def processes(
     asked: Interruption | None = None, reaper: Reaper | None = None,
     when_it_runs: Callable[[str], None] | None = None,
 ) -> Report:  # fmt: skip
-    """Run as processes until the source ends, a limit, or it is asked to end.
+    """Run as processes until the source ends, a limit or a signal.
 
-    `when_it_runs` is called with the graph's name once every process works.
+    `when_it_runs` is called with the graph's name once every process is ready.
     """
     if asked is None:
         with Interruption() as asked:
@@ -136,7 +136,7 @@ def processes(
 
 
 def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
-    """One line: how far, how fast, what was lost."""
+    """Return one line with progress, rate and losses."""
     plan, ledger = supervisor.plan, supervisor.ledger
     name = min(supervisor.manager.source_names, default=plan.nodes[0].name)
     source = ledger.nodes[plan.node(name).index]
@@ -155,7 +155,7 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
 
 
 def advice(plan: Plan) -> Iterator[str]:
-    """What a graph's operators have to say about it before it runs (`Operator.advise`)."""
+    """Yield what the operators advise before the run (`Operator.advise`)."""
     source = {SOURCE: _settings(next(sources(plan)))} if any(sources(plan)) else {}
     for node in plan.nodes:
         edges = plan.inputs(node.name).values()
@@ -163,7 +163,7 @@ def advice(plan: Plan) -> Iterator[str]:
         try:
             lines = list(load_operator(node.operator).advise(_settings(node), upstream))
         except WeightsError as error:
-            if not node.host:  # else they are for another computer to have
+            if not node.host:  # otherwise another host has to have them
                 raise WeightsError(f"{node.name}: {error}") from error
             lines = [f"on {node.host}: {error}"]
         except FoveaError:

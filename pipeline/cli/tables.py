@@ -1,4 +1,4 @@
-"""Running graphs as tables, wherever they run: names and sentences stand as they came."""
+"""Tables of running graphs, local or deployed; names and sentences are not interpreted."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,26 +17,26 @@ Cell = str | Text
 
 
 def condition(said: Said) -> str:
-    """Of a host, for the nodes of which it says nothing: `lost`, `gone` or its part's phase."""
+    """Return the state of nodes without a report: `lost`, `gone` or the phase of the host."""
     if isinstance(said, str):
         return LOST
     return said[0].phase if said else "gone"
 
 
 def absent(said: Said, nodes: Iterable[str]) -> list[str]:
-    """The nodes that were started on a host and are in none of its processes now."""
+    """Return the nodes that were started on a host and are in none of its processes now."""
     states = () if isinstance(said, str) else said
     there = {name for state in states for process in state.processes for name in process.nodes}
     return [name for name in nodes if name not in there]
 
 
 def nodes_of(nodes: Mapping[str, str], label: str) -> list[str]:
-    """Of nodes by label, those of a host."""
+    """Return the nodes of a host."""
     return [node for node, host in nodes.items() if host == label]
 
 
 def process_table(found: Iterable[Status]) -> Table:
-    """Every process of every graph, every host that is silent, every node that is not there."""
+    """Return a table of all processes, and of silent hosts and missing nodes."""
     found = list(found)
     several = any(label for status in found for label in status.hosts)
     table = lean_table(
@@ -52,7 +52,7 @@ def process_table(found: Iterable[Status]) -> Table:
 
 
 def top_tables(before: Status, now: Status, seconds: float) -> Group:
-    """Edges, nodes and, where there are several, hosts; with rates since the time before."""
+    """Return tables of edges, nodes and, if there are several, hosts, with rates since `before`."""
     several = any(now.hosts)
     where = ["host"] if several else []
     edges = lean_table(
@@ -88,7 +88,7 @@ def top_tables(before: Status, now: Status, seconds: float) -> Group:
 
 
 def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
-    """A line per node: which does not answer, stalls, loses."""
+    """Return a table with the state and problems of every node."""
     table = lean_table(
         names=("graph", "node"), words=("state", "what is wrong"),
         figures=("pid", "epoch", "frame", "own MB"),
@@ -109,7 +109,7 @@ def health_table(found: Mapping[str, Mapping[str, Health | None]]) -> Table:
 
 
 def settings_table(answer: NodeSettings) -> Table:
-    """Every setting of a node and whether it can be changed now."""
+    """Return a table of a node's settings and whether each is live."""
     table = lean_table(names=("setting",), words=("value", "live"), spare=("live",))
     for name, value in answer.settings.items():
         _add(table, name, json.dumps(value), "yes" if name in answer.live else "")
@@ -117,7 +117,7 @@ def settings_table(answer: NodeSettings) -> Table:
 
 
 def live_line(status: Status) -> str:
-    """A graph on one line: how far, how fast, what was lost."""
+    """Return one line with a graph's progress, rate and losses."""
     states = [
         state for said in status.hosts.values() if not isinstance(said, str) for state in said
     ]
@@ -146,9 +146,9 @@ def _sent(status: Status) -> dict[tuple[str, str], int]:
 
 
 def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tuple[Cell, ...]]:
-    """Host, process, state, nodes and figures: of processes, and of what should run and does not.
+    """Yield rows of processes and of missing nodes: host, process, state, nodes and figures.
 
-    A host with more to tell than that its part runs has a line of its own.
+    A host with anything to report but that its part runs has a row of its own.
     """
     figures = [""] * 5
     if not said or isinstance(said, str):
@@ -169,7 +169,7 @@ def _process_rows(label: str, said: Said, nodes: Sequence[str]) -> Iterator[tupl
 
 
 def _add(table: Table, *cells: Cell) -> None:
-    """What comes from outside is no markup: `[/dev/video0]` would end a style that never began."""
+    """Add untrusted cells without markup: Rich would read `[/dev/video0]` as a closing tag."""
     table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in cells))
 
 

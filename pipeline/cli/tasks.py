@@ -1,6 +1,6 @@
-"""`fovea train TASK`, `fovea eval TASK`: a task file names the commands, as a graph its operators.
+"""`fovea train TASK`, `fovea eval TASK`: a task file names the import paths of both commands.
 
-The shipped tasks lie in graphs/tasks; a path names one of the user's own.
+The shipped tasks are in graphs/tasks; a path names one of the user's own.
 """
 
 import sys
@@ -19,7 +19,7 @@ VERBS = ("train", "eval")
 
 
 def find(task: str) -> Path:
-    """The file of a task, by name or path; raises `GraphError`."""
+    """Return the file of a task, by name or path; raises `GraphError`."""
     if task.endswith((".yaml", ".yml")):
         return Path(task)
     known = [path.stem for path in sorted(TASKS.glob("*.yaml")) if commands_of(path)]
@@ -29,13 +29,13 @@ def find(task: str) -> Path:
 
 
 def commands_of(path: Path) -> dict[str, str]:
-    """Import paths of a task file by verb; empty for a YAML file that is none."""
+    """Return the import paths of a task file by verb; empty for any other YAML file."""
     document = YamlFile(path).document
     return {verb: str(document[verb]) for verb in VERBS if verb in document}
 
 
 def command_of(task: str, verb: str) -> click.Command:
-    """The command behind a verb; raises `GraphError` naming the file."""
+    """Return the command of a verb; raises `GraphError` naming the file."""
     path = find(task)
     known = commands_of(path)
     if verb not in known:
@@ -53,7 +53,7 @@ def command_of(task: str, verb: str) -> click.Command:
 
 
 def task_command(verb: str, summary: str) -> click.Command:
-    """`fovea VERB TASK …`, which hands everything after TASK on."""
+    """Return the command `fovea VERB TASK …`, which passes on everything after TASK."""
 
     @click.command(
         verb, help=summary, context_settings={"ignore_unknown_options": True}, add_help_option=False
@@ -73,4 +73,4 @@ def task_command(verb: str, summary: str) -> click.Command:
 
 
 train_command = task_command("train", "Train the networks of a task.")
-eval_command = task_command("eval", "Measure a task: figures, tables, plots.")
+eval_command = task_command("eval", "Evaluate a task: figures, tables, plots.")

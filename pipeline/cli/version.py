@@ -1,4 +1,4 @@
-"""`fovea version`: what is installed, in one line or as JSON."""
+"""`fovea version`: print the installed version, in one line or as JSON."""
 
 import click
 

@@ -1,4 +1,4 @@
-"""The client of running graphs, here or on several hosts: questions, orders, taps, status.
+"""Clients of running graphs, local or deployed: questions, orders, taps, status.
 
-`pipeline.client.find` gives the client of a graph. Nothing here prints or reads a command line.
+`pipeline.client.find` returns the client of a graph. Nothing here prints or parses a command line.
 """

@@ -1,4 +1,4 @@
-"""A graph that runs on several hosts: everything asked of it goes through their agents."""
+"""Client of a graph on several hosts: every request goes through their agents."""
 
 import logging
 import time
@@ -46,36 +46,36 @@ from pipeline.protocol.questions import (
     NodeSettings,
 )
 
-ASK_S = 8.0  # the node's own timeout, and the way
-AT_ONCE = 4  # nodes; one that hangs must not hold up the others
-FOLLOW_S = 0.5  # between two looks at a log
-FOLLOWED = 1000  # lines of a log that are looked at each time
+ASK_S = 8.0  # the node's own timeout plus transport
+AT_ONCE = 4  # nodes asked at once; one that hangs must not delay the others
+FOLLOW_S = 0.5  # interval between reads of a log
+FOLLOWED = 1000  # lines of a log read each time
 log = logging.getLogger(__name__)
 
 
 class DeployedGraph(GraphClient):
-    """A graph that was deployed from here, or attached to."""
+    """A graph that was deployed from, or attached to, this host."""
 
     def __init__(self, name: str, hosts: Hosts) -> None:
         self.name, self.hosts = name, hosts
 
     def runs(self) -> bool:
-        """Whether it is still deployed, as far as is known here."""
+        """Whether the graph is still deployed, as far as this host knows."""
         return self.name in remembered()
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of its nodes on all hosts."""
+        """The names of the nodes on all hosts."""
         return tuple(self.hosts.nodes)
 
     def ask(self, node: str, question: NodeQuestion) -> bytes:
-        """One node's answer or refusal; raises `FoveaError` for no such node, or for silence."""
+        """Return a node's reply; raises `FoveaError` for an unknown node or a timeout."""
         with self._way(node) as (fleet, label):
             return self._ask(fleet, label, node, question)
 
     def configure(self, node: str, changes: Mapping[str, Any]) -> NodeSettings:
-        """Change live settings; files go along as at `fovea up`.
+        """Change live settings; files are sent as by `fovea up`.
 
-        What is no live setting is refused before a file is sent.
+        Settings that are not live are refused before any file is sent.
         """
         with self._way(node) as (fleet, label):
             moved, files = carried(changes)
@@ -88,7 +88,7 @@ class DeployedGraph(GraphClient):
             return decode_answer(NodeSettings, asked)
 
     def health(self) -> dict[str, Health | None]:
-        """What every node says; None for one that is silent, or whose host is."""
+        """Return every node's health; None where the node or its host does not answer."""
         with Fleet(self.hosts) as fleet, ThreadPoolExecutor(AT_ONCE) as pool:
             states = fleet.states(self.name)
             there = {label for label, said in states.items() if not isinstance(said, str)}
@@ -106,13 +106,13 @@ class DeployedGraph(GraphClient):
             return dict(zip(nodes, pool.map(health, nodes), strict=True))
 
     def status(self) -> Status:
-        """What `ps` and `top` show."""
+        """Return the status that `ps` and `top` show."""
         with self.watching() as look:
             return look()
 
     @contextmanager
     def watching(self) -> Iterator[Callable[[], Status]]:
-        """A way to look again and again, over one session."""
+        """Yield a function that returns the current status, over one session."""
         with Fleet(self.hosts) as fleet:
             yield lambda: Status(
                 graph=self.name,
@@ -121,7 +121,7 @@ class DeployedGraph(GraphClient):
             )
 
     def swap(self, order: SwapOrder) -> SwapResult:
-        """Replace a node; files go along as at `fovea up`."""
+        """Replace a node; files are sent as by `fovea up`."""
         with self._way(order.node) as (fleet, label):
             changes, files = carried(order.changes)
             send_files(fleet, label, files)
@@ -131,9 +131,9 @@ class DeployedGraph(GraphClient):
             return of_kind(SwapResult, judged(decode(RESULT, said.payload)))
 
     def replan(self, edit: Edit) -> TopologyResult:
-        """Have it become what `edit` makes of its plan, host by host; all of it or nothing.
+        """Apply an edit to the plan, host by host; undo it everywhere if one host fails.
 
-        Raises `FoveaError`, also for an edge between hosts, which stays as it was deployed.
+        Raises `FoveaError`, also for a change of an edge between hosts.
         """
         with Fleet(self.hosts) as fleet:
             plans, revisions = self._plans(fleet)
@@ -147,7 +147,7 @@ class DeployedGraph(GraphClient):
             try:
                 for label, plan in parts.items():
                     send_files(fleet, label, files)
-                    begun.append(label)  # one that does not answer may have changed, too
+                    begun.append(label)  # a host that does not answer may have changed, too
                     done[label] = self._change(fleet, label, plans[label], plan, revisions[label])
             except BaseException:
                 self._take_back(fleet, {label: plans[label] for label in begun})
@@ -162,13 +162,13 @@ class DeployedGraph(GraphClient):
         )  # fmt: skip
 
     def stop(self) -> Stopped:
-        """End it on all its hosts, and wait for that; raises `RunError` for those not reached."""
+        """Stop the graph on all hosts and wait; raises `RunError` for hosts that do not answer."""
         if missing := down(self.name, self.hosts):
             raise RunError("; ".join(missing))
         return Stopped(graph=self.name)
 
     def logs(self, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
-        """The last lines of a node's log, then what is added."""
+        """Yield the last lines of a node's log, then new ones if `follow`."""
         with self._log_way(node) as (fleet, label):
             seen = self._log(fleet, label, node, FOLLOWED if follow else lines)
             yield from seen[-lines:] if lines else ()
@@ -179,11 +179,11 @@ class DeployedGraph(GraphClient):
                 seen = now
 
     def listen(self, output: str) -> Listener:
-        """A tap on `node` or `node.output`; raises `RunError` for an output that does not exist."""
+        """Return a tap on `node` or `node.output`; raises `RunError` for an unknown output."""
         return RelayedTap(self, self.hosts, output)
 
     def _plans(self, fleet: Fleet) -> tuple[dict[str, Plan], dict[str, int]]:
-        """What every host was asked to run, and which revision of it runs there."""
+        """Return the plan that every host runs, and its revision there."""
         told = {label: self._planned(fleet, label) for label in self.hosts.points}
         plans = {label: one.plan for label, one in told.items()}
         return plans, {label: one.revision for label, one in told.items()}
@@ -207,7 +207,7 @@ class DeployedGraph(GraphClient):
         return of_kind(TopologyResult, judged(decode(RESULT, said.payload)))
 
     def _take_back(self, fleet: Fleet, plans: Mapping[str, Plan]) -> None:
-        """Let hosts that run something else run what they ran before, as far as they answer."""
+        """Roll hosts back to their former plans, as far as they answer."""
         for label, plan in plans.items():
             try:
                 now = self._planned(fleet, label)
@@ -247,13 +247,13 @@ class DeployedGraph(GraphClient):
 
 
 def send_files(fleet: Fleet, label: str, files: Mapping[str, Any]) -> None:
-    """Give a host those of the files that it allows and lacks."""
+    """Send a host those of the files that it accepts and lacks."""
     lacking = fleet.ask(label, "lacks", wire.Lacks(tuple(files)), wire.Missing).digests
     send_weights(fleet, label, lacking, files)
 
 
 def _overlap(seen: tuple[str, ...], now: tuple[str, ...]) -> int:
-    """How many of the lines now were there before: they end as the ones before do.
+    """Return how many of the first lines in `now` were seen before.
 
     >>> _overlap(("a", "b", "c"), ("b", "c", "d")), _overlap(("c",), ("a", "b", "c", "d"))
     (2, 3)

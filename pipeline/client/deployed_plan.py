@@ -1,4 +1,4 @@
-"""The plan of a deployed graph: put together from its hosts, and taken apart again when changed."""
+"""The plan of a deployed graph: merged from its hosts' plans, and split into them again."""
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
@@ -12,7 +12,7 @@ Item = TypeVar("Item", Node, Edge)
 
 
 def merged(plans: Mapping[str, Plan]) -> Plan:
-    """The whole plan: of every host its own nodes, and the edges that end at them."""
+    """Return the whole plan: the nodes of every host and the edges that end at them."""
     first = next(iter(plans.values()))
     nodes = [n for label, plan in plans.items() for n in plan.nodes if n.host == label]
     edges = [
@@ -22,7 +22,7 @@ def merged(plans: Mapping[str, Plan]) -> Plan:
 
 
 def changed(before: Plan, wanted: Plan, plans: Mapping[str, Plan]) -> dict[str, Plan]:
-    """By host where something changes, the plan that it is to run; raises `GraphError`."""
+    """Return the new plan of every host that changes; raises `GraphError`."""
     was, shall = ({ends_of(e): e for e in plan.edges} for plan in (before, wanted))
     for ends in sorted(was.keys() ^ shall.keys(), key=lambda ends: (ends in shall, ends)):
         plan, edge = (wanted, shall[ends]) if ends in shall else (before, was[ends])
@@ -56,6 +56,6 @@ def _check_inside(plan: Plan, edge: Edge, verb: str) -> None:
 
 
 def _fresh(items: Iterable[Item], taken: Collection[int]) -> list[Item]:
-    """Items with the first numbers that are free."""
+    """Return the items with the lowest free numbers."""
     free = (number for number in range(1 << 16) if number not in taken)
     return [replace(item, index=next(free)) for item in items]

@@ -1,8 +1,7 @@
-"""Messages read by the schema that their sender tells, without the class that they are of.
+"""Decode messages by the schema that their sender announces, without importing their class.
 
-A schema is a text, `Name(field:kind,…)`, as `pipeline.codec` makes it: the fields in their order,
-and which of them hold arrays. Bytes are trusted as little as there: whatever does not fit is a
-`MessageError`.
+A schema is a text `Name(field:kind,…)` as in `pipeline.codec`: the fields in order, and which of
+them hold arrays. As there, bytes are untrusted: whatever does not match raises `MessageError`.
 """
 
 import hashlib
@@ -19,23 +18,23 @@ from pipeline.fields import DTYPES, Fetch
 from pipeline.messages import Header
 
 MOST_TEXT = 20_000  # characters of a schema
-MOST_DEPTH = 16  # of kinds within kinds
+MOST_DEPTH = 16  # nested levels of kinds
 OPENS, CLOSES = "([", ")]"
 
 
 @dataclass(frozen=True)
 class Described:
-    """A message: its header, and the values of its other fields by name."""
+    """A decoded message: its header, and the values of its other fields by name."""
 
     header: Header
     values: dict[str, Any]  # arrays are arrays, dataclasses are mappings
 
 
 class Description:
-    """A schema; reads what was written by it."""
+    """A schema that decodes messages."""
 
     def __init__(self, text: str) -> None:
-        """Raises `MessageError` for a text that is no schema of a message."""
+        """Parse a schema; raises `MessageError` for an invalid one."""
         if len(text) > MOST_TEXT:
             raise MessageError(f"schema: expected up to {MOST_TEXT} characters, got {len(text)}")
         self.fingerprint = hashlib.sha256(text.encode()).digest()[:8]
@@ -44,7 +43,7 @@ class Description:
             raise MessageError(f"schema: {self.name[:80]}: expected a header, got none")
 
     def read(self, data: codec.Buffer, fetch: Fetch) -> Described:
-        """The message behind untrusted bytes; arrays are views of what `fetch` gives."""
+        """Decode untrusted bytes; arrays are views of what `fetch` returns."""
         whole = codec.parse(msgspec.msgpack.decode, data, self.name)
         values = _whole(whole, self._fields, fetch, self.name)
         header = codec.unpack(Header, codec.to_bytes(values.pop("header")))
@@ -52,7 +51,7 @@ class Description:
 
 
 def fields_of(text: str) -> tuple[str, dict[str, str]]:
-    """Name and kinds of the fields of `Name(field:kind,…)`; raises `MessageError`.
+    """Return name and field kinds of `Name(field:kind,…)`; raises `MessageError`.
 
     >>> fields_of("Spot(header:Header(seq:int),at:array[<f4](n,2),word:str)")[1]["at"]
     'array[<f4](n,2)'
@@ -70,7 +69,7 @@ def fields_of(text: str) -> tuple[str, dict[str, str]]:
 
 
 def _split(text: str) -> list[str]:
-    """The parts between commas that stand in no bracket."""
+    """Split at commas outside brackets."""
     parts, depth, first = [], 0, 0
     for place, letter in enumerate(text):
         depth += (letter in OPENS) - (letter in CLOSES)
@@ -102,7 +101,7 @@ def _value(item: Any, kind: str, fetch: Fetch, where: str, depth: int) -> Any:
         raise MessageError(f"{where}: expected up to {MOST_DEPTH} levels")
     if kind.startswith("array["):
         return _array(item, fetch, where)
-    if "array[" not in kind:  # numbers, texts, and tuples and mappings of them
+    if "array[" not in kind:  # numbers, strings, and tuples and mappings of them
         return item
     if kind.startswith("tuple"):
         size, _, inner = kind.removeprefix("tuple").partition("[")

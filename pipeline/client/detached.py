@@ -1,7 +1,7 @@
-"""What a detached run leaves in its run folder: its words, how it ended, its report.
+"""Files of a detached run in its run folder: output, outcome and report.
 
-run.out          what it printed since it ran; bounded, run.out.old is what came before
-detached.json    the process, and, once it has ended, its exit status
+run.out          its output; bounded, older output is in run.out.old
+detached.json    the process and, once it has ended, its exit status
 report.json      its report
 """
 
@@ -19,36 +19,36 @@ from pipeline.run.rundir import folder_of, run_folders
 
 WORDS, RECORD, REPORT = "run.out", "detached.json", "report.json"
 MOST_BYTES = 64 << 10  # of a record
-MOST_WORDS = 1 << 20  # bytes of words that are read: the last
-WRITTEN_S = 20.0  # until a run that has ended has written so
+MOST_WORDS = 1 << 20  # bytes of output that are read, from the end
+WRITTEN_S = 20.0  # time for an ended run to record its outcome
 LOOK_S = 0.05
 
 
 class Detached(msgspec.Struct, kw_only=True):
-    """A run without a terminal."""
+    """The record of a run without a terminal."""
 
     graph: str
     run: str  # the id of the run
     pid: int
     started: str  # date and time
     ended: str = ""
-    exit_status: int | None = None  # None: it runs, or was killed
-    why: str = ""  # of an exit status that is not 0
-    report: str = ""  # the file
+    exit_status: int | None = None  # None: still running, or killed
+    why: str = ""  # reason of an exit status other than 0
+    report: str = ""  # path of the file
 
 
 _READ = msgspec.json.Decoder(Detached)
 
 
 def begin(graph: str, run: str, pid: int) -> Detached:
-    """Note a run that begins to be one without a terminal."""
+    """Record that a run has detached from its terminal."""
     found = Detached(graph=graph, run=run, pid=pid, started=_now())
     PrivateFolder(folder_of(graph)).write(RECORD, msgspec.json.encode(found))
     return found
 
 
 def end(found: Detached, exit_status: int, why: str, report: dict[str, Any] | None) -> None:
-    """Note how it ended, unless another run has begun; raises `OSError` when that cannot be."""
+    """Record the outcome unless another run has begun; raises `OSError` if writing fails."""
     newest = noted(found.graph)
     if newest is None or newest.run != found.run:
         return
@@ -61,7 +61,7 @@ def end(found: Detached, exit_status: int, why: str, report: dict[str, Any] | No
 
 
 def noted(graph: str) -> Detached | None:
-    """The newest detached run of a graph; None when there was none."""
+    """Return the latest detached run of a graph; None when there was none."""
     try:
         folder = PrivateFolder(folder_of(graph))
         found = _READ.decode(folder.read(RECORD, MOST_BYTES))
@@ -71,13 +71,13 @@ def noted(graph: str) -> Detached | None:
 
 
 def all_noted() -> dict[str, Detached]:
-    """The newest detached run of every graph, by name."""
+    """Return the latest detached run of every graph, by name."""
     found = {folder.path.name: noted(folder.path.name) for folder in run_folders()}
     return {name: one for name, one in found.items() if one is not None}
 
 
 def await_end(graph: str, run: str) -> Detached | None:
-    """What is noted of a run that has just ended; None when it was not a detached one."""
+    """Return the record of a run that has just ended; None when it was not detached."""
     late_s = time.monotonic() + WRITTEN_S
     while (found := noted(graph)) is not None and found.run == run:
         if found.ended or time.monotonic() > late_s:
@@ -87,7 +87,7 @@ def await_end(graph: str, run: str) -> Detached | None:
 
 
 def words(graph: str, lines: int) -> list[str]:
-    """The last lines that a detached run printed; raises `RunError` when there is none."""
+    """Return the last lines of a detached run's output; raises `RunError` when there is none."""
     try:
         with os.fdopen(PrivateFolder(folder_of(graph)).open(WORDS), "rb") as file:
             before = max(0, os.fstat(file.fileno()).st_size - MOST_WORDS)
@@ -97,7 +97,7 @@ def words(graph: str, lines: int) -> list[str]:
         raise RunError(f"{graph}: no detached run wrote anything") from error
     except OSError as error:
         raise RunError(f"{graph}: {WORDS}: cannot be read: {error.strerror}") from error
-    if before:  # in the middle of a line
+    if before:  # the first one is incomplete
         data = data.partition(b"\n")[2] or data
     return data.decode(errors="replace").splitlines()[-lines:] if lines else []
 

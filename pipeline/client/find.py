@@ -1,4 +1,4 @@
-"""The client of a graph by its name, wherever the graph runs."""
+"""Find the client of a graph by name, whether it runs here or is deployed."""
 
 from collections.abc import Iterator
 
@@ -13,9 +13,9 @@ from pipeline.settings import suggest
 
 
 def find(name: str = "") -> GraphClient:
-    """The graph of that name, the only one for ""; raises `RunError` when there is none.
+    """Return the graph of that name, or for "" the only one; raises `RunError` if there is none.
 
-    A part `graph@host` of a deployed graph is found by that name on its host.
+    The part of a deployed graph on this host is found by the name `graph@host`.
     """
     here, deployed = running(), remembered()
     if name in here:
@@ -31,9 +31,9 @@ def find(name: str = "") -> GraphClient:
 
 
 def graphs() -> dict[str, GraphClient]:
-    """Every graph that runs here or was deployed from here, by name.
+    """Return every graph that runs here or was deployed from here, by name.
 
-    The parts that run here of a graph that was deployed from here are the graph's own.
+    Local parts of a graph that was deployed from here are not listed separately.
     """
     here, deployed = running(), remembered()
     found: dict[str, GraphClient] = {
@@ -47,7 +47,7 @@ def graphs() -> dict[str, GraphClient]:
 
 
 def statuses() -> list[Status]:
-    """What `ps` shows of every graph; one that ends meanwhile is left out."""
+    """Return the status of every graph for `ps`, without those that end meanwhile."""
     found = []
     for client in graphs().values():
         try:
@@ -59,7 +59,7 @@ def statuses() -> list[Status]:
 
 
 def logs(graph: str, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
-    """The last lines of a node's log, also of a graph that ran here and has ended."""
+    """Yield the last lines of a node's log, also for a graph that ran here and has ended."""
     ended = graph not in running() and graph not in remembered()
     return (
         log_lines(graph, node, lines, follow=follow)

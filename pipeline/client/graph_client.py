@@ -1,4 +1,4 @@
-"""What can be asked of a running graph and what it can be told, wherever it runs."""
+"""Interface to a running graph, local or deployed: questions and orders."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,34 +28,34 @@ from pipeline.protocol.questions import (
 )
 from pipeline.settings import suggest
 
-ORDER_S = 300.0  # loading a model, a shadow run and probation take their time
-Said = Sequence[State] | str  # of one host: what runs there, or why that is not known
+ORDER_S = 300.0  # covers loading a model, a shadow run and probation
+Said = Sequence[State] | str  # of one host: its state, or why it is unknown
 Edit = Callable[[Plan], Plan]
 T = TypeVar("T")
 
 
 class Status(msgspec.Struct, kw_only=True):
-    """A graph as `ps` and `top` show it."""
+    """The status of a graph, as `ps` and `top` show it."""
 
     graph: str
-    hosts: dict[str, Said]  # by label; that of a graph which runs here alone is empty
-    nodes: dict[str, str]  # node -> label, as it was started
+    hosts: dict[str, Said]  # by label; the label of a local graph is empty
+    nodes: dict[str, str]  # node -> label, as started
 
 
 class Stopped(msgspec.Struct, kw_only=True):
-    """What became of a graph that was told to stop."""
+    """The outcome of stopping a graph."""
 
     graph: str
     stopped: bool = True  # False: it had ended before
-    exit_status: int | None = None  # of a run that was detached; None: it is not known
-    report: str = ""  # the file with the report of a run that was detached
+    exit_status: int | None = None  # of a detached run; None: not known
+    report: str = ""  # path of a detached run's report
 
 
 class Listener(ABC):
-    """A tap on one output of a running graph. Use it as a context: it hears meanwhile."""
+    """A tap on one output of a running graph; a context in which it listens."""
 
     graph: str
-    output: str  # as it was named: node or node.output
+    output: str  # as given: node or node.output
     tap: Tap
 
     @abstractmethod
@@ -65,45 +65,45 @@ class Listener(ABC):
     def __exit__(self, *_: object) -> None: ...
 
     def age_ns(self, heard: Heard) -> int | None:
-        """How old an exposure was when its message came; None while its clock is not known."""
+        """Return the exposure's age when its message arrived; None if its clock is not known."""
         return heard.at_ns - heard.header.stamp_ns
 
     @abstractmethod
     def over(self) -> str:
-        """Why nothing more will come, in a sentence; empty while something may."""
+        """Return why no more messages will come, as a sentence; empty while they may."""
 
 
 class GraphClient(ABC):
-    """One running graph. Every method raises `FoveaError` with the reason when it cannot be done.
+    """One running graph. Every method raises `FoveaError` with the reason when it fails.
 
-    Nothing of the graph's own code is loaded: the running processes are asked.
+    No code of the graph is imported: its running processes are asked.
     """
 
     name: str
 
     @abstractmethod
     def nodes(self) -> tuple[str, ...]:
-        """The names of its nodes."""
+        """The names of the nodes."""
 
     @abstractmethod
     def runs(self) -> bool:
-        """Whether it is still the run that was found."""
+        """Whether the run that was found still exists."""
 
     @abstractmethod
     def ask(self, node: str, question: NodeQuestion) -> bytes:
-        """One node's answer or refusal; raises `RunError` for no such node, or for silence."""
+        """Return a node's reply; raises `RunError` for an unknown node or a timeout."""
 
     @abstractmethod
     def health(self) -> dict[str, Health | None]:
-        """What every node says; None for one that is silent, or whose host is."""
+        """Return every node's health; None where the node or its host does not answer."""
 
     @abstractmethod
     def status(self) -> Status:
-        """What `ps` and `top` show."""
+        """Return the status that `ps` and `top` show."""
 
     @contextmanager
     def watching(self) -> Iterator[Callable[[], Status]]:
-        """A way to look again and again."""
+        """Yield a function that returns the current status."""
         yield self.status
 
     @abstractmethod
@@ -112,30 +112,30 @@ class GraphClient(ABC):
 
     @abstractmethod
     def replan(self, edit: Edit) -> TopologyResult:
-        """Have it become what `edit` makes of its plan."""
+        """Apply an edit to the plan of the graph."""
 
     @abstractmethod
     def stop(self) -> Stopped:
-        """End it as one Ctrl-C would, and wait for that."""
+        """Stop the graph as one Ctrl-C would, and wait until it has ended."""
 
     @abstractmethod
     def logs(self, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
-        """The last lines of a node's log, then what is added."""
+        """Yield the last lines of a node's log, then new ones if `follow`."""
 
     @abstractmethod
     def listen(self, output: str) -> Listener:
-        """A tap on `node` or `node.output`; raises `RunError` for an output that does not exist."""
+        """Return a tap on `node` or `node.output`; raises `RunError` for an unknown output."""
 
     def schema(self, node: str) -> Interface:
-        """What a node takes and gives, its settings and its commands."""
+        """Return a node's inputs, outputs, settings and commands."""
         return self._answer(Interface, node, SchemaQuestion())
 
     def configure(self, node: str, changes: Mapping[str, Any]) -> NodeSettings:
-        """Change live settings, or none; the settings that hold now, and which of them are live."""
+        """Change live settings, or none; return the current settings and which of them are live."""
         return self._answer(NodeSettings, node, ConfigQuestion(dict(changes)))
 
     def command(self, node: str, command: str, arguments: Mapping[str, Any]) -> Outcome:
-        """Have a node do something."""
+        """Call a command of a node."""
         return self._answer(Outcome, node, Command(command, dict(arguments)))
 
     def add(self, file: Path) -> TopologyResult:
@@ -143,15 +143,15 @@ class GraphClient(ABC):
         return self.replan(lambda plan: with_nodes(plan, file, self.ports))
 
     def remove(self, node: str) -> TopologyResult:
-        """Remove a node that nobody reads."""
+        """Remove a node whose outputs nobody reads."""
         return self.replan(lambda plan: without_node(plan, node))
 
     def rewire(self, wire: str) -> TopologyResult:
-        """Connect an input elsewhere: `node.input=source.output`."""
+        """Connect an input to another output: `node.input=source.output`."""
         return self.replan(lambda plan: rewired(plan, wire, self.ports))
 
     def ports(self, node: str) -> PortTypes:
-        """The messages that a node takes and gives."""
+        """Return the message types of a node's inputs and outputs."""
         found = self.schema(node)
         inputs, outputs = (
             {name: Sent(port.message, port.fingerprint) for name, port in ports.items()}
@@ -163,13 +163,13 @@ class GraphClient(ABC):
         return decode_answer(kind, self.ask(node, question))
 
     def check_node(self, node: str) -> None:
-        """Raise `RunError` unless it has such a node."""
+        """Raise `RunError` for an unknown node."""
         if node not in (names := self.nodes()):
             raise RunError(f"{self.name}: no node {node}{suggest(node, names)}")
 
 
 def output_of(client: GraphClient, output: str) -> tuple[str, str, str]:
-    """Node, port and schema of `node` or `node.output`; raises `RunError` for one there is not."""
+    """Return node, port and schema of `node` or `node.output`; raises `RunError` if unknown."""
     node, _, port = output.partition(".")
     client.check_node(node)
     outputs = client.schema(node).outputs

@@ -1,7 +1,7 @@
-"""What an output of a running graph sends, as a tap on it hears it: messages, rate, jitter, age.
+"""Messages, rate, jitter and age of an output of a running graph, measured by a tap.
 
-A tap needs no reader of the output, and cannot slow the graph down. It counts how many messages it
-missed, and why: its figures are the output's.
+The output needs no other reader, and a tap cannot slow the graph down. It counts missed messages by
+reason, so that the figures are those of the output, not of the tap.
 """
 
 import time
@@ -17,31 +17,31 @@ from pipeline.client.graph_client import Listener
 from pipeline.errors import RunError
 
 QUIET_S = 10.0  # without a message for this long, echo ends with an error
-LOOK_S = 0.5  # without one for this long, it looks whether the graph still runs
-SILENT_S = 0.5  # and hz says that the output has fallen silent, if that is long for it
+LOOK_S = 0.5  # without one for this long, check whether the graph still runs
+SILENT_S = 0.5  # hz reports silence after this time, if it is long for the output
 SILENT_GAPS = 3
-Item = Described | Missed | str  # a message, what was missed before it, or why no more will come
+Item = Described | Missed | str  # a message, a loss before it, or why no more will come
 
 
 class Rate(msgspec.Struct, kw_only=True):
-    """What an output sent in some seconds; times without two messages are left out."""
+    """Figures of an output over some seconds; without two messages, no interval figures."""
 
     output: str
     messages: int
-    nothings: int = 0  # exposures for which it had nothing to say
+    nothings: int = 0  # exposures without a message
     missed: dict[str, int] = {}  # by reason
     instances: int = 1
     rate_hz: float | None = None
-    gap_ms: dict[str, float] | None = None  # shortest, longest, std of gaps without a loss
+    gap_ms: dict[str, float] | None = None  # shortest, longest, std; gaps with a loss excluded
     age_ms_p50: float | None = None
-    silent_s: float = 0.0  # none came in the last seconds
-    over: str = ""  # why it ended early
+    silent_s: float = 0.0  # time since the last message, if long
+    over: str = ""  # why the measurement ended early
 
 
 def echo(listener: Listener, count: int) -> Iterator[Item]:
-    """Every message of an output, and a word wherever some were missed.
+    """Yield every message of an output, and a notice wherever some were missed.
 
-    Ends with the graph; raises `RunError` when that is before `count`, or nothing comes for long.
+    Ends with the graph; raises `RunError` if that is before `count`, or after a long silence.
     """
     told, heard_s, nothings, messages = Missed(), time.monotonic(), 0, 0
     output = listener.output
@@ -67,7 +67,7 @@ def echo(listener: Listener, count: int) -> Iterator[Item]:
 
 
 def rate(listener: Listener, duration_s: float) -> Rate:
-    """Rate, jitter and age over some seconds; raises `RunError` when no message comes."""
+    """Measure rate, jitter and age for some seconds; raises `RunError` without any message."""
     heard: list[Heard] = []
     end_s, over = time.monotonic() + duration_s, ""
     with listener:
@@ -88,7 +88,7 @@ def rate(listener: Listener, duration_s: float) -> Rate:
 def figures(
     output: str, heard: Sequence[Heard], missed: Missed, now_ns: int, duration_s: float
 ) -> Rate:
-    """What was heard until now; raises `RunError` for no message at all."""
+    """Return the figures so far; raises `RunError` without any message."""
     messages = [one for one in heard if one.message is not None]
     nothings = len(heard) - len(messages)
     if not messages:
@@ -116,7 +116,7 @@ def figures(
 
 
 def rate_line(found: Rate, duration_s: float) -> str:
-    """The same in a line."""
+    """Return the figures as one line."""
     extra = _times(found.nothings)
     if found.missed:
         extra += f"; {Missed(**found.missed)}"
@@ -142,7 +142,7 @@ def rate_line(found: Rate, duration_s: float) -> str:
 
 
 def plain(item: Item) -> dict[str, Any]:
-    """A message, or what stands in its place, as one JSON object: big arrays by type and shape."""
+    """Return an item as one JSON object; large arrays by type and shape."""
     if isinstance(item, str):
         return {"over": item}
     if isinstance(item, Missed):
@@ -151,7 +151,7 @@ def plain(item: Item) -> dict[str, Any]:
 
 
 def line(item: Item) -> str:
-    """The same on one line: small values as they are, arrays by shape."""
+    """Return an item as one line: small values as they are, arrays by shape."""
     if not isinstance(item, Described):
         return str(item)
     parts = [f"seq {item.header.seq}"]
@@ -165,7 +165,7 @@ def line(item: Item) -> str:
     return "  ".join(parts)
 
 
-SMALL = 8  # items of an array that is told whole
+SMALL = 8  # items of an array that is shown in full
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A graph that runs on this host: asked over its own bus, its figures read from the ledger."""
+"""Client of a graph on this host: asks over its bus, reads figures from its ledger."""
 
 import itertools
 import sys
@@ -49,24 +49,24 @@ from pipeline.run.logs import log_lines
 from pipeline.run.rundir import memory_of, running
 from pipeline.text import harmless
 
-QUICK_S = 3.0  # what transports answer by themselves; a process that is frozen does not
-STOP_S = 120.0  # what is under way may arrive, and operators close
+QUICK_S = 3.0  # for replies that need no handler; a frozen process sends none
+STOP_S = 120.0  # in-flight messages arrive and operators close
 LOOK_S = 0.05
 D = TypeVar("D", SwapResult, TopologyResult)
 HERE = ""  # the label of a graph's only host
 
 
 class LocalGraph(GraphClient):
-    """A graph that runs here, found by its name."""
+    """A graph on this host, found by its name."""
 
     def __init__(self, name: str, facts: Mapping[str, Any]) -> None:
-        """`facts`: what is noted of it (`pipeline.run.rundir.running`)."""
+        """`facts`: the record of the run (`pipeline.run.rundir.running`)."""
         self.name, self._facts = name, facts
         self._ledger: Ledger | None = None
 
     @property
     def facts(self) -> Mapping[str, Any]:
-        """What is noted of it now; raises `RunError` when it runs no more."""
+        """Return the current record of the run; raises `RunError` when it has ended."""
         now = running().get(self.name)
         if now is None or now["run"] != self._facts["run"]:
             raise RunError(f"{self.name}: the graph has ended")
@@ -74,20 +74,20 @@ class LocalGraph(GraphClient):
         return now
 
     def runs(self) -> bool:
-        """Whether it is still the run that was found."""
+        """Whether the run that was found still exists."""
         return bool(running().get(self.name, {}).get("run") == self._facts["run"])
 
     def nodes(self) -> tuple[str, ...]:
-        """The names of its nodes here."""
+        """The names of the nodes on this host."""
         return tuple(node["name"] for node in self._facts["nodes"])
 
     def ask(self, node: str, question: NodeQuestion) -> bytes:
-        """One node's answer or refusal; raises `RunError` for no such node, or for silence."""
+        """Return a node's reply; raises `RunError` for an unknown node or a timeout."""
         self.check_node(node)
         return ask_local(self.name, self._facts["graph"], node, question)
 
     def health(self) -> dict[str, Health | None]:
-        """What every node says; None for one that is silent."""
+        """Return every node's health; None for one that does not answer."""
         key = partial(key_of, self._facts["graph"])
         wanted = {key(node, HEALTH): node for node in self.nodes()}
         with client_session(self.name, "health") as session:
@@ -101,7 +101,7 @@ class LocalGraph(GraphClient):
         }
 
     def status(self) -> Status:
-        """What `ps` and `top` show."""
+        """Return the status that `ps` and `top` show."""
         facts = self.facts
         if self._ledger is None:
             self._ledger = Ledger.open(memory_of(dict(facts)))
@@ -115,14 +115,14 @@ class LocalGraph(GraphClient):
         return of_kind(SwapResult, self.tell(order))
 
     def replan(self, edit: Edit) -> TopologyResult:
-        """Have it become what `edit` makes of its plan; raises `FoveaError`."""
+        """Apply an edit to the plan of the graph; raises `FoveaError`."""
         facts = self.facts
         wanted = edit(adapter(Plan).validate_python(facts["plan"]))
         order = PlanOrder(plan=wanted, revision=facts["revision"])
         return of_kind(TopologyResult, self.tell(order))
 
     def add(self, file: Path) -> TopologyResult:
-        """Add the nodes of a file; their operators are looked for where the graph runs, too."""
+        """Add the nodes of a file; operators are also searched for where the graph was started."""
         try:
             folder = psutil.Process(self._facts["pid"]).cwd()
         except psutil.Error:
@@ -132,7 +132,7 @@ class LocalGraph(GraphClient):
         return super().add(file)
 
     def stop(self) -> Stopped:
-        """End it as one Ctrl-C would, and wait for that; raises `RunError` when it takes long."""
+        """Stop the graph as one Ctrl-C would, and wait; raises `RunError` after a timeout."""
         self.tell(StopOrder())
         late_s = time.monotonic() + STOP_S
         while self.runs():
@@ -145,15 +145,15 @@ class LocalGraph(GraphClient):
         return Stopped(graph=self.name, exit_status=ended.exit_status, report=ended.report)
 
     def logs(self, node: str, lines: int, *, follow: bool = False) -> Iterator[str]:
-        """The last lines of a node's log, then what is added."""
+        """Yield the last lines of a node's log, then new ones if `follow`."""
         return log_lines(self.name, node, lines, follow=follow)
 
     def listen(self, output: str) -> Listener:
-        """A tap on `node` or `node.output`; raises `RunError` for an output that does not exist."""
+        """Return a tap on `node` or `node.output`; raises `RunError` for an unknown output."""
         return _BusTap(self, output)
 
     def tell(self, order: Order) -> Done:
-        """Give it an order; its result when that is carried out."""
+        """Send an order to the graph and return its result."""
         with client_session(self.name, "order") as session:
             key = f"fovea/{self._facts['graph']}/{GRAPH}"
             answer = session.ask(key, _written(order), ORDER_S, self.runs)
@@ -182,7 +182,7 @@ class _BusTap(Listener):
         self._open.close()
 
     def over(self) -> str:
-        """Why nothing more will come, in a sentence; empty while something may."""
+        """Return why no more messages will come, as a sentence; empty while they may."""
         try:
             facts = self._client.facts
         except RunError as error:
@@ -193,7 +193,7 @@ class _BusTap(Listener):
 
 
 def state_from(facts: Mapping[str, Any], ledger: Ledger) -> State:
-    """A graph here as its facts and its ledger tell it, seen from another process."""
+    """Return the state of a local graph from its record and its ledger."""
     nodes = tuple(_node(node, ledger) for node in facts["nodes"])
     waits = any(node.condition in ("absent", "starting") for node in nodes)
     return State(
@@ -211,14 +211,14 @@ def state_from(facts: Mapping[str, Any], ledger: Ledger) -> State:
 
 
 def judged(result: Result) -> Done:
-    """The result of an order that was carried out; raises for one that was refused."""
+    """Return the result of an order; raises the error of one that was refused."""
     if isinstance(result, Refused):
         raise (RunError if result.rolled_back else GraphError)(result.reason)
     return result
 
 
 def of_kind(kind: type[D], done: Done) -> D:
-    """The result, which is of that kind; raises `MessageError` for another."""
+    """Return the result if it is of that type; raises `MessageError` otherwise."""
     if isinstance(done, kind):
         return done
     raise MessageError(f"expected a {kind.__name__}, got a {type(done).__name__}")

@@ -1,4 +1,4 @@
-"""A tap on an output on another host: its agent is asked again and again for what came."""
+"""A tap on an output on another host, polled through the agent of that host."""
 
 import threading
 import time
@@ -16,16 +16,16 @@ POLL_S = 0.1
 
 
 class RelayedTap(Listener):
-    """A tap whose messages come by way of an agent, ten times a second."""
+    """A tap whose messages are fetched from an agent ten times a second."""
 
     def __init__(self, client: GraphClient, hosts: Hosts, output: str) -> None:
-        """Raises `FoveaError` for an output that does not exist."""
+        """Raises `FoveaError` for an unknown output."""
         self.graph, self.output, self._client, self._hosts = client.name, output, client, hosts
         self._node, self._port, schema = output_of(client, output)
         self.tap = Tap(Description(schema))
         self._open, self._stop = ExitStack(), threading.Event()
         self._over = ""
-        self._behind_ns: int | None = None  # what to add to the host's time to get that here
+        self._behind_ns: int | None = None  # offset to add to the host's time to get this host's
         self._ahead_ns: dict[str, int] = {}
 
     def __enter__(self) -> "Listener":
@@ -40,13 +40,13 @@ class RelayedTap(Listener):
         self._open.close()
 
     def over(self) -> str:
-        """Why nothing more will come, in a sentence; empty while something may."""
+        """Return why no more messages will come, as a sentence; empty while they may."""
         if self._over:
             return self._over
         return "" if self._client.runs() else f"{self.graph}: the graph has ended"
 
     def age_ns(self, heard: Heard) -> int | None:
-        """How old an exposure was when its message came; None while its clock is not known."""
+        """Return the exposure's age when its message arrived; None if its clock is not known."""
         ahead = self._ahead_ns.get(heard.header.clock)
         if ahead is None or self._behind_ns is None:
             return None
@@ -59,7 +59,7 @@ class RelayedTap(Listener):
             while not self._stop.is_set():
                 before_ns = time.monotonic_ns()
                 found = fleet.ask(label, "tap", asked, wire.TapMessages)
-                if self._behind_ns is None:  # told once, so that gaps are as they were there
+                if self._behind_ns is None:  # measured once, so that gaps are as on that host
                     self._behind_ns = (before_ns + time.monotonic_ns()) // 2 - found.now_ns
                 self._ahead_ns = found.ahead_ns
                 for at_ns, payload in found.heard:

@@ -1,4 +1,4 @@
-"""What is wrong with an installation or a graph, and what to do about it."""
+"""Diagnosis of an installation or a graph, with remedies."""
 
 from pipeline.doctor.doctor import doctor_command
 

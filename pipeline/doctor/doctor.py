@@ -1,4 +1,4 @@
-"""`fovea doctor [GRAPH]`: a line for everything that was looked at; 1 when something is wrong."""
+"""`fovea doctor [GRAPH]`: print a line per check; exit status 1 when something is wrong."""
 
 import json
 import sys
@@ -24,17 +24,17 @@ STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
 
 @click.command("doctor")
 @click.argument("graph", required=False, type=GRAPH_FILE)
-@click.option("--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file.")
+@click.option("--source", type=SOURCE_FILE, help="Source of frames: a shipped one or a file.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
-@click.option("--no-trial", is_flag=True, help="Send no frame through the graph.")
-@click.option("--cleanup", "clean", is_flag=True, help="First remove what killed runs left.")
+@click.option("--no-trial", is_flag=True, help="Do not send a frame through the graph.")
+@click.option("--cleanup", "clean", is_flag=True, help="First remove leftovers of killed runs.")
 @renamed_option("--sweep", "--cleanup", flag=True)
 @click.option("--json", "as_json", is_flag=True, help="One object per finding.")
 def doctor_command(
     graph: Path | None, source: Path | None, changes: tuple[str, ...], no_trial: bool,
     clean: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    """Say what is wrong with this installation, or with a graph on it, and what to do."""
+    """Diagnose this installation, or a graph on it, and suggest remedies."""
     if clean:
         cleanup()
     overlay = Overlay(source=source, changes=changes)
@@ -46,7 +46,7 @@ def doctor_command(
 
 
 def examine(graph: Path | None, overlay: Overlay, *, trial: bool) -> Iterator[Finding]:
-    """All findings, the machine's first."""
+    """Yield all findings, those of the machine first."""
     yield from examine_machine()
     yield from examine_installation()
     if graph is not None:
@@ -54,7 +54,7 @@ def examine(graph: Path | None, overlay: Overlay, *, trial: bool) -> Iterator[Fi
 
 
 def told(findings: Iterable[Finding], *, quiet: bool) -> Iterator[Finding]:
-    """The same findings, each printed when it is there."""
+    """Yield the same findings, and print each as it comes."""
     console = terminal.console(soft_wrap=True, highlight=False)
     for finding in findings:
         if not quiet:
@@ -63,7 +63,7 @@ def told(findings: Iterable[Finding], *, quiet: bool) -> Iterator[Finding]:
 
 
 def line(finding: Finding) -> Text:
-    """A finding as the terminal shows it.
+    """Return a finding as the terminal shows it.
 
     >>> line(Finding(what="disk", verdict="wrong", why="full", todo="make room")).plain
     'wrong    disk            full -> make room'

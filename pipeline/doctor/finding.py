@@ -1,4 +1,4 @@
-"""One line of a diagnosis."""
+"""A finding: one line of a diagnosis."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,7 +8,7 @@ Verdict = Literal["ok", "warning", "wrong"]
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What was looked at, how it is, and what to do when it is not well."""
+    """The subject of a check, its verdict and, if not ok, a remedy."""
 
     what: str
     verdict: Verdict
@@ -17,15 +17,15 @@ class Finding:
 
 
 def ok(what: str, why: str) -> Finding:
-    """All is well."""
+    """Return a finding without a problem."""
     return Finding(what=what, verdict="ok", why=why)
 
 
 def warning(what: str, why: str, todo: str) -> Finding:
-    """It runs, but not as well as it could, or not always."""
+    """Return a finding that degrades graphs, or stops them at times."""
     return Finding(what=what, verdict="warning", why=why, todo=todo)
 
 
 def wrong(what: str, why: str, todo: str) -> Finding:
-    """It will not run."""
+    """Return a finding that prevents graphs from running."""
     return Finding(what=what, verdict="wrong", why=why, todo=todo)

@@ -1,4 +1,4 @@
-"""The installation: package versions, weights, the bus, folders, and what killed runs left."""
+"""Check the installation: package versions, weights, bus, folders, leftovers of killed runs."""
 
 import fcntl
 import os
@@ -23,12 +23,12 @@ from pipeline.run.rundir import LONGEST_ADDRESS, base
 
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 OLDEST = (3, 11)
-LONGEST_NAME = 40  # of graph and node together, as long as they come
+LONGEST_NAME = 40  # of graph and node names together
 ECHO_S = 3.0
 
 
 def examine_installation(project: Path = PROJECT) -> Iterator[Finding]:
-    """Everything about what is installed and left lying about."""
+    """Yield all findings on the installation and on leftovers."""
     yield python(sys.version_info[:2])
     yield from versions(requirements(project))
     yield pulled_weights()
@@ -38,7 +38,7 @@ def examine_installation(project: Path = PROJECT) -> Iterator[Finding]:
 
 
 def python(version: tuple[int, ...]) -> Finding:
-    """Whether the interpreter is new enough."""
+    """Check that the interpreter is new enough."""
     found = ".".join(map(str, version))
     if version < OLDEST:
         return wrong("python", found, "use Python 3.11 or newer")
@@ -46,7 +46,7 @@ def python(version: tuple[int, ...]) -> Finding:
 
 
 def requirements(project: Path) -> list[Requirement]:
-    """What the project asks for: by its file where there is one, else as it was installed."""
+    """Return the requirements, from the project file or else from the installed package."""
     try:
         asked = tomllib.loads(project.read_text())["project"]["dependencies"]
     except (OSError, ValueError, KeyError):
@@ -58,7 +58,7 @@ def requirements(project: Path) -> list[Requirement]:
 
 
 def versions(asked: Iterable[Requirement]) -> Iterator[Finding]:
-    """A line for every package that is absent or of another version, one for all that are not."""
+    """Yield a finding per missing or wrong package, and one for all others."""
     good = 0
     for requirement in asked:
         name, range_ = requirement.name, requirement.specifier
@@ -77,7 +77,7 @@ def versions(asked: Iterable[Requirement]) -> Iterator[Finding]:
 
 
 def pulled_weights() -> Finding:
-    """Which third-party networks are here; nothing needs them, a broken one is told of."""
+    """Check the pulled third-party networks; none is needed, but a broken one is reported."""
     what = "weights"
     try:
         known = weights.entries()
@@ -93,7 +93,7 @@ def pulled_weights() -> Finding:
 
 
 def folders() -> Iterator[Finding]:
-    """Whether sockets can be made where runs are kept."""
+    """Check that sockets can be created in the folder of runs."""
     what = "run folder"
     try:
         folder = base()
@@ -109,7 +109,7 @@ def folders() -> Iterator[Finding]:
 
 
 def bus() -> Finding:
-    """Whether two sessions find one another by unix socket and answer."""
+    """Check that two sessions can reach each other over unix sockets."""
     key = f"fovea/doctor-{secrets.token_hex(4)}/@health"
     with tempfile.TemporaryDirectory(prefix="fovea-") as name:
         sessions: list[Session] = []
@@ -124,13 +124,13 @@ def bus() -> Finding:
             for session in reversed(sessions):
                 session.close()
     if heard != b"llew":
-        why = f"a question over a unix socket found no answer for {ECHO_S:.0f} s"
+        why = f"no reply to a question over a unix socket for {ECHO_S:.0f} s"
         return wrong("bus", why, "look for a sandbox or security module that forbids sockets")
     return ok("bus", "a question over a unix socket is answered; nothing listens on a network")
 
 
 def left_over() -> Iterator[Finding]:
-    """What supervisors that were killed have left: the next start of any graph removes it."""
+    """Check for leftovers of killed supervisors; the next start of any graph removes them."""
     dead = leftovers()
     if dead:
         todo = "start any graph: it removes them; or `fovea doctor --cleanup`"
@@ -144,14 +144,14 @@ def left_over() -> Iterator[Finding]:
 
 
 def orphaned() -> Iterator[psutil.Process]:
-    """Node processes of this user whose run is over: its memory folder is gone, or not locked."""
+    """Yield node processes of this user whose run is over: memory folder gone or not locked."""
     return (process for process, run_id in node_processes() if not _supervised(process, run_id))
 
 
 def _supervised(process: psutil.Process, run_id: str) -> bool:
-    """Whether its supervisor lives; seen through the process, which may be in a container."""
+    """Whether its supervisor lives; seen from the process, which may be in a container."""
     path = Path(f"/proc/{process.pid}/root") / path_of(run_id).relative_to("/")
     try:
         return path.exists() and not MemoryFolder(path).lock(fcntl.LOCK_SH)
     except (RunError, OSError):
-        return bool(process.is_running())  # it has ended, or may not be looked into
+        return bool(process.is_running())  # it has ended, or access is denied

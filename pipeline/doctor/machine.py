@@ -1,4 +1,4 @@
-"""The machine: shared memory, kernel locks, open files, cores, their governor, clocks, ports."""
+"""Check the machine: shared memory, locks, open files, cores, governor, clocks, ports."""
 
 import ctypes
 import fcntl
@@ -17,18 +17,18 @@ from pipeline.doctor.finding import Finding, ok, warning, wrong
 from pipeline.run.memory_folder import MEMORY
 
 NODE = "pipeline.node.process"
-LEAST_SHARED_MB = 64.0  # an eighth of what a container gives by default is hardly a graph
+LEAST_SHARED_MB = 64.0  # a container's default, barely enough for a graph
 LEAST_DISK_MB = 100.0
 LEAST_FILES = 256
-COARSEST_NS = 1000  # of the monotonic clock
+COARSEST_NS = 1000  # resolution of the monotonic clock
 SYS = Path("/sys/devices/system")
 GOOD_CLOCKS = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page", "xen")
 TMPFS_MAGIC, RAMFS_MAGIC = 0x01021994, 0x858458F6
-UNSYNCHRONISED = 5  # what adjtimex answers while nothing disciplines the wall clock
+UNSYNCHRONISED = 5  # returned by adjtimex while the wall clock is not synchronised
 
 
 def examine_machine(*, memory: Path = MEMORY, system: Path = SYS) -> Iterator[Finding]:
-    """Everything about this machine that a graph depends on."""
+    """Yield all findings on the properties of this machine that graphs depend on."""
     yield shared_memory(memory)
     yield leases(memory)
     yield disk(Path(tempfile.gettempdir()))
@@ -41,7 +41,7 @@ def examine_machine(*, memory: Path = MEMORY, system: Path = SYS) -> Iterator[Fi
 
 
 def ports(agent: int, nodes: tuple[int, int]) -> Finding:
-    """Whether what agents and nodes that reach other hosts listen on is free, or fovea's."""
+    """Check that the default ports of agents and nodes are free or used by fovea."""
     what, wanted = "ports", {agent, *range(nodes[0], nodes[1] + 1)}
     try:
         found = psutil.net_connections("tcp")
@@ -59,7 +59,7 @@ def ports(agent: int, nodes: tuple[int, int]) -> Finding:
 
 
 def _is_fovea(pid: int | None) -> bool:
-    """Whether this user may see that it is an agent, or a node of a graph."""
+    """Whether a process is visibly an agent or a node of a graph."""
     try:
         words = psutil.Process(pid).cmdline() if pid else []
     except psutil.Error:
@@ -68,7 +68,7 @@ def _is_fovea(pid: int | None) -> bool:
 
 
 def shared_memory(folder: Path) -> Finding:
-    """Whether frames find room; how much a graph needs is another question."""
+    """Check for shared memory in general; `needs` checks the amount for a graph."""
     what = "shared memory"
     try:
         room = os.statvfs(folder)
@@ -89,7 +89,7 @@ def shared_memory(folder: Path) -> Finding:
 
 
 def leases(folder: Path) -> Finding:
-    """Whether the kernel locks that lease frames work there."""
+    """Check that the kernel locks of frame leases work there."""
     what = "frame leases"
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -102,7 +102,7 @@ def leases(folder: Path) -> Finding:
 
 
 def disk(folder: Path) -> Finding:
-    """Whether logs and sockets find room."""
+    """Check for disk space for logs and sockets."""
     free_mb = psutil.disk_usage(str(folder)).free / 1e6
     found = f"{folder}: {free_mb:.0f} MB free for logs"
     if free_mb < 1:
@@ -113,7 +113,7 @@ def disk(folder: Path) -> Finding:
 
 
 def open_files(limits: tuple[int, int], needed: int) -> Finding:
-    """Whether sockets and pools of one process find a number."""
+    """Check the limit of open files for the sockets and pools of one process."""
     soft, hard = limits
     found = f"{soft} allowed, about {needed} needed by the busiest process"
     if soft == resource.RLIM_INFINITY or soft >= 2 * needed:
@@ -123,7 +123,7 @@ def open_files(limits: tuple[int, int], needed: int) -> Finding:
 
 
 def available_cores(group: Path = Path("/sys/fs/cgroup/cpu.max")) -> float:
-    """Cores this process may use, by affinity and by the quota of its control group."""
+    """Return the cores available to this process, by affinity and by its cgroup quota."""
     cores = float(len(os.sched_getaffinity(0)))
     try:
         quota, period = group.read_text().split()
@@ -133,7 +133,7 @@ def available_cores(group: Path = Path("/sys/fs/cgroup/cpu.max")) -> float:
 
 
 def cores(count: float) -> Finding:
-    """A node and the transport beside it want to run at once."""
+    """Check for two cores, since a node and its transport run at the same time."""
     found = f"{count:g} to use"
     if count < 2:
         todo = "give it two, or expect latencies of whole scheduling rounds"
@@ -142,7 +142,7 @@ def cores(count: float) -> Finding:
 
 
 def governor(system: Path) -> Finding:
-    """Whether cores sleep so deep that waking them shows in the latency."""
+    """Check for a power-saving governor, which adds wake-up latency."""
     files = sorted(system.glob("cpu/cpu[0-9]*/cpufreq/scaling_governor"))
     found = sorted({file.read_text().strip() for file in files})
     if not found:
@@ -154,7 +154,7 @@ def governor(system: Path) -> Finding:
 
 
 def clock_source(system: Path) -> Finding:
-    """Whether asking for the time is cheap and fine enough to stamp every message."""
+    """Check that reading the clock is fast and precise enough to stamp every message."""
     resolution_ns = time.get_clock_info("monotonic").resolution * 1e9
     try:
         name = (system / "clocksource/clocksource0/current_clocksource").read_text().strip()
@@ -167,7 +167,7 @@ def clock_source(system: Path) -> Finding:
 
 
 def wall_clock(state: int | None) -> Finding:
-    """Nothing on one host asks for it; between hosts offsets are measured."""
+    """Report the wall clock; one host does not use it, several measure their offsets."""
     if state is None:
         return ok("wall clock", "its state is not to be known here; no stamp depends on it")
     if state == UNSYNCHRONISED:
@@ -176,7 +176,7 @@ def wall_clock(state: int | None) -> Finding:
 
 
 def _in_memory(folder: Path) -> bool:
-    """Whether the folder lies on a tmpfs, by the file system's magic number."""
+    """Whether a folder is on a tmpfs, by the file system's magic number."""
 
     class _Statfs(ctypes.Structure):
         _fields_ = [("f_type", ctypes.c_long), ("rest", ctypes.c_byte * 512)]
@@ -184,12 +184,12 @@ def _in_memory(folder: Path) -> bool:
     found = _Statfs()
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.statfs(os.fsencode(folder), ctypes.byref(found)) != 0:
-        return True  # cannot be known: no reason to warn
+        return True  # unknown: no reason to warn
     return found.f_type in (TMPFS_MAGIC, RAMFS_MAGIC)
 
 
 def _adjtimex() -> int | None:
-    """The kernel's word on the wall clock, without changing it; None where it gives none."""
+    """Return the kernel's state of the wall clock, without changing it; None if unavailable."""
     try:
         state = int(ctypes.CDLL(None).adjtimex(ctypes.create_string_buffer(512)))
     except (OSError, AttributeError):

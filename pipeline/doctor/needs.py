@@ -1,4 +1,4 @@
-"""What a graph needs of this machine, found by sending one frame through it in this process."""
+"""Check the needs of a graph by sending one frame through it in this process."""
 
 import os
 import resource
@@ -24,13 +24,13 @@ from pipeline.run.inline import InlineRunner
 from pipeline.run.memory_folder import MEMORY
 from pipeline.run.rundir import running
 
-CROWDED = 4  # processes per core from which waiting for one shows
-BASE_FILES = 48  # of the interpreter, the transport and the logs
+CROWDED = 4  # processes per core at which scheduling delays become visible
+BASE_FILES = 48  # of interpreter, transport and logs
 NODE_MB = 60.0  # an interpreter with numpy, before any model
 
 
 def examine_graph(path: Path, overlay: Overlay, *, trial: bool = True) -> Iterator[Finding]:
-    """Everything about one graph; a graph that cannot be loaded is the only finding."""
+    """Yield all findings on a graph; only one if it cannot be loaded."""
     try:
         plan = load(path, overlay)
     except FoveaError as error:
@@ -48,7 +48,7 @@ def examine_graph(path: Path, overlay: Overlay, *, trial: bool = True) -> Iterat
 
 
 def tried(plan: Plan) -> Iterator[Finding]:
-    """One frame through every operator: do models load, do pictures come, how big are they?"""
+    """Send one frame through every operator, to load models and measure pictures."""
     try:
         with _quiet():
             sizes = message_bytes(plan)
@@ -57,7 +57,7 @@ def tried(plan: Plan) -> Iterator[Finding]:
     except FoveaError as error:
         yield wrong("trial", str(error), "fovea check, then the settings of that node")
     except Exception as error:
-        why = f"an operator broke over the first frame: {type(error).__name__}: {error}"
+        why = f"an operator failed on the first frame: {type(error).__name__}: {error}"
         yield wrong("trial", why, "fovea run --inline --frames 1 shows where")
     else:
         yield ok("trial", f"one frame went through all {len(plan.nodes)} nodes")
@@ -66,7 +66,7 @@ def tried(plan: Plan) -> Iterator[Finding]:
 
 
 def message_bytes(plan: Plan) -> dict[str, int]:
-    """Bytes of big arrays in the first message of every output, by `node.output`."""
+    """Return the bytes of large arrays in the first message of every `node.output`."""
     sizes: dict[str, int] = {}
 
     def look(name: str, message: Message) -> None:
@@ -80,7 +80,7 @@ def message_bytes(plan: Plan) -> dict[str, int]:
 
 
 def pool_bytes(plan: Plan, sizes: Mapping[str, int]) -> int:
-    """Shared memory of the accounts and of every pool, readers' shares included."""
+    """Return the shared memory in bytes of the ledger and all pools, including readers' slots."""
     total = ledger_bytes(len(plan.edges), len(plan.nodes))
     for node in plan.nodes:
         for output in outputs_of(load_operator(node.operator)):
@@ -92,7 +92,7 @@ def pool_bytes(plan: Plan, sizes: Mapping[str, int]) -> int:
 
 
 def pools(needed: int, free: int) -> Finding:
-    """Whether the frame pools find room."""
+    """Check for shared memory for the frame pools, in bytes."""
     found = f"{needed / 1e6:.0f} MB for the frame pools, {free / 1e6:.0f} MB free in {MEMORY}"
     if needed > free:
         size_mb = -(-needed // (1 << 20)) * 2
@@ -104,7 +104,7 @@ def pools(needed: int, free: int) -> Finding:
 
 
 def crowd(processes: int, cores: float) -> Finding:
-    """Whether processes wait for one another's cores."""
+    """Check that processes do not compete for cores."""
     found = f"{processes} processes on {cores:g} cores"
     if processes > CROWDED * cores:
         return warning("crowd", found, "group nodes that are quick (`group:`), or more cores")
@@ -112,14 +112,14 @@ def crowd(processes: int, cores: float) -> Finding:
 
 
 def busiest_files(plan: Plan) -> int:
-    """About the open files of the busiest process: a link to every other, receivers and pools."""
+    """Estimate the open files of the busiest process: links, receivers and pools."""
     ports = max(sum(e.source == n.name or e.target == n.name for e in plan.edges)
                 for n in plan.nodes)  # fmt: skip
     return BASE_FILES + 4 * len(plan.processes()) + 6 * ports
 
 
 def memory(plan: Plan, free_mb: float) -> Finding:
-    """Whether what the nodes may use is there."""
+    """Check that the memory that nodes may use is available."""
     allowed = [n.memory_mb or NODE_MB for n in plan.nodes]
     found = f"{sum(allowed):.0f} MB for {len(allowed)} nodes, {free_mb:.0f} MB available"
     if sum(allowed) > free_mb:
@@ -129,7 +129,7 @@ def memory(plan: Plan, free_mb: float) -> Finding:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What operators and libraries print during the trial is not part of the diagnosis."""
+    """Suppress the output of operators and libraries during the trial."""
     kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 1)

@@ -1,1 +1,1 @@
-"""One graph over several hosts: agents that run its parts, certificates, clocks, deployment."""
+"""Graphs over several hosts: agents, certificates, clock offsets, deployment."""

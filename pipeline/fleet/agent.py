@@ -1,7 +1,7 @@
-"""`fovea agent`: runs on a host, takes graphs from those it knows, runs its part of each.
+"""`fovea agent`: runs on a host and runs its part of graphs that known users deploy.
 
-A question comes by one key per asker, which the access list ties to its certificate. What looks
-at graphs is answered by the main thread, what starts and ends them by another.
+Each client has its own key, which the access list binds to its certificate. The main thread answers
+questions about graphs, another thread starts and stops them.
 """
 
 import logging
@@ -45,10 +45,10 @@ log = logging.getLogger(__name__)
 
 
 class Agent:
-    """One host. Use it as a context: leaving it stops what runs and keeps it for the next start."""
+    """The agent of a host. Leaving its context stops the graphs, which resume at the next start."""
 
     def __init__(self, own: HostConfig, reaper: Reaper | None = None) -> None:
-        """`reaper`: of this process, if it may adopt what nodes leave behind."""
+        """`reaper`: of this process, if it may adopt orphans of nodes."""
         self.host, self.label, self._reaper = own, own.label, reaper
         self._credentials = own.credentials
         self._allowed = own.allowed
@@ -80,14 +80,14 @@ class Agent:
         self._session.close()
 
     def stop(self) -> None:
-        """Let `run` return; asked for again, without waiting for any operator."""
+        """Make `run` return; a second call does not wait for operators."""
         if self._stop.is_set():
             for hosted in list(self.hosted.values()):
                 hosted.hurry()
         self._stop.set()
 
     def run(self) -> None:
-        """Take up what ran before, then answer until stopped."""
+        """Resume the former graphs, then answer questions until stopped."""
         worker = threading.Thread(target=self._work, name="works")
         worker.start()
         log.info("host %s listens at %s", self.label, self.host.endpoint)
@@ -118,7 +118,7 @@ class Agent:
         return Network(listen=listen, credentials=credentials, **more)
 
     def _serve(self, identity: str) -> None:
-        """Answer an identity from now on."""
+        """Start answering an identity."""
         if identity in self._served:
             return
         self._served.add(identity)
@@ -128,7 +128,7 @@ class Agent:
             self._session.hear(keys, partial(self._told, identity.removeprefix("host.")))
 
     def _told(self, label: str, key: str, data: bytes) -> None:
-        """On the transport's thread: another host tells of its accounts."""
+        """Receive another host's accounts, on the transport's thread."""
         hosted = self.hosted.get(key.rpartition("/")[2])
         if hosted is None:
             return
@@ -138,7 +138,7 @@ class Agent:
             self._questions.warn_once(f"accounts of {label}: {error}")
 
     def _answer(self, question: Question) -> ControlMessage | None:
-        """The answer; None where another thread gives it, when it is done."""
+        """Return the reply; None if another thread will send it."""
         verbs: Mapping[str, Act] = {
             "about": self._about, "prepare": self._prepare, "start": self._start,
             "down": self._down, "state": self._state, "log": self._log, "weights": self._weights,
@@ -170,7 +170,7 @@ class Agent:
 
     def _start(self, data: bytes) -> wire.Accepted:
         asked = decode(Start, data)
-        hosted = self._hosted_of(asked)  # before anything that runs is touched
+        hosted = self._hosted_of(asked)  # before any running graph is touched
         if (before := self.hosted.get(hosted.plan.name)) is not None:
             before.end()
         self._store.keep(hosted.plan.name, asked)
@@ -186,7 +186,7 @@ class Agent:
             raise RunError(f"no graph {graph} runs here")
         try:
             hosted.end()
-        finally:  # a change that was under way has kept it again
+        finally:  # a concurrent change may have stored it again
             self._store.forget(graph)
         del self.hosted[graph]
         return wire.Accepted()
@@ -270,7 +270,7 @@ class Agent:
         return local
 
     def _hosted_of(self, asked: Start) -> HostedGraph:
-        """What is asked for, checked and not begun."""
+        """Return the requested graph, checked but not started."""
         self._check_versions(asked.versions)
         plan = asked.plan
         self._check_free(plan, replace=True)
@@ -280,7 +280,7 @@ class Agent:
         self._check_unused(local, own)
         identity = host_identity(self.label)
         others = sorted({n.host for n in local.nodes} - {self.label})
-        if self._credentials is None:  # every agent that reaches this one is of the same user
+        if self._credentials is None:  # only agents of the same user can reach this one
             for other in others:
                 self._serve(host_identity(other))
         return HostedGraph(
@@ -298,7 +298,7 @@ class Agent:
         for label, point in asked.hosts.items():
             check_name(label, "hosts")
             if self._credentials and host_identity(label) not in self._identities:
-                raise RunError(f"{label} is not among the hosts that this one may speak with")
+                raise RunError(f"{label} is not among the hosts that this one may contact")
             endpoint(point, "hosts")
         others = {n.host for n in plan.nodes} - {self.label}
         if others - set(asked.hosts):
@@ -307,7 +307,7 @@ class Agent:
             endpoint(point, "endpoints")
 
     def _free_end_points(self, local: Plan) -> dict[str, str]:
-        """Where the processes here with an edge to another host may listen."""
+        """Return free end points for local processes with edges to other hosts."""
         if self._credentials is None:
             return local_end_points(local)
         first, last = self.host.file.ports
@@ -315,12 +315,12 @@ class Agent:
         return end_points(local, endpoint_host(self.host.endpoint), range(first, last + 1), used)
 
     def _used(self, but: str) -> set[str]:
-        """By the other graphs here."""
+        """Return the end points of the other graphs here."""
         others = [other for graph, other in list(self.hosted.items()) if graph != but]
         return {p for o in others for network in o.networks.values() for p in network.listen}
 
     def _check_unused(self, local: Plan, own: Mapping[str, str]) -> None:
-        """Raise `RunError` for an end point that is not this host's to give, or is given."""
+        """Raise `RunError` for an end point that is not this host's, or already in use."""
         if self._credentials is None:
             return
         first, last = self.host.file.ports
@@ -330,13 +330,13 @@ class Agent:
             raise RunError(f"{local.name}: {strange[0]} is not free here any more, try again")
 
     def _resume(self, name: str) -> None:
-        """Begin again with what ran when this host ended; where that cannot be, `ps` tells why."""
+        """Restart a graph that ran when the agent ended; on failure, `ps` shows the reason."""
         asked = self._store.asked(name)
         try:
             hosted = self._hosted_of(asked)
         except FoveaError as error:
-            log.error("%s: cannot go on: %s", name, error)
+            log.error("%s: cannot resume: %s", name, error)
             return
         self.hosted[name] = hosted
         hosted.begin()
-        log.info("%s: goes on", name)
+        log.info("%s: resumed", name)

@@ -1,7 +1,7 @@
-"""The file an agent reads, and the folder in which it notes which graphs run.
+"""Configuration file of an agent, and the folder in which it stores the running graphs.
 
-The file says who the host is, where it listens, who may ask it and what may run there; by the
-folder graphs resume after a restart.
+The file sets the host's label and address, the users and hosts it accepts and the operators it may
+run. From the folder, graphs resume after a restart.
 """
 
 import json
@@ -26,7 +26,7 @@ from pipeline.whole_file import write_whole
 
 @dataclass(frozen=True, kw_only=True)
 class AgentFile:
-    """What a host is and allows."""
+    """The configuration of a host."""
 
     FORMER: ClassVar[Mapping[str, str]] = {
         "boxes": "renamed; expected hosts",
@@ -34,15 +34,15 @@ class AgentFile:
         "people": "renamed; expected users",
     }
     label: str
-    address: str = ""  # HOST[:PORT] with credentials; empty: a unix socket of this user
-    credentials: str = ""  # folder by `fovea secure`, relative to this file
-    ports: tuple[int, int] = NODE_PORTS  # first and last, of nodes with an edge to another host
-    users: tuple[str, ...] = ()  # who may deploy, by name
+    address: str = ""  # HOST[:PORT], requires credentials; empty: a unix socket of this user
+    credentials: str = ""  # folder made by `fovea secure`, relative to this file
+    ports: tuple[int, int] = NODE_PORTS  # port range of nodes with an edge to another host
+    users: tuple[str, ...] = ()  # names of those who may deploy
     hosts: tuple[str, ...] = ()  # labels of the hosts that may share a graph with it
     operators: dict[str, str] = field(default_factory=dict)  # module:Class -> sha256 or `any`
-    weights: dict[str, str] = field(default_factory=dict)  # sha256 -> file, or empty: may be sent
-    settings: dict[str, dict[str, Any]] = field(default_factory=dict)  # of nodes, laid over
-    state: str = ""  # folder of what runs here; empty: beside the run folders
+    weights: dict[str, str] = field(default_factory=dict)  # sha256 -> file; empty: may be sent
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)  # override the graph's
+    state: str = ""  # folder of running graphs; empty: beside the run folders
 
     def __post_init__(self) -> None:
         check_name(self.label, "label", SettingsError)
@@ -70,20 +70,20 @@ class AgentFile:
 
 @dataclass(frozen=True)
 class HostConfig:
-    """The file together with where it lies: every path resolved."""
+    """The configuration with its folder, against which paths are resolved."""
 
     file: AgentFile
     folder: Path
-    any_operator: bool = False  # of an agent without a file, which only this user reaches
+    any_operator: bool = False  # for an agent without a file, which only this user can reach
 
     @property
     def label(self) -> str:
-        """The label that graphs name."""
+        """The label of the host in graphs."""
         return self.file.label
 
     @property
     def credentials(self) -> Credentials | None:
-        """Its credentials; raises `SettingsError` when they are another's."""
+        """The host's credentials; raises `SettingsError` when they are of another identity."""
         if not self.file.credentials:
             return None
         credentials = Credentials.of(self.folder / self.file.credentials)
@@ -96,33 +96,33 @@ class HostConfig:
 
     @property
     def endpoint(self) -> str:
-        """Where the agent listens."""
+        """The end point at which the agent listens."""
         if self.file.address:
             return endpoint(self.file.address, "address")
         return local_endpoint(self.label)
 
     @property
     def state(self) -> Path:
-        """The folder of what runs here."""
+        """The folder of running graphs."""
         if self.file.state:
             return self.folder / self.file.state
         return base() / f"agent-{self.label}"
 
     @property
     def identities(self) -> tuple[str, ...]:
-        """Who may speak with it."""
+        """The identities that may contact it."""
         return (*map(user_identity, self.file.users), *map(host_identity, self.file.hosts))
 
     @property
     def allowed(self) -> Allowed:
-        """Its allow lists."""
+        """The allow lists of the host."""
         files = {d: self.folder / f if f else None for d, f in self.file.weights.items()}
         code = None if self.any_operator else self.file.operators
         return Allowed(code, files, self.state / "weights")
 
 
 def read(path: Path) -> HostConfig:
-    """An agent's file; raises `SettingsError` with file and line."""
+    """Read an agent's file; raises `SettingsError` with file and line."""
     try:
         file = YamlFile(path)
     except GraphError as error:
@@ -136,26 +136,26 @@ def read(path: Path) -> HostConfig:
 
 
 def local_endpoint(label: str) -> str:
-    """The unix socket of an agent without a network."""
+    """Return the unix socket of an agent without a network."""
     return f"{LOCAL}{base() / f'agent-{label}.sock'}"
 
 
 class GraphStore:
-    """A folder with two files per graph: what was asked, and how often it began."""
+    """A folder with two files per graph: the start request, and the number of starts."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def names(self) -> list[str]:
-        """The graphs that ran when this host ended."""
+        """Return the graphs that ran when this agent ended."""
         return sorted(path.stem for path in self._folder.glob("*.graph"))
 
     def keep(self, graph: str, asked: Start) -> None:
-        """Note what was asked; raises `RunError` when that cannot be."""
+        """Store the start request; raises `RunError` when it cannot be written."""
         self._write(self._folder / f"{graph}.graph", encode(asked))
 
     def asked(self, graph: str) -> Start:
-        """What was asked; raises `MessageError` for a file that does not say."""
+        """Return the start request; raises `MessageError` for an invalid file."""
         path = self._folder / f"{graph}.graph"
         try:
             return decode(Start, path.read_bytes())
@@ -163,7 +163,7 @@ class GraphStore:
             raise MessageError(f"{path}: not what an agent wrote: {error}") from error
 
     def count(self, graph: str) -> int:
-        """One more start of a graph: how many there were. It never counts back."""
+        """Increment and return the number of starts of a graph; it never decreases."""
         path = self._folder / f"{graph}.starts"
         try:
             before = int(json.loads(path.read_text()))
@@ -177,12 +177,12 @@ class GraphStore:
         return before + 1
 
     def forget(self, graph: str) -> None:
-        """It is taken down; others that know its numbers are, too."""
+        """Remove a graph that was taken down; its peers forget its counters, too."""
         for kind in ("graph", "starts"):
             (self._folder / f"{graph}.{kind}").unlink(missing_ok=True)
 
     def _write(self, path: Path, data: bytes) -> None:
-        """All of it or nothing, also when the power fails."""
+        """Write atomically, even if the power fails."""
         try:
             write_whole(path, data, durable=True)
         except OSError as error:

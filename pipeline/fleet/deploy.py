@@ -1,7 +1,7 @@
-"""`fovea up` and `fovea down`: a graph to the agents of its hosts, all of it or nothing.
+"""`fovea up` and `fovea down`: deploy a graph to the agents of its hosts, all or nothing.
 
-First every agent says whether it may run its part; only then anything starts. What a setting names
-as a file here travels as its checksum; the host has the file, or takes it if it is on its list.
+First every agent confirms that it may run its part; only then anything starts. A file named by a
+setting is sent as its checksum; a host that lacks the file receives it if its allow list has it.
 """
 
 import fcntl
@@ -39,7 +39,7 @@ from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import ControlMessage, decode_answer, encode
 from pipeline.whole_file import write_whole
 
-TIMEOUT_S = 5.0  # until an agent must have answered
+TIMEOUT_S = 5.0  # time for an agent to answer
 DOWN_S = END_S + 5.0
 READY_S = 90.0
 T = TypeVar("T")
@@ -48,7 +48,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Hosts:
-    """Where the agents are, and as whom to speak with them."""
+    """The end points of agents, and the credentials to contact them."""
 
     points: Mapping[str, str]  # label -> end point
     credentials: str = ""
@@ -56,14 +56,14 @@ class Hosts:
 
     @property
     def identity(self) -> str:
-        """Who asks."""
+        """The identity of the client."""
         return Credentials.of(Path(self.credentials)).identity if self.credentials else ANYBODY
 
 
 def read_hosts(words: Iterable[str], credentials: Path | None, labels: Iterable[str] = ()) -> Hosts:
-    """Where hosts are: `LABEL=ADDRESS` as said, else as the credentials know, else on this machine.
+    """Return end points: from `LABEL=ADDRESS`, else from the credentials, else on this machine.
 
-    `labels` are those that are needed, said or not. Raises `SettingsError`.
+    `labels` are the required hosts, given or not. Raises `SettingsError`.
     """
     said = dict(word.partition("=")[::2] for word in ",".join(words).split(",") if word)
     known = known_addresses(credentials) if credentials else {}
@@ -80,7 +80,7 @@ def read_hosts(words: Iterable[str], credentials: Path | None, labels: Iterable[
 
 
 def known_addresses(credentials: Path) -> dict[str, str]:
-    """What `fovea secure` noted beside somebody's credentials: label -> address."""
+    """Return the addresses that `fovea secure` stored with credentials: label -> address."""
     path = credentials / ADDRESSES
     try:
         return msgspec.json.decode(path.read_bytes(), type=dict[str, str])
@@ -113,7 +113,7 @@ class Fleet:
         self, label: str, verb: str, question: ControlMessage | bytes, answer: type[T],
         timeout_s: float = TIMEOUT_S,
     ) -> T:  # fmt: skip
-        """What an agent answers; raises `RunError` with its reason, `Silent` when there is none."""
+        """Return an agent's reply; raises `RunError` for a refusal, `Silent` for a timeout."""
         data = question if isinstance(question, bytes) else encode(question)
         found = self._session.ask(agent_key(label, self._identity, verb), data, timeout_s)
         if found is None:
@@ -124,7 +124,7 @@ class Fleet:
         return decode_answer(answer, found, label)
 
     def states(self, graph: str = "", timeout_s: float = 1.5) -> dict[str, list[wire.State] | str]:
-        """What runs on every host, or why it is not known."""
+        """Return the states on every host, or why they are unknown."""
         found: dict[str, list[wire.State] | str] = {}
         for label in self.hosts.points:
             try:
@@ -137,7 +137,7 @@ class Fleet:
 
 
 def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
-    """Start a plan on its hosts and wait until it works; raises and leaves nothing behind."""
+    """Start a plan on its hosts and wait until it works; on failure, undo it and raise."""
     check_labels(plan, fleet.hosts.points)
     used = sorted({node.host for node in plan.nodes})
     plan, files = portable(plan)
@@ -161,7 +161,7 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
             order = wire.Start(plan, wire.Versions.ours(), schemas, endpoints, others)
             fleet.ask(label, "start", order, wire.Accepted, READY_S)
         _await(fleet, plan.name, used)
-    except BaseException:  # Ctrl-C too
+    except BaseException:  # also Ctrl-C
         left = [why for label in started if (why := _down(fleet, label, plan.name))]
         for why in left:
             log.error("%s may still run: %s", plan.name, why)
@@ -173,7 +173,7 @@ def up(fleet: Fleet, plan: Plan, *, again: bool = False) -> None:
 
 
 def _leave(graph: str, before: Hosts, used: Iterable[str]) -> None:
-    """End what another graph of the name still runs where this one has nothing to do."""
+    """Stop a former graph of that name on hosts that the new one does not use."""
     points = {label: point for label, point in before.points.items() if label not in used}
     if not points:
         return
@@ -184,7 +184,7 @@ def _leave(graph: str, before: Hosts, used: Iterable[str]) -> None:
 
 
 def attach(graph: str, fleet: Fleet) -> list[str]:
-    """Remember a graph that somebody else deployed: its hosts; raises `RunError` for none."""
+    """Remember a graph deployed elsewhere and return its hosts; raises `RunError` for none."""
     states = fleet.states(graph)
     found = {label: said[0] for label, said in states.items() if said and isinstance(said, list)}
     if not found:
@@ -196,7 +196,7 @@ def attach(graph: str, fleet: Fleet) -> list[str]:
 
 
 def down(graph: str, hosts: Hosts) -> list[str]:
-    """Stop a graph on all its hosts; what could not be reached, as sentences."""
+    """Stop a graph on all its hosts; return a sentence per host that was not reached."""
     with Fleet(hosts) as fleet:
         said = [_down(fleet, label, graph) for label in hosts.points]
     missing = [why for why in said if why]
@@ -206,7 +206,7 @@ def down(graph: str, hosts: Hosts) -> list[str]:
 
 
 def portable(plan: Plan) -> tuple[Plan, dict[str, Path]]:
-    """The plan with checksums in the place of files, and the files by checksum."""
+    """Return the plan with checksums instead of files, and the files by checksum."""
     files: dict[str, Path] = {}
     nodes = []
     for node in plan.nodes:
@@ -217,7 +217,7 @@ def portable(plan: Plan) -> tuple[Plan, dict[str, Path]]:
 
 
 def carried(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Path]]:
-    """Settings with checksums in the place of files, and the files by checksum."""
+    """Return settings with checksums instead of files, and the files by checksum."""
     files: dict[str, Path] = {}
 
     def marked(value: Any) -> Any:
@@ -237,7 +237,7 @@ def carried(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Path]]
 def send_weights(
     fleet: Fleet, label: str, digests: Iterable[str], files: Mapping[str, Path]
 ) -> None:
-    """Give a host weights that it allows and lacks; raises `GraphError` for what cannot go."""
+    """Send a host weights that it allows and lacks; raises `GraphError` if one cannot be sent."""
     for digest in digests:
         if digest not in files:
             raise GraphError(f"{label}: weights {digest[:12]}… are neither there nor here")
@@ -250,7 +250,7 @@ def send_weights(
 
 
 def remembered() -> dict[str, Hosts]:
-    """The graphs that this user has deployed, and where."""
+    """Return the graphs that this user has deployed, and their hosts."""
     try:
         document = json.loads(_memory().read_text())
         return {
@@ -264,13 +264,13 @@ def remembered() -> dict[str, Hosts]:
 
 
 def remember(graph: str, hosts: Hosts) -> None:
-    """Note where a graph was deployed."""
+    """Store where a graph was deployed."""
     with _alone():
         _write({**remembered(), graph: hosts})
 
 
 def forget(graph: str) -> None:
-    """It is there no more."""
+    """Remove the record of a graph that was taken down."""
     with _alone():
         _write({g: h for g, h in remembered().items() if g != graph})
 
@@ -283,7 +283,7 @@ def default_user() -> str:
 def _prepare(
     fleet: Fleet, label: str, question: wire.Prepare, files: Mapping[str, Path]
 ) -> dict[str, str]:
-    # a host that has just begun imports every operator first
+    # a host that has just started imports every operator first
     prepared = fleet.ask(label, "prepare", question, wire.Prepared, READY_S)
     if prepared.weights:
         send_weights(fleet, label, prepared.weights, files)
@@ -316,7 +316,7 @@ def _down(fleet: Fleet, label: str, graph: str) -> str:
 
 
 def _is_on(fleet: Fleet, label: str, graph: str) -> bool:
-    """Whether a host runs a graph, as far as is known."""
+    """Whether a host runs a graph, as far as known."""
     try:
         return graph in fleet.ask(label, "about", wire.Nothing(), wire.About).graphs
     except FoveaError:
@@ -324,14 +324,14 @@ def _is_on(fleet: Fleet, label: str, graph: str) -> bool:
 
 
 def _memory() -> Path:
-    folder = Path.home() / ".local" / "state" / "fovea"  # as long as the hosts keep what they run
+    folder = Path.home() / ".local" / "state" / "fovea"  # persistent, as on the hosts
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     return folder / "fleet.json"
 
 
 @contextmanager
 def _alone() -> Iterator[None]:
-    """Between reading and writing nobody else of this user writes; ends with this process."""
+    """Hold an exclusive lock for a read-modify-write; it ends with this process."""
     with _memory().with_suffix(".lock").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

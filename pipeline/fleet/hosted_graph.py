@@ -1,9 +1,8 @@
-"""One host's part of a graph, from start to end, and how nodes and edges of it come and go.
+"""One host's part of a graph: start, supervision, topology changes and stop.
 
-A supervisor runs in a thread of its own and talks with the other hosts. What may be added is what
-might have been deployed: the same checks hold. Edges between hosts stay as they were deployed,
-since both hosts have opened what they need for them. So a change concerns one host, and no other
-has to know of it.
+Its supervisor runs in its own thread and communicates with the other hosts. Added nodes are checked
+like deployed ones. Edges between hosts cannot change, since both hosts have opened sessions for
+them; therefore a change affects only one host.
 """
 
 import hashlib
@@ -33,12 +32,12 @@ from pipeline.run.reaper import Reaper
 from pipeline.run.supervisor import Supervisor
 from pipeline.text import error_text
 
-WAIT_FOR_OTHERS_S = 60.0  # then the source begins without them
-TELL_S = 0.004  # how often accounts are looked at: the credit of lossless edges goes with it
+WAIT_FOR_OTHERS_S = 60.0  # after this time, sources begin without the other hosts
+TELL_S = 0.004  # interval of sending accounts, on which credit of lossless edges depends
 ANYWAY_S = 0.25
-END_S = 20.0  # stopping takes as long as the slowest operator's close
-AGAIN_S = (1.0, 30.0)  # first and longest pause before a graph that worked once begins again
-STARTS_EPOCHS = 1000  # between two starts of a host, so that what an earlier one sent is told apart
+END_S = 20.0  # stopping takes as long as the slowest operator's `close`
+AGAIN_S = (1.0, 30.0)  # first and longest pause before a restart of a graph that has worked once
+STARTS_EPOCHS = 1000  # epochs per start of a host, to distinguish messages of former starts
 log = logging.getLogger(__name__)
 Inspected = tuple[Plan, Mapping[str, Ports]]  # what this host would run; ports by `module:Class`
 Inspect = Callable[[Plan, Mapping[str, str]], Inspected]  # raises for what may not run here
@@ -47,53 +46,53 @@ Ends = tuple[str, str, str, str]
 
 @dataclass
 class HostedGraph:
-    """This host's part of a graph, from start to end. Any thread may call `stop` and `end`."""
+    """This host's part of a graph. Any thread may call `stop` and `end`."""
 
     plan: Plan
     ports: Mapping[str, Ports]  # of the operators here, which the agent does not import
-    fingerprint: str  # of the graph as it was asked for; hosts that run another do not replicate
+    fingerprint: str  # of the requested graph; hosts with another one do not replicate
     networks: Mapping[str, Network]
     hosts: Mapping[str, str]  # label -> end point of the agent
-    way: Network  # to those agents, without end points
-    begins: Callable[[], int]  # counts one more start, also beyond the end of the agent
+    way: Network  # network to those agents, without end points
+    begins: Callable[[], int]  # increments a persistent count of starts
     reaper: Reaper | None = None  # of the agent
     phase: str = "starting"
     failure: str = ""
     supervisor: Supervisor | None = None
-    clocks: Clocks = field(default_factory=Clocks)  # of all its hosts, while it runs
+    clocks: Clocks = field(default_factory=Clocks)  # of all hosts, while it runs
     peers: dict[str, Peer] = field(default_factory=dict)
     _began_s: float = 0.0
-    _proven: bool = False  # it has worked once: then it tries again when it fails
+    _proven: bool = False  # it has worked once, so that it is restarted when it fails
     _stop: threading.Event = field(default_factory=threading.Event)
     _in_haste: bool = False
     _thread: threading.Thread | None = None
 
     @property
     def folder(self) -> str:
-        """Its name among the graphs that run on this machine."""
+        """The name of its run folder."""
         return f"{self.plan.name}@{self.plan.here}"
 
     @property
     def alive(self) -> bool:
-        """It runs, begins, or will try again."""
+        """Whether it runs, is starting or will be restarted."""
         return self._thread is not None and self._thread.is_alive()
 
     def begin(self) -> None:
-        """Run in a thread of its own."""
+        """Start its thread."""
         self._thread = threading.Thread(target=self._run, name=f"graph-{self.plan.name}")
         self._thread.start()
 
     def stop(self) -> None:
-        """Let everything here come to its end."""
+        """Request a stop."""
         self._stop.set()
 
     def hurry(self) -> None:
-        """Likewise, without waiting for any operator."""
+        """Request a stop without waiting for operators."""
         self._in_haste = True
         self.stop()
 
     def end(self) -> None:
-        """Likewise, and wait for it; raises `RunError` when that takes too long."""
+        """Stop and wait; raises `RunError` after a timeout."""
         self.stop()
         if self._thread is not None:
             self._thread.join(END_S)
@@ -101,12 +100,12 @@ class HostedGraph:
                 raise RunError(f"{self.plan.name}: did not end within {END_S:.0f} s")
 
     def hear(self, label: str, accounts: Accounts) -> None:
-        """Another host tells of its accounts."""
+        """Receive another host's accounts."""
         if (peer := self.peers.get(label)) is not None:
             peer.hear(accounts)
 
     def fail(self, why: str) -> None:
-        """It does not run, for that reason."""
+        """Record why it does not run."""
         self.phase, self.failure = "failed", why
         log.error("%s: %s", self.plan.name, why)
 
@@ -134,7 +133,7 @@ class HostedGraph:
         except FoveaError as error:
             self.fail(str(error))
         except Exception as error:
-            log.exception("%s: its supervisor broke", self.plan.name)
+            log.exception("%s: its supervisor failed", self.plan.name)
             self.fail(f"{type(error).__name__}: {error}")
         finally:
             self.supervisor = None
@@ -148,7 +147,7 @@ class HostedGraph:
             raise RunError(f"{CLOCKS}: cannot be made: {error.strerror}") from error
 
     def _may_go(self, managed: ManagedProcess) -> bool:
-        """Sources begin when the other hosts are ready too, or have kept them waiting."""
+        """Whether sources may begin: the other hosts are ready, or the wait is over."""
         waited = time.monotonic() - self._began_s > WAIT_FOR_OTHERS_S
         others = all(n.replication.other_ready or n.lost for n in self.peers.values())
         return not managed.sources or waited or others
@@ -204,8 +203,8 @@ class HostedGraph:
                 for peer in self.peers.values():
                     peer.tell(ready=_is_ready(supervisor), anyway=anyway)
         except Exception as error:
-            log.exception("%s: accounts are told no more", self.plan.name)
-            supervisor.manager.failure = f"accounts are told no more: {error_text(error)}"
+            log.exception("%s: accounts are no longer sent", self.plan.name)
+            supervisor.manager.failure = f"accounts are no longer sent: {error_text(error)}"
 
 
 def _is_ready(supervisor: Supervisor) -> bool:
@@ -214,9 +213,9 @@ def _is_ready(supervisor: Supervisor) -> bool:
 
 
 def planned(hosted: HostedGraph, store: GraphStore) -> wire.Planned:
-    """The plan that this host was asked to run, and which revision of it runs."""
+    """Return the plan that this host runs, and its revision."""
     if hosted.supervisor is None:
-        raise RunError(f"{hosted.plan.name}: does not run just now, try again")
+        raise RunError(f"{hosted.plan.name}: is not running now, try again")
     return wire.Planned(store.asked(hosted.plan.name).plan, hosted.supervisor.revision)
 
 
@@ -224,14 +223,14 @@ def change(
     hosted: HostedGraph, asked: wire.PlanChange, store: GraphStore, inspect: Inspect,
     reply: Callable[[bytes], None],
 ) -> None:  # fmt: skip
-    """Have this host's part become another one and reply when it is; raises `FoveaError`."""
+    """Change this host's part of the graph and reply when done; raises `FoveaError`."""
     name, supervisor = hosted.plan.name, hosted.supervisor
     if supervisor is None:
-        raise RunError(f"{name}: does not run just now, try again")
+        raise RunError(f"{name}: is not running now, try again")
     before = store.asked(name)
     check_inside(before.plan, asked.plan, hosted.plan.here)
     known = {**before.fingerprints, **asked.fingerprints}
-    origins = {edge.origin for edge in asked.plan.edges}  # the state does not grow beyond these
+    origins = {edge.origin for edge in asked.plan.edges}  # keeps the stored state bounded
     fingerprints = {origin: said for origin, said in known.items() if origin in origins}
     local, ports = inspect(asked.plan, fingerprints)
     start = msgspec.structs.replace(
@@ -244,7 +243,7 @@ def change(
             try:
                 store.keep(name, start)
             except FoveaError as error:
-                reply(encode(refused(f"it was changed, but a restart will not know: {error}")))
+                reply(encode(refused(f"it was changed, but a restart will lose it: {error}")))
                 return
         reply(encode(wire.Relayed(result)))
 
@@ -252,7 +251,7 @@ def change(
 
 
 def check_inside(before: Plan, wanted: Plan, label: str) -> None:
-    """Raise `RunError` for a change beyond the nodes of a host and the edges between them."""
+    """Raise `RunError` for a change of other hosts' nodes, or of edges between hosts."""
     if replace(before, nodes=wanted.nodes, edges=wanted.edges) != wanted:
         raise RunError(f"{before.name}: expected another plan of the same graph")
     elsewhere = [[n for n in plan.nodes if n.host != label] for plan in (before, wanted)]
@@ -267,15 +266,15 @@ def check_inside(before: Plan, wanted: Plan, label: str) -> None:
 
 
 def is_inside(plan: Plan, edge: Edge, label: str) -> bool:
-    """Whether both ends of an edge are on that host."""
+    """Whether both ends of an edge are on a host."""
     return plan.node(edge.source).host == label == plan.node(edge.target).host
 
 
 def ends_of(edge: Edge) -> Ends:
-    """What an edge connects."""
+    """Return the ends of an edge."""
     return edge.source, edge.output, edge.target, edge.input
 
 
 def identity_of(start: wire.Start) -> str:
-    """What hosts know a deployed graph by; it stays while nodes come and go."""
+    """Return a deployed graph's identity among hosts, which topology changes keep."""
     return start.identity or hashlib.sha256(to_bytes(start.plan)).hexdigest()[:16]

@@ -1,7 +1,7 @@
-"""Whether operators and settings of a plan fit, found out by a process of its own.
+"""Check operators and settings of a plan in a separate process.
 
-An agent imports no operator: one that breaks, hangs or ends its process when it is imported costs
-the plan that names it, not the agent and the graphs that run.
+An agent imports no operator: one that fails, hangs or ends its process on import affects only the
+plan that names it, not the agent and its running graphs.
 """
 
 import secrets
@@ -17,24 +17,24 @@ from pipeline.protocol.supervision import Failed, Fits, Inspect
 from pipeline.run.process_handle import KILLED_S, PAUSE_S, NodeProcess, ending, spawn
 from pipeline.run.reaper import Reaper
 
-INSPECT_S = 60.0  # for the imports and the checks
-PREPARED_S = 60.0  # so long what was prepared may be started without another inspection
+INSPECT_S = 60.0  # time limit for imports and checks
+PREPARED_S = 60.0  # a prepared plan may be started within this time without another inspection
 
 
 class Inspector:
-    """Inspects plans for one host. For one thread."""
+    """Inspects plans for one host; not thread-safe."""
 
     def __init__(
         self, folder: Path, given_up: Callable[[], bool], reaper: Reaper | None = None
     ) -> None:
-        """`folder`: for what operators print; `given_up`: the host ends, nobody needs an answer."""
+        """`folder`: for operators' output; `given_up`: whether the agent is ending."""
         self._folder, self._given_up, self._reaper = folder, given_up, reaper
         self._prepared: tuple[bytes, float, dict[str, Ports]] = b"", 0.0, {}
 
     def prepare(self, plan: Plan, fingerprints: Mapping[str, str]) -> dict[str, Ports]:
-        """Inspect a host's part of a plan; returns the ports of its operators by `module:Class`.
+        """Inspect a host's part of a plan; return the ports of its operators by `module:Class`.
 
-        `fingerprints` are of the messages that are meant, by `node.output`. Raises `RunError`.
+        `fingerprints` are those of the expected messages, by `node.output`. Raises `RunError`.
         """
         question = Inspect(plan, dict(fingerprints))
         ports = self._inspect(question)
@@ -42,7 +42,7 @@ class Inspector:
         return ports
 
     def begin(self, plan: Plan, fingerprints: Mapping[str, str]) -> dict[str, Ports]:
-        """Likewise, before it is started: what was prepared just now is not inspected again."""
+        """Inspect a plan before its start, unless it was prepared recently."""
         question, at_s, ports = self._prepared
         self._prepared = b"", 0.0, {}
         same = question == encode(Inspect(plan, dict(fingerprints)))
@@ -70,7 +70,7 @@ class Inspector:
         names = ", ".join(sorted({n.operator for n in filter(plan.is_here, plan.nodes)}))
         while time.monotonic() - began_s < INSPECT_S:
             if self._given_up():
-                raise RunError(f"{plan.name}: not inspected, this host ends")
+                raise RunError(f"{plan.name}: not inspected, this agent is ending")
             status = process.ended()
             process.channel.flush()
             for event in process.channel.events():

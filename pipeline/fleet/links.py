@@ -1,7 +1,7 @@
-"""Where the processes of a plan listen for those on other hosts, and whom they connect to.
+"""End points and access lists of processes with edges to other hosts.
 
-Of two processes that speak, the first by name listens and the other one connects. Access lists
-come from the graph: what a node and an agent let others do, and nothing else.
+Of two connected processes, the first by name listens and the other one connects. Access lists are
+derived from the graph: they permit what its nodes and agents need and nothing else.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -16,13 +16,13 @@ from pipeline.graph.plan import Edge, Node, Plan
 from pipeline.node.wiring import key_of
 from pipeline.run.rundir import base
 
-TIMEOUT_MS = 1000  # a host that naps for less loses nothing on a lossless edge
+TIMEOUT_MS = 1000  # a shorter pause of a host loses nothing on a lossless edge
 
 
 def node_permits(plan: Plan, process: str) -> tuple[Permit, ...]:
-    """Of a process: it publishes its outputs to their readers and hears its inputs' writers.
+    """Return the permits of a process: send to its readers, receive from its writers.
 
-    What nodes answer (`@schema`, `@config`, …) is answered inside their host only.
+    Questions to nodes (`@schema`, `@config`, …) are served on their own host only.
     """
     permits = []
     for edge in plan.edges:
@@ -44,7 +44,7 @@ def node_permits(plan: Plan, process: str) -> tuple[Permit, ...]:
 
 
 def agent_permits(label: str, identities: Iterable[str]) -> tuple[Permit, ...]:
-    """Of an agent: each of the identities may ask it and tell it under a key of its own."""
+    """Return the permits of an agent: each identity may ask and publish under its own key."""
     return tuple(
         Permit(
             identity=identity,
@@ -57,7 +57,7 @@ def agent_permits(label: str, identities: Iterable[str]) -> tuple[Permit, ...]:
 
 
 def asker_permits(identity: str, labels: Sequence[str]) -> tuple[Permit, ...]:
-    """Of a client of agents: it asks and publishes, and receives answers only."""
+    """Return the permits of a client: it asks and publishes, and receives replies only."""
     return tuple(
         Permit(
             identity=host_identity(label),
@@ -70,12 +70,12 @@ def asker_permits(identity: str, labels: Sequence[str]) -> tuple[Permit, ...]:
 
 
 def edge_key(plan: Plan, edge: Edge) -> str:
-    """The key on which an edge crosses hosts."""
+    """Return the key of an edge between hosts."""
     return key_of(plan.name, edge.source, edge.output) + BYTES_SUFFIX
 
 
 def local_end_points(plan: Plan) -> dict[str, str]:
-    """`label/process` -> a unix socket of this user."""
+    """Return `label/process` -> a unix socket of this user."""
     stem = f"{LOCAL}{base()}/{plan.name}@{plan.here}"
     return {f"{plan.here}/{p}": f"{stem}.{p}.sock" for p in listeners(plan, plan.here)}
 
@@ -83,7 +83,7 @@ def local_end_points(plan: Plan) -> dict[str, str]:
 def end_points(
     plan: Plan, host: str, ports: Collection[int], used: Collection[str]
 ) -> dict[str, str]:
-    """`label/process` -> a free port of the host; raises `RunError` when there are too few."""
+    """Return `label/process` -> a free port; raises `RunError` when there are too few."""
     names = [f"{plan.here}/{process}" for process in listeners(plan, plan.here)]
     free = [point for port in ports if (point := f"tls/{host}:{port}") not in used]
     if len(free) < len(names):
@@ -95,7 +95,7 @@ def end_points(
 
 
 def own_end_points(plan: Plan, free: Mapping[str, str], asked: Mapping[str, str]) -> dict[str, str]:
-    """Where the processes here shall listen; raises `RunError` when that was not said."""
+    """Return the end points of the processes here; raises `RunError` if one is missing."""
     lacking = sorted(set(free) - set(asked))
     if lacking:
         raise RunError(f"{plan.name}: no address for {lacking[0]}")
@@ -103,7 +103,7 @@ def own_end_points(plan: Plan, free: Mapping[str, str], asked: Mapping[str, str]
 
 
 def check_credentials(plan: Plan, credentials: Credentials | None) -> None:
-    """Raise `SettingsError` unless every process that speaks with other hosts has credentials."""
+    """Raise `SettingsError` unless every process with edges to other hosts has credentials."""
     for node in filter(plan.is_here, plan.nodes):
         if credentials and place(node) in borders(plan):
             Credentials.of(credentials.folder / "nodes" / node_identity(plan.name, node))
@@ -112,7 +112,7 @@ def check_credentials(plan: Plan, credentials: Credentials | None) -> None:
 def networks(
     plan: Plan, own: Mapping[str, str], theirs: Mapping[str, str], credentials: Credentials | None
 ) -> dict[str, Network]:
-    """By process, of those that speak with other hosts; raises `RunError` without an address."""
+    """Return the networks of processes with edges to other hosts; raises `RunError`."""
     found = {}
     for node in plan.nodes:
         name = place(node)
@@ -136,6 +136,6 @@ def networks(
 
 
 def _promises(plan: Plan, node: Node) -> bool:
-    """Whether the node's process sends anything across that may not be left out."""
+    """Whether the node's process has a lossless edge to another host."""
     mine = {n.name for n in plan.nodes if n.process == node.process and plan.is_here(n)}
     return any(e.source in mine and e.keep == "every" and plan.crosses(e) for e in plan.edges)

@@ -1,15 +1,13 @@
-"""Other agents of the same graph: whether they answer, their clocks, their accounts.
+"""Other agents of the same graph: liveness, clock offsets and replicated accounts.
 
-How far another clock is ahead: a question leaves at t1 by our clock, comes at t2 and its answer
-leaves at t3 by theirs, and arrives at t4 by ours. However long either way took, the offset lies
-within half of what the ways took together, so the fastest exchanges tell most (RFC 5905,
-section 8). Two crystals drift apart by up to `DRIFT` meanwhile, by which an old exchange is
-trusted less.
+Clock offset: a ping leaves at t1 by our clock, arrives at t2 and its reply leaves at t3 by theirs,
+and arrives at t4 by ours. Whatever the delay of either direction, the offset is wrong by at most
+half of the round trip, so the fastest exchanges are the most accurate (RFC 5905, section 8). Two
+crystals drift apart by up to `DRIFT`, which increases the error of older exchanges.
 
-An account has a writing half and a reading half (`bus.ledger`). The host of the writer counts the
-one, the host of the reader the other; what a host hears of the other half it puts beside its own.
-So credit, slots and accounts work across hosts. A host that begins anew asks for what it had
-counted before.
+An account has a writing half and a reading half (`bus.ledger`). The writer's host counts the one,
+the reader's host the other, and each host stores the half that it receives beside its own. Credit,
+slots and accounts thus work across hosts. A restarted host asks for its former counts.
 """
 
 import logging
@@ -38,14 +36,14 @@ READ = (
 )  # fmt: skip
 _MOST = 1 << 63
 PING_S = 0.2
-LOST_S = 1.2  # without an answer for this long a host is lost
+LOST_S = 1.2  # a host without a reply for this long is lost
 RECALL_S = 3.0
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Their clock less ours; the truth lies within the error."""
+    """Their clock minus ours; the true offset is within the error."""
 
     offset_ns: int
     error_ns: int
@@ -53,24 +51,24 @@ class Estimate:
 
 
 class Offset:
-    """The best of the last exchanges with one host."""
+    """The best estimate from the last exchanges with one host."""
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[int, int, int]] = deque(maxlen=KEPT)  # when, offset, way
+        self._seen: deque[tuple[int, int, int]] = deque(maxlen=KEPT)  # time, offset, round trip
 
     def add(self, sent_ns: int, came_ns: int, left_ns: int, back_ns: int) -> None:
-        """One exchange; what cannot be (an answer before its question) is left out."""
+        """Add an exchange; ignore an impossible one (a reply before its ping)."""
         way = (back_ns - sent_ns) - (left_ns - came_ns)
         if left_ns < came_ns or way < 0:
             return
         offset = ((came_ns - sent_ns) + (left_ns - back_ns)) // 2
         known = self.estimate(back_ns)
         if known and abs(offset - known.offset_ns) > known.error_ns + way // 2 + 1:
-            self._seen.clear()  # the other clock began anew: what was known is of another one
+            self._seen.clear()  # the other clock was reset: earlier exchanges are invalid
         self._seen.append((back_ns, offset, way))
 
     def estimate(self, now_ns: int) -> Estimate | None:
-        """The offset that is known best now; None without an exchange.
+        """Return the best estimate now; None without an exchange.
 
         >>> clock = Offset()
         >>> clock.add(0, 1_000_100, 1_000_200, 300)
@@ -89,22 +87,22 @@ class Offset:
 
 
 class Replication:
-    """The crossing edges of one host with one other."""
+    """The accounts of the edges between this host and another."""
 
     def __init__(
         self, plan: Plan, ledger: Ledger, other: str, starts: int = 1, fingerprint: str = ""
     ) -> None:
-        """`starts`: how often this host has begun; `fingerprint`: of the graph on all hosts."""
+        """`starts`: number of starts of this host; `fingerprint`: of the graph on all hosts."""
         self._ledger, self.other, self._fingerprint = ledger, other, fingerprint
         self.out = [e for e in plan.edges if _between(plan, e) == (plan.here, other)]
         self.into = [e for e in plan.edges if _between(plan, e) == (other, plan.here)]
-        self._number = starts << 32  # what is told after a new start counts as newer
+        self._number = starts << 32  # numbers after a restart are higher
         self._heard = 0
         self.other_ready = False
         self._said: tuple[object, ...] = ()
 
     def tell(self, *, ready: bool, anyway: bool) -> Accounts | None:
-        """What the other host is to know; None while nothing has changed."""
+        """Return this host's half of the accounts; None while nothing has changed."""
         edges = self._ledger.edges
         written = {e.index: _values(edges[e.index], WRITTEN) for e in self.out}
         read = {e.index: _values(edges[e.index], READ) for e in self.into}
@@ -116,7 +114,7 @@ class Replication:
         return Accounts(self._number, self._fingerprint, ready, written, read)
 
     def hear(self, heard: Accounts) -> None:
-        """Put the other's halves beside ours; what is not the other's to tell is left out."""
+        """Store the other host's halves; ignore counters that it does not own."""
         if heard.number <= self._heard or heard.fingerprint != self._fingerprint:
             return
         self._heard = heard.number
@@ -125,13 +123,13 @@ class Replication:
         self.other_ready = heard.ready
 
     def lost(self) -> None:
-        """The other host is gone: nobody waits for its readers, and it may begin to count anew."""
+        """Handle a lost host: nothing waits for its readers, and its numbers may restart."""
         self.other_ready, self._heard = False, 0
         for edge in self.out:
             self._ledger.edges[edge.index].reader_epoch = 0
 
     def whole(self) -> Accounts:
-        """Both halves of everything shared, for a host that lost its own."""
+        """Return both halves of all shared accounts, for a host that lost its own."""
         edges = self._ledger.edges
         shared = [*self.out, *self.into]
         return Accounts(
@@ -152,9 +150,9 @@ class Replication:
 
 
 def adopt(plan: Plan, ledger: Ledger, told: Iterable[Accounts]) -> None:
-    """Before anything starts: go on from what the other hosts know of this one's accounts.
+    """Restore this host's accounts from the other hosts' copies, before anything starts.
 
-    What was on its way inside this host was lost with it.
+    Messages that were in flight inside this host are lost.
     """
     for accounts in told:
         for edge in plan.edges:
@@ -174,9 +172,9 @@ def adopt(plan: Plan, ledger: Ledger, told: Iterable[Accounts]) -> None:
         if plan.node(edge.source).host != plan.here or account.sent == newest:
             continue
         if plan.crosses(edge):
-            account.sent = newest  # the reader there will find that some are missing
+            account.sent = newest  # the reader there will detect the missing ones
         else:
-            account.base = newest  # it begins now; its numbers go on
+            account.base = newest  # the edge begins now, its ordinals continue
 
 
 def _between(plan: Plan, edge: Edge) -> tuple[str, str]:
@@ -188,12 +186,12 @@ def _values(account: EdgeAccount, names: tuple[str, ...]) -> tuple[int, ...]:
 
 
 class Peer:
-    """The link of this host with one other."""
+    """The link of this host to another."""
 
     def __init__(
         self, graph: str, own: str, replication: Replication, reading: Reading, way: Network
     ) -> None:
-        """`own`: the label of this host; `reading`: of the other's clock; `way`: to its agent."""
+        """`own`: this host's label; `reading`: of the other's clock; `way`: network to it."""
         self.label, self._graph, self._own = replication.other, graph, own
         self.replication, self._reading = replication, reading
         self._offset = Offset()
@@ -204,40 +202,40 @@ class Peer:
         self.answered_s = time.monotonic()
         self.lost = False
         self.losses = 0
-        self.broken = ""  # why nobody looks after the link any more
+        self.broken = ""  # why the link is no longer monitored
         self.estimate: Estimate | None = None
 
     def begin(self) -> None:
-        """Look after the other host from now on."""
+        """Start monitoring the other host."""
         self.answered_s = time.monotonic()
         self._thread.start()
 
     def close(self) -> None:
-        """Leave it alone."""
+        """Stop monitoring the other host."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
         self._session.close()
 
     def tell(self, *, ready: bool, anyway: bool) -> None:
-        """Send the other host what it is to know, if there is anything."""
+        """Send the other host this host's half of the accounts, if it has changed."""
         accounts = self.replication.tell(ready=ready, anyway=anyway)
         if accounts is not None and self._telling.matching():
             self._telling.send(encode(accounts))
 
     def hear(self, accounts: wire.Accounts) -> None:
-        """The other host tells its accounts; while it counts as lost nobody listens."""
+        """Receive the other host's accounts; ignore them while it counts as lost."""
         if not self.lost:
             self.replication.hear(accounts)
 
     def recall(self) -> wire.Accounts | None:
-        """What the other host knows of the edges between the two; None when it knows nothing."""
+        """Ask the other host for the accounts of the shared edges; None when it has none."""
         question = encode(wire.Named(self._graph))
         data = self._session.ask(self._key("recall"), question, RECALL_S)
         try:
             return decode_answer(wire.Accounts, data, self.label) if data else None
         except FoveaError:
-            return None  # it does not run there
+            return None  # the graph does not run there
 
     def _key(self, verb: str) -> str:
         return agent_key(self.label, host_identity(self._own), verb)
@@ -264,7 +262,7 @@ class Peer:
             log.warning("%s: host %s is back", self._graph, self.label)
 
     def _note_clock(self) -> None:
-        """What is known of the other clock, less sure as time goes by."""
+        """Publish the estimate of the other clock, whose error grows with its age."""
         self.estimate = self._offset.estimate(time.monotonic_ns())
         if self.estimate is not None:
             self._reading.offset_ns = self.estimate.offset_ns

@@ -1,4 +1,4 @@
-"""Which part of a graph runs on which host, what a host allows, and whether it may run its part.
+"""Placement of a graph's nodes on hosts, and the allow lists of a host.
 
 Code and paths never come over the wire: a graph names operators that a host lists, by name and
 checksum, and files only as `sha256:…` of weights that it lists too. Nothing here imports what a
@@ -23,16 +23,16 @@ from pipeline.fleet.names import node_identity
 from pipeline.graph.plan import Node, Plan
 from pipeline.whole_file import write_whole
 
-ANY = "any"  # instead of a checksum: whatever version is installed
+ANY = "any"  # instead of a checksum: any installed version
 DIGEST_PREFIX = "sha256:"
-MOST_WEIGHTS_BYTES = LARGEST_BYTES - (1 << 20)  # they travel as one message
-DEEPEST = 32  # of a setting's value
-_NAME_OF_FILE = re.compile(r".*\.[^\W\d]\w{0,9}", re.DOTALL)  # it ends like one
+MOST_WEIGHTS_BYTES = LARGEST_BYTES - (1 << 20)  # they are sent as one message
+DEEPEST = 32  # nested levels of a setting's value
+_NAME_OF_FILE = re.compile(r".*\.[^\W\d]\w{0,9}", re.DOTALL)  # has a file extension
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 def validate_plan(plan: Plan, label: str) -> None:
-    """Raise `FoveaError` for a plan that no loader would have made."""
+    """Raise `FoveaError` for a plan that the loader would not produce."""
     if plan.clock != "realtime":
         raise GraphError(f"{plan.name}: clock: expected realtime between hosts, got {plan.clock}")
     if not plan.nodes:
@@ -52,9 +52,9 @@ def validate_plan(plan: Plan, label: str) -> None:
 
 
 def check_numbered(plan: Plan) -> None:
-    """Raise `GraphError` unless every node and edge has a place of its own in the accounts.
+    """Raise `GraphError` unless every node and edge has a unique index in the ledger.
 
-    Where some came and went, places between others may be empty.
+    After removals, there may be gaps.
     """
     for kind, found, room in (
         ("a node", [(n.index, n.name) for n in plan.nodes], ROOM_NODES),
@@ -69,14 +69,14 @@ def check_numbered(plan: Plan) -> None:
 
 @dataclass(frozen=True)
 class Allowed:
-    """The lists of one host."""
+    """The allow lists of one host."""
 
     code: Mapping[str, str] | None  # module:Class -> sha256 of its files, or `any`; None: any class
     weights: Mapping[str, Path | None]  # sha256 -> file; None: may be sent
-    store: Path  # where sent weights are kept
+    store: Path  # folder of received weights
 
     def check_code(self, path: str, where: str) -> None:
-        """Raise `SettingsError` unless that class may be loaded as it is installed here."""
+        """Raise `SettingsError` unless the class is allowed in its installed version."""
         if self.code is None:
             return
         if path not in self.code:
@@ -91,7 +91,7 @@ class Allowed:
             )
 
     def localise(self, value: Any, where: str, depth: int = 0) -> Any:
-        """Values of a setting with weights as files of this host; raises for anything forbidden."""
+        """Return a setting's value with weights as local files; raises for forbidden values."""
         if depth > DEEPEST:
             raise SettingsError(f"{where[:60]}: expected no more than {DEEPEST} levels")
         if isinstance(value, Mapping):
@@ -114,7 +114,7 @@ class Allowed:
         return value
 
     def file(self, digest: str, where: str) -> Path:
-        """The weights with that checksum; raises `SettingsError` when they are not to be used."""
+        """Return the weights with that checksum; raises `SettingsError` if unavailable."""
         if digest not in self.weights:
             raise SettingsError(f"{where}: weights {digest[:12]}… are not on the allow list")
         path = self.weights[digest] or self.store / digest
@@ -125,14 +125,14 @@ class Allowed:
         return path
 
     def missing(self, value: Any) -> tuple[str, ...]:
-        """The weights in a setting's values that are allowed and not there."""
+        """Return the weights in a setting's value that are allowed but not present."""
         found = strings(value, lambda text: text.startswith(DIGEST_PREFIX))
         digests = {text.removeprefix(DIGEST_PREFIX) for text in found}
         known = {d: self.weights[d] or self.store / d for d in digests if d in self.weights}
         return tuple(sorted(d for d, path in known.items() if not path.is_file()))
 
     def keep(self, data: bytes) -> str:
-        """Store weights that were sent; raises `WeightsError` when nobody wants them here."""
+        """Store received weights; raises `WeightsError` when they are not allowed."""
         digest = hashlib.sha256(data).hexdigest()
         if digest not in self.weights or len(data) > MOST_WEIGHTS_BYTES:
             raise WeightsError(f"weights {digest[:12]}… are not on the allow list")
@@ -142,7 +142,7 @@ class Allowed:
 
 
 def is_path(value: str) -> bool:
-    """Whether a string is written like the name of a file, there or not.
+    """Whether a string has the form of a file name, existing or not.
 
     >>> [is_path(text) for text in ("ball", "1.5", "look.rrd", "../x", "main referee")]
     [False, False, True, True, False]
@@ -153,12 +153,12 @@ def is_path(value: str) -> bool:
 
 
 def is_code(value: str) -> bool:
-    """Whether a string could name something that is loaded; times and the like must do without."""
+    """Whether a string could be an import path; times and the like must not look like one."""
     return ":" in value and not value.startswith(DIGEST_PREFIX)
 
 
 def strings(value: Any, wanted: Callable[[str], bool]) -> list[str]:
-    """All strings in a value that are wanted."""
+    """Return all strings in a value that satisfy a predicate."""
     if isinstance(value, Mapping):
         return [s for v in value.values() for s in strings(v, wanted)]
     if isinstance(value, (list, tuple)):
@@ -167,12 +167,12 @@ def strings(value: Any, wanted: Callable[[str], bool]) -> list[str]:
 
 
 def code_of(operator: str, settings: Any) -> list[str]:
-    """The classes that a node names: its operator, and whatever its settings name."""
+    """Return the classes that a node names: its operator, and those in its settings."""
     return [operator, *strings(settings, is_code)]
 
 
 def code_digest(path: str) -> str:
-    """sha256 over the files of a class's module or package; raises `SettingsError`."""
+    """Return the sha256 of the files of a class's module or package; raises `SettingsError`."""
     origin = _module_file(path.partition(":")[0])
     if origin is None:
         raise SettingsError(f"{path}: not installed here")
@@ -185,25 +185,25 @@ def code_digest(path: str) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """sha256 of a file."""
+    """Return the sha256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def is_digest(text: str) -> bool:
-    """Whether it is written as a sha256."""
+    """Whether a text has the form of a sha256."""
     return bool(_DIGEST.fullmatch(text))
 
 
 def plan_for(plan: Plan, label: str) -> Plan:
-    """The plan as the host of that label runs it: edges to other hosts carry bytes."""
+    """Return the plan as a host runs it: edges to other hosts send complete messages."""
     local = replace(plan, here=label)
     edges = tuple(replace(e, transport="bytes") if local.crosses(e) else e for e in plan.edges)
     return replace(local, edges=edges)
 
 
 def check_labels(plan: Plan, labels: Mapping[str, Any]) -> None:
-    """Raise `GraphError` unless there is a host for every label, and time is real."""
+    """Raise `GraphError` unless every label has a host and the clock is realtime."""
     if plan.clock == "lockstep":
         raise GraphError(f"{plan.name}: lockstep runs on one host, got several")
     used = {node.host for node in plan.nodes}
@@ -212,13 +212,13 @@ def check_labels(plan: Plan, labels: Mapping[str, Any]) -> None:
     for label in sorted(used):
         if label not in labels:
             raise GraphError(
-                f"{plan.name}: no host {label} among the agents found"
+                f"{plan.name}: no host {label} among the known agents"
                 f"{checked.suggest(label, labels)}"
             )
 
 
 def borders(plan: Plan) -> dict[str, frozenset[str]]:
-    """The processes with an edge to another host, as `label/process`: with whom each speaks."""
+    """Return the processes with edges to other hosts, as `label/process`, and their partners."""
     found: dict[str, set[str]] = {}
     for edge in plan.edges:
         source, target = plan.node(edge.source), plan.node(edge.target)
@@ -229,19 +229,19 @@ def borders(plan: Plan) -> dict[str, frozenset[str]]:
 
 
 def place(node: Node) -> str:
-    """`label/process`."""
+    """Return `label/process`."""
     return f"{node.host}/{node.process}"
 
 
 def identities(plan: Plan, label: str) -> list[str]:
-    """The nodes of a host that have credentials: those with an edge to another one."""
+    """Return the nodes of a host that need credentials: those with an edge to another host."""
     crossing = borders(plan)
     here = [node for node in plan.nodes if node.host == label and place(node) in crossing]
     return list(dict.fromkeys(node_identity(plan.name, node) for node in here))
 
 
 def listeners(plan: Plan, label: str) -> list[str]:
-    """The processes of a host that listen: of two that speak, the first by name does."""
+    """Return the listening processes of a host: of two connected ones, the first by name."""
     found = borders(plan)
     return [
         name.partition("/")[2]

@@ -1,4 +1,4 @@
-"""Makes the credentials and agent files for the hosts of some graphs, to be copied there."""
+"""Create credentials and agent files for the hosts of graphs, to be copied there."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +16,7 @@ from pipeline.whole_file import write_whole
 def issue_for(
     folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan], users: Sequence[str]
 ) -> Iterator[str]:
-    """Make what is missing, a line for each."""
+    """Create missing credentials and files; yield a line for each."""
     labels = _labels(addresses, plans)
     for name in users:
         own = folder / user_identity(name)
@@ -42,9 +42,9 @@ def issue_for(
 
 
 def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
-    """Raise `RunError` for a host that is new and has no address.
+    """Raise `RunError` for a new host without an address.
 
-    Raises `SettingsError` for an address that is none, and for one that two hosts have.
+    Raises `SettingsError` for an invalid address, or one that two hosts share.
     """
     taken: dict[str, str] = {}
     for label, address in {**_addresses_known(folder), **addresses}.items():
@@ -64,7 +64,7 @@ def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[
 def agent_yaml(
     label: str, address: str, users: Sequence[str], others: Sequence[str], plans: Sequence[Plan]
 ) -> str:
-    """An agent's file that allows what the graphs have on that host, as it is installed here."""
+    """Return an agent's file that allows the graphs' nodes on that host, as installed here."""
     nodes = [node for plan in plans for node in plan.nodes if node.host == label]
     code = {
         path: code_digest(path) for node in nodes for path in code_of(node.operator, node.settings)
@@ -95,7 +95,7 @@ def _labels(addresses: Mapping[str, str], plans: Sequence[Plan]) -> list[str]:
 
 
 def _addresses_known(folder: Path) -> dict[str, str]:
-    """What was noted for the users of an authority: label -> address."""
+    """Return the addresses stored for the users of an authority: label -> address."""
     known: dict[str, str] = {}
     for note in sorted(folder.glob(f"*/{secure.ADDRESSES}")):
         known |= known_addresses(note.parent)

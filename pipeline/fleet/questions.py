@@ -1,7 +1,7 @@
-"""The questions to an agent: bounded queues, and one reply to each, whatever the answer does.
+"""Questions to an agent: bounded queues, and exactly one reply to each, also on errors.
 
-What looks at graphs waits in one queue, what starts and ends them in another, each answered by a
-thread of its own. The time of a clock, which cannot wait, is answered where the question comes in.
+Questions about graphs wait in one queue, requests to start and end them in another, each with its
+own thread. A ping for the clock offset is answered at once, on the transport's thread.
 """
 
 import logging
@@ -20,35 +20,35 @@ from pipeline.text import error_text
 WAITING = 64  # questions in a queue; more are refused at once
 TICK_S = 0.1
 WARN_S = 1.0
-SLOW = ("prepare", "start", "down", "weights", "replan")  # what loads, begins, ends
+SLOW = ("prepare", "start", "down", "weights", "replan")  # verbs that load, start or stop
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Question:
-    """What one asks, and the way back."""
+    """A question and its reply function."""
 
     verb: str
-    asker: str  # its identity
+    asker: str  # identity of the client
     data: bytes
     reply: OnBytes
-    sends: bool = False  # weights: it holds the one place that there is for them
+    sends: bool = False  # weights: it holds the semaphore for them
 
 
 Answer = Callable[[Question], ControlMessage | None]  # None: another thread replies
 
 
 class Questions:
-    """Those that wait. Any thread may call anything here."""
+    """The waiting questions; thread-safe."""
 
     def __init__(self) -> None:
         self._looks: queue.Queue[Question] = queue.Queue(WAITING)
         self._works: queue.Queue[Question] = queue.Queue(WAITING)
-        self._sending = threading.BoundedSemaphore(1)  # weights are big: one file at a time
+        self._sending = threading.BoundedSemaphore(1)  # weights are large: one file at a time
         self._quiet_until_s = 0.0
 
     def put(self, asker: str, key: str, data: bytes, reply: OnBytes) -> None:
-        """Let a question wait, or reply at once; the last part of its key is the verb."""
+        """Queue a question, or reply at once; the last part of its key is the verb."""
         verb = key.rpartition("/")[2]
         if verb == "ping" and len(data) < 64:
             _reply_time(data, reply)
@@ -58,7 +58,7 @@ class Questions:
             reply(encode(refused(f"expected up to {MOST_BYTES} bytes, got {len(data)}")))
             return
         if weights and not self._sending.acquire(blocking=False):
-            reply(encode(refused("busy: it takes weights from somebody else")))
+            reply(encode(refused("busy: it is receiving weights from another client")))
             return
         try:
             waiting = self._works if verb in SLOW else self._looks
@@ -66,10 +66,10 @@ class Questions:
         except queue.Full:
             if weights:
                 self._sending.release()
-            reply(encode(refused("busy: too many questions wait")))
+            reply(encode(refused("busy: too many questions are pending")))
 
     def answer_next(self, answer: Answer, *, slow: bool) -> bool:
-        """Answer one of the slow or of the other questions; False when none came for a moment."""
+        """Answer one slow or fast question; return False when none came for a moment."""
         waiting = self._works if slow else self._looks
         try:
             question = waiting.get(timeout=TICK_S)
@@ -82,16 +82,16 @@ class Questions:
         except FoveaError as error:
             self.warn_once(f"refused {question.verb} to {question.asker}: {error}")
             question.reply(encode(refused(str(error))))
-        except Exception as error:  # a mistake of ours: the other questions are answered
-            log.exception("%s of %s broke", question.verb, question.asker)
-            question.reply(encode(refused(f"{question.verb} broke: {error_text(error)}")))
+        except Exception as error:  # a bug in the agent: keep answering other questions
+            log.exception("%s of %s failed", question.verb, question.asker)
+            question.reply(encode(refused(f"{question.verb} failed: {error_text(error)}")))
         finally:
             if question.sends:
                 self._sending.release()
         return True
 
     def warn_once(self, why: str) -> None:
-        """Warn, at most once a second: somebody shall be able to read it."""
+        """Log a warning, at most once a second."""
         if time.monotonic() > self._quiet_until_s:
             self._quiet_until_s = time.monotonic() + WARN_S
             log.warning("%s", why)

@@ -1,8 +1,8 @@
-"""Requests from elsewhere to what runs on this host: to its nodes, and for what outputs send.
+"""Relay requests of other hosts to this host's nodes, and their outputs to remote taps.
 
-The same rules hold as for a graph that is brought up: code by the allow list, files by checksum. A
-listener asks again and again for what an output sent; what came since is the answer. A tap keeps so
-many messages and bytes and no more, and is closed when it has not been asked for a while.
+The rules for deployed graphs apply: code by allow list, files by checksum. A remote listener polls
+a tap for new messages. A tap is bounded in messages and bytes, and closed when it is not polled for
+a while.
 """
 
 import logging
@@ -33,14 +33,14 @@ from pipeline.run.supervisor import Supervisor
 from pipeline.settings import suggest
 from pipeline.text import error_text
 
-AT_ONCE = 4  # a node answers between two frames; one that hangs must not hold up the others
+AT_ONCE = 4  # a node answers between two frames; one that hangs must not delay the others
 WAITING = 16
 Reply = Callable[[bytes], None]
-MOST_TAPS = 8  # of one asker on one host
-MOST_KEPT = 512  # messages of one tap
+MOST_TAPS = 8  # per client and host
+MOST_KEPT = 512  # messages kept per tap
 MOST_KEPT_BYTES = 256 << 10
-IDLE_S = 5.0  # a tap that nobody asks for any longer is closed
-Key = tuple[str, str]  # who listens, and the name of the tap
+IDLE_S = 5.0  # a tap without a poll for this long is closed
+Key = tuple[str, str]  # client, name of the tap
 log = logging.getLogger(__name__)
 
 
@@ -48,17 +48,17 @@ class NodeGateway:
     """Forwards requests to the nodes of a host."""
 
     def __init__(self, allowed: Allowed, over: Mapping[str, Mapping[str, Any]]) -> None:
-        """`over`: what this host sets itself, by node; nobody else may change it."""
+        """`over`: settings that this host fixes, by node; nobody else may change them."""
         self._allowed, self._over = allowed, over
         self._pool = ThreadPoolExecutor(AT_ONCE, thread_name_prefix="gateway")
         self._room = BoundedSemaphore(AT_ONCE + WAITING)
 
     def close(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def ask(self, hosted: HostedGraph, asked: wire.ToNode, reply: Reply) -> None:
-        """Put a question to a node and reply when it answers; raises `FoveaError`."""
+        """Ask a node and reply when it answers; raises `FoveaError`."""
         check_here(hosted, asked.node)
         question = self._cleared(asked)
 
@@ -69,17 +69,17 @@ class NodeGateway:
         self.submit(answer, reply)
 
     def submit(self, answer: Callable[[], ControlMessage], reply: Reply) -> None:
-        """Reply what `answer` returns, from another thread; raises `RunError` for too many."""
+        """Reply with the result of `answer` from another thread; raises `RunError` if busy."""
         if not self._room.acquire(blocking=False):
-            raise RunError("busy: too many questions wait for nodes")
+            raise RunError("busy: too many questions to nodes are pending")
         self._pool.submit(self._answer, answer, reply)
 
     def swap(self, hosted: HostedGraph, order: SwapOrder, reply: Reply) -> None:
-        """Have a node swapped and reply when that is done; raises `FoveaError`."""
+        """Swap a node and reply when that is done; raises `FoveaError`."""
         check_here(hosted, order.node)
         supervisor = hosted.supervisor
         if supervisor is None:
-            raise RunError(f"{hosted.plan.name}: does not run just now, try again")
+            raise RunError(f"{hosted.plan.name}: is not running now, try again")
         if order.operator:
             self._allowed.check_code(order.operator, f"{order.node}.operator")
         changes = {**self._cleared_values(order.node, order.changes), **self._own(order.node)}
@@ -96,13 +96,13 @@ class NodeGateway:
         except FoveaError as error:
             reply(encode(refused(str(error))))
         except Exception as error:
-            log.exception("an answer broke")
-            reply(encode(refused(f"it broke: {error_text(error)}")))
+            log.exception("answering a question failed")
+            reply(encode(refused(f"it failed: {error_text(error)}")))
         finally:
             self._room.release()
 
     def _cleared(self, asked: wire.ToNode) -> NodeQuestion:
-        """The question without anything that must not come from outside; raises `FoveaError`."""
+        """Return the question with checked, localised values; raises `FoveaError`."""
         question = asked.question
         if isinstance(question, ConfigQuestion):
             return ConfigQuestion(self._cleared_values(asked.node, question.changes))
@@ -130,12 +130,12 @@ def check_here(hosted: HostedGraph, node: str) -> None:
 
 @dataclass
 class _Tap:
-    """One tap; `hear` is called by the transport's thread."""
+    """A tap; the transport's thread calls `hear`."""
 
     place: str
     asked_s: float
-    asking: int = 0  # fetches under way; it is not closed meanwhile
-    supervisor: Supervisor | None = None  # of the run that it listens to
+    asking: int = 0  # polls in progress, which keep it open
+    supervisor: Supervisor | None = None  # of the tapped run
     open: ExitStack = field(default_factory=ExitStack)
     opening: threading.Lock = field(default_factory=threading.Lock)
     kept: deque[tuple[int, bytes]] = field(default_factory=deque)
@@ -144,7 +144,7 @@ class _Tap:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def hear(self, payload: bytes) -> None:
-        """Keep one message, or count that there was no room."""
+        """Store a message, or count it as skipped for lack of room."""
         with self.lock:
             size = self.kept_bytes + len(payload)
             if len(self.kept) >= MOST_KEPT or size > MOST_KEPT_BYTES:
@@ -154,7 +154,7 @@ class _Tap:
             self.kept_bytes = size
 
     def fetch(self) -> tuple[tuple[tuple[int, bytes], ...], int]:
-        """What was kept, and how many were not, in all."""
+        """Return the stored messages and the total number of skipped ones."""
         with self.lock:
             kept, self.kept_bytes = tuple(self.kept), 0
             self.kept.clear()
@@ -162,9 +162,9 @@ class _Tap:
 
 
 class TapRelay:
-    """The taps of one agent. Any of its threads may call.
+    """The taps of one agent; thread-safe.
 
-    The lock is for the table alone: sessions are opened and closed outside of it.
+    The lock protects only the table: sessions are opened and closed outside of it.
     """
 
     def __init__(self) -> None:
@@ -172,7 +172,7 @@ class TapRelay:
         self._lock = threading.Lock()
 
     def close(self) -> None:
-        """Close all of them."""
+        """Close all taps."""
         with self._lock:
             taps = list(self._taps.values())
             self._taps.clear()
@@ -180,7 +180,7 @@ class TapRelay:
             tap.open.close()
 
     def tidy(self) -> None:
-        """Close those that nobody asks for any longer."""
+        """Close taps that are no longer polled."""
         late_s = time.monotonic() - IDLE_S
         with self._lock:
             idle = [k for k, t in self._taps.items() if not t.asking and t.asked_s < late_s]
@@ -189,11 +189,11 @@ class TapRelay:
             tap.open.close()
 
     def fetch(self, hosted: HostedGraph, asked: wire.TapQuestion, asker: str) -> wire.TapMessages:
-        """What an output sent since the last time; raises `RunError`."""
+        """Return what an output sent since the last poll; raises `RunError`."""
         supervisor = hosted.supervisor
         check_here(hosted, asked.node)
         if supervisor is None:
-            raise RunError(f"{hosted.plan.name}: does not run just now, try again")
+            raise RunError(f"{hosted.plan.name}: is not running now, try again")
         name, output = check_name(asked.tap, "tap"), check_name(asked.output, "output")
         place = key_of(hosted.plan.name, asked.node, output)
         with self._asked((asker, name), place) as tap:
@@ -208,7 +208,7 @@ class TapRelay:
 
     @contextmanager
     def _asked(self, key: Key, place: str) -> Iterator[_Tap]:
-        """A tap that stays while it is asked."""
+        """Yield a tap that stays open during the block."""
         with self._lock:
             tap = self._tap(key, place)
             tap.asking += 1
@@ -238,5 +238,5 @@ class TapRelay:
 
 
 def new_name() -> str:
-    """A name for a tap, which no other has."""
+    """Return a unique name for a tap."""
     return secrets.token_hex(8)

@@ -1,12 +1,12 @@
-"""A private certificate authority and what it signs: one certificate per host, node and user.
+"""A private certificate authority: one certificate per host, node and user.
 
-    <folder>/ca.pem, ca.key                   the authority; its key stays where it was made
+    <folder>/ca.pem, ca.key                   the authority; its key never leaves this folder
     <folder>/<identity>/ca.pem, own.pem, own.key   what a host, node or user needs
-    <folder>/user.<name>/addresses.json          where the hosts are: label -> address
+    <folder>/user.<name>/addresses.json          addresses of the hosts: label -> address
 
-The common name of a certificate says who speaks: `host.<label>`, `node.<graph>.<process>` or
-`user.<name>`, as `pipeline.fleet.names` writes them. The access lists of `pipeline.fleet.links`
-go by these names, never by addresses.
+The common name of a certificate is the identity of its owner: `host.<label>`,
+`node.<graph>.<process>` or `user.<name>` (`pipeline.fleet.names`). The access lists of
+`pipeline.fleet.links` use these names, never addresses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives import hashes, serialization
     from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.x509 import oid
-else:  # an extra, which takes longer to load than all the rest of a command
+else:  # an optional package, slower to load than all the rest of a command
     x509, oid = LateModule("cryptography.x509"), LateModule("cryptography.x509.oid")
     hashes = LateModule("cryptography.hazmat.primitives.hashes")
     serialization = LateModule("cryptography.hazmat.primitives.serialization")
@@ -35,21 +35,21 @@ else:  # an extra, which takes longer to load than all the rest of a command
 
 AUTHORITY_DAYS = 3650
 CERTIFICATE_DAYS = 825
-RENEWAL = datetime.timedelta(days=90)  # before the end
-SKEW = datetime.timedelta(days=1)  # a host whose clock is behind must not refuse its own
+RENEWAL = datetime.timedelta(days=90)  # before the expiry
+SKEW = datetime.timedelta(days=1)  # a host whose clock is behind must accept its own certificate
 COMMON_NAME = "fovea authority"
 ADDRESSES = "addresses.json"
 
 
 @dataclass(frozen=True)
 class Credentials:
-    """The three files that prove an identity and check others."""
+    """The three files that prove an identity and verify others."""
 
     folder: Path
 
     @staticmethod
     def of(folder: Path) -> Credentials:
-        """Those of a folder; raises `SettingsError` when one is missing or its key is readable."""
+        """Return a folder's credentials; raises `SettingsError` if incomplete or not private."""
         credentials = Credentials(folder)
         for path in (credentials.authority, credentials.certificate, credentials.key):
             if not path.is_file():
@@ -61,7 +61,7 @@ class Credentials:
 
     @property
     def authority(self) -> Path:
-        """The certificate that all others are checked against."""
+        """The certificate of the authority."""
         return self.folder / "ca.pem"
 
     @property
@@ -71,17 +71,17 @@ class Credentials:
 
     @property
     def key(self) -> Path:
-        """What proves it."""
+        """The private key."""
         return self.folder / "own.key"
 
     @property
     def identity(self) -> str:
-        """The common name; raises `SettingsError` for a file that is no certificate."""
+        """The common name; raises `SettingsError` for an invalid certificate."""
         return identity_of(self.certificate)
 
 
 def create(folder: Path) -> None:
-    """Make the authority; raises `RunError` where there is one already."""
+    """Create the authority; raises `RunError` where there already is one."""
     if (folder / "ca.pem").exists():
         raise RunError(
             f"{folder}: expected a folder without an authority, got one with ca.pem; `fovea secure "
@@ -100,10 +100,10 @@ def create(folder: Path) -> None:
 
 
 def issue(own: Path, folder: Path, identity: str, days: int = CERTIFICATE_DAYS) -> Credentials:
-    """Make key and certificate of an identity in a folder of its own, unless it has them.
+    """Create key and certificate of an identity in its own folder, unless they exist.
 
-    The certificate is written last: what was interrupted is made whole by the next call. Raises
-    `SettingsError` for a name that no certificate can bear.
+    The certificate is written last, so that the next call completes an interrupted one. Raises
+    `SettingsError` for a name that does not fit a certificate.
     """
     if not all(path.exists() for path in _files(own)):
         _certify(own, folder, check_identity(identity), days)
@@ -111,19 +111,19 @@ def issue(own: Path, folder: Path, identity: str, days: int = CERTIFICATE_DAYS) 
 
 
 def renew(folder: Path) -> Iterator[str]:
-    """Renew credentials below an authority's folder that end soon, for the same keys."""
+    """Renew credentials of an authority that expire soon, for the same keys."""
     for path in sorted(folder.rglob("own.pem")):
         ends = _certificate(path).not_valid_after_utc
         if ends - datetime.datetime.now(datetime.UTC) < RENEWAL:
             _certify(path.parent, folder, identity_of(path), CERTIFICATE_DAYS)
             yield (
-                f"{path.parent}: renewed for {CERTIFICATE_DAYS} days, as it ends on "
+                f"{path.parent}: renewed for {CERTIFICATE_DAYS} days, as it expires on "
                 f"{ends:%Y-%m-%d}; copy it to its host or user again"
             )
 
 
 def identity_of(certificate: Path) -> str:
-    """The common name of a certificate; raises `SettingsError` for a file that is none."""
+    """Return the common name of a certificate; raises `SettingsError` for an invalid one."""
     names = _certificate(certificate).subject.get_attributes_for_oid(oid.NameOID.COMMON_NAME)
     if not names:
         raise SettingsError(f"{certificate}: expected a certificate with a common name, got none")
@@ -164,10 +164,10 @@ def _certify(own: Path, folder: Path, identity: str, days: int) -> None:
 
 
 def _key(path: Path) -> ec.EllipticCurvePrivateKey:
-    """The key that is there, or a new one; raises `SettingsError` for something else."""
+    """Return the existing key or a new one; raises `SettingsError` for another kind of file."""
     if not path.exists():
         key = ec.generate_private_key(ec.SECP256R1())
-        write_whole(path, _private(key), secret=True)  # to others not for a moment
+        write_whole(path, _private(key), secret=True)  # never readable by others
         return key
     return _read_key(path)
 

@@ -1,4 +1,4 @@
-"""What runs on a host, in figures: its part of a graph as `ps` and `top` show it."""
+"""State of a host's part of a graph, as `ps` and `top` show it."""
 
 import time
 
@@ -12,7 +12,7 @@ from pipeline.run.supervisor import Supervisor
 
 
 def state_of(hosted: HostedGraph) -> State:
-    """The hosted graph as it is now."""
+    """Return the current state of a hosted graph."""
     supervisor = hosted.supervisor
     return State(
         graph=hosted.plan.name,

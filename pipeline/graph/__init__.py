@@ -1,1 +1,1 @@
-"""Graph files to plans: loading, overlays, checks, editing, drawing."""
+"""From graph files to plans: loading, overlays, checks, editing, drawing."""

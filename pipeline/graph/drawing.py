@@ -1,10 +1,10 @@
-"""A plan as a Mermaid flow chart: sensor commands dotted, lossless edges thick."""
+"""Draw a plan as a Mermaid flow chart: sensor commands dotted, lossless edges thick."""
 
 from pipeline.graph.plan import Plan
 
 
 def mermaid(plan: Plan) -> str:
-    """The text of the chart; groups become sub-graphs."""
+    """Return the text of the chart; groups become sub-graphs."""
     lines = ["flowchart LR"]
     for process, nodes in plan.processes().items():
         if len(nodes) == 1 and not nodes[0].group:

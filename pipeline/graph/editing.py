@@ -1,8 +1,8 @@
-"""A running graph's plan with nodes added, removed or rewired.
+"""Edit a running graph's plan: add, remove or rewire nodes.
 
-Only the operators of nodes that are added are loaded. What the others take and give is told by
-`ports_of`, a question to the running graph; without one their operators are loaded too. What does
-not fit is refused as the loader would, with file and line.
+Only the operators of added nodes are loaded. `ports_of` asks the running graph for the ports of the
+others; without it their operators are loaded, too. Mismatches are refused as by the loader, with
+file and line.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,17 +20,17 @@ from pipeline.settings import suggest
 
 @dataclass(frozen=True)
 class PortTypes:
-    """The messages that a node takes and gives, by name of input and output."""
+    """The message types of a node's inputs and outputs, by name."""
 
     inputs: Mapping[str, Sent]
     outputs: Mapping[str, Sent]
 
 
-PortTypesOf = Callable[[str], PortTypes]  # of a node that runs, by its name
+PortTypesOf = Callable[[str], PortTypes]  # the ports of a running node, by its name
 
 
 def with_nodes(plan: Plan, path: Path, ports_of: PortTypesOf | None = None) -> Plan:
-    """The plan and the nodes of a file; raises `GraphError` or `SettingsError`."""
+    """Return the plan with the nodes of a file; raises `GraphError` or `SettingsError`."""
     file = YamlFile(path)
     file.only(file.document, ("nodes",), "addition")
     fresh = file.mapping(file.document, "nodes", "addition")
@@ -42,7 +42,7 @@ def with_nodes(plan: Plan, path: Path, ports_of: PortTypesOf | None = None) -> P
 
 
 def without_node(plan: Plan, name: str) -> Plan:
-    """The plan without a node that nobody reads."""
+    """Return the plan without a node; raises `GraphError` if the node has readers."""
     _check_known(plan, name)
     for edge in plan.edges:
         if edge.source == name != edge.target:
@@ -57,7 +57,7 @@ def without_node(plan: Plan, name: str) -> Plan:
 
 
 def rewired(plan: Plan, wire: str, ports_of: PortTypesOf | None = None) -> Plan:
-    """The plan with an input connected elsewhere: `node.input=source.output`."""
+    """Return the plan with an input connected elsewhere: `node.input=source.output`."""
     end, equals, origin = wire.partition("=")
     node, dot, name = end.partition(".")
     if not (equals and dot and node and name and origin):
@@ -80,7 +80,7 @@ def rewired(plan: Plan, wire: str, ports_of: PortTypesOf | None = None) -> Plan:
 
 
 def loaded_ports(plan: Plan) -> PortTypesOf:
-    """The ports of a plan's nodes by their operators, which are loaded."""
+    """Return a function for the ports of a plan's nodes, which loads their operators."""
 
     def ports_of(name: str) -> PortTypes:
         operator = load_operator(plan.node(name).operator)

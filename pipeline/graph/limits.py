@@ -1,7 +1,7 @@
-"""The limits of every number in a graph: one table for files, for plans from outside, for editors.
+"""The limits of every number in a graph, in one table.
 
-Files are held to it by `pipeline.graph.spec`, plans by `pipeline.graph.plan`, and the JSON Schema
-prints it.
+`pipeline.graph.spec` applies it to files and `pipeline.graph.plan` to plans; the JSON Schema for
+editors contains it.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from pipeline.errors import FoveaError, GraphError
 from pipeline.wording import shown
 
 MOST_NODES, MOST_EDGES = 128, 512
-MOST_FRAMES = 1_000_000_000  # that an order may name: a year of them at 30 Hz
+MOST_FRAMES = 1_000_000_000  # largest frame number of an order: a year at 30 Hz
 DAY_S = 86400.0
 Word = Annotated[str, msgspec.Meta(max_length=200)]
 FrameCount = Annotated[int, msgspec.Meta(ge=0, le=MOST_FRAMES)]
@@ -47,7 +47,7 @@ class Limit:
         raise error(f"{where}: expected {kind}{self.low:g} to {self.high:g}, got {shown(value)}")
 
     def read(self, value: object, where: str) -> int | float:
-        """The number that a file means: 3.0 is a whole one; raises as `check` does.
+        """Convert a number of a file: 3.0 is a whole number; raises as `check` does.
 
         >>> Limit(1, 64, whole=True).read(3.0, "work.threads"), Limit(0, 9).read(2, "work.stall_s")
         (3, 2.0)
@@ -59,7 +59,7 @@ class Limit:
         return value if self.whole else float(value)
 
     def schema(self) -> dict[str, Any]:
-        """The same as JSON Schema."""
+        """Return the range as JSON Schema."""
         kind = "integer" if self.whole else "number"
         low, high = (int(v) if float(v).is_integer() else v for v in (self.low, self.high))
         return {"type": kind, "minimum": low, "maximum": high}

@@ -1,9 +1,9 @@
-"""Graph files: YAML to a checked plan. Every error says file, line, what, expected and got.
+"""Load graph files: YAML to a checked plan. Every error has file, line, expected and got.
 
-Everything is checked before a process starts: what the file says by itself (`pipeline.graph.spec`),
-then operators, settings, ports, message types of both ends, loops. Overlays change a graph without
-editing it: a source file replaces the settings of the node that makes frames, `node.setting=value`
-changes one value.
+Everything is checked before a process starts: first the file alone (`pipeline.graph.spec`), then
+operators, settings, ports, message types of both ends, loops. Overlays change a graph without
+editing it: a source file replaces the settings of the source node, `node.setting=value` changes one
+value.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -24,22 +24,22 @@ from pipeline.wording import shown_key
 
 
 class Sent(NamedTuple):
-    """The type of a message, told without its class."""
+    """The type of a message, without its class."""
 
     message: str
     fingerprint: str  # of its schema
 
     def against(self, sent: "Sent") -> str:
-        """What was expected and what came instead, in words."""
+        """Return a mismatch as text: expected …, got …."""
         same = self.message == sent.message
         return f"expected {self.message}, got {'another ' if same else ''}{sent.message}"
 
 
-FROM_PORT = ("keep", "depth", "wait_ms", "max_age_ms", "stale")  # unless the file says otherwise
+FROM_PORT = ("keep", "depth", "wait_ms", "max_age_ms", "stale")  # defaults are the port's
 
 
 def load(path: Path, overlay: Overlay | None = None) -> Plan:
-    """Read, lay over, check; raises `GraphError` or `SettingsError` with file and line."""
+    """Read, overlay and check; raises `GraphError` or `SettingsError` with file and line."""
     overlay = overlay or Overlay()
     file = YamlFile(path)
     spec = graph_spec(file, overlay.clock)
@@ -55,9 +55,9 @@ def extended(
     file: YamlFile, plan: Plan, nodes: Mapping[str, Any],
     outputs_of_running: Callable[[str], Mapping[str, Sent]],
 ) -> Plan:  # fmt: skip
-    """The plan of a running graph and these nodes of a file; raises `FoveaError`.
+    """Return the plan of a running graph extended by nodes of a file; raises `FoveaError`.
 
-    The operators of nodes that run already are not loaded: what they give is asked for.
+    The operators of running nodes are not loaded: the graph is asked for their outputs.
     """
     specs = node_specs(file, nodes)
     check_places(file, specs, plan.hosts)
@@ -106,18 +106,18 @@ def _plan(
 
 
 class _LocatedError(GraphError):
-    """An error that has its place already."""
+    """An error whose text already begins with file and line."""
 
 
 class _RunningNode:
-    """A node that runs already, of which an edge may begin."""
+    """A running node at which an edge may begin."""
 
     def __init__(self, name: str, outputs_of_running: Callable[[str], Mapping[str, Sent]]) -> None:
         self._name, self._ask = name, outputs_of_running
 
     @property
     def outputs(self) -> Mapping[str, Sent]:
-        """What it gives, by output; raises `FoveaError` when it does not say."""
+        """Return its message types by output; raises `FoveaError` when it does not answer."""
         return self._ask(self._name)
 
 
@@ -136,7 +136,7 @@ class _LoadedNode:
         self._check_handlers()
 
     def node(self, index: int) -> Node:
-        """The plan's node."""
+        """Return the node for the plan."""
         return Node(
             index=index,
             name=self.name,
@@ -225,7 +225,7 @@ def _edge(
 
 
 def _difference(wanted: type[Message], sent: type[Message] | Sent) -> str:
-    """What an input expects and what it would get; empty where they agree."""
+    """Return a type mismatch of an input as text; empty where the types agree."""
     if isinstance(sent, Sent):
         ours = Sent(wanted.__name__, codec.fingerprint(wanted).hex())
         return "" if ours == sent else ours.against(sent)

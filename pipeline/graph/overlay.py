@@ -1,4 +1,4 @@
-"""What a command line lays over a graph file: another source, single values, manual nodes."""
+"""Overlays from the command line on a graph file: another source, single values, manual nodes."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -16,23 +16,23 @@ from pipeline.settings import suggest
 from pipeline.wording import shown, shown_key
 
 SOURCE_KEYS = ("operator", "settings")
-LONGEST_TARGET, LONGEST_VALUE = 2 * LONGEST_NAME + 40, 40  # shown of a word: the reason follows
+LONGEST_TARGET, LONGEST_VALUE = 2 * LONGEST_NAME + 40, 40  # characters of an argument in an error
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """What a command line lays over a graph file."""
+    """An overlay from the command line on a graph file."""
 
-    source: Path | None = None  # a YAML file with `settings` and perhaps `operator`
+    source: Path | None = None  # a YAML file with `settings` and optionally `operator`
     changes: tuple[str, ...] = ()  # node.setting=value
     clock: str = ""
     wanted: tuple[str, ...] = ()  # manual nodes to start
-    values: tuple[tuple[str, str, Any], ...] = ()  # node, setting, and a value as it is
+    values: tuple[tuple[str, str, Any], ...] = ()  # node, setting and parsed value
 
     def lay(self, file: YamlFile, spec: GraphSpec) -> bool:
-        """Change the parsed file in place; raises `GraphError` for what fits nothing.
+        """Change the parsed file in place; raises `GraphError` for unknown nodes or settings.
 
-        Returns whether something was changed, so that the file has to be checked again.
+        Returns whether anything changed and the file must be checked again.
         """
         nodes = file.document["nodes"]
         if self.source:
@@ -52,13 +52,13 @@ class Overlay:
 
 
 def manual_nodes(path: Path, setting: str) -> list[str]:
-    """Nodes that start only on request and have that setting."""
+    """Return the nodes that start only on request and have that setting."""
     nodes = graph_spec(YamlFile(path)).nodes.values()
     return [n.name for n in nodes if n.manual and setting in _settings_of(n)]
 
 
 def source_document(path: Path) -> YamlFile:
-    """A source file, its keys checked; raises `GraphError` with file and line."""
+    """Read a source file and check its keys; raises `GraphError` with file and line."""
     over = YamlFile(path)
     over.only(over.document, SOURCE_KEYS, "source")
     if "settings" in over.document:
@@ -67,7 +67,7 @@ def source_document(path: Path) -> YamlFile:
 
 
 def read_change(change: str) -> tuple[str, str, Any]:
-    """Node, setting and value of `node.setting=value`; raises `GraphError` for anything else.
+    """Parse `node.setting=value`; raises `GraphError` for any other form.
 
     >>> read_change("policy.prompt_box=[1, 2, 3, 4]")
     ('policy', 'prompt_box', [1, 2, 3, 4])
@@ -80,7 +80,7 @@ def read_change(change: str) -> tuple[str, str, Any]:
 
 
 def read_value(text: str, name: str) -> Any:
-    """What a YAML file would mean by the value of a name; raises `GraphError` beginning with both.
+    """Parse a value as a YAML file would; raises `GraphError` beginning with name and value.
 
     >>> read_value("[1, 2]", "a.b"), read_value("off", "a.b"), read_value("", "a.b")
     ([1, 2], 'off', '')
@@ -91,7 +91,7 @@ def read_value(text: str, name: str) -> Any:
 
 
 def shown_change(change: str) -> str:
-    """A word of the command line in an error message: as it was typed where that can be read.
+    """Return an argument for an error message, with long parts truncated.
 
     >>> shown_change("ticker.rate_hz=" + 400 * "9")
     'ticker.rate_hz=9999999999999999999999999999999999999999…'

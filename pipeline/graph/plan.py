@@ -1,8 +1,8 @@
 """A checked graph, ready to run: nodes and edges with every default filled in.
 
-The loader makes a plan; the supervisor hands it to node processes as JSON, the in-line runner uses
-it as it is. Names that do not follow the grammar of `pipeline.naming`, numbers outside
-`pipeline.graph.limits` and edges without ends are refused here, wherever a plan comes from.
+The loader makes a plan; the supervisor sends it to node processes, the in-line runner uses it
+directly. Wherever a plan comes from, this module refuses invalid names (`pipeline.naming`), numbers
+outside `pipeline.graph.limits` and edges without ends.
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ RestartPolicy = Literal["never", "on-failure", "always"]
 
 @dataclass(frozen=True, kw_only=True)
 class Restart:
-    """What happens when a node ends: restarts allowed per window, with doubling back-off."""
+    """The restart policy of a node: restarts allowed per window, with exponential back-off."""
 
     policy: RestartPolicy = "on-failure"
     backoff_s: float = 0.05
@@ -36,7 +36,7 @@ class Restart:
 
 @dataclass(frozen=True, kw_only=True)
 class Edge:
-    """One arrow of the graph with what holds for it."""
+    """A connection from an output to an input, with its options."""
 
     index: int
     source: str
@@ -72,7 +72,7 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Node:
-    """One operator and how its process is kept."""
+    """One operator, its settings and the limits of its process."""
 
     index: int
     name: str
@@ -81,9 +81,9 @@ class Node:
     group: str = ""  # nodes of one group share a process
     host: str = ""
     threads: int = 1
-    stall_s: float = 10.0  # an input taken and not finished for this long is a stall
-    start_s: float = 60.0  # it may take this long to open
-    memory_mb: float = 0.0  # of its own; more is a leak, and it starts again; 0: no limit
+    stall_s: float = 10.0  # a handler that runs longer is a stall
+    start_s: float = 60.0  # time limit to open
+    memory_mb: float = 0.0  # private memory; above it the node restarts; 0: no limit
     restart: Restart = field(default_factory=Restart)
 
     def __post_init__(self) -> None:
@@ -96,20 +96,20 @@ class Node:
 
     @property
     def process(self) -> str:
-        """Name of the process it runs in."""
+        """The name of its process."""
         return self.group or self.name
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """The whole graph."""
+    """A checked graph."""
 
     name: str
     clock: Clock
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
-    hosts: tuple[str, ...] = ()  # labels of the hosts it is laid out for
-    here: str = ""  # the label whose nodes this supervisor runs; empty: all of them
+    hosts: tuple[str, ...] = ()  # labels of its hosts
+    here: str = ""  # label of the host whose nodes this supervisor runs; empty: all nodes
 
     def __post_init__(self) -> None:
         check_name(self.name, "name")
@@ -127,7 +127,7 @@ class Plan:
                 raise GraphError(f"{edge.end}: expected an edge between two nodes")
 
     def is_here(self, node: Node) -> bool:
-        """Whether this supervisor runs it."""
+        """Whether this supervisor runs a node."""
         return not self.here or node.host == self.here
 
     def touches(self, edge: Edge) -> bool:
@@ -139,19 +139,19 @@ class Plan:
         return bool(self.here) and self.node(edge.source).host != self.node(edge.target).host
 
     def node(self, name: str) -> Node:
-        """The node of that name."""
+        """Return the node of that name."""
         return next(n for n in self.nodes if n.name == name)
 
     def inputs(self, node: str) -> dict[str, Edge]:
-        """The edges into a node by input name, in the order the operator declares them."""
+        """Return the edges into a node by input, in the order of the operator's declaration."""
         return {e.input: e for e in self.edges if e.target == node}
 
     def readers(self, node: str, output: str) -> tuple[Edge, ...]:
-        """The edges out of one output."""
+        """Return the edges from one output."""
         return tuple(e for e in self.edges if e.source == node and e.output == output)
 
     def command_path(self) -> frozenset[str]:
-        """The nodes that decide when the sensor's next command comes, sources included."""
+        """Return the nodes on the path to the sensor's next command, sources included."""
         found = {edge.source for edge in self.edges if edge.command}
         grown = True
         while grown:
@@ -162,7 +162,7 @@ class Plan:
         return frozenset(found)
 
     def processes(self) -> dict[str, tuple[Node, ...]]:
-        """The nodes here by process, in dependency order of each process's first node."""
+        """Return the nodes here by process, in dependency order of each process's first node."""
         found: dict[str, list[Node]] = {}
         for name in self.order():
             node = self.node(name)
@@ -171,7 +171,7 @@ class Plan:
         return {name: tuple(nodes) for name, nodes in found.items()}
 
     def order(self) -> tuple[str, ...]:
-        """Node names so that every writer stands before its readers; commands do not count."""
+        """Return node names, writers before readers; command edges do not count."""
         waiting = {n.name: {e.source for e in self.inputs(n.name).values()} for n in self.nodes}
         for edge in self.edges:
             if edge.command:
@@ -190,19 +190,19 @@ class Plan:
 
 
 def slots(readers: tuple[Edge, ...]) -> int:
-    """Slots of an output's pool: what each reader may hold, one in hand, and two to write into."""
+    """Return the pool slots of an output: those readers may hold, one in hand, two to write."""
     return 2 + sum(_held(edge) + 1 for edge in readers)
 
 
 def inputs_for(plan: Plan, node: Node) -> dict[str, Input]:
-    """A node's connected inputs with the values that the graph file gave them."""
+    """Return a node's connected inputs with the options of the graph file."""
     operator = load_operator(node.operator)
     edges = plan.inputs(node.name)
     return {name: _effective(operator, edges[name], plan.clock) for name in edges}
 
 
 def load_operator(path: str) -> type[Operator[Any, Any]]:
-    """The class behind `module:Class`; raises `GraphError` when it is no sound operator."""
+    """Import `module:Class`; raises `GraphError` when it is not a valid operator."""
     found = imported(path, GraphError)
     if not (isinstance(found, type) and issubclass(found, Operator)):
         raise GraphError(f"{path}: expected an Operator, got {shown(found)}")
@@ -211,12 +211,12 @@ def load_operator(path: str) -> type[Operator[Any, Any]]:
 
 
 def is_source(node: Node) -> bool:
-    """Whether the node makes frames."""
+    """Whether the node is a source."""
     return issubclass(load_operator(node.operator), Source)
 
 
 def sources(plan: Plan) -> Iterator[Node]:
-    """The nodes that make frames."""
+    """Yield the source nodes."""
     return (node for node in plan.nodes if is_source(node))
 
 

@@ -1,7 +1,7 @@
-"""What operators take and give, and whether that is what the edges of a plan say.
+"""Ports of operators, and their check against the edges of a plan.
 
-The loader makes plans that pass; a plan that came from elsewhere is checked before anything starts.
-A supervisor imports nothing for that: the processes that import operators tell their ports.
+The loader makes valid plans; a plan from another origin is checked before anything starts. A
+supervisor imports nothing for that: the processes that import operators report their ports.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,18 +30,18 @@ class InputPort:
 
 @dataclass(frozen=True, kw_only=True)
 class Ports:
-    """An operator's inputs by name, the messages (`module:Class`) of its outputs by name."""
+    """An operator's inputs, and the messages (`module:Class`) of its outputs, by name."""
 
     inputs: Mapping[str, InputPort]
     outputs: Mapping[str, str]
-    source: bool  # it makes frames
+    source: bool  # whether it is a source
 
 
 PortsOf = Callable[[Node], Ports]
 
 
 def declared_ports(operator: str) -> Ports:
-    """The ports of `module:Class`, which is imported; raises `GraphError`."""
+    """Import `module:Class` and return its ports; raises `GraphError`."""
     cls = load_operator(operator)
     inputs = {
         name: InputPort(
@@ -59,7 +59,7 @@ def check_ports(
     is_here: Callable[[Node], bool],
     ports_of: PortsOf = lambda node: declared_ports(node.operator),
 ) -> None:
-    """Raise `FoveaError` for an edge that does not fit the operators here; no others are looked at.
+    """Raise `FoveaError` for an edge that does not fit the operators on this host.
 
     Without `ports_of` the operators are imported.
     """
@@ -80,8 +80,10 @@ def check_operators(plan: Plan) -> None:
 
 
 def fingerprints(plan: Plan) -> dict[str, str]:
-    """The fingerprints of the messages that nodes of this host send and expect, by
-    `node.output`; their operators are imported."""
+    """Import the operators here; return fingerprints of messages sent and expected.
+
+    The keys are `node.output`.
+    """
     found: dict[str, str] = {}
     for edge in plan.edges:
         source, target = plan.node(edge.source), plan.node(edge.target)
@@ -95,7 +97,7 @@ def fingerprints(plan: Plan) -> dict[str, str]:
 
 
 def check_fingerprints(plan: Plan, theirs: Mapping[str, str]) -> None:
-    """Raise `GraphError` where this host would read or write another message than is meant."""
+    """Raise `GraphError` where a message of this host differs from the expected schema."""
     for origin, mine in fingerprints(plan).items():
         if theirs.get(origin) != mine:
             raise GraphError(
@@ -105,12 +107,12 @@ def check_fingerprints(plan: Plan, theirs: Mapping[str, str]) -> None:
 
 
 def message_path(message: type) -> str:
-    """`module:Class` of a message."""
+    """Return `module:Class` of a message."""
     return f"{message.__module__}:{message.__qualname__}"
 
 
 def short(path: str) -> str:
-    """The name in `module:Class`."""
+    """Return the class name in `module:Class`."""
     return path.partition(":")[2]
 
 

@@ -1,4 +1,4 @@
-"""The JSON Schema of graph files, for editors: general, or exact for the nodes of one plan."""
+"""Generate the JSON Schema of graph files: general, or exact for the nodes of one plan."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ Schema = dict[str, Any]
 
 
 def graph_schema(plan: Plan | None = None) -> Schema:
-    """A schema document; with a plan, settings and inputs of its nodes are spelled out."""
+    """Return a schema document; with a plan, it includes settings and inputs of its nodes."""
     definitions: Schema = {}
     nodes: Schema = {
         "type": "object",
@@ -83,7 +83,7 @@ def _limited(limits: Limits) -> Schema:
 
 
 def _own(schema: Schema, node: str, definitions: Schema) -> Schema:
-    """A settings class's schema, its definitions moved to those of the whole document."""
+    """Return a settings class's schema, with its definitions moved to the document's."""
     for name, definition in schema.pop("$defs", {}).items():
         definitions[f"{node}.{name}"] = _moved(definition, node)
     moved: Schema = _moved(schema, node)

@@ -1,7 +1,7 @@
-"""The graphs and sources that fovea brings, by name: `tracking` -> the path of its file.
+"""The shipped graphs and sources by name: `tracking` -> the path of its file.
 
-They lie in `graphs/`, beside this package in the source tree and in an installation alike. A word
-that is no such name is the path of a file.
+They are in `graphs/`, next to this package, in the source tree and in an installation alike. Any
+other argument is the path of a file.
 """
 
 import difflib
@@ -17,18 +17,18 @@ SUFFIXES = (".yaml", ".yml")
 
 
 def graph_names(folder: Path = FOLDER) -> list[str]:
-    """Names of the graphs, those of a folder within it as `folder/name`."""
+    """Return the names of the graphs; those in a sub-folder are `folder/name`."""
     others = (SOURCES, TASKS)
     return [name for name in _names(folder) if folder / name.partition("/")[0] not in others]
 
 
 def source_names() -> list[str]:
-    """Names of the sources, which `--source` lays over a graph."""
+    """Return the names of the sources for `--source`."""
     return _names(SOURCES)
 
 
 def graph_path(word: str | os.PathLike[str]) -> Path:
-    """The file of a graph, given by name or path; raises `GraphError` for a name that is none.
+    """Return the file of a graph by name or path; raises `GraphError` for an unknown name.
 
     >>> graph_path("tracking").relative_to(FOLDER), graph_path("my/graph.yaml")
     (PosixPath('tracking.yaml'), PosixPath('my/graph.yaml'))
@@ -37,7 +37,7 @@ def graph_path(word: str | os.PathLike[str]) -> Path:
 
 
 def source_path(word: str | os.PathLike[str]) -> Path:
-    """The file of a source, likewise."""
+    """Return the file of a source by name or path; raises `GraphError` for an unknown name."""
     return _path(os.fspath(word), "source", SOURCES, source_names())
 
 

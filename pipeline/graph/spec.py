@@ -1,7 +1,7 @@
-"""What a graph file says, checked as far as it can be without importing anything that it names.
+"""Parse a graph file and check all that needs no import of its operators.
 
-Keys, names, numbers, choices and places are checked here; operators, settings and the types of
-messages are the loader's.
+Keys, names, numbers, choices and hosts are checked here; operators, settings and message types by
+the loader.
 """
 
 import difflib
@@ -38,12 +38,12 @@ class EdgeSpec:
 
     place: str  # file:line
     where: str  # node.inputs.input
-    origin: str  # as it is written: node or node.output
-    given: Mapping[str, Any]  # what is written of keep, depth, …
+    origin: str  # as written: node or node.output
+    given: Mapping[str, Any]  # the given ones of keep, depth, …
 
     @property
     def source(self) -> str:
-        """The node that writes."""
+        """The writing node."""
         return self.origin.partition(".")[0]
 
     @property
@@ -57,28 +57,28 @@ class NodeSpec:
     """A node as a graph file writes it."""
 
     name: str
-    entry: Mapping[str, Any]  # as it was read, to find lines in
+    entry: Mapping[str, Any]  # as read, to look up line numbers
     operator: str
     inputs: Mapping[str, EdgeSpec]
     settings: dict[str, Any]
-    given: Mapping[str, Any] = field(default_factory=dict)  # what is written of group, threads, …
+    given: Mapping[str, Any] = field(default_factory=dict)  # the given ones of group, threads, …
     restart: Restart
     manual: bool
 
     @property
     def host(self) -> str:
-        """The host that it names, or nothing."""
+        """The label of its host, or an empty string."""
         return str(self.given.get("host", ""))
 
     @property
     def process(self) -> str:
-        """The process that it runs in."""
+        """The name of its process."""
         return str(self.given.get("group", self.name))
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraphSpec:
-    """A graph file."""
+    """A graph as its file writes it."""
 
     name: str
     clock: Clock
@@ -87,7 +87,7 @@ class GraphSpec:
 
 
 def graph_spec(file: YamlFile, clock: str = "") -> GraphSpec:
-    """What a file says, its clock replaced if one is given; raises `FoveaError` with the line."""
+    """Parse a file, replacing its clock if one is given; raises `FoveaError` with the line."""
     document = file.document
     file.only(document, GRAPH_KEYS, "graph")
     clock = clock or document.get("clock", "realtime")
@@ -105,14 +105,14 @@ def graph_spec(file: YamlFile, clock: str = "") -> GraphSpec:
 
 
 def node_specs(file: YamlFile, nodes: Mapping[str, Any]) -> dict[str, NodeSpec]:
-    """What a file says of its nodes; raises `FoveaError` with file and line."""
+    """Parse the nodes of a file; raises `FoveaError` with file and line."""
     for name in nodes:
         check_name(name, f"{file.at(nodes, name)}: nodes")
     return {name: _node(file, nodes, name) for name in nodes}
 
 
 def check_places(file: YamlFile, nodes: Mapping[str, NodeSpec], hosts: tuple[str, ...]) -> None:
-    """Every node has a host that the graph knows, or none has one; a group is on one host."""
+    """Check that all nodes or none have a known host, and that a group is on one host."""
     hosts_of: dict[str, str] = {}
     for node in nodes.values():
         if node.host not in hosts and (node.host or hosts):
@@ -126,7 +126,7 @@ def check_places(file: YamlFile, nodes: Mapping[str, NodeSpec], hosts: tuple[str
 
 
 def import_paths(value: Any) -> Iterator[str]:
-    """All texts in a value that are written like import paths: what settings may import."""
+    """Yield all strings in a value with the form of import paths, which settings may import."""
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, list):
@@ -144,7 +144,7 @@ def _graph_name(file: YamlFile) -> str:
 
 
 def _hosts(file: YamlFile) -> tuple[str, ...]:
-    """The labels that nodes may name."""
+    """Return the host labels that nodes may use."""
     labels = file.document.get("hosts")
     labels = [] if labels is None else labels
     if not isinstance(labels, list):
@@ -177,7 +177,7 @@ def _node(file: YamlFile, nodes: Mapping[str, Any], name: str) -> NodeSpec:
 
 
 def _optional_mapping(file: YamlFile, entry: Mapping[str, Any], key: str, name: str) -> Any:
-    """A mapping that may be left out."""
+    """Return an optional mapping."""
     return {} if entry.get(key) is None else file.mapping(entry, key, name)
 
 

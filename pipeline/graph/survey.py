@@ -1,4 +1,4 @@
-"""What a graph file says and would import, found without importing anything of it."""
+"""List what a graph file contains and would import, without importing it."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +14,7 @@ from pipeline.wording import shown_key
 
 
 def survey(path: Path, *, source: Path | None = None, clock: str = "") -> Iterator[str]:
-    """Check all that can be checked so, then tell in lines; raises `FoveaError`."""
+    """Check the file without imports, then yield lines on it; raises `FoveaError`."""
     file = YamlFile(path)
     spec = graph_spec(file, clock)
     check_places(file, spec.nodes, spec.hosts)
@@ -31,7 +31,7 @@ def survey(path: Path, *, source: Path | None = None, clock: str = "") -> Iterat
             yield f"  {node.name}: {found}" + (" (on request)" if node.manual else "")
     for found in dict.fromkeys(import_paths(over.document if over else {})):
         yield f"  {source}: {found}"
-    yield "operators were not looked at: neither their settings nor their inputs and outputs"
+    yield "operators were not checked: neither their settings nor their inputs and outputs"
 
 
 def _check_origins(file: YamlFile, spec: GraphSpec) -> None:

@@ -1,4 +1,4 @@
-"""A YAML file that knows the line of every key, and raises errors with file and line."""
+"""A parsed YAML file with the line of every key, for errors with file and line."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from pipeline.wording import shown_key
 
 
 class YamlFile:
-    """A YAML mapping that knows the line of every key."""
+    """A YAML document with the line of every key; raises `GraphError` unless it is a mapping."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -21,13 +21,13 @@ class YamlFile:
         self.document = document
 
     def at(self, parent: Any, key: str) -> str:
-        """`file:line` of a key, or of its parent when it is not there."""
+        """Return `file:line` of a key, or of its parent when the key is missing."""
         if isinstance(parent, YamlMapping):
             return parent.places.get(key) or parent.place
         return str(self.path)
 
     def deepest(self, parent: Any, keys: Sequence[str]) -> str:
-        """`file:line` of the last of these nested keys that is there."""
+        """Return `file:line` of the innermost existing one of these nested keys."""
         place = self.at(parent, "")
         for key in keys:
             if not isinstance(parent, YamlMapping) or key not in parent:
@@ -36,11 +36,11 @@ class YamlFile:
         return place
 
     def fail(self, parent: Any, key: str, what: str) -> NoReturn:
-        """Raise with the place in front."""
+        """Raise `GraphError` beginning with file and line."""
         raise GraphError(f"{self.at(parent, key)}: {what}")
 
     def mapping(self, parent: Any, key: str, where: str) -> Any:
-        """A nested mapping."""
+        """Return a nested mapping; raises `GraphError` for any other value."""
         value = parent.get(key)
         if not isinstance(value, Mapping):
             what = f"{where}.{shown_key(key)}: expected a mapping, got {kind_of(value)}"
@@ -48,7 +48,7 @@ class YamlFile:
         return value
 
     def only(self, mapping: Any, known: Iterable[str], where: str) -> None:
-        """Refuse keys that mean nothing."""
+        """Raise `GraphError` for unknown keys."""
         known = tuple(known)
         for key in mapping:
             if key not in known:
@@ -57,14 +57,14 @@ class YamlFile:
 
 
 def kind_of(value: object) -> str:
-    """What a value is, in the words of an error message."""
+    """Return the kind of a value for an error message."""
     if value is None:
         return "nothing"
     return "a mapping" if isinstance(value, Mapping) else type(value).__name__
 
 
 def plain(value: Any) -> Any:
-    """The same without places."""
+    """Return the same value without line numbers."""
     if isinstance(value, Mapping):
         return {k: plain(v) for k, v in value.items()}
     return [plain(v) for v in value] if isinstance(value, list) else value

@@ -1,8 +1,8 @@
-"""YAML from outside to plain values: the one place where YAML is read, bounded in every way.
+"""Parse untrusted YAML to plain values, with limits; the only place that reads YAML.
 
-A document is composed from the parser's events and refused as soon as it is too large, too deep,
-or written with what a graph has no use for: tags, several documents, repeated keys, numbers beyond
-64 bits. Aliases are copied, so no two places share a value, and count with all they stand for.
+A document is composed from the parser's events and refused as soon as it is too large, too deep or
+uses a feature that graphs do not need: tags, several documents, repeated keys, numbers beyond 64
+bits. Aliases are copied, so that no two places share a value, and count with their full size.
 """
 
 import math
@@ -35,11 +35,11 @@ from pipeline.text import harmless
 from pipeline.wording import shown, shown_key
 
 MOST_BYTES = 1 << 18
-MOST_VALUES = 20_000  # with aliases written out
+MOST_VALUES = 20_000  # aliases expanded
 DEEPEST = 32  # levels
 TOO_DEEP = f"expected up to {DEEPEST} levels, got more"
-LONGEST_NUMBER = 400  # characters; what is longer has not even the range of a float
-WHOLE_LOW, WHOLE_HIGH = -(1 << 63), (1 << 64) - 1  # what messages can carry
+LONGEST_NUMBER = 400  # characters; a longer one exceeds even the range of a float
+WHOLE_LOW, WHOLE_HIGH = -(1 << 63), (1 << 64) - 1  # the integers that messages can carry
 _FORBIDDEN = re.compile(
     "[^\t\n\r -~\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"  # YAML 1.2, section 5.1
 )
@@ -47,7 +47,7 @@ _BASES = {"0b": 2, "0o": 8, "0x": 16}
 
 
 class YamlMapping(dict[str, Any]):
-    """A mapping that knows where it and each of its keys stand, as `file:line`."""
+    """A mapping with the position of itself and each key, as `file:line`."""
 
     def __init__(self, place: str = "") -> None:
         super().__init__()
@@ -55,26 +55,26 @@ class YamlMapping(dict[str, Any]):
         self.places: dict[str, str] = {}
 
     def put(self, key: str, value: Any, place: str) -> None:
-        """Set a key that stands at a place."""
+        """Set a key and its position."""
         self[key] = value
         self.places[key] = place
 
 
 def read_file(path: Path) -> Any:
-    """The value of a YAML file; raises `GraphError` with file and line."""
+    """Return the value of a YAML file; raises `GraphError` with file and line."""
     data = _bytes_of(path)
     text = data.decode("utf-8-sig", "replace")
     return _read(text, lambda line: f"{path}:{line + 1}", "not YAML: ", data)
 
 
 def read_text(text: str, what: str) -> Any:
-    """The value of a YAML text, as on a command line; raises `GraphError` beginning `what`."""
+    """Parse YAML text, e.g. of a command line; raises `GraphError` beginning with `what`."""
     return _read(text, lambda _line: what, "", None)
 
 
 def _bytes_of(path: Path) -> bytes:
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # waits for no pipe
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # never blocks on a pipe
         kind = os.fstat(handle).st_mode
         if not stat.S_ISREG(kind):
             os.close(handle)
@@ -118,7 +118,7 @@ def _read(text: str, at: Callable[[int], str], word: str, data: bytes | None) ->
 
 
 class _TooDeep(Exception):
-    """Raised by the scanner, which reads ahead of the events."""
+    """Nesting too deep; raised by the scanner, which reads ahead of the events."""
 
     def __init__(self, line: int) -> None:
         super().__init__()
@@ -126,17 +126,17 @@ class _TooDeep(Exception):
 
 
 class _Scanner(Scanner):
-    """Stops at brackets within brackets: for each it would look at all that are open."""
+    """Limits nested brackets, for which the scanner takes quadratic time."""
 
     def fetch_flow_collection_start(self, TokenClass: Any, to_push: str) -> None:  # noqa: N803
-        """A bracket that opens."""
+        """Handle an opening bracket."""
         if self.flow_level >= DEEPEST:
             raise _TooDeep(self.reader.line)
         super().fetch_flow_collection_start(TokenClass, to_push)
 
 
 class _Composer:
-    """Builds one value from the events of the parser, none of which it takes unbounded."""
+    """Builds one value from the events of the parser, with limits on each."""
 
     def __init__(self, text: str, at: Callable[[int], str]) -> None:
         yaml = YAML(typ="safe", pure=True)
@@ -144,12 +144,12 @@ class _Composer:
         self._events: Iterator[Event] = iter(yaml.parse(text))
         self._resolve = yaml.resolver.resolve
         self._at = at
-        self._anchors: dict[str, tuple[Any, int] | None] = {}  # value and size; None: not closed
+        self._anchors: dict[str, tuple[Any, int] | None] = {}  # value and size; None: not complete
         self._count = 0
-        self.line = 0  # of the newest event
+        self.line = 0  # of the latest event
 
     def document(self) -> Any:
-        """The only document's value; None for an empty text."""
+        """Return the value of the only document; None for an empty text."""
         self._next()
         event = self._next()
         if isinstance(event, StreamEndEvent):
@@ -254,7 +254,7 @@ class _Composer:
 
     def _scalar(self, event: ScalarEvent) -> Any:
         text: str = event.value
-        if any("\ud800" <= c <= "\udfff" for c in text):  # written as an escape
+        if any("\ud800" <= c <= "\udfff" for c in text):  # from an escape sequence
             self._fail(f"expected a text, got half a character in {shown(text)}")
         if not event.implicit[0]:
             return text
@@ -265,7 +265,7 @@ class _Composer:
             return text.lower() == "true"
         if kind in ("int", "float"):
             return self._number(text, kind)
-        return text  # of a date as well: YAML 1.2 has none
+        return text  # dates, too: YAML 1.2 has no date type
 
     def _number(self, text: str, kind: str) -> int | float | str:
         if len(text) > LONGEST_NUMBER:
@@ -287,7 +287,7 @@ class _Composer:
 
 
 def _whole(digits: str) -> int:
-    """An integer as YAML 1.2 writes it: 10, +10, 0b1010, 0o12, 0xA."""
+    """Parse an integer of YAML 1.2: 10, +10, 0b1010, 0o12, 0xA."""
     sign = -1 if digits.startswith("-") else 1
     bare = digits.lstrip("+-")
     return sign * int(bare[2:] if bare[:2] in _BASES else bare, _BASES.get(bare[:2], 10))

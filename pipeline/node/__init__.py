@@ -1,1 +1,1 @@
-"""What runs in the process of a node: the operator between its inputs and outputs."""
+"""Everything inside a node process: operators, their runners, inputs and outputs."""

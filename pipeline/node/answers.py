@@ -1,7 +1,7 @@
-"""What every node answers, below its own key: schema, health, settings, commands.
+"""Answers of a node to questions (`pipeline.protocol.questions`).
 
-The questions and their answers are in `pipeline.protocol.questions`. Schema and health are answered
-by the transport's thread, settings and commands by the operator's own, between two handlers.
+The transport's thread answers questions on schema and health; the operator's thread handles
+settings and commands, between two calls of handlers.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,7 @@ Q = TypeVar("Q", bound=ControlMessage)
 
 
 class Answers:
-    """What one node answers while its runner runs."""
+    """The answers of one node while its runner runs."""
 
     def __init__(
         self, plan: Plan, node: Node, operator: Operator[Any, Any], runner: OperatorRunner,
@@ -48,7 +48,7 @@ class Answers:
         self._runner, self._live, self._ledger = runner, live, ledger
 
     def serve(self, session: Session, key: Callable[[str], str]) -> list[Callable[[], None]]:
-        """Begin to answer under the node's own keys; returns how to stop."""
+        """Start answering on the node's keys; return functions to stop."""
         answers: dict[str, OnQuestion] = {
             SCHEMA: self._at_once(SchemaQuestion, self._schema),
             HEALTH: self._at_once(HealthQuestion, self._health),
@@ -58,16 +58,16 @@ class Answers:
         return [session.answer(key(name), act) for name, act in answers.items()]
 
     def _at_once(self, kind: type[Q], act: Callable[[Q], ControlMessage]) -> OnQuestion:
-        """On the thread of the transport."""
+        """Answer on the transport's thread."""
         return lambda question, reply: respond(self._node.name, kind, question, act, reply)
 
     def _between(self, kind: type[Q], act: Callable[[Q], ControlMessage]) -> OnQuestion:
-        """Between two handlers, on their thread."""
+        """Answer on the handlers' thread, between two calls."""
         name = self._node.name
 
         def take(question: bytes, reply: OnBytes) -> None:
             if not self._runner.between(lambda: respond(name, kind, question, act, reply)):
-                reply(encode(refused(f"{name}: too many questions wait already")))
+                reply(encode(refused(f"{name}: too many questions are pending")))
 
         return take
 
@@ -77,7 +77,7 @@ class Answers:
     def _health(self, _question: HealthQuestion) -> Health:
         try:
             words = harmless(str(self._operator.headline()), MOST_WORDS)
-        except Exception as error:  # the thread that asks every second makes an end of it
+        except Exception as error:  # the same error ends the node in its own thread
             words = harmless(error_text(error))
         return examine(self.plan, self._node, self._ledger, words)
 
@@ -93,15 +93,15 @@ def respond(
     act: Callable[[Q], ControlMessage],
     reply: OnBytes,
 ) -> None:
-    """Reply with what `act` makes of a question, or with why not, which changed nothing.
+    """Reply with the result of `act`, or with a refusal if it raises `FoveaError`.
 
-    An exception that is no `FoveaError` is told of and raised: the operator broke.
+    Any other exception is reported and raised again: the operator has failed.
     """
     try:
         answer = encode(act(decode(kind, question)))
     except FoveaError as error:
         answer = encode(refused(str(error)))
     except Exception as error:
-        reply(encode(refused(f"{node}: it broke and starts again: {error_text(error)}")))
+        reply(encode(refused(f"{node}: it failed and restarts: {error_text(error)}")))
         raise
     reply(answer)

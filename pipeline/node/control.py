@@ -1,8 +1,8 @@
-"""A node's end of the socket to its supervisor: instructions in, events out.
+"""Node's end of the socket to its supervisor: instructions in, events out.
 
-The process is started with the socket as its standard input. It is moved to a descriptor of its own
-that no program started by an operator inherits; whatever an operator does with its standard streams
-then concerns its log alone.
+The process is started with the socket as its standard input. The socket is then moved to another
+descriptor, which is not inherited by programs that an operator starts. Operators may do anything
+with the standard streams: that affects only their log.
 """
 
 import contextlib
@@ -19,13 +19,13 @@ from pipeline.protocol.lines import as_line, from_line
 from pipeline.protocol.supervision import INSTRUCTION, Event, Instruction
 from pipeline.text import harmless
 
-MOST_WORDS = 2000  # characters of a headline, an error, a reason; the log has them whole
-LOOK_S = 1.0  # between two looks whether the supervisor lives
+MOST_WORDS = 2000  # characters of a headline, an error or a reason; the log has the whole text
+LOOK_S = 1.0  # interval of checks whether the supervisor lives
 _CHUNK = 1 << 16
 
 
 class Control:
-    """Reads what the supervisor orders, tells it what happens."""
+    """Reads instructions from the supervisor and sends it events."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
@@ -36,7 +36,7 @@ class Control:
 
     @classmethod
     def from_standard_input(cls) -> "Control":
-        """Take the socket over and leave an empty standard input."""
+        """Take the socket from standard input, which is empty afterwards."""
         control = cls(socket.socket(fileno=os.dup(0)))
         nothing = os.open(os.devnull, os.O_RDONLY)
         os.dup2(nothing, 0)
@@ -44,16 +44,16 @@ class Control:
         return control
 
     def say(self, event: Event) -> None:
-        """Tell the supervisor; words are bounded. Nothing happens when it has died.
+        """Send an event to the supervisor, with texts truncated; no effect when it has died.
 
-        Raises `MessageError` for figures that cannot travel.
+        Raises `MessageError` for figures without encoding.
         """
         line = as_line(encode(_bounded(event)))
         with self._saying, contextlib.suppress(OSError):
             self._end.sendall(line)
 
     def instructions(self) -> Iterator[Instruction]:
-        """Yield what the supervisor sends until it ends or dies."""
+        """Yield the supervisor's instructions until it closes the socket or dies."""
         with contextlib.suppress(OSError):
             while self._readable() and (data := self._end.recv(_CHUNK)):
                 *whole, rest = data.split(b"\n")
@@ -64,7 +64,7 @@ class Control:
         self.alone = True
 
     def _readable(self) -> bool:
-        """Wait for data; False when the supervisor died, even if its end is held open."""
+        """Wait for data; return False when the supervisor died, even if its end is held open."""
         poll = select.poll()
         poll.register(self._end, select.POLLIN)
         while not poll.poll(1000 * LOOK_S):
@@ -74,6 +74,6 @@ class Control:
 
 
 def _bounded(event: Event) -> Event:
-    """The event with its texts cut to a length and in printable characters."""
+    """Return the event with sanitised, truncated texts."""
     texts = {k: v for k in event.__struct_fields__ if isinstance(v := getattr(event, k), str)}
     return msgspec.structs.replace(event, **{k: harmless(v, MOST_WORDS) for k, v in texts.items()})

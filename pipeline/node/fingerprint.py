@@ -1,8 +1,7 @@
-"""A number for the value of an attribute, another one when the value changes; within bounds.
+"""Fingerprint the value of an attribute, in bounded time, to detect changes.
 
-What belongs to a process and not to a value (threads, locks, files, sessions of a network) counts
-by identity. What is a value and can be looked into by nobody, such as a filter of an extension
-module, is said to be opaque.
+Objects that belong to a process (threads, locks, files, network sessions) count by identity. Values
+that cannot be inspected, such as a filter of an extension module, are reported as opaque.
 """
 
 import array
@@ -30,12 +29,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-DEEPEST = 16  # containers and objects within one another
-MOST_ITEMS = 5000  # looked at one by one in one attribute
-MOST_PLAIN = 100_000  # numbers and words of one list, which are fast to read
-ENDS = 32  # of a longer container these are looked at on both sides, and some between
-MOST_BYTES = 1 << 20  # of an array, read byte by byte
-MOST_SUMMED_BYTES = 1 << 26  # of an array: the sum of its words tells of any change, too
+DEEPEST = 16  # nested containers and objects
+MOST_ITEMS = 5000  # items inspected one by one in one attribute
+MOST_PLAIN = 100_000  # numbers and strings of one list, which are fast to read
+ENDS = 32  # of a longer container, this many at both ends and some between
+MOST_BYTES = 1 << 20  # of an array that is hashed completely
+MOST_SUMMED_BYTES = 1 << 26  # of an array that is summed, which detects most changes, too
 _PLAIN = (bool, int, float, complex, str, bytes, type(None))
 _PLAIN_TYPES = frozenset(_PLAIN)
 _PRINTED = (
@@ -47,7 +46,7 @@ _NO_STATE = (
     type, types.ModuleType, types.FunctionType, types.BuiltinFunctionType, types.MethodType,
     types.MethodWrapperType, types.MappingProxyType, np.ufunc,
 )  # fmt: skip
-# Their objects belong to the process (or are networks, which change nothing by answering).
+# objects of these modules belong to the process, or are networks, which inference leaves unchanged
 _OF_THE_PROCESS = (
     "threading", "_thread", "logging", "socket", "_socket", "ssl", "_ssl", "io", "_io",
     "subprocess", "multiprocessing", "_multiprocessing", "concurrent", "asyncio", "_asyncio",
@@ -58,15 +57,15 @@ _OF_THE_PROCESS = (
 
 
 class Fingerprint:
-    """One look at a value. `opaque` says whether a part of it could not be looked into."""
+    """One inspection of a value. `opaque` is True if a part of it could not be inspected."""
 
     def __init__(self) -> None:
         self._left = MOST_ITEMS
-        self._above: set[int] = set()  # what is being looked into: it may contain itself
+        self._above: set[int] = set()  # objects being inspected, which may contain themselves
         self.opaque = False
 
     def of(self, value: Any, depth: int = 0) -> int:
-        """A number that is another one for another value."""
+        """Return a number that differs for another value."""
         self._left -= 1
         if isinstance(value, (*_PLAIN, np.generic, *_PRINTED)):
             return hash((type(value).__name__, repr(value)))
@@ -92,7 +91,7 @@ class Fingerprint:
             return hash((len(value), *(self.of(v, depth) for v in self._some(value))))
         if isinstance(value, (set, frozenset)):
             return hash((len(value), frozenset(self.of(v, depth) for v in self._some(value))))
-        if isinstance(value, np.ndarray):  # of objects
+        if isinstance(value, np.ndarray):  # an array of objects
             return hash((value.shape, *(self.of(v, depth) for v in self._some(value.ravel()))))
         inside = _inside(value)
         if inside is None:
@@ -102,7 +101,7 @@ class Fingerprint:
         return hash((type(value).__qualname__, *items))
 
     def _some(self, items: Iterable[Any]) -> Iterable[Any]:
-        """All items, or of many both ends and some between, as many as may still be looked at."""
+        """Return all items, or within the limit both ends and some between."""
         count, room = len(items), max(0, self._left)  # type: ignore[arg-type]
         if count <= room:
             return tuple(items)
@@ -112,15 +111,15 @@ class Fingerprint:
 
 
 def of_plain(values: list[Any]) -> int:
-    """All numbers and words of a list."""
+    """Hash all numbers and strings of a list."""
     try:
         return zlib.crc32(msgspec.msgpack.encode(values))
-    except (TypeError, ValueError, OverflowError):  # of 400 digits, or complex
+    except (TypeError, ValueError, OverflowError):  # an integer of 400 digits, or complex
         return hash(repr(values))
 
 
 def of_array(values: NDArray[Any]) -> int:
-    """All bytes of a small array; of a big one the sum of its words, and some of them."""
+    """Hash all bytes of a small array; of a large one the sum of its words and a sample."""
     if values.nbytes <= MOST_BYTES:
         return zlib.crc32(np.ascontiguousarray(values).reshape(-1).view(np.uint8).data)
     total = 0
@@ -135,7 +134,7 @@ def of_array(values: NDArray[Any]) -> int:
 
 
 def _inside(value: Any) -> Mapping[str, Any] | None:
-    """What an object is made of, by name; nothing of what has no state, None for an opaque one."""
+    """Return an object's parts by name; empty for one without state, None for an opaque one."""
     if isinstance(value, _NO_STATE):
         return {"": id(value)}
     cls = type(value)
@@ -153,7 +152,7 @@ def _inside(value: Any) -> Mapping[str, Any] | None:
 
 
 def _known(value: Any, package: str) -> Mapping[str, Any] | None:
-    """What objects without attributes of their own are made of, where they tell it."""
+    """Return the parts of known objects without attributes of their own."""
     found: Mapping[str, Any] | None = None
     if isinstance(value, random.Random):
         found = {"state": value.getstate()}
@@ -172,7 +171,7 @@ def _known(value: Any, package: str) -> Mapping[str, Any] | None:
     elif isinstance(value, types.GeneratorType):
         found = {"at": value.gi_frame.f_lasti if value.gi_frame else -1}
     elif package == "torch" and isinstance(version := getattr(value, "_version", None), int):
-        found = {"": id(value), "version": version}  # counts the changes in place
+        found = {"": id(value), "version": version}  # incremented by changes in place
     elif isinstance(fields := getattr(type(value), "__struct_fields__", None), tuple):
         found = {n: getattr(value, n, None) for n in fields}
     elif (left := operator.length_hint(value, -1)) >= 0 and hasattr(type(value), "__next__"):
@@ -181,13 +180,13 @@ def _known(value: Any, package: str) -> Mapping[str, Any] | None:
 
 
 def _slots(value: Any) -> dict[str, Any]:
-    """The attributes that have a slot each."""
+    """Return the attributes in `__slots__`."""
     found: dict[str, Any] = {}
     for base in type(value).__mro__:
         for member in islice(vars(base).values(), MOST_ITEMS):
             if isinstance(member, types.MemberDescriptorType):
                 try:
                     found[member.__name__] = member.__get__(value)
-                except AttributeError:  # never set
+                except AttributeError:  # not set
                     continue
     return found

@@ -1,9 +1,9 @@
-"""Hands a running node from one process to another: one stops, the other goes on from there.
+"""Hand a running node over from one process to another without losing a message.
 
-The successor stands by with a receiver of its own: writers send to both, it keeps what comes.
-Between two calls of handlers the old part stops reading, writes its state to shared memory and
-tells the successor how far it came on every edge; the successor takes what was not finished and
-what came since. The old part keeps receiving until its successor has proven itself, and can resume.
+The successor is on standby with its own receiver: writers send to both, and it buffers. Between two
+calls of handlers the predecessor stops reading, writes its state to shared memory and sends the
+successor its position on every edge; the successor continues with unfinished and later messages.
+The predecessor keeps receiving until its successor has passed probation, so that it can resume.
 """
 
 import logging
@@ -41,34 +41,34 @@ from pipeline.text import error_text
 HANDOVER_CHANNEL = 0xFFFFFFFF  # the "edge" on which a successor gets the state
 REST_S = 0.005
 MOST_STATE_BYTES = 1 << 30
-MARGIN = 64  # descriptors kept beyond what the other instance can have waiting
+MARGIN = 64  # descriptors buffered beyond what the other instance can have waiting
 Say = Callable[[Event], None]
-Listen = Callable[[Heard], Callable[[], None]]  # to the working part's outputs; how to stop
+Listen = Callable[[Heard], Callable[[], None]]  # starts a tap, returns how to stop it
 log = logging.getLogger(__name__)
 
 
 class Takeover(NamedTuple):
-    """The counts when an instance took over."""
+    """The counts at the time when an instance took over."""
 
     answered: int  # sets of joined inputs
     dropped: dict[str, int]  # by input
-    stopped_ns: int  # when the other one stopped, monotonic
+    stopped_ns: int  # monotonic time when the predecessor stopped
 
 
 class Queryables(Protocol):
-    """The node's answers to questions, which only the instance that works may give."""
+    """The node's answers to questions, given only by the active instance."""
 
     def declare(self) -> None:
-        """Answer from now on."""
+        """Start answering."""
         ...
 
     def undeclare(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         ...
 
 
 class Handover:
-    """One instance's side. Everything happens on the thread that calls its handlers."""
+    """One instance's side of a handover, on the thread that calls its handlers."""
 
     def __init__(
         self, runner: OperatorRunner, *, memory: PrivateFolder, say: Say, queryables: Queryables,
@@ -84,13 +84,13 @@ class Handover:
         self._requested: Cut | None = None
         self._before: dict[str, DropCounts] = {}
         self._received = b""
-        self._first: Takeover | None = None  # its first answer is awaited
+        self._first: Takeover | None = None  # set while its first output is awaited
         self._undeclared = UndeclaredState(runner.operator)
         if standby:
             runner.account = _nowhere()
 
     def stand_by(self, receiver: LocalReceiver) -> None:
-        """Keep what comes, for a moment; take over when the state has come."""
+        """Buffer messages for a moment; take over when the state has arrived."""
         ports = self._runner.ports
         for name, port in ports.items():
             seen = self._runner.edges[name].seen
@@ -119,15 +119,15 @@ class Handover:
                 self._take_over(handover)
 
     def receive(self, handover: bytes) -> None:
-        """Note that it is this instance's turn."""
+        """Receive the predecessor's state: this instance is to take over."""
         self._received = handover
 
     def request(self, cut: Cut | None) -> None:
-        """Stop as soon as may be; with None, go on after all."""
+        """Request a stop as soon as possible; None cancels it."""
         self._requested = cut
 
     def poll(self) -> None:
-        """Between two calls of handlers."""
+        """Act on requests; called between two calls of handlers."""
         ports = self._runner.ports
         if self._first is not None and self._runner.answered > self._first.answered:
             first, self._first = self._first, None
@@ -144,7 +144,7 @@ class Handover:
                 self._say(CutRefused(self._runner.name, str(error)))
 
     def resume(self, epoch: int) -> None:
-        """Go on after all, after what the successor has finished."""
+        """Continue after a failed successor, behind the messages that it had finished."""
         if not self.inactive:
             return
         runner = self._runner
@@ -157,7 +157,7 @@ class Handover:
         self._say(Resumed(runner.name))
 
     def confirm(self) -> None:
-        """The other instance is not needed any more."""
+        """End the handover: the other instance is no longer needed."""
         for port in self._runner.ports.values():
             port.confirm()
 
@@ -225,7 +225,7 @@ class Handover:
         self._activate()
 
     def _begin_trial(self, handover: HandoverState) -> None:
-        """Answer the same frames as the working part, and send nothing."""
+        """Start a shadow run: handle the frames of the active instance and send nothing."""
         heard: Heard = queue.SimpleQueue()
         self._read_state(handover)
         self._unlisten = self._listen(heard)
@@ -259,8 +259,8 @@ class Handover:
     def _write_state(self) -> str:
         try:
             state = self._runner.operator.state()
-        except Exception as error:  # the part works on: only the swap is refused
-            raise RunError(f"its state cannot be had: {error_text(error)}") from error
+        except Exception as error:  # the node keeps running: only the swap is refused
+            raise RunError(f"its state() failed: {error_text(error)}") from error
         if state is None:
             return ""
         name = f"{self._runner.name}.{self._runner.epoch}.state"
@@ -272,7 +272,7 @@ class Handover:
         return name
 
     def _read_state(self, handover: HandoverState) -> str:
-        """Give the operator its predecessor's state; what came of it, in words."""
+        """Restore the predecessor's state in the operator; return the outcome as text."""
         name, operator = handover.state, self._runner.operator
         if not name:
             return "none"
@@ -290,5 +290,5 @@ class Handover:
 
 
 def _nowhere() -> NodeAccount:
-    """The account of an instance that does not work."""
+    """Return an account for an instance that is not active."""
     return private_ledger(0, 1).nodes[0]

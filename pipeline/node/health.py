@@ -1,7 +1,7 @@
-"""How a node is, from its accounts alone: also one that hangs can be asked.
+"""Health of a node, from its accounts alone, so that it is known even for a node that hangs.
 
-Progress is what counts. A node is stalled when it took a message and does not finish it, or when
-nothing of it moves at all; to wait for input, for credit or for a model is no illness.
+Progress is the criterion. A node is stalled when it does not finish a message, or when it has no
+heartbeat; waiting for input, for credit or for a model is healthy.
 """
 
 import os
@@ -13,14 +13,14 @@ from pipeline.bus.ledger import Ledger, NodeAccount
 from pipeline.graph.plan import Node, Plan
 from pipeline.protocol.questions import Health
 
-FROZEN_S = 3.0  # no heartbeat for this long: the process does not run at all
+FROZEN_S = 3.0  # without a heartbeat for this long, the process is frozen
 
 
 def problem(node: Node, account: NodeAccount, now_ns: int) -> str:
-    """Why a node must be called stalled, or nothing.
+    """Return why a node is stalled, or an empty string.
 
-    The state is read before the times: a node writes them the other way round, so what it is in now
-    did not begin before they say.
+    The state is read before the times, and written after them, so that the state cannot have begun
+    before these times.
     """
     state = account.condition
     busy_s = (now_ns - account.busy_since_ns) / 1e9
@@ -33,7 +33,7 @@ def problem(node: Node, account: NodeAccount, now_ns: int) -> str:
 
 
 def examine(plan: Plan, node: Node, ledger: Ledger, words: str = "") -> Health:
-    """The health of a node of this process."""
+    """Return the health of a node of this process."""
     account, now_ns = ledger.nodes[node.index], time.monotonic_ns()
     state = account.condition
     ins = {name: ledger.edges[e.index] for name, e in plan.inputs(node.name).items()}
@@ -60,6 +60,6 @@ def examine(plan: Plan, node: Node, ledger: Ledger, words: str = "") -> Health:
 
 
 def own_mb(process: psutil.Process) -> float:
-    """Resident megabytes that are not mapped from files: pools and libraries do not count."""
+    """Return resident memory in MB that is not mapped from files: no pools, no libraries."""
     memory = process.memory_info()
     return float(memory.rss - memory.shared) / 1e6

@@ -1,4 +1,4 @@
-"""What a node answers to `@schema`: its settings, commands, and ports with their fingerprints."""
+"""Interface of a node for `@schema`: settings, commands, ports and their fingerprints."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from pipeline.protocol.questions import Interface, Port
 
 
 def interface(node: str, cls: type[Operator[Any, Any]]) -> Interface:
-    """The interface of an operator."""
+    """Return the interface of an operator."""
     return Interface(
         node=node,
         operator=f"{cls.__module__}:{cls.__qualname__}",

@@ -1,6 +1,6 @@
-"""Settings that change while an operator runs, all of a question or none of it.
+"""Change the live settings of a running operator, all or none of a request.
 
-What was changed is kept in a file, so that an operator that dies comes back with it.
+Changes are stored in a file, so that they survive a restart of the operator.
 """
 
 import json
@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 
 class Live:
-    """The settings of one running operator; to be asked on the thread that calls its handlers."""
+    """The settings of one running operator; used on the thread that calls its handlers."""
 
     def __init__(
         self, node: str, operator: Operator[Any, Any], values: Mapping[str, Any], file: Path | None
@@ -32,11 +32,11 @@ class Live:
         self._file = file
 
     def change(self, changes: Mapping[str, Any]) -> None:
-        """Let the operator take over changed settings; raises `SettingsError` and leaves all."""
+        """Apply changed settings; raises `SettingsError` and changes nothing if refused."""
         kind = type(self._operator)
         cls, live = settings_of(kind), live_of(kind)
         values = {**self._values, **changes}
-        fresh = checked.build(cls, values, self._node)  # an unknown name is told first
+        fresh = checked.build(cls, values, self._node)  # unknown names are reported first
         for name in changes:
             if name not in live:
                 raise SettingsError(
@@ -48,35 +48,35 @@ class Live:
         try:
             if self._file is not None:
                 keep(self._file, {name: values[name] for name in live if name in values})
-        except (OSError, RunError) as error:  # what a crash would undo is better not begun
+        except (OSError, RunError) as error:  # a change that a crash would undo is not made
             self._operator.on_settings(before)
             raise SettingsError(f"{self._node}: cannot be kept: {error}") from error
         self._values = values
 
     def describe(self) -> NodeSettings:
-        """The effective values."""
+        """Return the current settings."""
         return NodeSettings(
             settings=checked.plain(self._operator.settings), live=live_of(type(self._operator))
         )
 
     def configure(self, question: ConfigQuestion) -> NodeSettings:
-        """Change what is asked for, as `change` does; the effective values."""
+        """Apply the changes as `change` does, and return the current settings."""
         if question.changes:
             self.change(question.changes)
         return self.describe()
 
 
 def keep(file: Path, values: Mapping[str, Any]) -> None:
-    """Write values in one step: a process killed meanwhile leaves the old ones or the new."""
+    """Write values atomically: a killed process leaves the old or the new ones."""
     PrivateFolder(file.parent).write(file.name, json.dumps(dict(values)).encode())
 
 
 def kept(file: Path) -> dict[str, Any]:
-    """What a predecessor kept, or nothing."""
+    """Return the values that a predecessor stored; empty if there are none."""
     try:
         return _KEPT.decode(PrivateFolder(file.parent).read(file.name, MOST_KEPT_BYTES))
     except FileNotFoundError:
         return {}
     except (OSError, FoveaError, msgspec.MsgspecError, ValueError, RecursionError) as error:
-        log.warning("%s: what was set before is not known: %s", file, error)
+        log.warning("%s: cannot read the changed settings: %s", file, error)
         return {}

@@ -1,4 +1,4 @@
-"""The log of a process: bounded in size; a full disk costs words, never the process."""
+"""Log of a process: bounded in size; a full disk loses output, never the process."""
 
 import contextlib
 import fcntl
@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from typing_extensions import Buffer
 
-MOST_BYTES = 16 << 20  # then it becomes `<name>.old`, and a new one begins
-FIRST_OWN = 3  # the standard descriptors may be closed: their numbers are not taken
+MOST_BYTES = 16 << 20  # then the file is renamed to `<name>.old`
+FIRST_OWN = 3  # standard descriptors may be closed: do not use their numbers
 
 
 class LogFile(io.RawIOBase):
-    """Where standard output and standard error of this process go, libraries' included.
+    """The target of this process's standard output and error, including those of libraries.
 
-    It writes through a descriptor of its own: an operator may close the standard ones, and what it
-    opens then gets their numbers.
+    It writes through its own descriptor: an operator may close the standard ones, whose numbers are
+    then reused.
     """
 
     def __init__(self, path: Path, *, fresh: bool, most_bytes: int) -> None:
@@ -28,7 +28,7 @@ class LogFile(io.RawIOBase):
         self._open(os.O_TRUNC if fresh else 0)
 
     def writable(self) -> bool:
-        """Return that it can be written."""
+        """Return True."""
         return True
 
     def fileno(self) -> int:
@@ -36,14 +36,14 @@ class LogFile(io.RawIOBase):
         return self._handle
 
     def write(self, data: "Buffer", /) -> int:
-        """Append; what finds no room is forgotten."""
+        """Append; discard what does not fit on the disk."""
         with contextlib.suppress(OSError):
             self.look()
             return os.write(self._handle, data)
         return memoryview(data).nbytes
 
     def look(self) -> None:
-        """Begin a new file when this one is full, also by a child of the node; raises `OSError`."""
+        """Start a new file when this one is full, maybe by a child's output; raises `OSError`."""
         if os.fstat(self._handle).st_size > self._most_bytes:
             self._path.replace(self._path.with_name(f"{self._path.name}.old"))
             self._open(0)
@@ -60,7 +60,7 @@ class LogFile(io.RawIOBase):
         os.close(handle)
 
     def _is_here(self, stream: int) -> bool:
-        """Whether a standard stream leads to this log; an operator may have moved it."""
+        """Whether a standard stream leads to this log; an operator may have redirected it."""
         try:
             return os.path.samestat(os.fstat(stream), os.fstat(self._handle))
         except OSError:
@@ -68,7 +68,7 @@ class LogFile(io.RawIOBase):
 
 
 def log_to(path: Path, *, fresh: bool, most_bytes: int = MOST_BYTES) -> LogFile:
-    """Have everything that this process prints from now on go there."""
+    """Redirect all output of this process to a log file."""
     file = LogFile(path, fresh=fresh, most_bytes=most_bytes)
     lines = io.BufferedWriter(file)
     sys.stdout = sys.stderr = io.TextIOWrapper(lines, errors="replace", line_buffering=True)

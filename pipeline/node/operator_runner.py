@@ -1,7 +1,7 @@
-"""Runs one operator: arrivals to handler calls, answers to output ports, progress to the ledger.
+"""Run one operator: arrivals to handler calls, outputs to ports, progress to the ledger.
 
-The same for a process of its own and for a group; the transport's threads only deliver, the
-runner's own thread calls the operator.
+It is the same for a process with one node and for a group. The transport's threads only deliver;
+the runner's own thread calls the operator.
 """
 
 import threading
@@ -26,29 +26,29 @@ from pipeline.executor import Answers, Executor
 from pipeline.messages import Header, Span, altered, stamped
 from pipeline.node.scheduling_delay import SchedulingDelay
 
-IDLE_S = 0.2  # the heartbeat of a runner that has nothing to do
-HANDSHAKE_S = 0.02  # while a reader has not heard us yet
+IDLE_S = 0.2  # heartbeat interval of an idle runner
+HANDSHAKE_S = 0.02  # interval while a reader has not received a handshake
 CREDIT_S = 0.0005
-MOST_ASKED = 64  # questions that may wait for a handler to return
-DELAY_EVERY = 8  # the kernel's accounts are asked for every eighth exposure: asking takes time too
+MOST_ASKED = 64  # questions queued until a handler returns
+DELAY_EVERY = 8  # exposures per read of the kernel's scheduling statistics, which takes time
 
 
 class Standby(Protocol):
-    """What may keep a runner inactive: another instance works in its place (`handover`)."""
+    """Keeps a runner inactive while another instance is active (`handover`)."""
 
     inactive: bool
 
     def stand_by(self, receiver: LocalReceiver) -> None:
-        """Wait for a moment."""
+        """Wait for a moment while inactive."""
         ...
 
     def poll(self) -> None:
-        """See whether the time has come to stop."""
+        """Check whether to stop."""
         ...
 
 
 class OperatorRunner:
-    """One operator with its inbox and its outputs."""
+    """One operator with its inbox and outputs."""
 
     def __init__(
         self, name: str, operator: Operator[Any, Any], inputs: Mapping[str, Input],
@@ -67,21 +67,21 @@ class OperatorRunner:
         self.inbox = Inbox(inputs, self.acknowledge, lockstep=lockstep, age_ns=self._age_ns)
         self.executor = Executor(name, operator, memory=self._loan)
         self._arrived_delay_ns = self._waiter = 0
-        self.answered = 0  # sets of joined inputs, by this instance
+        self.answered = 0  # sets of joined inputs handled by this instance
         self.scheduling_delay = SchedulingDelay()
         self.stopping = threading.Event()
 
     def acknowledge(self, name: str, outcome: str, ordinal: int) -> None:
-        """Account for the end of a message on one of this node's edges."""
+        """Record the outcome of a message on one of this node's edges."""
         self.edges[name].acknowledge(outcome)
         if name in self.ports:
             self.ports[name].finished(ordinal)
 
     def deliver(self, name: str, arrival: Arrival) -> None:
-        """Called while this runner waits at its receiver, or by a transport's thread."""
+        """Add an arrival; called by this runner's thread while it waits, or by a transport's."""
         phase, waited = arrival.header.seq % DELAY_EVERY, 0
         own = threading.get_ident() == self._waiter
-        if own and phase in (0, DELAY_EVERY - 1):  # the one before only sets the mark
+        if own and phase in (0, DELAY_EVERY - 1):  # the one before only sets the reference
             waited = self.scheduling_delay.since_last_ns()
         with self._lock:
             self._arrived_delay_ns += 0 if phase else waited
@@ -90,14 +90,14 @@ class OperatorRunner:
             self._receiver.wake()
 
     def lost(self, name: str) -> None:
-        """Frames that were on their way to an input are gone: those after it have to know."""
+        """Handle a loss on the way to an input, and announce it to the nodes downstream."""
         with self._lock:
             self.inbox.lost(name, time.monotonic_ns())
         for port in self.outs.values():
             port.has_lost()
 
     def rewire(self, name: str, account: EdgeAccount, port: InPort) -> None:
-        """Let an input be another edge; to be called by the thread that calls the handlers."""
+        """Connect an input to another edge; called on the thread that calls the handlers."""
         with self._lock:
             self.inbox.abandon(name)
             before = self.edges[name]
@@ -105,13 +105,13 @@ class OperatorRunner:
             self.edges[name], self.ports[name] = account, port
 
     def run(self) -> None:
-        """Handle what arrives until told to stop; an operator's exception passes through."""
+        """Handle arrivals until `stop`; an operator's exception passes through."""
         self.alive("waiting")
         while not self.stopping.is_set():
             self.step()
 
     def between(self, act: Callable[[], None], *, must: bool = False) -> bool:
-        """Have something done between two calls of handlers; False when too much waits already."""
+        """Queue an action between two calls of handlers; return False when the queue is full."""
         if self._asked.qsize() >= MOST_ASKED and not must:
             return False
         self._asked.put(act)
@@ -119,29 +119,29 @@ class OperatorRunner:
         return True
 
     def do_asked(self) -> None:
-        """Do what was asked for; to be called by the thread that calls the handlers."""
+        """Run queued actions; called on the thread that calls the handlers."""
         while not self._asked.empty():
             self._asked.get()()
         if self.handover is not None:
             self.handover.poll()
 
     def stop(self) -> None:
-        """Let `run` return after the message in hand."""
+        """Make `run` return after the current message."""
         self.stopping.set()
         self._receiver.wake()
 
     def handshake(self) -> bool:
-        """Send a handshake to readers that have not heard this instance; True when all have."""
+        """Send missing handshakes to readers; return whether all have had one."""
         return all([port.handshake() for port in self.outs.values()])
 
     def attend(self) -> None:
-        """Before the first frame: exchange handshakes, for a moment."""
+        """Exchange handshakes for a moment, before the first frame."""
         self.handshake()
         self._waiter = threading.get_ident()
         self._receiver.wait(HANDSHAKE_S)
 
     def next_work(self, timeout_s: float) -> Work | None:
-        """What to do next; None when nothing came in time."""
+        """Return the next call to make; None after the timeout."""
         with self._lock:
             work = self.inbox.take(time.monotonic_ns())
             if work is not None:
@@ -155,7 +155,7 @@ class OperatorRunner:
             return self.inbox.take(time.monotonic_ns())
 
     def step(self) -> None:
-        """One wait and one call, of which nothing is held while the next is waited for."""
+        """Wait once and make one call; keep no reference to its messages afterwards."""
         if self.handover is not None and self.handover.inactive:
             self.handover.stand_by(self._receiver)
             self.do_asked()
@@ -199,7 +199,7 @@ class OperatorRunner:
             self.publish(answers, stamped(critical, epoch=self.epoch, span=span))
             self.answered += 1
         if not (work.header.seq + 1) % DELAY_EVERY:
-            self.scheduling_delay.since_last_ns()  # that was not the next message's
+            self.scheduling_delay.since_last_ns()  # not the next message's
         for name, ordinal in work.arrived.items():
             self._count_age(name, work.header, begun)
             self.acknowledge(name, "delivered", ordinal)
@@ -208,34 +208,34 @@ class OperatorRunner:
         self.idle()
 
     def busy(self, now_ns: int, seq: int) -> None:
-        """Note that a message was taken."""
+        """Record that a message is being handled."""
         account = self.account
         account.busy_since_ns = now_ns
         account.last_seq = max(0, seq)
         account.enter("busy")
 
     def idle(self) -> None:
-        """Note that it was finished."""
+        """Record that the message is finished."""
         self.account.handled += 1
         self.alive("waiting")
 
     def resume(self) -> None:
-        """Go on with the message in hand; what was waited for others is no stall of this node."""
+        """Restart the stall timer of the current message: waiting for others is no stall."""
         self.account.busy_since_ns = time.monotonic_ns()
         self.account.enter("busy")
 
     def alive(self, state: str) -> None:
-        """Enter a state in which only the heartbeat tells a stall: it has to beat first."""
+        """Enter a state whose stalls only the heartbeat shows; beat first."""
         self.account.heartbeat_ns = time.monotonic_ns()
         self.account.enter(state)
 
     def publish(self, answers: Answers, header: Header) -> None:
-        """Send every output's answer, waiting for the credit of lossless readers."""
+        """Send the message of every output, waiting for the credit of lossless readers."""
         self.await_credit()
         self.send_all(answers, header)
 
     def send_all(self, answers: Answers, header: Header) -> None:
-        """Send every output's answer under the header that leaves; raises `MessageError`."""
+        """Send the message of every output with the outgoing header; raises `MessageError`."""
         for name, port in self.outs.items():
             message = answers.get(name)
             if message is not None:
@@ -250,13 +250,13 @@ class OperatorRunner:
 
     def has_credit(self) -> bool:
         """Whether every lossless reader of every output has room."""
-        for port in self.outs.values():  # noqa: SIM110 - for every message: no generator
+        for port in self.outs.values():  # noqa: SIM110 - a hot path: no generator
             if not port.has_credit():
                 return False
         return True
 
     def await_credit(self) -> None:
-        """Back-pressure: stand still while a lossless reader has no room."""
+        """Apply back-pressure: wait while a lossless reader has no room."""
         if self.has_credit():
             return
         self.alive("credit")
@@ -268,7 +268,7 @@ class OperatorRunner:
         self.resume()
 
     def patiently(self, act: Callable[[], Any]) -> Any:
-        """Do something that needs a slot, as soon as a reader gives one back."""
+        """Retry an action that needs a slot until a reader releases one."""
         while True:
             try:
                 return act()
@@ -281,12 +281,12 @@ class OperatorRunner:
 
     def _loan(self, output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         port = self.outs.get(output)
-        if port is None:  # nobody reads it
+        if port is None:  # it has no reader
             return np.empty(shape, dtype)
         return self.lend(port, shape, dtype)
 
     def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """Memory for an output; waits until there is some."""
+        """Return memory for an output, waiting until some is free."""
         try:
             return port.loan(shape, dtype)
         except PoolExhausted:
@@ -313,12 +313,12 @@ class OperatorRunner:
 
 
 def delay_on_the_way(header: Header, now_ns: int, waited_ns: int) -> int:
-    """What of a wait lies between the stage before and now; the rest held up no message."""
+    """Return the part of a wait after the previous stage; the rest delayed no message."""
     since_ns = header.trace[-1].done_ns if header.trace else header.stamp_ns
     return max(0, min(waited_ns, now_ns - since_ns))
 
 
 def _critical(work: Work) -> Header:
-    """The header whose trace ended last: the path that decided when this call could begin."""
+    """Return the header whose trace ended last: the critical path to this call."""
     headers = [m.header for m in work.messages.values() if m is not None] or [work.header]
     return max(headers, key=lambda h: h.trace[-1].done_ns if h.trace else 0)

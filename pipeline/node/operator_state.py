@@ -1,8 +1,8 @@
-"""What a swap carries over of an operator's state, and what it loses.
+"""State of an operator that a swap transfers, and state that it loses.
 
-An operator that declares `state()` says itself what has to survive. For one that does not, its
-attributes (and those of its class) are compared with what `open` left: what `open` alone rebuilds,
-such as a model, is unchanged.
+An operator declares by `state()` what has to survive. Without `state()`, its attributes (and those
+of its class) are compared with their values after `open`: an unchanged attribute, such as a model,
+is rebuilt by `open`.
 """
 
 import dataclasses
@@ -17,15 +17,15 @@ from pipeline.errors import MessageError, RunError
 from pipeline.node.fingerprint import Fingerprint
 from pipeline.text import error_text
 
-OPAQUE = " (cannot be looked into)"  # behind the name of an attribute
-_OWN = frozenset(vars(Operator(None)))  # what the base class sets
+OPAQUE = " (cannot be looked into)"  # appended to the name of an attribute
+_OWN = frozenset(vars(Operator(None)))  # attributes of the base class
 
 
 def restore(operator: Operator[Any, Any], data: bytes, *, must: bool = False) -> str:
-    """Let an operator take over another's state; `begins anew` when it is not of its kind.
+    """Restore another instance's state; return `begins anew` if its type differs.
 
-    Raises `RunError` when the operator itself fails over it, and for what is not of its kind where
-    it `must` be: between two instances of one class.
+    Raises `RunError` when `restore` itself fails, and for another type if `must`, i.e. between two
+    instances of one class.
     """
     cls = type(operator)
     try:
@@ -47,12 +47,12 @@ def restore(operator: Operator[Any, Any], data: bytes, *, must: bool = False) ->
 
 
 def class_of(operator: Operator[Any, Any]) -> str:
-    """The import path of an operator's class."""
+    """Return the import path of an operator's class."""
     return f"{type(operator).__module__}:{type(operator).__qualname__}"
 
 
 def lost_words(attributes: Sequence[str]) -> str:
-    """What a successor begins without, in a sentence.
+    """Describe the state that a successor lacks.
 
     >>> print(lost_words(["seen", f"filter{OPAQUE}"]).partition(";")[0])
     begins without what its predecessor kept in seen, and perhaps in filter (cannot be looked into)
@@ -69,10 +69,10 @@ def lost_words(attributes: Sequence[str]) -> str:
 
 
 def state_type(operator: type[Operator[Any, Any]]) -> type[Any] | None:
-    """The dataclass that `state` promises to return; None when it promises none."""
+    """Return the dataclass in the return annotation of `state`; None if there is none."""
     try:
         hint = typing.get_type_hints(operator.state).get("return")
-    except (NameError, TypeError):  # a name that is only there for a type checker
+    except (NameError, TypeError):  # a name that exists only for type checkers
         return None
     union = typing.get_origin(hint) in (Union, types.UnionType)
     options = typing.get_args(hint) if union else (hint,)
@@ -81,7 +81,7 @@ def state_type(operator: type[Operator[Any, Any]]) -> type[Any] | None:
 
 
 class UndeclaredState:
-    """Made when the operator has been opened. It keeps numbers only, none of the values."""
+    """Fingerprints of an operator's attributes, taken after `open`; holds no values."""
 
     def __init__(self, operator: Operator[Any, Any]) -> None:
         self._operator = operator
@@ -89,9 +89,9 @@ class UndeclaredState:
         self._opened = {} if self._declared else _looked(operator)
 
     def names(self) -> list[str]:
-        """The attributes that changed since, sorted; none of an operator that declares its state.
+        """Return the attributes that changed since, sorted; none if the operator has `state`.
 
-        One that nobody can look into, and that is the same object still, is named as that.
+        An unchanged object that cannot be inspected is marked as such.
 
         >>> from pipeline import Operator
         >>> operator = Operator(None)
@@ -113,7 +113,7 @@ class UndeclaredState:
 
 
 def _looked(operator: Operator[Any, Any]) -> dict[str, tuple[int, bool]]:
-    """A number for every attribute, also of the class, and whether it is opaque."""
+    """Return a fingerprint of every attribute, also of the class, and whether it is opaque."""
     found = {}
     for name, value in {**_of_classes(type(operator)), **vars(operator)}.items():
         if name not in _OWN:
@@ -123,7 +123,7 @@ def _looked(operator: Operator[Any, Any]) -> dict[str, tuple[int, bool]]:
 
 
 def _of_classes(cls: type[Operator[Any, Any]]) -> dict[str, Any]:
-    """What its classes keep for all instances: no functions, ports or names of Python's own."""
+    """Return data attributes of its classes: no functions, ports or dunder names."""
     found: dict[str, Any] = {}
     for base in reversed(cls.__mro__[: cls.__mro__.index(Operator)]):
         found |= {

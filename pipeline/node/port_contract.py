@@ -1,4 +1,4 @@
-"""What a running graph expects of an operator's ports: messages that come in and must go out."""
+"""Contract between a running graph and an operator's ports: message types in and out."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from pipeline.settings import suggest
 
 
 def contract_of(plan: Plan, node: Node, ports_of: PortsOf) -> PortContract:
-    """What the edges of a node ask of its operator, by the ports of the nodes that run."""
+    """Return the contract of a node's edges, from the ports of the running nodes."""
     return PortContract(
         inputs={e.input: _sent(plan, e, ports_of) for e in plan.inputs(node.name).values()},
         outputs={e.output: _sent(plan, e, ports_of) for e in plan.edges if e.source == node.name},
@@ -20,7 +20,7 @@ def contract_of(plan: Plan, node: Node, ports_of: PortsOf) -> PortContract:
 
 
 def check_fit(plan: Plan, node: Node, contract: PortContract) -> None:
-    """Raise `GraphError` when the operator of a node does not fulfil the contract."""
+    """Raise `GraphError` when a node's operator does not fulfil the contract."""
     operator = load_operator(node.operator)
     if issubclass(operator, Source) != contract.source:
         expected, got = "makes", "does not"
@@ -56,7 +56,7 @@ def _check_inputs(
                 f"{where}: expected {short(wants)}, got {short(message)} from {edge.origin}"
             )
         if (port.join, port.command) != (edge.join, edge.command):
-            raise GraphError(f"{where}: {node.operator} joins it otherwise than the running part")
+            raise GraphError(f"{where}: {node.operator} joins it unlike the running operator")
     for name, port in declared.items():
         if name not in contract.inputs and port.join and not (port.optional or port.command):
             raise GraphError(f"{node.name}.inputs.{name}: required, got nothing")
@@ -64,6 +64,6 @@ def _check_inputs(
 
 def _sent(plan: Plan, edge: Edge, ports_of: PortsOf) -> str:
     source = plan.node(edge.source)
-    if not plan.is_here(source):  # its code is none of ours; its fingerprints agreed
+    if not plan.is_here(source):  # its code is on another host; fingerprints were compared
         return ports_of(plan.node(edge.target)).inputs[edge.input].message
     return ports_of(source).outputs[edge.output]

@@ -1,7 +1,7 @@
-"""A node process: an assignment on its standard input, operators of one group run until `Stop`.
+"""Node process: receives an assignment, then runs the operators of one group until `Stop`.
 
-It gives the supervisor's instructions to its operators' threads and tells it what happens
-(`pipeline.protocol.supervision`); everything an operator prints goes to the log.
+It passes the supervisor's instructions to its operators' threads and sends it events
+(`pipeline.protocol.supervision`); all output of operators goes to the log.
 """
 
 import contextlib
@@ -67,11 +67,11 @@ from pipeline.protocol.supervision import (
 )
 from pipeline.text import error_text, harmless, plain, said_by
 
-ASIDE_NICENESS = 5  # of processes that no sensor command waits for
-AHEAD_NICENESS = 19  # of imports that nobody waits for yet
-HEADLINE_S = 1.0  # between two looks at what operators have to tell
-MOST_FILES = 1000  # of its own code that a process tells of
-FAREWELL_S = 3.0  # after this the process ends whatever an operator does
+ASIDE_NICENESS = 5  # of processes that are not on the path of sensor commands
+AHEAD_NICENESS = 19  # of imports in advance
+HEADLINE_S = 1.0  # interval of headlines
+MOST_FILES = 1000  # limit of reported source files
+FAREWELL_S = 3.0  # after this time the process ends, whatever operators do
 log = logging.getLogger(__name__)
 
 
@@ -79,7 +79,7 @@ class Process:
     """The nodes of one group in this process."""
 
     def __init__(self, job: Assignment, say: Say, look: Callable[[], None] = lambda: None) -> None:
-        """`say` tells the supervisor of an event; `look` is called about once a second."""
+        """`say` sends an event to the supervisor; `look` is called about once a second."""
         self._job, self.say, self._look = job, say, look
         self._nodes = list(job.nodes)
         self._ledger = Ledger.open(PrivateFolder(Path(job.memory_folder)))
@@ -115,7 +115,7 @@ class Process:
                 self._wiring.runner(n, o) for n, o in zip(self._nodes, self._operators, strict=True)
             ]
             gc.collect()
-            gc.freeze()  # what is loaded by now stays: no collection has to walk through it again
+            gc.freeze()  # loaded objects stay: exclude them from garbage collection
             self.say(Ready(loaded_s - began_s, _imported(self._nodes)))
             self._run_all()
         except BaseException as error:  # an operator may raise SystemExit, a library panic
@@ -124,7 +124,7 @@ class Process:
             self._close()
 
     def _check(self) -> None:
-        """A part that is new in a running graph has to fit before anything is opened."""
+        """Check contracts of an operator that is new in a running graph, before opening."""
         for node in self._nodes:
             contract = self._job.contracts.get(node.name)
             if contract:
@@ -133,19 +133,19 @@ class Process:
                 self._make(node)
 
     def stop(self) -> None:
-        """Let every runner return."""
+        """Make every runner return."""
         self.go.set()
         for runner in self._runners:
             runner.stop()
 
     def finish(self) -> None:
-        """Sources make no more frames."""
+        """Make sources stop producing."""
         for runner in self._runners:
             if isinstance(runner, SourceRunner):
                 runner.end()
 
     def do(self, told: NodeInstruction) -> None:
-        """What the supervisor wants of one node, done between two calls of its handlers."""
+        """Execute an instruction to one node, between two calls of its handlers."""
         runner = next((r for r in self._runners if r.name == told.node), None)
         wiring = self._wiring
         handover = wiring.handovers.get(told.node) if wiring else None
@@ -208,9 +208,9 @@ class Process:
             self.stop()
 
     def report(self, error: BaseException) -> None:
-        """Tell the first error, which is the reason; what breaks after it is in the log.
+        """Report the first error, which is the cause, to the supervisor.
 
-        The log has each with its traceback.
+        The log contains every error with its traceback.
         """
         failed = _failed(error)
         if not self.failed:
@@ -242,12 +242,12 @@ class Process:
 
 
 def main() -> None:
-    """Read an assignment, do it, announce the end, leave with 0 or 1."""
-    adopt_orphans()  # what it starts and leaves behind ends with it
+    """Read an assignment, run it, announce the end, and exit with 0 or 1."""
+    adopt_orphans()  # orphans of its operators end with it
     control = Control.from_standard_input()
     try:
         failed = _work(control)
-    except BaseException as error:  # before there is an operator to blame
+    except BaseException as error:  # an error before any operator runs
         traceback.print_exc()
         control.say(Failed(error_text(error), False))
         failed = True
@@ -256,7 +256,7 @@ def main() -> None:
 
 
 def _work(control: Control) -> bool:
-    """Do what the supervisor assigns; whether it failed."""
+    """Run the assignment; return whether it failed."""
     loader = threading.Thread(target=_import_ahead, args=(sys.argv[2:],))
     loader.start()
     loader.join()
@@ -271,9 +271,9 @@ def _work(control: Control) -> bool:
     first = max(job.epochs.values()) == 1 and not job.trial
     file = log_to(Path(job.run_folder) / f"{job.process}.log", fresh=first)
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
-    faulthandler.enable(file)  # of a crash of an extension module
-    faulthandler.register(signal.SIGUSR1, file)  # asked for before a stalled node is killed
-    sys.setswitchinterval(0.001)  # a thread that delivers must not wait 5 ms for the interpreter
+    faulthandler.enable(file)  # prints the stack when an extension module crashes
+    faulthandler.register(signal.SIGUSR1, file)  # requested before a stalled node is killed
+    sys.setswitchinterval(0.001)  # delivering threads must not wait 5 ms for the GIL
     path = job.plan.command_path()
     if path and not any(n.name in path for n in job.nodes):
         os.nice(ASIDE_NICENESS)
@@ -291,7 +291,7 @@ def _work(control: Control) -> bool:
 
 
 def _inspect(job: Inspect, say: Say) -> bool:
-    """Import what a plan names and tell whether it fits; returns whether it failed."""
+    """Import the operators of a plan and report whether they fit; return whether that failed."""
     try:
         check_operators(job.plan)
         check_fingerprints(job.plan, job.fingerprints)
@@ -309,7 +309,7 @@ def _imported(nodes: Iterable[Node]) -> Imported:
 
 
 def _failed(error: BaseException) -> Failed:
-    """The event for an error, which goes into the log with its traceback."""
+    """Return the event for an error, and log its traceback."""
     with contextlib.suppress(Exception):  # an exception of an operator's own may do anything
         traceback.print_exception(error)
     expected = isinstance(error, FoveaError)
@@ -317,14 +317,14 @@ def _failed(error: BaseException) -> Failed:
 
 
 def _on_thread(process: Process, broken: threading.ExceptHookArgs) -> None:
-    """A thread that an operator started has broken: so has the operator."""
+    """Handle an exception in a thread of an operator as one of the operator."""
     if broken.exc_value is not None and not isinstance(broken.exc_value, SystemExit):
         process.report(broken.exc_value)
         process.stop()
 
 
 def _leave(status: int, *, alone: bool) -> NoReturn:
-    """End what this process has started, and itself; without a supervisor also its group."""
+    """End its descendants and itself; without a supervisor also its group."""
     end(descendants(os.getpid()))
     if alone and os.getpgrp() == os.getpid():
         os.killpg(0, signal.SIGKILL)
@@ -332,9 +332,9 @@ def _leave(status: int, *, alone: bool) -> NoReturn:
 
 
 def _import_ahead(modules: Iterable[str]) -> None:
-    """Load what a restarted operator will need; who fails here will say so when it is used.
+    """Import modules in advance, ignoring errors, which recur when an operator is loaded.
 
-    On Linux niceness belongs to a thread: the graph that runs keeps its cores meanwhile.
+    On Linux niceness is per thread, so that the running graph keeps its cores.
     """
     wanted = set(modules)
     if ASIDE in wanted:
@@ -345,10 +345,10 @@ def _import_ahead(modules: Iterable[str]) -> None:
 
 
 def reap_strangers() -> None:
-    """Wait for adopted children that have ended, where it is certain that they were adopted.
+    """Reap ended children that were certainly adopted.
 
-    A child of this process's own is in its session, or leads one. Others stay until the end: their
-    status may be what an operator waits for.
+    Own children are in this session or lead one; they are kept until the end, because an operator
+    may wait for their status.
     """
     for pid in zombies(os.getpid()):
         if session_of(pid) not in (os.getsid(0), pid):
@@ -357,7 +357,7 @@ def reap_strangers() -> None:
 
 
 def _level() -> None:
-    """Let threads that were born in an import run like all others, where that may be asked for."""
+    """Reset the niceness of threads started during imports, where permitted."""
     for thread in os.listdir("/proc/self/task"):
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, int(thread), os.getpriority(os.PRIO_PROCESS, 0))
@@ -379,7 +379,7 @@ def _obey(process: Process, control: Control, instructions: Iterator[Instruction
 
 
 def _summary(node: str, figures: Mapping[str, Any]) -> Summary:
-    """The figures of a node as plain values; none of them where they are too many."""
+    """Return a node's figures as plain values; none if they exceed the limit."""
     values = json.loads(json.dumps(dict(figures)))
     told = Summary(node, plain(values, most_chars=MOST_EVENT_BYTES))  # a reader cuts them, once
     if (size := len(encode(told))) > MOST_EVENT_BYTES:

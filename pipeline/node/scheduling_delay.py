@@ -1,21 +1,21 @@
-"""How long this thread was runnable and waited for a processor, as the kernel counts it."""
+"""Scheduling delay: time in which a thread was runnable but waited for a core, per kernel."""
 
 import os
 import threading
 
 
 class SchedulingDelay:
-    """Nanoseconds of waiting since the last question, per thread that asks.
+    """The delay of each calling thread since its last call, in nanoseconds.
 
-    A thread that asked holds a file open; the transport's, new to Python with every message, must
-    not ask.
+    Each calling thread keeps a file open. The transport's threads, which are new to Python with
+    every message, must not call it.
     """
 
     def __init__(self) -> None:
         self._local = threading.local()
 
     def since_last_ns(self) -> int:
-        """Waited since this thread asked before; 0 at first, and where the kernel does not say."""
+        """Return the delay since this thread's last call; 0 at first or without kernel support."""
         local = self._local
         if not hasattr(local, "handle"):
             local.handle, local.last = _open(), 0

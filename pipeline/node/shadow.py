@@ -1,7 +1,7 @@
-"""A successor's trial on the frames that the working part answers: answers compared, none sent.
+"""Shadow run of a successor on the active instance's frames: outputs compared, none sent.
 
-It begins with the other's state, so that equal parts give equal answers. What it reads it copies
-where it would hold up the writers.
+It starts from the active instance's state, so that equal operators give equal outputs. It copies
+messages where holding them would block their writers.
 """
 
 import queue
@@ -20,13 +20,13 @@ from pipeline.messages import Message, altered
 from pipeline.node.operator_runner import OperatorRunner
 from pipeline.protocol.orders import Difference, ShadowReport
 
-MOST_WAITING = 64  # answers of either side whose counterpart has not come
+MOST_WAITING = 64  # outputs of either side without a counterpart yet
 
-Heard = queue.SimpleQueue[tuple[str, Arrival]]  # output, what the working part sent there
+Heard = queue.SimpleQueue[tuple[str, Arrival]]  # output, the active instance's message
 
 
 class Shadow:
-    """Calls the handlers of a runner's operator, in the runner's thread, for so many frames."""
+    """Calls the handlers of a runner's operator, on the runner's thread, for some frames."""
 
     def __init__(
         self,
@@ -51,11 +51,11 @@ class Shadow:
 
     @property
     def done(self) -> bool:
-        """Whether enough was compared."""
+        """Whether enough frames were compared."""
         return self.frames >= self._wanted
 
     def step(self) -> None:
-        """Handle what has come, compare what both have answered."""
+        """Handle arrivals, and compare frames that both sides have answered."""
         while (work := self._inbox.take(time.monotonic_ns())) is not None:
             self._handle(work)
         while not self._heard.empty():
@@ -70,12 +70,12 @@ class Shadow:
                 del side[next(iter(side))]
 
     def end(self) -> ShadowReport:
-        """Let go of everything; the figures."""
+        """Release everything and return the figures."""
         self._runner.executor.allocate_from(self._memory)
         for port in self._runner.ports.values():
             port.also = None
         return ShadowReport(
-            missed=sum(port.dropped for port in self._ports),  # it holds no slot
+            missed=sum(port.dropped for port in self._ports),  # taps hold no slot
             frames=self.frames,
             identical=self.identical,
             differences=self.differences,
@@ -110,9 +110,9 @@ class Shadow:
 
 
 def differences(mine: Message | None, theirs: Message | None) -> dict[str, float]:
-    """The fields in which two answers differ, and by how much where both are equal arrays in shape.
+    """Return the fields in which two outputs differ, with the largest difference of arrays.
 
-    Headers do not count. `answer` stands for one side's having none.
+    Headers do not count. The key `answer` means that only one side has a message.
     """
     if mine is None or theirs is None:
         return {} if mine is theirs else {"answer": 0.0}

@@ -1,7 +1,7 @@
-"""Runs an operator that makes frames: at its own rate, or one frame per answered frame.
+"""Run a source: at its own rate, or in lockstep with the graph.
 
-Sensor commands come in on a thread of their own, so that one arriving during an exposure is
-accepted at once. The latency of the loop ends here: picture ready -> command accepted.
+Sensor commands have their own thread, so that one that arrives during an exposure is accepted at
+once. The loop latency ends here: picture ready -> command accepted.
 """
 
 import hashlib
@@ -26,20 +26,20 @@ DRAIN_S = 0.0001
 
 
 class SourceRunner(OperatorRunner):
-    """A runner whose operator produces. `limit` exposures at most, 0: until the source ends."""
+    """A runner of a source, for at most `limit` exposures (0: until the source ends)."""
 
     def __init__(self, *args: Any, drained: Callable[[], bool], limit: int, **kw: Any) -> None:
         super().__init__(*args, **kw)
         self._drained, self._limit = drained, limit
         self._ending = threading.Event()
         self.on_finished: Callable[[], None] = lambda: None
-        self._broken: BaseException | None = None  # what a command broke
+        self._broken: BaseException | None = None  # raised by the handler of commands
         self.commands = hashlib.sha256()
 
     def run(self) -> None:
         """Expose until the source ends, the limit is reached or `stop` is called.
 
-        What the operator raises passes through, also from the thread that takes commands.
+        The operator's exceptions pass through, also those from the thread for commands.
         """
         assert isinstance(self.operator, Source)
         commands = threading.Thread(target=self._command_loop, name=f"{self.name}-commands")
@@ -69,16 +69,16 @@ class SourceRunner(OperatorRunner):
             raise self._broken
 
     def end(self) -> None:
-        """Make no more frames, but go on accepting commands until stopped."""
+        """Stop producing frames, but accept commands until `stop`."""
         self._ending.set()
 
     def stop(self) -> None:
-        """Let `run` return after the exposure in hand."""
+        """Make `run` return after the current exposure."""
         self._ending.set()
         super().stop()
 
     def figures(self) -> dict[str, Any]:
-        """What the report says of the commands that came."""
+        """Return the report's figures on received commands."""
         return {"schedule_sha256": self.commands.hexdigest()}
 
     def _expose(self) -> bool:
@@ -101,13 +101,13 @@ class SourceRunner(OperatorRunner):
         if not self.lockstep and not self.has_credit():
             raise PoolExhausted(f"{self.name}: a lossless reader has no room")
         ended = time.monotonic_ns()
-        ready = max(begun_ns, header.stamp_ns)  # before it, the source waited for the world
+        ready = max(begun_ns, header.stamp_ns)  # before that the source waited for its sensor
         span = Span(
             stage=self.name, received_ns=header.stamp_ns, done_ns=ended, handler_ns=ended - ready,
             scheduling_delay_ns=0,
         )  # fmt: skip
         leaving = stamped(header, epoch=self.epoch, span=span)
-        if self.clocks.own != ALONE:  # the other hosts have to know whose time it is
+        if self.clocks.own != ALONE:  # other hosts need the clock's label
             leaving = altered(leaving, clock=self.clocks.own)
         if self.lockstep:
             self.await_credit()
@@ -116,18 +116,18 @@ class SourceRunner(OperatorRunner):
         self.account.histograms["handler"].add(ended - ready)
 
     def lost(self, name: str) -> None:
-        """A command less; the frames come from here."""
+        """Ignore a lost command: the frames start here."""
 
     def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """In real time an exposure cannot wait for memory."""
+        """Return memory without waiting, since an exposure in real time cannot wait."""
         return super().lend(port, shape, dtype) if self.lockstep else port.loan(shape, dtype)
 
     def patiently(self, act: Callable[[], Any]) -> Any:
-        """Likewise: what finds no slot is an overrun."""
+        """Run an action without retries in real time: no free slot is an overrun."""
         return super().patiently(act) if self.lockstep else act()
 
     def _await_answer(self) -> bool:
-        """Lockstep: wait until the graph has dealt with everything that was sent."""
+        """Wait, in lockstep, until the graph has handled everything sent."""
         while not self._drained():
             self.account.heartbeat_ns = time.monotonic_ns()
             if self.stopping.wait(DRAIN_S):
@@ -140,7 +140,7 @@ class SourceRunner(OperatorRunner):
             while not self.stopping.is_set():
                 if (work := self.next_work(IDLE_S)) is not None:
                     self._accept(work)
-        except BaseException as error:  # nobody looks at this thread; the exposing one tells
+        except BaseException as error:  # reported by the exposing thread
             self._broken = error
             self.stop()
 
@@ -170,7 +170,7 @@ class SourceRunner(OperatorRunner):
 
 
 def fold(digest: Any, message: Message) -> None:
-    """Add what a command says, but not when it said it, to a running hash."""
+    """Add a command's content, without its times, to a running hash."""
     digest.update(message.header.seq.to_bytes(8, "little", signed=True))
     for name, value in vars(message).items():
         if name != "header":

@@ -1,4 +1,4 @@
-"""Connects the operators of a process: nodes and edges to runners, ports, sockets and keys."""
+"""Connect the operators of a process: nodes and edges to runners, ports, sockets and keys."""
 
 from collections.abc import Callable
 from functools import partial
@@ -26,12 +26,12 @@ from pipeline.node.source import SourceRunner
 from pipeline.private_folder import PrivateFolder
 from pipeline.protocol.supervision import Assignment, Replanned
 
-CLOCKS = "clocks"  # the file in the run's folder that tells what other hosts' clocks show
-ASIDE = "--aside"  # said to a process that nobody waits for yet
+CLOCKS = "clocks"  # file of clock offsets in the run's folder
+ASIDE = "--aside"  # argument of a process that nothing waits for yet
 
 
 class Wiring:
-    """What a process holds of its graph; `close` gives everything back."""
+    """The connections of a process; `close` releases everything."""
 
     def __init__(
         self, job: Assignment, session: Session, ledger: Ledger, say: Say,
@@ -57,7 +57,7 @@ class Wiring:
             receiver.close()
 
     def runner(self, node: Node, operator: Operator[Any, Any]) -> OperatorRunner:
-        """The runner of an operator, its receiver open and its ports connected."""
+        """Return the runner of an operator, with open receiver and connected ports."""
         job, plan = self._job, self._job.plan
         edges = plan.inputs(node.name)
         receiver = LocalReceiver(job.receiver(node.name, job.epochs[node.name]))
@@ -104,7 +104,7 @@ class Wiring:
         return runner
 
     def replan(self, node: str, plan: Plan) -> None:
-        """Connect a running node as another plan has it; its operator and settings stay."""
+        """Reconnect a running node by another plan; operator and settings stay."""
         self._job = msgspec.structs.replace(self._job, plan=plan)
         runner, receiver, answers = self._running[node]
         answers.plan = plan
@@ -151,7 +151,7 @@ class Wiring:
     def _tap(
         self, node: Node, operator: type[Operator[Any, Any]], heard: Heard
     ) -> Callable[[], None]:
-        """Hear what another instance of a node sends."""
+        """Tap the outputs of another instance of a node."""
         stops = []
         for name, message in outputs_of(operator).items():
             pool = PoolTap(self._memory, f"{node.name}.{name}")
@@ -197,12 +197,12 @@ class Wiring:
         self._stops.append(session.listen(key, port.receive))
 
     def _remote(self, key: str, edges: tuple[Edge, ...], *, urgent: bool, patient: bool) -> Sender:
-        """Where whole messages go: to other hosts, if an edge leads there, and on this one."""
+        """Return the sender of complete messages: to other hosts if needed, and on this one."""
         here = self._session.sender(key, urgent=urgent, patient=patient)
         if self._border is None or not any(self._job.plan.crosses(e) for e in edges):
             return here
-        # not a patient one: Zenoh gives a link up that keeps such a sender waiting, twice, and the
-        # second time it takes the link that came after it along
+        # not a patient one: Zenoh closes a link that blocks such a sender, and does it twice, so
+        # that it also closes the link's successor
         return _Both(here, self._border.sender(key, urgent=urgent))
 
 
@@ -212,26 +212,26 @@ def _hear(heard: Heard, name: str, arrival: Arrival) -> None:
 
 
 class _Queryables:
-    """What a node answers, while it is declared."""
+    """The answers of a node, which can be switched on and off."""
 
     def __init__(self, serve: Callable[[], list[Callable[[], None]]]) -> None:
         self._serve = serve
         self._stops: list[Callable[[], None]] = []
 
     def declare(self) -> None:
-        """Answer from now on."""
+        """Start answering."""
         self._stops = self._serve()
 
     def undeclare(self) -> None:
-        """Answer no more."""
+        """Stop answering."""
         while self._stops:
             self._stops.pop()()
 
 
 def swappable(plan: Plan, node: Node) -> bool:
-    """Whether a successor may stand by: not in a shared process, nor where bytes are sent instead.
+    """Whether a node can have a standby: no shared process, no edge outside the local transport.
 
-    Only the local transport keeps the order across a change of the sender.
+    Only the local transport preserves the order across a change of the sender.
     """
     alone = sum(1 for n in plan.nodes if n.process == node.process) == 1
     return alone and not any(
@@ -255,20 +255,20 @@ class _Both:
 
 
 def live_file(job: Assignment, node: Node) -> Path:
-    """The file of settings that were changed while the node ran."""
+    """Return the file of settings that were changed at run time."""
     return Path(job.run_folder) / f"{node.name}.live"
 
 
 def settings_of(job: Assignment, node: Node) -> dict[str, Any]:
-    """What the graph says, and what a predecessor was told since.
+    """Return the plan's settings with changes at run time.
 
-    One that stands by for a swap has both in its plan, and what the swap changes.
+    For a standby, the plan already contains both and the changes by the swap.
     """
     return {**node.settings, **({} if job.standby else kept(live_file(job, node)))}
 
 
 def clocks_of(job: Assignment) -> Clocks:
-    """The clocks of the hosts of a run, or this host's alone."""
+    """Return the clocks of the hosts of a run, or only this host's."""
     plan = job.plan
     if not plan.here:
         return Clocks()
@@ -276,5 +276,5 @@ def clocks_of(job: Assignment) -> Clocks:
 
 
 def key_of(graph: str, node: str, output: str) -> str:
-    """The Zenoh key of an output."""
+    """Return the Zenoh key of an output."""
     return f"fovea/{graph}/{node}/{output}"

@@ -1,1 +1,1 @@
-"""What the parts of a running graph say to each other: tagged, versioned messages, one codec."""
+"""Control protocol of a running graph: tagged, versioned messages with one codec."""

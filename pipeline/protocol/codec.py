@@ -1,10 +1,10 @@
-"""The one encoder and the one decoder of everything that is said to steer or to watch a graph.
+"""The encoder and decoder of all messages that control or monitor a graph.
 
     marker, version | msgpack map: kind (the class's name), fields
 
-A message of another version, of an unknown kind, with an unknown field, of a wrong type or with too
-many bytes is refused in one sentence. Which messages belong to a conversation is said by a `Kind`;
-the conversations are the other modules of this folder.
+A message of another version, an unknown kind, with an unknown field, a wrong type or too many bytes
+is refused with one sentence. A `Kind` lists the messages that are valid at one point of a
+conversation; the other modules of this folder define the conversations.
 """
 
 from collections.abc import Callable
@@ -18,54 +18,54 @@ from pipeline.class_cache import cached_by_class
 from pipeline.errors import MessageError, RunError
 from pipeline.text import harmless
 
-VERSION = 1  # rises with every change that another version would not understand
-MARKER = 0xF5  # begins no JSON, no text and no msgpack map
+VERSION = 1  # incremented by every incompatible change
+MARKER = 0xF5  # no JSON, text or msgpack map begins with it
 MOST_BYTES = 1 << 20
 TAG = "kind"
-LONGEST_TAG = 40  # characters of an unknown kind that are repeated
+LONGEST_TAG = 40  # characters of an unknown kind in an error
 T = TypeVar("T")
 
 
 class ControlMessage(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag=True, tag_field=TAG
 ):
-    """Base of all messages; the class's name travels with the fields."""
+    """Base class of all messages; encoded with the class's name."""
 
 
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Base of what is only ever a field of a message."""
+    """Base class of structs that are only fields of messages."""
 
 
 class Refused(ControlMessage, frozen=True):
-    """The answer to what was not done; nothing was changed, or it was changed back."""
+    """The reply to a request that was refused or failed; nothing was changed."""
 
     reason: str  # one sentence
-    rolled_back: bool = False  # it was tried, and taken back
+    rolled_back: bool = False  # a change was made and undone
 
 
 class Kind(Generic[T]):
-    """The messages that may come at one place of a conversation."""
+    """The messages that are valid at one point of a conversation."""
 
     def __init__(self, name: str, of: Any, most_bytes: int = MOST_BYTES) -> None:
-        """`name` with its article; `of`: a class, or a union of classes."""
+        """`name`: with its article; `of`: a class or a union of classes."""
         self.name, self.most_bytes, self._of = name, most_bytes, of
         self.classes: tuple[type[ControlMessage], ...] = get_args(of) or (of,)
 
     @cached_property
     def read(self) -> Callable[[Any], T]:
-        """What decodes them; made when it is needed, for a process reads few kinds."""
+        """The decoder; built on first use, because a process reads few kinds."""
         return msgspec.msgpack.Decoder(self._of).decode
 
 
 def encode(message: ControlMessage) -> bytes:
-    """The bytes of a message; raises `MessageError` for values that cannot travel."""
+    """Encode a message; raises `MessageError` for values without encoding."""
     return bytes((MARKER, VERSION)) + codec.to_bytes(message)
 
 
 def decode(kind: Kind[T] | type[T], data: bytes) -> T:
-    """The message behind untrusted bytes; raises `MessageError`.
+    """Decode untrusted bytes; raises `MessageError`.
 
-    What the message's own fields refuse, such as a plan's names, is raised as it is.
+    Errors of the message's own fields, such as the names of a plan, are raised unchanged.
     """
     wanted: Kind[T] = kind if isinstance(kind, Kind) else _kind_of(kind)
     if len(data) > wanted.most_bytes:
@@ -87,7 +87,7 @@ def decode(kind: Kind[T] | type[T], data: bytes) -> T:
 
 
 def decode_answer(kind: type[T], data: bytes, where: str = "") -> T:
-    """An answer of that kind; raises `RunError`, beginning with `where`, when it is a refusal."""
+    """Decode a reply of that type; raises `RunError` beginning with `where` for a `Refused`."""
     answer: T | Refused = decode(_answer_kind(kind), data)
     if isinstance(answer, Refused):
         raise RunError(f"{where}: {answer.reason}" if where else answer.reason)
@@ -95,13 +95,13 @@ def decode_answer(kind: type[T], data: bytes, where: str = "") -> T:
 
 
 def fields_of(message: ControlMessage) -> dict[str, Any]:
-    """The fields of a message as plain values, for a file or for a script that reads JSON."""
+    """Return the fields of a message as plain values for JSON."""
     plain: dict[str, Any] = msgspec.to_builtins(message)
     return {name: value for name, value in plain.items() if name != TAG}
 
 
 def refused(reason: str, *, rolled_back: bool = False) -> Refused:
-    """A refusal in printable characters, cut to a length."""
+    """Return a `Refused` with a sanitised, truncated reason."""
     return Refused(harmless(reason), rolled_back)
 
 
@@ -120,7 +120,7 @@ def _with_article(cls: type[Any]) -> str:
 
 
 def _of_another_kind(wanted: Kind[Any], body: bytes) -> MessageError | None:
-    """What to say of a message whose kind does not belong here."""
+    """Return an error for a valid message of an unexpected kind."""
     try:
         found = msgspec.msgpack.decode(body)
     except (msgspec.MsgspecError, ValueError, RecursionError):

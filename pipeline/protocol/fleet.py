@@ -1,8 +1,8 @@
-"""Client to agent, and agent to agent: graphs that run on several hosts.
+"""Messages from client to agent, and between agents: graphs on several hosts.
 
-The verb stands in the key, which the access list ties to a certificate; every answer may be a
-`Refused`. Form is checked where a message is decoded, what it asks for by the agent. Files of
-weights travel as they are, by the verb `weights`.
+The verb is part of the key, which the access list binds to a certificate; every reply may be a
+`Refused`. The decoder checks the form of a message, the agent its content. Weight files are sent
+unchanged, by the verb `weights`.
 """
 
 from importlib import metadata
@@ -16,7 +16,7 @@ from pipeline.protocol.questions import NodeQuestion
 
 
 class Versions(Part, frozen=True):
-    """What has to be the same on all hosts."""
+    """The versions that must be equal on all hosts."""
 
     fovea: str
     zenoh: str
@@ -27,17 +27,17 @@ class Versions(Part, frozen=True):
 
     @staticmethod
     def ours() -> "Versions":
-        """Of this installation."""
+        """Return the versions of this installation."""
         zenoh = ".".join(metadata.version("eclipse-zenoh").split(".")[:2])
         return Versions(metadata.version("fovea"), zenoh, envelope.VERSION)
 
 
 class Nothing(ControlMessage, frozen=True):
-    """A question without particulars."""
+    """A question without parameters."""
 
 
 class About(ControlMessage, frozen=True):
-    """Who an agent is."""
+    """The identity and versions of an agent."""
 
     label: str
     versions: Versions
@@ -45,7 +45,7 @@ class About(ControlMessage, frozen=True):
 
 
 class Prepare(ControlMessage, frozen=True):
-    """May this plan run here? Nothing is started. Answered by `Prepared`."""
+    """Ask whether a plan may run here, without starting it; answered by `Prepared`."""
 
     plan: Plan
     versions: Versions
@@ -54,21 +54,21 @@ class Prepare(ControlMessage, frozen=True):
 
 
 class Prepared(ControlMessage, frozen=True):
-    """It may; the processes with an edge to another host will listen there."""
+    """The plan may run; contains the end points of processes with an edge to another host."""
 
     endpoints: dict[str, str]
-    weights: tuple[str, ...] = ()  # checksums that are allowed here but not there yet
+    weights: tuple[str, ...] = ()  # checksums allowed here but not present yet
 
 
 class Start(ControlMessage, frozen=True):
-    """Run your part of the plan; answered by `Accepted`."""
+    """Run this host's part of the plan; answered by `Accepted`."""
 
     plan: Plan
     versions: Versions
-    fingerprints: dict[str, str]  # as it was prepared for
-    endpoints: dict[str, str]  # of all processes that listen
+    fingerprints: dict[str, str]  # as in `Prepare`
+    endpoints: dict[str, str]  # of all listening processes
     hosts: dict[str, str]  # label -> end point of its agent
-    identity: str = ""  # of the graph, where nodes came and went since; else its plan tells
+    identity: str = ""  # of the graph, if its nodes have changed since; else from the plan
 
 
 class Named(ControlMessage, frozen=True):
@@ -78,7 +78,7 @@ class Named(ControlMessage, frozen=True):
 
 
 class Lines(ControlMessage, frozen=True):
-    """The end of a node's log."""
+    """Ask for the last lines of a node's log."""
 
     graph: str
     node: str
@@ -86,13 +86,13 @@ class Lines(ControlMessage, frozen=True):
 
 
 class Log(ControlMessage, frozen=True):
-    """Its lines."""
+    """The last lines of a node's log."""
 
     lines: tuple[str, ...]
 
 
 class ToNode(ControlMessage, frozen=True):
-    """A question to a node, as it would be asked on the node's own host; `Relayed` back."""
+    """A question to a node, as asked on the node's own host; answered by `Relayed`."""
 
     graph: str
     node: str
@@ -100,79 +100,79 @@ class ToNode(ControlMessage, frozen=True):
 
 
 class Relayed(ControlMessage, frozen=True):
-    """What a node or the supervisor there answered: a message of that conversation."""
+    """The reply of a node or of the supervisor there, as encoded by it."""
 
     payload: bytes
 
 
 class Lacks(ControlMessage, frozen=True):
-    """Which of these weights are allowed there and not there yet? Answered by `Missing`."""
+    """Ask which of these weights are allowed but not present; answered by `Missing`."""
 
     digests: tuple[str, ...]
 
 
 class Missing(ControlMessage, frozen=True):
-    """The checksums of those."""
+    """The checksums of missing weights."""
 
     digests: tuple[str, ...]
 
 
 class Accepted(ControlMessage, frozen=True):
-    """It was done."""
+    """The request was carried out."""
 
-    what: str = ""  # the checksum of weights that were kept
+    what: str = ""  # the checksum of stored weights
 
 
 class Change(ControlMessage, frozen=True):
-    """A node is to be swapped; what its supervisor says is `Relayed` back."""
+    """Swap a node; answered by `Relayed` with its supervisor's reply."""
 
     graph: str
     order: SwapOrder
 
 
 class TapQuestion(ControlMessage, frozen=True):
-    """What did an output send since this was asked before? Answered by `TapMessages`."""
+    """Ask what an output has sent since the last question; answered by `TapMessages`."""
 
     graph: str
     node: str
     output: str
-    tap: str  # a name of the asker's choice
+    tap: str  # a name chosen by the client
 
 
 class TapMessages(ControlMessage, frozen=True):
-    """What it sent, as descriptors; pictures stay where they are."""
+    """The messages of an output as descriptors, without their pictures."""
 
-    heard: tuple[tuple[int, bytes], ...]  # when it came by this host's clock, the descriptor
-    skipped: int  # for want of room, since the tap was opened
+    heard: tuple[tuple[int, bytes], ...]  # arrival by this host's clock, descriptor
+    skipped: int  # for lack of room, since the tap was opened
     now_ns: int  # by this host's clock
-    ahead_ns: dict[str, int]  # by label: what to add to this host's time
+    ahead_ns: dict[str, int]  # by label: offset to this host's time
 
 
 class Planned(ControlMessage, frozen=True):
-    """What a host was asked to run; the answer to `Named`."""
+    """The plan of a host; the reply to `Named`."""
 
     plan: Plan
-    revision: int  # of what runs
+    revision: int  # of the running plan
 
 
 class PlanChange(ControlMessage, frozen=True):
-    """Nodes of a host, and edges between them, are to come or go; the result is `Relayed` back."""
+    """Add or remove nodes and edges of a host; answered by `Relayed`."""
 
     graph: str
     plan: Plan
     versions: Versions
-    fingerprints: dict[str, str]  # of outputs that new edges begin at
+    fingerprints: dict[str, str]  # of outputs with new edges
     revision: int
 
 
 class Ping(ControlMessage, frozen=True):
-    """Sent at this time of the sender's clock."""
+    """A probe with the sender's time."""
 
     sent_ns: int
 
 
 class Pong(ControlMessage, frozen=True):
-    """When the ping was sent and came, and when this left, the latter two by the other clock."""
+    """Times of a ping's departure and arrival, and of this reply; the last two by the replier."""
 
     sent_ns: int
     came_ns: int
@@ -180,11 +180,11 @@ class Pong(ControlMessage, frozen=True):
 
 
 class Accounts(ControlMessage, frozen=True):
-    """One host's half of the accounts of the edges that cross: edge -> counters in fixed order."""
+    """One host's half of the accounts of edges between hosts: edge -> counters in fixed order."""
 
-    number: int  # rises with every message of one start
-    fingerprint: str  # of the graph that runs there: another one has other edges
-    ready: bool  # every process there has opened its operators
+    number: int  # increases with every message of one start
+    fingerprint: str  # of the running graph: another one has other edges
+    ready: bool  # whether every process there has opened its operators
     written: dict[int, tuple[int, ...]]
     read: dict[int, tuple[int, ...]]
 
@@ -198,7 +198,7 @@ class Process(Part, frozen=True):
     cpu_s: float
     rss_mb: float
     restarts: int
-    crashes: int  # ends that were not asked for
+    crashes: int  # unexpected ends
 
 
 class NodeState(Part, frozen=True):
@@ -215,7 +215,7 @@ class NodeState(Part, frozen=True):
 
 
 class EdgeState(Part, frozen=True):
-    """An edge as the host of its reader sees it."""
+    """An edge, seen from the host of its reader."""
 
     origin: str
     end: str
@@ -227,7 +227,7 @@ class EdgeState(Part, frozen=True):
 
 
 class HostState(Part, frozen=True):
-    """Another host as this one sees it."""
+    """Another host, seen from this one."""
 
     label: str
     lost: bool
@@ -239,21 +239,21 @@ class HostState(Part, frozen=True):
 
 
 class State(Part, frozen=True):
-    """A part of a graph on one host."""
+    """The state of one host's part of a graph."""
 
     graph: str
     label: str
-    at_ns: int  # when, by the host's clock
+    at_ns: int  # time by the host's clock
     phase: str  # starting | running | failed | stopped
     failure: str
     processes: tuple[Process, ...]
     nodes: tuple[NodeState, ...]
     edges: tuple[EdgeState, ...]
     hosts: tuple[HostState, ...]
-    network_bytes: dict[str, tuple[int, int]]  # interface -> received, sent; of the whole host
+    network_bytes: dict[str, tuple[int, int]]  # interface -> received, sent, of the whole host
 
 
 class States(ControlMessage, frozen=True):
-    """The parts of graphs on one host."""
+    """The states of all parts of graphs on one host."""
 
     states: tuple[State, ...]

@@ -1,4 +1,4 @@
-"""Client to supervisor: change or end the running graph. One order, one result or `Refused`."""
+"""Messages from client to supervisor: each order gets one result or `Refused`."""
 
 from typing import Any
 
@@ -6,43 +6,43 @@ from pipeline.graph.limits import BudgetMs, FrameCount, SomeFrames, Word
 from pipeline.graph.plan import Plan
 from pipeline.protocol.codec import ControlMessage, Kind, Part, Refused
 
-GRAPH = "@graph"  # the key below a graph's own that takes orders
-MOST_ORDER_BYTES = 4 << 20  # a plan of the most nodes and edges, with their settings
+GRAPH = "@graph"  # the key below a graph's own that receives orders
+MOST_ORDER_BYTES = 4 << 20  # a plan of maximum size, with settings
 
 
 class SwapOrder(ControlMessage, frozen=True, kw_only=True):
     """Replace the operator, the settings or the model file of a node."""
 
     node: Word
-    operator: Word = ""  # "": the same, with other settings or from a changed file
+    operator: Word = ""  # "": the same class, with other settings or a changed file
     changes: dict[str, Any] = {}
     defaults: bool = False  # do not keep the settings that the node has
-    at: FrameCount = 0  # the cut comes at this frame or later
+    at: FrameCount = 0  # earliest frame of the handover
     shadow: FrameCount = 0
     probation: SomeFrames = 30
     budget_ms: BudgetMs = 0.0  # 0: three times the old operator's median
 
 
 class PlanOrder(ControlMessage, frozen=True, kw_only=True):
-    """Run this plan, made from the one of that revision."""
+    """Change to this plan, which was derived from that revision."""
 
     plan: Plan
     revision: int
 
 
 class StopOrder(ControlMessage, frozen=True):
-    """End the graph as one SIGTERM would; a second order is in haste."""
+    """Stop the graph as one SIGTERM would; a second order does not wait for messages."""
 
 
 class Difference(Part, frozen=True):
-    """How a field of the answers differed."""
+    """The differences in one output field."""
 
     frames: int
-    most: float  # of numbers in arrays of equal shape
+    most: float  # largest difference in arrays of equal shape
 
 
 class ShadowReport(Part, frozen=True, kw_only=True):
-    """How the successor answered the frames that its predecessor answered too."""
+    """Comparison of the successor's outputs with its predecessor's on the same frames."""
 
     frames: int = 0
     identical: int = 0
@@ -52,23 +52,23 @@ class ShadowReport(Part, frozen=True, kw_only=True):
 
 
 class SwapResult(ControlMessage, frozen=True, kw_only=True):
-    """A swap that was carried out."""
+    """The result of a completed swap."""
 
     node: str
-    hot: bool  # the successor stood by; else the node was stopped, then started
-    gap_ms: float  # for so long the node stood still
+    hot: bool  # the successor was on standby; else the node was stopped and started
+    gap_ms: float  # how long the node stood still
     state: str
-    proven_frames: int  # of probation
-    ready_seq: int = -1  # hot: the newest frame when the successor was ready
+    proven_frames: int  # frames of the probation
+    ready_seq: int = -1  # hot: the latest frame when the successor was ready
     seq: int = -1  # hot: the last frame of the predecessor
-    forgotten: list[str] = []  # attributes that changed while it ran and are in no state
+    forgotten: list[str] = []  # attributes that changed at run time and are not in `state`
     left_out: dict[str, int] = {}  # frames by input
-    answered_ms: float = -1.0  # hot: from the cut to the successor's first answer; -1: none yet
+    answered_ms: float = -1.0  # hot: from the cut to the successor's first output; -1: none yet
     shadow: ShadowReport | None = None
 
 
 class TopologyResult(ControlMessage, frozen=True, kw_only=True):
-    """Nodes and edges that came and went."""
+    """The nodes and edges that were added and removed."""
 
     added: list[str]
     removed: list[str]
@@ -77,7 +77,7 @@ class TopologyResult(ControlMessage, frozen=True, kw_only=True):
 
 
 class StopResult(ControlMessage, frozen=True, kw_only=True):
-    """The graph is about to end: its sources, what is under way, then its processes."""
+    """The graph is stopping: first its sources, then messages in flight, then its processes."""
 
     graph: str
     pid: int  # of the supervisor

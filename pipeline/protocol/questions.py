@@ -1,9 +1,9 @@
-"""Client to node: the four questions that every node answers, each below a key of the node's own.
+"""Messages from client to node: four questions, each with a key below the node's own.
 
-@schema    what it takes and returns, how it can be set and told
-@health    how it is; answered by the transport's thread, so also by a node that hangs
-@config    its settings, and a change of live ones
-@command   something to be done
+@schema    its inputs, outputs, settings and commands
+@health    its state; answered by the transport's thread, so even by a node that hangs
+@config    its settings, and changes of live ones
+@command   a call of one of its commands
 """
 
 from typing import Any
@@ -22,13 +22,13 @@ class HealthQuestion(ControlMessage, frozen=True):
 
 
 class ConfigQuestion(ControlMessage, frozen=True):
-    """Change these live settings, or none; answered by `NodeSettings` or `Refused`."""
+    """Change live settings, or none; answered by `NodeSettings` or `Refused`."""
 
     changes: dict[str, Any] = {}
 
 
 class Command(ControlMessage, frozen=True):
-    """Do something; answered by an `Outcome` or `Refused`."""
+    """Call a command; answered by an `Outcome` or `Refused`."""
 
     command: str
     arguments: dict[str, Any] = {}
@@ -45,13 +45,13 @@ class Port(Part, frozen=True):
     """An input or an output."""
 
     message: str
-    fingerprint: str  # of the message's fields, types and shapes
+    fingerprint: str  # of the message's schema
     keep: str = ""  # of an input
-    schema: str = ""  # the fields and types that the fingerprint stands for
+    schema: str = ""  # the text behind the fingerprint
 
 
 class Interface(ControlMessage, frozen=True, kw_only=True):
-    """What a node takes and returns, and how it can be set and told."""
+    """A node's inputs, outputs, settings and commands."""
 
     node: str
     operator: str
@@ -63,24 +63,24 @@ class Interface(ControlMessage, frozen=True, kw_only=True):
 
 
 class Health(ControlMessage, frozen=True, kw_only=True):
-    """The state of a node, from its accounts alone."""
+    """The health of a node, from its accounts alone."""
 
     node: str
     process: str
     host: str
     pid: int
-    epoch: int  # which instance this is
+    epoch: int  # number of the instance
     state: str
-    problem: str  # one sentence; empty while all is well
-    handled: int  # messages, by all instances together
+    problem: str  # one sentence; empty if healthy
+    handled: int  # messages, of all instances
     last_seq: int
-    busy_s: float  # with the message in hand, 0 without one
+    busy_s: float  # time in the current handler call, 0 if idle
     silent_s: float  # since its last heartbeat
-    own_mb: float  # memory of its process that it shares with nobody
+    own_mb: float  # private memory of its process
     words: str  # the operator's headline
-    waiting: dict[str, int]  # messages under way, by input
+    waiting: dict[str, int]  # messages in flight, by input
     dropped: dict[str, dict[str, int]]  # by input and reason
-    broken: tuple[str, ...]  # outputs' edges on which a lossless reader lost something
+    broken: tuple[str, ...]  # edges on which a lossless reader lost messages
 
 
 class NodeSettings(ControlMessage, frozen=True, kw_only=True):

@@ -1,4 +1,4 @@
-"""Supervisor to node process, and back: what it is to do, what happens there.
+"""Messages between supervisor and node process: instructions and events.
 
 The first instruction is an `Assignment` or an `Inspect`, the last event is `Leaving`. Each is a
 line on the socket between the two (`pipeline.protocol.lines`).
@@ -13,12 +13,12 @@ from pipeline.graph.ports import Ports
 from pipeline.protocol.codec import ControlMessage, Kind, Part
 from pipeline.protocol.orders import ShadowReport
 
-MOST_EVENT_BYTES = 1 << 20  # a summary that is longer is left out
-MOST_INSTRUCTION_BYTES = 8 << 20  # an assignment holds a plan and what its edges carry
+MOST_EVENT_BYTES = 1 << 20  # a longer summary is left out
+MOST_INSTRUCTION_BYTES = 8 << 20  # an assignment contains a plan and its contracts
 
 
 class PortContract(Part, frozen=True, kw_only=True):
-    """Message types (`module:Class`) by input and output, so that nobody has to import others."""
+    """Message types (`module:Class`) by input and output, checkable without imports."""
 
     inputs: dict[str, str]
     outputs: dict[str, str]
@@ -26,14 +26,14 @@ class PortContract(Part, frozen=True, kw_only=True):
 
 
 class Imported(Part, frozen=True):
-    """What the supervisor has to know of code that it does not import."""
+    """Facts about a process's imported code, for the supervisor."""
 
     ports: dict[str, Ports] = {}  # by operator
-    files: list[str] = []  # of modules that are no part of an installed package
+    files: list[str] = []  # source files outside installed packages
 
 
 class Assignment(ControlMessage, frozen=True, kw_only=True):
-    """What a process is to run."""
+    """The nodes for a process to run."""
 
     plan: Plan
     process: str
@@ -41,9 +41,9 @@ class Assignment(ControlMessage, frozen=True, kw_only=True):
     memory_folder: str
     epochs: dict[str, int]  # by node
     frames: int = 0
-    network: Network | None = None  # to the nodes on other hosts, where an edge leads there
-    standby: bool = False  # another instance works until this one is told to take over
-    trial: bool = False  # only say whether operators and settings fit, and leave
+    network: Network | None = None  # to nodes on other hosts, if it has edges there
+    standby: bool = False  # another instance is active until this one takes over
+    trial: bool = False  # only check operators and settings, then exit
     contracts: dict[str, PortContract] = {}  # checked before the start
 
     @property
@@ -53,7 +53,7 @@ class Assignment(ControlMessage, frozen=True, kw_only=True):
         return tuple(node for node in here if node.process == self.process)
 
     def receiver(self, node: str, instance: int) -> Path:
-        """Where an instance of a node receives."""
+        """Return the receiver's address of a node's instance."""
         return Path(self.run_folder) / f"{node}.{instance}.recv"
 
     @property
@@ -62,52 +62,51 @@ class Assignment(ControlMessage, frozen=True, kw_only=True):
         return f"{self.process}.{max(self.epochs.values())}"
 
     def sockets(self) -> list[str]:
-        """The names of what this instance may leave in the run folder when it is killed."""
+        """The names of sockets that this instance may leave behind when it is killed."""
         if self.trial:
-            return []  # it opens none, and bears the epoch of the instance that works
+            return []  # it opens none, and has the epoch of the active instance
         receivers = [self.receiver(node, epoch).name for node, epoch in self.epochs.items()]
         return [*receivers, f"{self.instance}.sock", f"{self.instance}.sock.lock"]
 
 
 class Inspect(ControlMessage, frozen=True):
-    """Instead of an assignment: do the operators of this host fit their plan? Answered by `Fits`
-    or `Failed`; the process ends."""
+    """Only check a plan's operators of this host; answered by `Fits` or `Failed`."""
 
     plan: Plan
-    fingerprints: dict[str, str]  # of the messages that are meant, by `node.output`
+    fingerprints: dict[str, str]  # of the expected messages, by `node.output`
 
 
 class Go(ControlMessage, frozen=True):
-    """Begin: everything that was waited for is there."""
+    """Begin to run: all conditions are met."""
 
 
 class Finish(ControlMessage, frozen=True):
-    """Sources: make no more frames."""
+    """Make sources stop producing."""
 
 
 class Stop(ControlMessage, frozen=True):
-    """End."""
+    """End the process."""
 
 
 class Replan(ControlMessage, frozen=True):
-    """Connect a node as this plan has it; its operator and settings stay."""
+    """Reconnect a node by this plan; operator and settings stay."""
 
     node: str
     plan: Plan
 
 
 class Cut(ControlMessage, frozen=True, kw_only=True):
-    """Stop at frame `at` or later, once everything is done that the successor has not received."""
+    """Stop at frame `at` or later, after handling everything the successor has not received."""
 
     node: str
     receiver: str  # of the successor
-    heard: dict[str, int]  # by input: the successor has received what came after this ordinal
+    heard: dict[str, int]  # by input: the successor has received everything after this ordinal
     at: int = 0
-    shadow: int = 0  # frames: do not stop, only tell the successor how far this instance is
+    shadow: int = 0  # frames of a shadow run: do not stop, only send the position
 
 
 class Uncut(ControlMessage, frozen=True):
-    """Do not stop after all."""
+    """Cancel a `Cut`."""
 
     node: str
 
@@ -120,7 +119,7 @@ class Resume(ControlMessage, frozen=True):
 
 
 class Confirm(ControlMessage, frozen=True):
-    """The other instance is not needed any more."""
+    """The other instance is no longer needed."""
 
     node: str
 
@@ -143,7 +142,7 @@ class Fits(ControlMessage, frozen=True):
 class Ready(ControlMessage, frozen=True):
     """Every operator is open."""
 
-    load_s: float  # time that took
+    load_s: float  # time to open in seconds
     imported: Imported = Imported()
 
 
@@ -151,28 +150,28 @@ class Failed(ControlMessage, frozen=True):
     """The first error of a process; it ends."""
 
     error: str
-    expected: bool  # it was raised on purpose
+    expected: bool  # raised on purpose, a `FoveaError`
 
 
 class Leaving(ControlMessage, frozen=True):
-    """The process ends by itself."""
+    """The process announces its end."""
 
 
 class Finished(ControlMessage, frozen=True):
-    """A source has made its last frame."""
+    """A source has produced its last frame."""
 
     node: str
 
 
 class Headline(ControlMessage, frozen=True):
-    """What an operator tells while it runs."""
+    """An operator's headline."""
 
     node: str
     words: str
 
 
 class Summary(ControlMessage, frozen=True):
-    """What an operator tells at its end, for the report."""
+    """An operator's summary at its end, for the report."""
 
     node: str
     figures: dict[str, Any]
@@ -180,7 +179,7 @@ class Summary(ControlMessage, frozen=True):
 
 
 class Replanned(ControlMessage, frozen=True):
-    """A node is connected as its new plan has it."""
+    """A node is connected by its new plan."""
 
     node: str
 
@@ -189,11 +188,11 @@ class Standing(ControlMessage, frozen=True):
     """A successor receives on every input."""
 
     node: str
-    heard: dict[str, int]  # by input: nothing is missing after this ordinal
+    heard: dict[str, int]  # by input: complete after this ordinal
 
 
 class Shadowed(ControlMessage, frozen=True):
-    """A successor has answered enough frames of its predecessor."""
+    """A successor has handled enough frames of its predecessor."""
 
     node: str
     report: ShadowReport
@@ -207,14 +206,14 @@ class CutMade(ControlMessage, frozen=True):
 
 
 class CutRefused(ControlMessage, frozen=True):
-    """The predecessor works on: it could not stop."""
+    """The predecessor could not stop and remains active."""
 
     node: str
     reason: str
 
 
 class TakenOver(ControlMessage, frozen=True, kw_only=True):
-    """The successor works."""
+    """The successor is active."""
 
     node: str
     seq: int
@@ -224,7 +223,7 @@ class TakenOver(ControlMessage, frozen=True, kw_only=True):
 
 
 class Answered(ControlMessage, frozen=True):
-    """The successor has given its first answer."""
+    """The successor has sent its first output."""
 
     node: str
     left_out: dict[str, int]  # frames by input
@@ -232,7 +231,7 @@ class Answered(ControlMessage, frozen=True):
 
 
 class Resumed(ControlMessage, frozen=True):
-    """The predecessor works again."""
+    """The predecessor is active again."""
 
     node: str
 

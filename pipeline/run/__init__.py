@@ -1,1 +1,1 @@
-"""What runs a whole graph: the supervisor of its processes, swaps, and the in-line runner."""
+"""Everything that runs a whole graph: supervisor, swaps, topology changes, in-line runner."""

@@ -1,4 +1,4 @@
-"""A client of the nodes of a graph that runs on this host, over the graph's own bus."""
+"""Ask nodes of a graph on this host, over the graph's own bus."""
 
 import itertools
 import os
@@ -13,13 +13,13 @@ from pipeline.protocol.questions import KEYS, NodeQuestion
 from pipeline.run.rundir import folder_of
 
 TIMEOUT_S = 5.0  # a node answers between two frames; one that hangs does not
-_COUNT = itertools.count()  # several threads may ask
+_COUNT = itertools.count()  # makes names unique, also across threads
 
 
 def ask_local(folder: str, graph: str, node: str, question: NodeQuestion) -> bytes:
-    """The answer of a node of a graph that runs in a folder of that name, or its refusal.
+    """Return the reply of a node, for the run folder of its graph.
 
-    Raises `RunError` for silence.
+    Raises `RunError` after the timeout.
     """
     with client_session(folder, "ask") as session:
         key = key_of(graph, node, KEYS[type(question)])
@@ -34,7 +34,7 @@ def ask_local(folder: str, graph: str, node: str, question: NodeQuestion) -> byt
 
 @contextmanager
 def client_session(graph: str, purpose: str) -> Iterator[Session]:
-    """A session on the bus of a graph that runs here; it leaves no file, not even when killed."""
+    """Yield a session on the bus of a local graph; it leaves no file, even when killed."""
     own = f"{purpose}-{os.getpid()}-{next(_COUNT)}"
     session = Session(folder_of(graph), own, timeout_s=1.0, guest=True)
     try:

@@ -1,7 +1,7 @@
-"""The supervisor's ends of the sockets to its nodes: nothing blocks, everything is bounded.
+"""Supervisor's ends of the sockets to its nodes: nothing blocks, everything is bounded.
 
-A node holds the other end (`pipeline.node.control`). What a node does with it, or a process that it
-started and that inherited it, costs the supervisor a bounded buffer and nothing else.
+A node holds the other end (`pipeline.node.control`). Whatever a node, or a process that inherited
+the socket from it, sends, it costs the supervisor at most a bounded buffer.
 """
 
 import contextlib
@@ -15,28 +15,28 @@ from pipeline.protocol.codec import ControlMessage, decode, encode
 from pipeline.protocol.lines import as_line, from_line
 from pipeline.protocol.supervision import EVENT, Event
 
-MOST_UNSENT = 8 << 20  # bytes that a node has not read: several plans; more and it is deaf
+MOST_UNSENT = 8 << 20  # unread bytes (several plans); above it the node is deaf
 MOST_LINE = 4 << 20  # bytes of one event
-MOST_LINES_S = 100  # events a second and node, beyond a burst of as many; more is left out
-LEAST_ALLOWED = 25  # of them before a node that said too many is listened to again
-MOST_READ = 1 << 20  # bytes of one node in one look
+MOST_LINES_S = 100  # events per second and node, beyond a burst of as many; others are discarded
+LEAST_ALLOWED = 25  # allowance at which a flooding node is read again
+MOST_READ = 1 << 20  # bytes read from one node at a time
 _CHUNK = 1 << 16
 
 
 class Channel:
-    """Instructions to a node, events from it, each on a line of its own."""
+    """Instructions to a node and events from it, one per line."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
         self._end = end
         self._unsent = bytearray()
         self._partial = bytearray()
-        self._skipping = False  # the rest of a line that was too long
+        self._skipping = False  # discarding the rest of a line that was too long
         self._events: deque[Event] = deque(maxlen=2 * MOST_LINES_S)
         self._allowed, self._allowed_s = float(MOST_LINES_S), time.monotonic()
-        self.left_out = 0  # lines that were too many, too long or no event
-        self.deaf = False  # the node does not read what it is sent
-        self.ended = False  # nothing more will come
+        self.left_out = 0  # discarded lines: too many, too long or no event
+        self.deaf = False  # the node does not read its instructions
+        self.ended = False  # the node's end is closed
 
     def fileno(self) -> int:
         """The descriptor, for a selector; -1 once closed."""
@@ -44,19 +44,19 @@ class Channel:
 
     @property
     def unsent(self) -> bool:
-        """Whether something waits until the node reads."""
+        """Whether data waits until the node reads."""
         return bool(self._unsent)
 
     @property
     def flooded(self) -> bool:
-        """Whether the node says so much that it has to wait until it is heard again."""
+        """Whether the node exceeds its rate of events and is not read for now."""
         now_s = time.monotonic()
         earned = (now_s - self._allowed_s) * MOST_LINES_S
         self._allowed, self._allowed_s = min(self._allowed + earned, MOST_LINES_S), now_s
         return self._allowed < LEAST_ALLOWED
 
     def send(self, message: ControlMessage) -> None:
-        """Send it, at once or as soon as the node reads; a deaf node is sent nothing more."""
+        """Send now or as soon as the node reads; nothing is sent to a deaf node."""
         data = as_line(encode(message))
         if self.deaf or len(self._unsent) + len(data) > MOST_UNSENT:
             self.deaf = True
@@ -65,31 +65,31 @@ class Channel:
         self.flush()
 
     def flush(self) -> None:
-        """Send as much as the node takes now."""
+        """Send as much as the node accepts now."""
         while self._unsent:
             try:
                 sent = self._end.send(self._unsent[:_CHUNK])
             except (BlockingIOError, InterruptedError):
                 return
-            except OSError:  # it died: its end is noticed elsewhere
+            except OSError:  # the node died, which is noticed elsewhere
                 self._unsent.clear()
                 return
             del self._unsent[:sent]
 
     def events(self) -> list[Event]:
-        """Read what has come and return the events in it."""
+        """Read available data and return its events."""
         self._receive()
         found = list(self._events)
         self._events.clear()
         return found
 
     def waiting(self) -> bool:
-        """Whether an event can be had without waiting."""
+        """Whether an event is available without waiting."""
         self._receive()
         return bool(self._events)
 
     def close(self) -> None:
-        """Read what is there, whatever its rate, and give the descriptor back; events stay."""
+        """Read all available data, whatever its rate, and close the descriptor; events stay."""
         self._allowed = float("inf")
         self._receive()
         self.ended = True
@@ -104,7 +104,7 @@ class Channel:
                 data = self._end.recv(_CHUNK)
             except (BlockingIOError, InterruptedError):
                 return
-            except OSError:  # reset: it died with lines unread
+            except OSError:  # reset: the node died with unread instructions
                 data = b""
             if not data:
                 self.ended = True
@@ -134,7 +134,7 @@ class Channel:
 
 
 class Exchange:
-    """What a supervisor waits for between two ticks: its nodes' channels and wake-ups."""
+    """The selector of a supervisor: waits for its nodes' channels and for wake-ups."""
 
     def __init__(self) -> None:
         self._selector = selectors.DefaultSelector()
@@ -149,25 +149,25 @@ class Exchange:
         self._watched: dict[int, Channel] = {}
 
     def add(self, channel: Channel) -> None:
-        """Wake up for a channel from now on, until it ends."""
+        """Wait for a channel from now on, until it ends."""
         self._watched[channel.fileno()] = channel
 
     def remove(self, channel: Channel) -> None:
-        """Wake up for it no more; to be called before it is closed."""
+        """Stop waiting for a channel; call this before closing it."""
         if self._watched.pop(channel.fileno(), None) is channel:
             with contextlib.suppress(KeyError):
                 self._selector.unregister(channel)
 
     def wake(self) -> None:
-        """Let `wait` return at once; any thread may call it."""
+        """Make `wait` return at once; callable from any thread."""
         with contextlib.suppress(OSError):
             self._alarm.send(b"!")
 
     def wait(self, seconds: float) -> None:
-        """Wait until a node says something, somebody wakes, or the time is over."""
+        """Wait for an event, a call of `wake` or the timeout."""
         for channel in list(self._watched.values()):
             if channel.ended:
-                self.remove(channel)  # its end is readable for ever
+                self.remove(channel)  # otherwise its end would be readable for ever
                 continue
             channel.flush()
             self._watch(channel)
@@ -177,7 +177,7 @@ class Exchange:
                 pass
 
     def _watch(self, channel: Channel) -> None:
-        """Have the selector look at what matters now; of a flooded channel, at nothing."""
+        """Select the readiness that matters now; none for a flooded channel."""
         reads = 0 if channel.flooded else selectors.EVENT_READ
         events = reads | (selectors.EVENT_WRITE if channel.unsent else 0)
         known = self._selector.get_map().get(channel)
@@ -189,7 +189,7 @@ class Exchange:
             self._selector.modify(channel, events)
 
     def close(self) -> None:
-        """Give the descriptors back."""
+        """Close the descriptors."""
         self._watched.clear()
         self._selector.close()
         self._awake.close()

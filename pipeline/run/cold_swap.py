@@ -1,4 +1,4 @@
-"""A swap with a stop, of a node that shares its process, makes frames or sends whole messages.
+"""Cold swap, with a stop: for sources, shared processes and edges outside the local transport.
 
 WARMING      the spare process finishes its imports: two imports cost a graph twice
    | launch a trial
@@ -38,11 +38,11 @@ from pipeline.run.swap_target import SwapTarget
 
 START_S = 60.0
 STOP_S = 5.0
-LEAVE_S = 1.0  # for a process that only checked whether a part fits
+LEAVE_S = 1.0  # for a trial process to exit
 
 
 class ColdState(Enum):
-    """Where a cold swap is."""
+    """The states of a cold swap, in the diagram above."""
 
     WARMING = auto()
     CHECKING = auto()
@@ -71,7 +71,7 @@ class ColdSwap(SwapMachine[ColdState]):
         now: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         super().__init__(target, order, events, facts, S.WARMING, now)
-        self.gone: set[int] = set()  # processes that were told to stop
+        self.gone: set[int] = set()  # ids of processes that were told to stop
         self._killed = False
         self._steps = {
             S.WARMING: self._warming, S.CHECKING: self._checking, S.REWARMING: self._rewarming,
@@ -81,7 +81,7 @@ class ColdSwap(SwapMachine[ColdState]):
         }  # fmt: skip
 
     def give_back(self, *, failed: bool) -> None:
-        """At the end: a node that could not be started is left to the process manager."""
+        """Leave a node that could not be started to the process manager."""
         self._target.send_also_to(0)
         if self.owned:
             self._target.retry_soon()
@@ -117,7 +117,7 @@ class ColdSwap(SwapMachine[ColdState]):
     def _stopping(self) -> ColdState:
         if not self._has_stopped():
             return S.STOPPING
-        plan = self._target.changed(self._order)  # with all that it was told until its end
+        plan = self._target.changed(self._order)  # with all live changes until its end
         self._target.forget_settings()
         self.facts["state"] = "begins anew: it was stopped and started"
         self._start(plan)
@@ -141,7 +141,7 @@ class ColdSwap(SwapMachine[ColdState]):
     # back to the old one
 
     def _roll_back(self, why: str) -> ColdState:
-        self._failure = f"{why}; the old part was started again"
+        self._failure = f"{why}; the old instance was restarted"
         self.facts["rolled_back"] = True
         self._target.keep_settings()
         if self._runs():
@@ -151,7 +151,7 @@ class ColdSwap(SwapMachine[ColdState]):
     def _stopping_back(self) -> ColdState:
         if self._runs() and not self._has_stopped():
             return S.STOPPING_BACK
-        self._target.keep_settings()  # without what the new part was told
+        self._target.keep_settings()  # without live changes to the successor
         self._start(self._before)
         return S.STARTING_BACK
 
@@ -200,7 +200,7 @@ class ColdSwap(SwapMachine[ColdState]):
         return True
 
     def _has_run(self) -> bool:
-        """Whether a frame was handled, or none comes."""
+        """Whether a frame was handled, or no frame comes."""
         if not self._handle.going:
             self._target.let_go()
         ran = self._handle.going and self._target.account.handled > self._handled

@@ -1,6 +1,6 @@
-"""Where a running graph takes orders: one at a time, answered when it is carried out.
+"""Execute orders to a running graph one at a time, and reply when each is done.
 
-Orders come over the graph's bus, which only this user can reach.
+Orders arrive over the graph's bus, which only this user can reach.
 """
 
 import logging
@@ -42,11 +42,11 @@ class ControlServer:
         self._asked: queue.SimpleQueue[tuple[bytes, Callable[[bytes], None]]] = queue.SimpleQueue()
         self._operation: Operation | None = None
         self._reply: Reply = _nobody
-        self._lock = threading.Lock()  # between taking an order and the end of all
+        self._lock = threading.Lock()  # protects accepting an order against `abort`
         self._ended = False
 
     def ask(self, order: bytes, reply: Callable[[bytes], None]) -> None:
-        """An order came; any thread may call. After `abort` it is refused at once."""
+        """Queue an order, from any thread; after `abort` it is refused at once."""
         with self._lock:
             ended = self._ended
             if not ended:
@@ -57,7 +57,7 @@ class ControlServer:
         self._manager.exchange.wake()
 
     def tick(self) -> None:
-        """Take up what was asked, carry on with what is under way."""
+        """Accept a queued order, and advance the current operation."""
         while not self._asked.empty():
             order, reply = self._asked.get()
             self._take_up(order, _encoded(reply))
@@ -69,12 +69,12 @@ class ControlServer:
                 done(result)
 
     def take(self, order: Order, reply: Reply) -> None:
-        """Begin with an order; raises `RunError` when it cannot be done."""
+        """Start an order; raises `RunError` when it cannot be done."""
         manager = self._manager
         if isinstance(order, StopOrder):
             self._stop(reply)
         elif self._operation is not None:
-            raise RunError(f"{manager.plan.name}: another order is under way")
+            raise RunError(f"{manager.plan.name}: another order is in progress")
         else:
             self._operation = (
                 SwapOperation(manager, self._health, order)
@@ -89,11 +89,11 @@ class ControlServer:
         except FoveaError as error:
             reply(refused(str(error)))
         except Exception as error:  # an order must not end the graph
-            log.exception("an order broke")
-            reply(refused(f"it broke: {error_text(error)}"))
+            log.exception("an order failed")
+            reply(refused(f"it failed: {error_text(error)}"))
 
     def _stop(self, reply: Reply) -> None:
-        """Have the run end: its caller sees `stop_orders` rise."""
+        """Request the end of the run, which is signalled by `stop_orders`."""
         plan = self._manager.plan
         if plan.here:
             how = f"`fovea stop {plan.name}` ends it where it was brought up"
@@ -102,15 +102,15 @@ class ControlServer:
         reply(StopResult(graph=plan.name, pid=os.getpid()))
 
     def on_event(self, pid: int, event: Event) -> bool:
-        """Whether an event of a process concerns the order under way alone."""
+        """Pass an event to the current operation; return True if it concerns only that."""
         return self._operation is not None and self._operation.on_event(pid, event)
 
     def owns(self, managed: ManagedProcess) -> bool:
-        """Whether the order under way looks after a process."""
+        """Whether the current operation handles exits of a process."""
         return self._operation is not None and self._operation.owns(managed)
 
     def abort(self) -> list[ProcessHandle]:
-        """The run ends; the processes that it would not know of."""
+        """Abort at the end of the run; return processes that only the operation knows."""
         with self._lock:
             self._ended = True
         ended = self._too_late()

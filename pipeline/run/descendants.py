@@ -1,9 +1,9 @@
-"""Ends what a node started together with the node, and nothing of anybody else.
+"""End the processes that a node started, together with the node, and no others.
 
-A node leads a process group, which ends with it. What left the group by a session of its own is
-known by an entry of its environment, which the node was given and its children inherit; nothing
-reads the entry as configuration. A process that clears its environment and its group is found by
-descent (`pipeline.process_tree`, `pipeline.run.reaper`).
+A node leads a process group, which ends with it. A process that left the group by its own session
+is identified by a tag in its environment, inherited from the node; nothing reads the tag as
+configuration. A process without tag and group is found by descent (`pipeline.process_tree`,
+`pipeline.run.reaper`).
 """
 
 import contextlib
@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator
 
 TAG_VARIABLE = "FOVEA_STARTED_BY"
-ROUNDS = 5  # one that is found may just have started another
+ROUNDS = 5  # a process may start another while they are listed
 PAUSE_S = 0.01
 log = logging.getLogger(__name__)
 
@@ -26,23 +26,22 @@ def new_tag(run_id: str) -> str:
 
 
 def end_group(leader: int) -> None:
-    """Kill a process group whose leader has not been reaped: its number is still its own."""
+    """Kill a process group whose leader is not reaped, so that its id is still valid."""
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(leader, signal.SIGKILL)
 
 
 def end_tagged(prefix: str) -> int:
-    """Kill every process of this user whose tag begins so; return how many there were.
+    """Kill every process of this user whose tag has a prefix; return how many there were.
 
-    With the tag of an instance that is what it started, with the id of a run what the whole
-    run did. This process is spared in any case.
+    The prefix is the tag of an instance or the id of a whole run. This process is never killed.
     """
     ended: set[int] = set()
     for _ in range(ROUNDS if prefix else 0):
         try:
             found = list(tagged(prefix))
         except OSError as error:
-            log.warning("what nodes started cannot be looked for: %s", error)
+            log.warning("cannot search for processes that nodes started: %s", error)
             break
         for pid in found:
             _kill(pid, prefix)
@@ -54,7 +53,7 @@ def end_tagged(prefix: str) -> int:
 
 
 def tagged(prefix: str) -> Iterator[int]:
-    """Yield the processes of this user, other than this one, whose tag begins so."""
+    """Yield the other processes of this user whose tag has a prefix."""
     own_pid, own_uid = os.getpid(), os.getuid()
     with os.scandir("/proc") as entries:
         pids = [int(entry.name) for entry in entries if entry.name.isdecimal()]
@@ -82,7 +81,7 @@ def _carries(pid: int, prefix: str) -> bool:
 
 
 def _kill(pid: int, prefix: str) -> None:
-    """Kill a process that carries the tag, not one that has got its number since."""
+    """Kill a process with the tag, never a later one with the same pid."""
     try:
         handle = os.pidfd_open(pid)
     except ProcessLookupError:

@@ -1,4 +1,4 @@
-"""Which process has to be killed, and why: it hangs, does not come up, or takes too much memory."""
+"""Decide which process to kill, and why: stalled, too slow to open, or too much memory."""
 
 import time
 from collections.abc import Iterable
@@ -7,11 +7,11 @@ from pipeline.bus.ledger import Ledger
 from pipeline.node.health import FROZEN_S, problem
 from pipeline.run.managed_process import ManagedProcess
 
-SLEPT_S = 1.0  # a supervisor that did not look for so long was stopped itself
+SLEPT_S = 1.0  # a longer gap between ticks means that the supervisor itself was stopped
 
 
 class HealthMonitor:
-    """Finds processes to replace by the monotonic clock; none after this one was stopped itself."""
+    """Finds processes to replace; pauses after the supervisor itself was stopped."""
 
     def __init__(self, ledger: Ledger) -> None:
         self._ledger = ledger
@@ -19,14 +19,14 @@ class HealthMonitor:
         self._lenient_until_s = 0.0
 
     def tick(self) -> None:
-        """Note that the supervisor runs; called more often than every `SLEPT_S`."""
+        """Record that the supervisor runs; called more often than every `SLEPT_S`."""
         now_s = time.monotonic()
         if now_s - self._looked_s > SLEPT_S:
             self._lenient_until_s = now_s + FROZEN_S
         self._looked_s = now_s
 
     def problem(self, managed: ManagedProcess) -> str:
-        """Why its process must go, or nothing."""
+        """Return why its process must be killed, or an empty string."""
         now_s = time.monotonic()
         asleep = now_s - self._looked_s > SLEPT_S or now_s < self._lenient_until_s
         if managed.handle is None or asleep:
@@ -35,7 +35,7 @@ class HealthMonitor:
             return frozen
         if managed.handle.deaf:
             return "does not read what it is told"
-        if not managed.handle.ready:  # the first start of all has a limit of its own
+        if not managed.handle.ready:  # the first start has its own limit
             return late(managed) if managed.epoch > 1 else ""
         return first_of(
             problem(n, self._ledger.nodes[n.index], int(now_s * 1e9)) for n in managed.nodes
@@ -43,7 +43,7 @@ class HealthMonitor:
 
 
 def stopped(managed: ManagedProcess, now_s: float) -> str:
-    """Whether its process has been stopped for so long that nobody means to continue it."""
+    """Return a problem if its process has been stopped by a signal for too long."""
     since_s = now_s
     for sample in reversed(managed.samples):
         if not sample.stopped or managed.handle is None or sample.at_s < managed.handle.began_s:
@@ -54,7 +54,7 @@ def stopped(managed: ManagedProcess, now_s: float) -> str:
 
 
 def late(managed: ManagedProcess) -> str:
-    """Whether opening takes longer than any of its nodes may."""
+    """Return a problem if opening takes longer than any of its nodes may."""
     if managed.handle is None or managed.handle.ready:
         return ""
     seconds = time.monotonic() - managed.handle.began_s
@@ -63,7 +63,7 @@ def late(managed: ManagedProcess) -> str:
 
 
 def swollen(managed: ManagedProcess) -> str:
-    """Whether it takes more memory than its nodes together may; some limit must be set for all."""
+    """Return a problem if it exceeds the sum of its nodes' memory limits, if all have one."""
     limits_mb = [node.memory_mb for node in managed.nodes]
     sample = managed.samples[-1] if managed.samples else None
     if (
@@ -79,5 +79,5 @@ def swollen(managed: ManagedProcess) -> str:
 
 
 def first_of(problems: Iterable[str]) -> str:
-    """Return the first non-empty one, else nothing."""
+    """Return the first non-empty string, or an empty one."""
     return next(filter(None, problems), "")

@@ -1,4 +1,4 @@
-"""A swap without a stop: a successor stands by and takes over between two frames.
+"""Hot swap, without a stop: a successor on standby takes over between two frames.
 
     WARMING        the spare process finishes its imports: two imports cost a graph twice
        | launch the successor
@@ -24,7 +24,7 @@
        |                                                             |
     DONE                                                          DRAINING_BACK, then refused
 
-`pipeline.node.handover` is what the two instances do.
+`pipeline.node.handover` is the part of the two instances.
 """
 
 import time
@@ -56,15 +56,15 @@ from pipeline.run.swap_target import Successor, SwapTarget
 
 START_S = 60.0
 CONNECT_S = 10.0
-SHADOW_S = 1.0  # per frame, at most
+SHADOW_S = 1.0  # time limit per frame
 CUT_S = 30.0
-UNCUT_S = 0.5  # in which a cut may cross the order that takes it back
+UNCUT_S = 0.5  # time in which a cut may cross its cancellation
 ANSWER_S = 5.0
 DRAIN_S = 5.0
 
 
 class HotState(Enum):
-    """Where a hot swap is."""
+    """The states of a hot swap, in the diagram above."""
 
     WARMING = auto()
     LOADING = auto()
@@ -87,7 +87,7 @@ S = HotState
 
 
 class HotSwap(SwapMachine[HotState]):
-    """One hot swap; `other` is the one of the two instances that does not work."""
+    """One hot swap; `other` is the inactive one of the two instances."""
 
     DONE = S.DONE
     UNDONE = (S.TAKING_OVER, S.PROVING, S.ANSWERING)
@@ -108,7 +108,7 @@ class HotSwap(SwapMachine[HotState]):
         }  # fmt: skip
 
     def give_back(self, *, failed: bool) -> None:
-        """At the end: no writer sends to a second instance, and the old one goes on if it works."""
+        """Clean up: no writer sends to a second instance, and a live predecessor resumes."""
         self._target.send_also_to(0)
         self.owned = False
         if failed and self._target.is_working(self._old):
@@ -168,7 +168,7 @@ class HotSwap(SwapMachine[HotState]):
         if not self._late(UNCUT_S) and not self._events.over(self._old):
             return S.TAKING_BACK
         self.owned = False
-        raise RunError(f"{self._name}: it did not come to a frame where it could be cut")
+        raise RunError(f"{self._name}: it did not reach a frame for the cut")
 
     def _taking_over(self) -> HotState:
         taken = self._events.heard(self._new.handle, TakenOver)
@@ -216,7 +216,7 @@ class HotSwap(SwapMachine[HotState]):
     # back to the predecessor
 
     def _roll_back(self, why: str) -> HotState:
-        self._failure = f"{why}; the old part goes on"
+        self._failure = f"{why}; the old instance continues"
         self._new.handle.kill()
         return S.KILLING
 
@@ -232,7 +232,7 @@ class HotSwap(SwapMachine[HotState]):
 
     def _resuming(self) -> HotState:
         resumed = self._events.heard(self._old, Resumed)
-        if not self._await(resumed, ANSWER_S, "the old part did not go on", self._old):
+        if not self._await(resumed, ANSWER_S, "the old instance did not resume", self._old):
             return S.RESUMING
         self._target.read_by(self._epoch)
         self._sent = self._target.sent()
@@ -247,7 +247,7 @@ class HotSwap(SwapMachine[HotState]):
     # what several states do
 
     def _beside(self, done: object, limit_s: float, what: str) -> bool:
-        """Likewise of the successor, for as long as its predecessor works."""
+        """Wait as `_await` does for the successor, while its predecessor works."""
         if not self._target.is_working(self._old) or self._old.ended() is not None:
             raise RunError(f"{self._name}: it ended meanwhile and starts again; try again")
         return self._await(done, limit_s, what, self._new.handle)
@@ -263,6 +263,6 @@ class HotSwap(SwapMachine[HotState]):
         return S.CUTTING
 
     def _check_cut(self) -> None:
-        """Raise `RunError` when the predecessor says that it could not do as it was told."""
+        """Raise `RunError` when the predecessor has refused the cut."""
         if refusal := self._events.heard(self._old, CutRefused):
             raise RunError(f"{self._name}: {refusal.reason}")

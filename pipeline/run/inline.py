@@ -1,8 +1,8 @@
-"""A graph in one thread of this process: no Zenoh, no clock, no race. For tests, training, tables.
+"""Run a graph in one thread, deterministically, without Zenoh: for tests, training, evaluation.
 
-Every frame goes through the whole graph before the next is exposed, nodes in dependency order; what
-comes beside a joined set is handled after it, as in a lockstep run of processes. A message is
-checked as the wire checks it, and its readers may not write into its arrays.
+Every frame passes the whole graph before the next exposure, in dependency order; unjoined inputs
+are handled after the joined set, as in a lockstep run of processes. Messages are checked as for
+sending, and their arrays are read-only for readers.
 """
 
 import hashlib
@@ -60,8 +60,8 @@ class InlineRunner:
         }
         self._source = self._only_source()
         self.commands = hashlib.sha256()
-        self.at = ""  # the node whose code is executed
-        self.began = False  # every operator was opened
+        self.at = ""  # the node whose code is running
+        self.began = False  # whether every operator was opened
         self._began_s = time.monotonic()
 
     def __enter__(self) -> "InlineRunner":
@@ -75,13 +75,13 @@ class InlineRunner:
             self.__exit__()
             raise
         self.began = True
-        self._began_s = time.monotonic()  # loading networks is no part of its rate
+        self._began_s = time.monotonic()  # the rate excludes loading networks
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close every operator, also after one that breaks over it; the first error is raised."""
+        """Close every operator, even if one fails to close; the first error is raised."""
         with ExitStack() as closing:
-            for loaded in self._nodes.values():  # the last one first
+            for loaded in self._nodes.values():  # in reverse order
                 closing.callback(self._close, loaded)
 
     def _close(self, loaded: _InlineNode) -> None:
@@ -90,13 +90,13 @@ class InlineRunner:
         self.at = at
 
     def operator(self, node: str) -> Operator[Any, Any]:
-        """The live operator behind a node, for training and evaluation."""
+        """Return the operator of a node, for training and evaluation."""
         return self._nodes[node].operator
 
     def change(self, node: str, changes: Mapping[str, Any]) -> dict[str, Any]:
-        """Change live settings between two frames; the effective values of all of them.
+        """Change live settings between two frames; return all current settings.
 
-        Raises `SettingsError` and changes nothing when the node refuses, `RunError` for no node.
+        Raises `SettingsError` and changes nothing when refused, `RunError` for an unknown node.
         """
         if node not in self._nodes:
             raise RunError(f"{self.plan.name}: no node {node}{checked.suggest(node, self._nodes)}")
@@ -105,7 +105,7 @@ class InlineRunner:
         return live.describe().settings
 
     def run(self, frames: int = 0) -> Iterator[int]:
-        """Expose up to `frames` frames (0: all), yielding each seq after the loop answered it."""
+        """Run up to `frames` frames (0: all), yielding each seq once the graph has finished it."""
         count = 0
         while not frames or count < frames:
             begun, self.at = time.monotonic_ns(), self._source.node.name
@@ -120,7 +120,7 @@ class InlineRunner:
             yield header.seq
 
     def report(self, *, summaries: bool = True) -> Report:
-        """The same report as a run of processes gives; or what is known without the operators."""
+        """Return the report of the run, as for processes; `summaries`: ask the operators, too."""
         nodes = self._nodes.items() if summaries else ()
         found = {}
         for self.at, loaded in nodes:
@@ -138,7 +138,7 @@ class InlineRunner:
         return found[0]
 
     def _drain_frame(self) -> None:
-        """Let everything that was sent find its end."""
+        """Handle everything that was sent."""
         pending = True
         while pending:
             pending = False
@@ -165,7 +165,7 @@ class InlineRunner:
                 assert message is not None
                 fold(self.commands, message)
         loaded.account.handled += 1
-        if loaded is not self._source:  # whose handler is its exposure, as in a process
+        if loaded is not self._source:  # for a source, the exposure counts as the handler
             loaded.account.histograms["handler"].add(time.monotonic_ns() - begun)
         if not loaded.executor.is_side(names):
             self._send(loaded, answers, work.header, begun_ns=begun)

@@ -1,7 +1,7 @@
-"""What killed runs left behind, and its removal: files of our own patterns, processes of our own.
+"""Find and remove leftovers of killed runs: files and processes.
 
-Nothing is removed that fovea did not make: names have to follow the patterns below, files have to
-belong to this user and lie in a private folder, and processes have to bear the id of a dead run.
+Only fovea's own are removed: names must match the patterns below, files must belong to this user
+and be in a private folder, and processes must carry the id of a dead run.
 """
 
 import contextlib
@@ -23,8 +23,8 @@ from pipeline.run.descendants import end_tagged
 from pipeline.run.memory_folder import MEMORY, RUN_ID, MemoryFolder, abandoned, path_of
 from pipeline.run.rundir import LOCK, locked, noted, run_folders
 
-KEEP_LOGS_S = 7 * 86400.0  # of graphs that run no more
-NODE_MODULE = "pipeline.node.process"  # what every node process runs
+KEEP_LOGS_S = 7 * 86400.0  # of graphs that have ended
+NODE_MODULE = "pipeline.node.process"  # the module of every node process
 _RUN_FILES = re.compile(
     rf"run\.json(\.part)?|clocks|{GRAMMAR}(\.\d+)?\.sock(\.lock)?|{GRAMMAR}\.\d+\.recv"
     rf"|{GRAMMAR}\.live(\.part)?"
@@ -34,7 +34,7 @@ _LOGS = re.compile(rf"{GRAMMAR}(\.stderr)?\.log(\.old)?|{_DETACHED.pattern}")
 
 
 def cleanup() -> None:
-    """Remove what killed supervisors left: processes, shared memory, sockets, very old logs."""
+    """Remove leftovers of killed supervisors: processes, shared memory, sockets, old logs."""
     clean_memory()
     for folder in run_folders():
         lock = locked(folder.path)
@@ -49,18 +49,18 @@ def cleanup() -> None:
 
 
 def clean_memory(memory: Path = MEMORY) -> None:
-    """Remove the memory folders of killed runs, and what of those runs still lives."""
+    """Remove the memory folders of killed runs, and their remaining processes."""
     for folder in abandoned(memory=memory):
         end_orphans(folder.run_id)
         folder.empty()
 
 
 def leftovers() -> list[str]:
-    """What killed supervisors left beside their logs: graphs, and memory of no graph."""
+    """Return leftovers of killed supervisors except logs: graphs, and memory without a graph."""
     found = []
     for folder in run_folders():
-        lock = locked(folder.path, fcntl.LOCK_SH)  # so that two who look see the same
-        if lock is not None:  # held until it was looked into, or a cleanup takes the folder away
+        lock = locked(folder.path, fcntl.LOCK_SH)  # shared among readers
+        if lock is not None:  # held while reading, so that no cleanup removes the folder
             if any(map(_RUN_FILES.fullmatch, folder.names())):
                 found.append(folder.path.name)
             os.close(lock)
@@ -68,9 +68,9 @@ def leftovers() -> list[str]:
 
 
 def clear(folder: PrivateFolder) -> None:
-    """Remove what a run that is over left in its folder, and in memory; its logs stay."""
+    """Remove an ended run's files in its folder and in memory; its logs stay."""
     if run_id := noted(folder).get("run"):
-        with contextlib.suppress(RunError):  # the rule: there is none
+        with contextlib.suppress(RunError):  # usually there is none
             memory = MemoryFolder(path_of(run_id))
             if memory.lock(fcntl.LOCK_EX):
                 end_orphans(run_id)
@@ -85,25 +85,25 @@ def clear(folder: PrivateFolder) -> None:
 
 
 def forget_detached(folder: PrivateFolder) -> None:
-    """Remove what the last detached run left to be read: another run takes its place."""
+    """Remove the record of the last detached run, because another run begins."""
     for name in folder.names():
         if _DETACHED.fullmatch(name):
             folder.remove(name)
 
 
 def end_orphans(run_id: str) -> None:
-    """End the processes of a dead run: nodes end by themselves, but a frozen one cannot."""
+    """End the processes of a dead run, as a frozen node cannot end by itself."""
     for process, of in node_processes():
         if of == run_id:
-            with contextlib.suppress(psutil.Error):  # it has just ended by itself
-                process.send_signal(signal.SIGSTOP)  # it starts nothing more
+            with contextlib.suppress(psutil.Error):  # it has just ended
+                process.send_signal(signal.SIGSTOP)  # a stopped process starts no other
                 end(descendants(process.pid))
                 process.send_signal(signal.SIGKILL)
     end_tagged(run_id)  # and what they had started
 
 
 def node_processes() -> Iterator[tuple[psutil.Process, str]]:
-    """The node processes of this user, each with the id of its run."""
+    """Yield the node processes of this user, each with the id of its run."""
     for process in psutil.process_iter(["cmdline", "uids"]):
         words, uids = process.info["cmdline"] or [], process.info["uids"]
         if NODE_MODULE not in words or uids is None or uids.effective != os.geteuid():
@@ -114,12 +114,12 @@ def node_processes() -> Iterator[tuple[psutil.Process, str]]:
 
 
 def logs_of(folder: Path) -> list[str]:
-    """The names of the log files in a run folder."""
+    """Return the names of the log files in a run folder."""
     return [name for name in os.listdir(folder) if _LOGS.fullmatch(name)]
 
 
 def _forget(folder: PrivateFolder) -> None:
-    """Remove a run folder that nobody has used for long; what is not ours keeps it there."""
+    """Remove a run folder that is long unused, unless it contains foreign files."""
     for name in logs_of(folder.path):
         folder.remove(name)
     folder.remove(LOCK)

@@ -1,4 +1,4 @@
-"""A graph for scripts and notebooks: loaded and checked, run in this thread or as processes."""
+"""Graphs for scripts and notebooks: load and check, run in this thread or as processes."""
 
 import os
 import time
@@ -26,8 +26,8 @@ def load(
     """Load a shipped graph by name, or a graph file by path; nothing is started.
 
     `settings` are values by `node.setting`; `source` is a shipped source or a file, which replaces
-    what makes frames; `manual` names nodes that start on request only. Raises `GraphError` or
-    `SettingsError`, in a sentence with file and line.
+    the graph's source; `manual` names manual nodes to start. Raises `GraphError` or `SettingsError`
+    with file and line.
     """
     if isinstance(manual, str):
         raise SettingsError(f"manual: expected a list of nodes, got {manual!r}")
@@ -45,7 +45,7 @@ def load(
 
 
 class Graph:
-    """A graph that is ready to run, as often as wanted. `plan` holds its nodes and edges."""
+    """A checked graph, which can run any number of times. `plan` holds its nodes and edges."""
 
     def __init__(self, path: Path, overlay: Overlay) -> None:
         self._path, self._overlay = path, overlay
@@ -59,14 +59,13 @@ class Graph:
         self, frames: int = 0, *, processes: bool = False, duration_s: float = 0.0,
         watch: Watch | None = None,
     ) -> Report:  # fmt: skip
-        """Run up to `frames` exposures (0: until the source ends); returns the report.
+        """Run up to `frames` exposures (0: until the source ends) and return the report.
 
-        In this thread it is in lockstep, gives the same answers every time, and `watch` is called
-        with `node.output` and each message. With `processes` it runs as `fovea run` does, for
-        `duration_s` at most if given; the folder you work in is where processes look for operators
-        of your own. Raises `RunError` for a graph that cannot go on; what an operator raises in
-        this thread passes through. Processes that crashed and did not end the run are counted in
-        the report's `crashes`.
+        In this thread the run is in lockstep and deterministic, and `watch` is called with
+        `node.output` and each message. With `processes` it runs like `fovea run`, for at most
+        `duration_s` if given; processes find your own operators in the current folder. Raises
+        `RunError` for a graph that cannot continue; an operator's exception in this thread passes
+        through. Crashes of processes that did not end the run are in the report's `crashes`.
         """
         if frames < 0 or duration_s < 0:
             raise SettingsError(f"run: expected limits from 0 on, got {frames}, {duration_s}")
@@ -108,7 +107,7 @@ def run_processes(plan: Plan, frames: int, duration_s: float) -> Report:
 
 
 def account_of(supervisor: Supervisor, duration_s: float) -> Report:
-    """The report of a run whose processes have stopped."""
+    """Return the report of a run whose processes have stopped."""
     return compose(
         supervisor.plan,
         supervisor.ledger,

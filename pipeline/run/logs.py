@@ -1,4 +1,4 @@
-"""What the nodes of a graph wrote, also after they ended."""
+"""Logs of a graph's nodes, also after the graph has ended."""
 
 import time
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from pipeline.text import harmless
 
 
 def log_lines(graph: str, node: str, lines: int, *, follow: bool) -> Iterator[str]:
-    """The last lines of a node's log, then whatever is added."""
+    """Yield the last lines of a node's log, then new ones if `follow`."""
     path = _log_path(graph, node)
     with path.open(errors="replace") as file:
         yield from file.read().splitlines()[-lines:] if lines else []
@@ -24,7 +24,7 @@ def log_lines(graph: str, node: str, lines: int, *, follow: bool) -> Iterator[st
 
 
 def _log_path(graph: str, node: str) -> Path:
-    """The log of that node, which writes into the log of its process."""
+    """Return the log file of a node's process."""
     folder = folder_of(graph)
     nodes = running().get(graph, {"nodes": []})["nodes"]
     process = next((n["process"] for n in nodes if n["name"] == node), node)

@@ -1,4 +1,4 @@
-"""A process of a plan as its supervisor keeps it: its nodes and its present handle."""
+"""State that the supervisor keeps per process of a plan: nodes, handle, restarts, samples."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pipeline.graph.plan import Node
 from pipeline.run.process_handle import ProcessHandle, Sample
 
-EARLY_SAMPLES, LATE_SAMPLES = 120, 600  # about one a second
+EARLY_SAMPLES, LATE_SAMPLES = 120, 600  # one sample per second
 
 
 class Samples:
-    """The first samples of a process and the newest ones: a run may last for months.
+    """The first and the latest samples of a process; bounded, as a run may last for months.
 
     >>> samples = Samples()
     >>> for second in range(5000):
@@ -25,7 +25,7 @@ class Samples:
         self._late: deque[Sample] = deque(maxlen=LATE_SAMPLES)
 
     def append(self, sample: Sample) -> None:
-        """Add the newest."""
+        """Append a sample."""
         (self._early if len(self._early) < EARLY_SAMPLES else self._late).append(sample)
 
     def __len__(self) -> int:
@@ -45,17 +45,17 @@ class Samples:
 
 @dataclass
 class ManagedProcess:
-    """A process of the plan and its present incarnation."""
+    """A process of the plan and its current instance."""
 
     name: str
     nodes: tuple[Node, ...]
     handle: ProcessHandle | None = None
     epoch: int = 0
-    promised: int = 0  # the newest epoch that was given to anybody, who stands by included
+    promised: int = 0  # the latest epoch given to any instance, including standbys
     next_start_s: float = 0.0
     going_since_s: float = 0.0
-    last_words: str = ""  # why it ended, the last time that it was known
-    quick_deaths: int = 0  # in a row, each before it had run for a while
+    last_words: str = ""  # the last known reason why it ended
+    quick_deaths: int = 0  # consecutive ends after a short time
     deaths: deque[float] = field(default_factory=lambda: deque(maxlen=64))
     samples: Samples = field(default_factory=Samples)
     sources: frozenset[str] = frozenset()
@@ -64,6 +64,6 @@ class ManagedProcess:
         self.promised = self.epoch
 
     def promise(self) -> int:
-        """The epoch of another incarnation: nobody had it, nobody will."""
+        """Return a new, unique epoch for the next instance."""
         self.promised = max(self.promised, self.epoch) + 1
         return self.promised

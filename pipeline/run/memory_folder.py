@@ -1,10 +1,10 @@
-"""The folder of a run in shared memory: private, with a random name, locked while the run lives.
+"""A run's folder in shared memory: private, with a random name, locked while the run lives.
 
     /dev/shm/fovea-<uid>-<run>/   0700: ledger, <node>.<output>.<id>, <node>.<epoch>.state
 
-Every user of a machine can write to /dev/shm, so nothing of a run lies there under a name that
-could be guessed or made by somebody else. The supervisor holds a lock on the folder itself; a
-folder whose lock is free belongs to a run that was killed, whatever else of it is left.
+Every user of a machine can write to /dev/shm, so no name of a run there can be guessed or created
+by another user. The supervisor holds a lock on the folder itself; a folder with a free lock belongs
+to a killed run.
 """
 
 import fcntl
@@ -26,13 +26,13 @@ _FILES = re.compile(
 
 
 class MemoryFolder(PrivateFolder):
-    """The locked memory folder of a run that lives."""
+    """The locked memory folder of a live run."""
 
     run_id: str
 
     @staticmethod
     def claim(memory: Path = MEMORY) -> "MemoryFolder":
-        """Make a folder for a new run and lock it; raises `RunError`."""
+        """Create a folder for a new run and lock it; raises `RunError`."""
         while True:
             run_id = secrets.token_hex(8)
             path = path_of(run_id, memory)
@@ -44,11 +44,11 @@ class MemoryFolder(PrivateFolder):
             except OSError as error:
                 raise RunError(f"{path}: cannot be made: {error.strerror}") from error
             folder.run_id = run_id
-            if folder.lock(fcntl.LOCK_EX) and folder.exists:  # else a cleanup was quicker
+            if folder.lock(fcntl.LOCK_EX) and folder.exists:  # otherwise a cleanup was faster
                 return folder
 
     def lock(self, kind: int) -> bool:
-        """Take the folder's lock until its descriptor is closed; False when another has it."""
+        """Lock the folder until its descriptor is closed; return False if it is locked already."""
         try:
             fcntl.flock(self.handle, kind | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -56,27 +56,27 @@ class MemoryFolder(PrivateFolder):
         return True
 
     def empty(self) -> None:
-        """Remove the files of a run, and then the folder; what is not known stays, with it."""
+        """Remove the files of a run, then the folder, which stays if it has unknown files."""
         for name in self.names():
             if _FILES.fullmatch(name):
                 self.remove(name)
         self.remove_itself()
 
     def size_bytes(self) -> int:
-        """What its files take."""
+        """Return the total size of its files in bytes."""
         found = (os.stat(n, dir_fd=self.handle, follow_symlinks=False) for n in self.names())
         return sum(seen.st_blocks * 512 for seen in found)
 
 
 def path_of(run_id: str, memory: Path = MEMORY) -> Path:
-    """The memory folder of a run of this user; raises `RunError` for what is no run's id."""
+    """Return the memory folder of a run of this user; raises `RunError` for an invalid id."""
     if not RUN_ID.fullmatch(run_id):
         raise RunError(f"run: expected 16 hex digits, got {run_id[:40]!r}")
     return memory / f"fovea-{os.geteuid()}-{run_id}"
 
 
 def abandoned(kind: int = fcntl.LOCK_EX, memory: Path = MEMORY) -> Iterator[MemoryFolder]:
-    """The memory folders of runs of this user that were killed, each locked while it is in hand."""
+    """Yield the memory folders of this user's killed runs, each locked while it is used."""
     stem = f"fovea-{os.geteuid()}-"
     for name in sorted(os.listdir(memory)):
         run_id = name.removeprefix(stem)

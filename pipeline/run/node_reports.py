@@ -1,4 +1,4 @@
-"""What the nodes of a run tell of themselves: headlines while they run, summaries at the end."""
+"""Collect what the nodes report: headlines while they run, summaries at the end."""
 
 import logging
 from typing import Any
@@ -12,23 +12,23 @@ log = logging.getLogger(__name__)
 
 
 class NodeReports:
-    """The newest word of every node."""
+    """The latest headline and summary of every node."""
 
     def __init__(self) -> None:
         self.summaries: dict[str, dict[str, Any]] = {}
-        self.left_out: dict[str, str] = {}  # by node: what the report lacks of its summary
+        self.left_out: dict[str, str] = {}  # by node: why its summary is missing
         self.headlines: dict[str, str] = {}
-        self._summed: dict[str, int] = {}  # the process whose summary is kept, by node
+        self._summed: dict[str, int] = {}  # by node: the process whose summary is stored
 
     def note(self, handle: ProcessHandle, event: Event, *, present: bool) -> None:
-        """Keep what a process tells; a headline only of the `present` process of its nodes."""
+        """Store an event; a headline only from the current process of the node (`present`)."""
         if isinstance(event, Summary) and event.node in handle.nodes:
             self._keep_summary(handle, event)
         elif isinstance(event, Headline) and event.node in handle.nodes and present:
             self.headlines[event.node] = harmless(event.words, MOST_HEADLINE)
 
     def _keep_summary(self, handle: ProcessHandle, event: Summary) -> None:
-        """Keep that of the newest process, which a source sends in two parts."""
+        """Store the summary of the latest process; a source sends it in two parts."""
         node = event.node
         if self._summed.get(node) != handle.pid:
             self._summed[node], self.summaries[node] = handle.pid, {}

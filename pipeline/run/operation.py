@@ -1,4 +1,4 @@
-"""An order that a supervisor carries out, a little with each of its ticks, while the graph runs."""
+"""Operations: orders that a supervisor executes step by step while the graph runs."""
 
 import logging
 from abc import ABC, abstractmethod
@@ -17,41 +17,41 @@ log = logging.getLogger(__name__)
 
 
 class Operation(ABC):
-    """An order under way; `result` is there when it is over."""
+    """An order in progress; `result` is set when it is done."""
 
     kind = "order"
 
     def __init__(self) -> None:
         self.events = ProcessEvents()
         self.result: Result | None = None
-        self.facts: dict[str, Any] = {}  # fields of the result, as they become known
+        self.facts: dict[str, Any] = {}  # fields of the result, set as they become known
 
     @abstractmethod
     def advance(self) -> bool:
-        """Do what can be done now; True at the end. Raises `FoveaError` for why it failed."""
+        """Advance as far as possible; return True at the end. Raises `FoveaError` on failure."""
 
     @abstractmethod
     def done(self) -> Done:
-        """The result, at the end."""
+        """Return the result, at the end."""
 
     def clear_up(self, *, failed: bool) -> None:  # noqa: B027 - most hold nothing
-        """Give back what the operation holds, whatever became of it."""
+        """Release what the operation holds, after any outcome."""
 
     def on_event(self, pid: int, event: Event) -> bool:
-        """Take note of an event; True when nothing else needs it."""
+        """Handle an event; return True when nothing else needs it."""
         self.events.note(pid, event)
         return False
 
     def owns(self, managed: ManagedProcess) -> bool:
-        """Whether exits of that process belong to this operation."""
+        """Whether this operation handles exits of that process."""
         return False
 
     def abort(self) -> list[ProcessHandle]:
-        """The run ends: processes that only this operation knows."""
+        """Abort at the end of the run; return processes that only this operation knows."""
         return []
 
     def tick(self) -> None:
-        """Go on; where that ends it, there is a result."""
+        """Advance, and set the result at the end."""
         self.events.tick()
         try:
             if self.advance():
@@ -60,7 +60,7 @@ class Operation(ABC):
             self._finish(str(error))
         except Exception as error:  # an order must not end the graph
             log.exception("%s broke", self.kind)
-            self._finish(f"it broke: {error_text(error)}")
+            self._finish(f"it failed: {error_text(error)}")
 
     def _finish(self, why: str) -> None:
         self.clear_up(failed=bool(why))

@@ -1,4 +1,4 @@
-"""The first frames of a successor, watched: whether it works, in time, and does not hang."""
+"""Probation of a successor: check that its first frames are handled, and fast enough."""
 
 import time
 from collections.abc import Callable
@@ -10,15 +10,15 @@ from pipeline.run.process_events import ProcessEvents
 from pipeline.run.process_handle import ProcessHandle, ending
 from pipeline.run.swap_target import SwapTarget
 
-STUCK_S = 2.0  # with messages waiting
-LOOK_S = 0.5  # counted between two looks at most: a supervisor that looks late was stopped too
-QUIET_S = 10.0  # without messages: then probation is over
-SOONEST = 5  # frames after which a successor may be found too slow
-SLOWER, LEAST_BUDGET_MS = 3.0, 20.0  # than its predecessor, when no budget is given
+STUCK_S = 2.0  # without progress while messages wait
+LOOK_S = 0.5  # upper limit per check, since a late supervisor was stopped itself
+QUIET_S = 10.0  # probation ends after this time without messages
+SOONEST = 5  # frames before a successor may be judged too slow
+SLOWER, LEAST_BUDGET_MS = 3.0, 20.0  # default budget relative to the predecessor
 
 
 class Probation:
-    """The watch over one successor, from when it takes over."""
+    """The probation of one successor, from its takeover."""
 
     def __init__(
         self, target: SwapTarget, order: SwapOrder, events: ProcessEvents,
@@ -36,17 +36,17 @@ class Probation:
 
     @property
     def frames(self) -> int:
-        """How many the node has finished since."""
+        """Return the number of frames finished since the takeover."""
         return int(self._target.account.handled - self._first)
 
     def over(self, handle: ProcessHandle) -> bool:
-        """Look once: whether it has proven itself; raises `RunError` when it is not good enough."""
+        """Check once; return whether probation is passed. Raises `RunError` when it fails."""
         name = self._target.node.name
         if (status := handle.ended()) is not None:
             if self._events.over(handle):
                 failed = self._events.heard(handle, Failed)
                 why = f" {failed.error}" if failed else ""
-                raise RunError(f"{name}: the new part ended by {ending(status)}{why}")
+                raise RunError(f"{name}: the new instance ended by {ending(status)}{why}")
             return False
         if problem := self._target.stalled():
             raise RunError(problem)
@@ -57,7 +57,7 @@ class Probation:
             self._check_budget()
         waiting = self._target.messages_wait and self._target.account.condition != "credit"
         if self._still_s > self._stuck_s and waiting:
-            raise RunError(f"{name}: the new part finished no frame for {self._still_s:.1f} s")
+            raise RunError(f"{name}: the new instance finished no frame for {self._still_s:.1f} s")
         enough = self.frames >= self._order.probation or self._target.run_ends
         return enough or self._still_s > QUIET_S
 
@@ -66,6 +66,6 @@ class Probation:
         slow_ms = times.percentile_ms(0.5)
         if self.frames >= min(SOONEST, self._order.probation) and slow_ms > self._budget_ms:
             raise RunError(
-                f"{self._target.node.name}: the new part takes {slow_ms:.1f} ms a frame, expected "
-                f"at most {self._budget_ms:.1f} ms"
+                f"{self._target.node.name}: the new instance takes {slow_ms:.1f} ms a frame, "
+                f"expected at most {self._budget_ms:.1f} ms"
             )

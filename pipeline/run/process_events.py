@@ -1,4 +1,4 @@
-"""What the processes that an order waits for have said, and whether they have ended."""
+"""Record events and ends of the processes that an order waits for."""
 
 from typing import Any, TypeVar
 
@@ -10,7 +10,7 @@ E = TypeVar("E", bound=Event)
 
 
 class ProcessEvents:
-    """The newest event of each class, by process."""
+    """The latest event of each class, by process."""
 
     def __init__(self) -> None:
         self._heard: dict[int, dict[type[Any], Event]] = {}
@@ -18,26 +18,26 @@ class ProcessEvents:
         self._ended: dict[int, int] = {}  # process id -> the tick that found it ended
 
     def tick(self) -> None:
-        """All that came until now was noted."""
+        """Advance the tick: all events so far are recorded."""
         self._ticks += 1
 
     def note(self, pid: int, event: Event) -> None:
-        """Keep an event."""
+        """Record an event."""
         self._heard.setdefault(pid, {})[type(event)] = event
 
     def heard(self, handle: ProcessHandle, kind: type[E]) -> E | None:
-        """The newest event of that class from a process, if there was one."""
+        """Return the latest event of that class from a process, if there was one."""
         event = self._heard.get(handle.pid, {}).get(kind)
         return event if isinstance(event, kind) else None
 
     def forget(self, handle: ProcessHandle, kind: type[Event]) -> None:
-        """Wait for a new event of that class."""
+        """Discard an event, to wait for a new one of that class."""
         self._heard.get(handle.pid, {}).pop(kind, None)
 
     def over(self, handle: ProcessHandle) -> bool:
-        """Whether a process has ended and all that it said is noted.
+        """Whether a process has ended and all its events are recorded.
 
-        Its socket is read to the end when it is buried; the next tick notes what was in it.
+        `bury` reads its socket to the end; the next tick records the events.
         """
         if handle.ended() is None:
             return False
@@ -47,7 +47,7 @@ class ProcessEvents:
         return self._ticks > self._ended[handle.pid]
 
     def check_alive(self, handle: ProcessHandle) -> None:
-        """Raise `RunError` with the reason once a process is over."""
+        """Raise `RunError` with the reason once a process has ended."""
         status = handle.ended()
         if status is not None and self.over(handle):
             failed = self.heard(handle, Failed)

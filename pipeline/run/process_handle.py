@@ -1,4 +1,4 @@
-"""One node process as its supervisor holds it: started, spoken to, listened to, ended."""
+"""Supervisor's handle of a node process: start it, exchange messages, end it."""
 
 import contextlib
 import logging
@@ -21,25 +21,25 @@ from pipeline.run.channel import Channel, Exchange
 from pipeline.run.descendants import TAG_VARIABLE, end_group, end_tagged, new_tag
 from pipeline.run.reaper import Reaper
 
-# numeric libraries would start a thread per core in every process
+# otherwise numeric libraries start a thread per core in every process
 _THREAD_LIMITS = (
     "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM",
 )  # fmt: skip
-PAUSE_S = 0.003  # between two looks whether a process has ended
-KILLED_S = 1.0  # a killed process that takes longer hangs in the kernel
-MOST_SPARE_LOG = 1 << 20  # bytes of what processes print before they have a log of their own
+PAUSE_S = 0.003  # interval of checks whether a process has ended
+KILLED_S = 1.0  # a killed process that takes longer to end hangs in the kernel
+MOST_SPARE_LOG = 1 << 20  # bytes of output of processes without an assignment
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What the process used at one moment."""
+    """Resource usage of a process at one time."""
 
     at_s: float
     cpu_s: float
     rss_mb: float
-    own_mb: float = 0.0  # what it shares with nobody: no pools, no libraries
-    stopped: bool = False  # by a signal; it does nothing at all
+    own_mb: float = 0.0  # private memory: no pools, no libraries
+    stopped: bool = False  # stopped by a signal
     pid: int = 0
 
 
@@ -51,13 +51,13 @@ class NodeProcess:
         reaper: Reaper | None = None,
     ) -> None:  # fmt: skip
         self._popen, self.channel, self.tag, self._reaper = popen, channel, tag, reaper
-        self._started: set[Member] = set()  # by it and what it started, as far as was seen
+        self._started: set[Member] = set()  # descendants seen so far
         self._status: int | None = None
         self.reaped = False
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """The process id."""
         return self._popen.pid
 
     def ended(self) -> int | None:
@@ -66,7 +66,7 @@ class NodeProcess:
             try:
                 flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
                 found = os.waitid(os.P_PID, self._popen.pid, flags)
-            except ChildProcessError:  # somebody else has reaped it
+            except ChildProcessError:  # it was reaped elsewhere
                 self._status = self._popen.wait()
                 self.reaped = True
             else:
@@ -76,27 +76,27 @@ class NodeProcess:
         return self._status
 
     def signal(self, number: int) -> None:
-        """Send a signal to the process alone, if it lives."""
+        """Send a signal to the process only, if it lives."""
         if self.ended() is None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._popen.pid, number)
 
     def look(self) -> None:
-        """Note what it has started: if it dies by itself, its descendants are none any more."""
+        """Record its descendants, which can no longer be found after it dies."""
         if self.ended() is None:
             self._started = set(filter(lives, self._started)) | descendants(self.pid)
 
     def kill(self) -> None:
-        """End it and what it has started at once."""
+        """Kill the process and its descendants."""
         if self.ended() is None:
-            self.signal(signal.SIGSTOP)  # it starts nothing more
+            self.signal(signal.SIGSTOP)  # a stopped process starts no other
             self.look()
         if not self.reaped:
             end_group(self._popen.pid)
         end(self._started)
 
     def await_end(self, timeout_s: float) -> bool:
-        """Wait for its end, hearing what it says meanwhile; False when it takes too long."""
+        """Wait for its end while reading its events; return False after the timeout."""
         late_s = time.monotonic() + timeout_s
         while self.ended() is None:
             if time.monotonic() > late_s:
@@ -106,14 +106,14 @@ class NodeProcess:
         return True
 
     def bury(self, *, outside: bool = True) -> None:
-        """Of one that has ended: end what it started, hear its last words, give all back.
+        """Clean up after its end: kill descendants, read its last events, release everything.
 
-        Without `outside` what left its group unseen is left to who ends that of the whole run.
+        Without `outside`, descendants outside its group are left to the cleanup of the whole run.
         """
         if self.ended() is None or self.channel.fileno() < 0:
             return
         if not self.reaped:
-            end_group(self._popen.pid)  # before it is reaped: its number is still its own
+            end_group(self._popen.pid)  # before it is reaped, while its pid is still valid
             self._popen.wait()
             self.reaped = True
             if self._reaper is not None:
@@ -131,9 +131,9 @@ def spawn(
     run_id: str, folder: Path, modules: Collection[str], *, wanted: bool,
     reaper: Reaper | None = None,
 ) -> NodeProcess:  # fmt: skip
-    """Start a process that imports what it may need and waits for its assignment.
+    """Start a process that imports modules in advance and waits for its assignment.
 
-    Unless it is `wanted` at once, its imports leave the cores to others. Raises `OSError`.
+    Unless it is `wanted` at once, it imports with low priority. Raises `OSError`.
     """
     words = [run_id, *modules, *(() if wanted else (ASIDE,))]
     tag = new_tag(run_id)
@@ -148,7 +148,7 @@ def spawn(
                     stdout=printed,
                     stderr=printed,
                     env={**os.environ, **dict.fromkeys(_THREAD_LIMITS, "1"), TAG_VARIABLE: tag},
-                    start_new_session=True,  # Ctrl-C goes to the supervisor alone
+                    start_new_session=True,  # so that Ctrl-C reaches only the supervisor
                 )
 
             popen = reaper.start(start) if reaper is not None else start()
@@ -166,29 +166,29 @@ class ProcessHandle:
         self.nodes = frozenset(node.name for node in job.nodes)
         self.operators = frozenset(node.operator for node in job.nodes)
         self.ready = self.going = False
-        self.left = False  # it has said that it was done
+        self.left = False  # it has announced its end
         self.began_s = time.monotonic()
         self.load_s = 0.0  # time it took to open its operators, models included
         self._usage: psutil.Process | None = None
         self._told_left_out = False
-        # a killed instance cannot remove them, and Zenoh leaves the file of a closed one
+        # a killed instance cannot remove them, and Zenoh does not remove those of a closed one
         self._sockets = [Path(job.run_folder) / name for name in job.sockets()]
         exchange.add(process.channel)
         self.tell(job)
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """The process id."""
         return self._process.pid
 
     @property
     def deaf(self) -> bool:
-        """Whether it reads nothing of what it is told."""
+        """Whether it does not read its instructions."""
         return self._process.channel.deaf
 
     @property
     def gone(self) -> bool:
-        """Whether nothing is left of it, and all that it said was heard."""
+        """Whether it was cleaned up and all its events were read."""
         return self._process.channel.fileno() < 0 and not self._process.channel.waiting()
 
     def ended(self) -> int | None:
@@ -196,32 +196,32 @@ class ProcessHandle:
         return self._process.ended()
 
     def events(self) -> list[Event]:
-        """Return what it has said since the last time."""
+        """Return its events since the last call."""
         channel = self._process.channel
         found = channel.events()
         if channel.left_out and not self._told_left_out:
             self._told_left_out = True
-            log.warning("%s: says more than can be heard; the rest is left out", self.name)
+            log.warning("%s: sends too many events; the rest is discarded", self.name)
         self.left = self.left or any(isinstance(event, Leaving) for event in found)
         return found
 
     def tell(self, instruction: Instruction) -> None:
-        """Send an instruction; one that does not read gets none."""
+        """Send an instruction, unless the process is deaf."""
         self._process.channel.send(instruction)
 
     def kill(self, *, with_traceback: bool = False) -> None:
-        """End it at once; first have it write where it stands, when asked."""
+        """Kill it; `with_traceback`: first make it write its stack to the log."""
         if self.ended() is None and with_traceback:
             self._process.signal(signal.SIGUSR1)
             time.sleep(0.05)
         self._process.kill()
 
     def await_end(self, timeout_s: float) -> bool:
-        """Wait for its end; False when it takes too long."""
+        """Wait for its end; return False after the timeout."""
         return self._process.await_end(timeout_s)
 
     def bury(self, *, outside: bool = True) -> None:
-        """Of one that has ended: end what it started and give everything back."""
+        """Clean up after its end: kill descendants and release everything."""
         if self.ended() is not None:
             self._exchange.remove(self._process.channel)
             self._process.bury(outside=outside)
@@ -229,7 +229,7 @@ class ProcessHandle:
                 socket_file.unlink(missing_ok=True)
 
     def sample(self) -> Sample | None:
-        """Processor time and memory now; None when it is gone."""
+        """Return CPU time and memory now; None when it is gone."""
         self._process.look()
         try:
             if self._usage is None:
@@ -245,7 +245,7 @@ class ProcessHandle:
 
 
 def ending(status: int) -> str:
-    """How a process ended, in words.
+    """Describe how a process ended.
 
     >>> ending(-9), ending(1)
     ('signal SIGKILL', 'exit status 1')
@@ -253,11 +253,11 @@ def ending(status: int) -> str:
     try:
         return f"signal {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
     except ValueError:
-        return f"signal {-status}"  # one without a name
+        return f"signal {-status}"  # a signal without a name
 
 
 def _spare_log(folder: Path) -> Path:
-    """Where processes print until they have a log of their own; begun anew when it is long."""
+    """Return the log of processes without an assignment; a long one is truncated."""
     path = folder / "node.stderr.log"
     with contextlib.suppress(OSError):
         if path.stat().st_size > MOST_SPARE_LOG:

@@ -1,6 +1,6 @@
-"""The processes of a running graph, their accounts, and how they are started.
+"""Start and end the processes of a running graph, and keep their accounts.
 
-What supervises them, and what changes them while they run, stand on this.
+Supervision, swaps and topology changes build on it.
 """
 
 import logging
@@ -30,30 +30,30 @@ log = logging.getLogger(__name__)
 
 
 def always(_managed: ManagedProcess) -> bool:
-    """No process waits for anything but the readers of its sources."""
+    """Let every ready process begin."""
     return True
 
 
 class ProcessManager:
-    """The processes of one plan, in a run folder of their own."""
+    """The processes of one plan, with their run folder."""
 
     def __init__(
         self, plan: Plan, *, frames: int = 0, folder: str = "", first_epoch: int = 0,
         may_go: MayGo = always, reaper: Reaper | None = None,
         ports: Mapping[str, Ports] | None = None,
     ) -> None:  # fmt: skip
-        """`folder`: where it runs, else the graph's name; epochs begin after the first one.
+        """`folder`: name of the run folder, default the graph's; epochs start after `first_epoch`.
 
-        `may_go`: what a process that is ready waits for beyond the readers of its sources.
-        `reaper`: of this process, if it may adopt what nodes leave behind. `ports`: of the plan's
-        operators, by `module:Class`; without them the operators are imported.
+        `may_go`: additional condition for a ready process to begin. `reaper`: of this process, if
+        it may adopt orphans of nodes. `ports`: of the plan's operators, by `module:Class`;
+        without them the operators are imported.
         """
         self._may_go, self.reaper = may_go, reaper
         self.plan, self._frames, self._first_epoch = plan, frames, first_epoch
-        self.networks: dict[str, Network] = {}  # by process, of those that reach other hosts
+        self.networks: dict[str, Network] = {}  # by process, for those with edges to other hosts
         names = [name for n in plan.nodes for name in (n.name, n.process)]
         check_addresses(folder_of(folder or plan.name), names)
-        here = filter(plan.is_here, plan.nodes)  # what loaded the plan has imported them
+        here = filter(plan.is_here, plan.nodes)  # imported already by the loader
         self._ports = dict(ports or {n.operator: declared_ports(n.operator) for n in here})
         self.run_folder = RunFolder.claim(folder or plan.name)
         try:
@@ -62,48 +62,48 @@ class ProcessManager:
         except BaseException:
             self.run_folder.release()
             raise
-        self.handles: list[ProcessHandle] = []  # that were started, until all they said was heard
+        self.handles: list[ProcessHandle] = []  # started, and not yet cleaned up
         self.leaving: dict[
             ProcessHandle, float
-        ] = {}  # when those are killed that shall end, monotonic
-        self.asked_to_end: Callable[[], int] = lambda: 0  # how often: more than once is in haste
-        self.stop_orders = 0  # likewise, by clients
+        ] = {}  # deadline (monotonic) after which an ending process is killed
+        self.asked_to_end: Callable[[], int] = lambda: 0  # several requests mean haste
+        self.stop_orders = 0  # number of requests by clients
         self.spare = WarmSpare(partial(self._spawn, wanted=False))
         self.processes = {
             name: ManagedProcess(name, nodes, epoch=first_epoch, sources=self._sources_of(nodes))
             for name, nodes in plan.processes().items()
         }
         self.revision = 0  # of the plan
-        self.exposing_since_s = 0.0  # since the first source began, monotonic
+        self.exposing_since_s = 0.0  # monotonic time when the first source began
         self.failure = ""
-        self.ending = False  # sources shall make no more frames
+        self.ending = False  # sources are to stop producing
         self.finished_sources: set[str] = set()
         self.restarts: dict[str, int] = {}  # by process
-        self.crashes: dict[str, int] = {}  # ends that were not asked for, by process
+        self.crashes: dict[str, int] = {}  # unexpected ends, by process
 
     @property
     def end_requests(self) -> int:
-        """How often the run was asked to end."""
+        """The number of requests to end the run."""
         return self.asked_to_end() + self.stop_orders
 
     @property
     def all_going(self) -> bool:
-        """Every process works."""
+        """Whether every process is running."""
         return all(managed.handle and managed.handle.going for managed in self.processes.values())
 
     @property
     def finished(self) -> bool:
-        """Every source has made its last frame, or the run has failed."""
+        """Whether every source has produced its last frame, or the run has failed."""
         wanted = self.source_names
         return bool(self.failure) or (bool(wanted) and wanted <= self.finished_sources)
 
     @property
     def source_names(self) -> frozenset[str]:
-        """The nodes here that make frames."""
+        """The sources on this host."""
         return frozenset().union(*(managed.sources for managed in self.processes.values()))
 
     def begin_all(self) -> None:
-        """Start every process; the caller goes on with `tick`."""
+        """Start every process; the caller continues with `tick`."""
         for managed in reversed(self.processes.values()):
             if not self.end_requests:
                 self.begin(managed)
@@ -112,7 +112,7 @@ class ProcessManager:
     def begin(
         self, managed: ManagedProcess, *, plan: Plan | None = None, checked: bool = False
     ) -> None:
-        """Start a process as its next incarnation; `checked`: of a plan that is still to prove."""
+        """Start the next instance of a process; `checked`: verify its ports first."""
         managed.epoch = managed.promise()
         for node in managed.nodes:
             self.ledger.nodes[node.index].enter("starting")
@@ -134,7 +134,7 @@ class ProcessManager:
         checked: bool = False,
         trial: bool = False,
     ) -> Assignment:
-        """The assignment of that process; `checked`: it must fit the edges that run now."""
+        """Return the assignment of a process; `checked`: with the contracts of running edges."""
         mine = managed.nodes
         return Assignment(
             plan=plan,
@@ -154,14 +154,14 @@ class ProcessManager:
         )
 
     def ports_of(self, node: Node) -> Ports:
-        """The ports of a node's operator; raises `RunError` unless a process has told them."""
+        """Return the ports of a node's operator; raises `RunError` if no process reported them."""
         try:
             return self._ports[node.operator]
         except KeyError:
             raise RunError(f"{node.name}: no process has imported {node.operator}") from None
 
     def learn(self, handle: ProcessHandle, imported: Imported) -> None:
-        """Take note of what a process has imported: ports of its operators, files of its code."""
+        """Store what a process has imported: ports of its operators, files of its code."""
         for operator in handle.operators & imported.ports.keys():
             self._ports[operator] = imported.ports[operator]
         self.spare.watch(imported.files)
@@ -170,7 +170,7 @@ class ProcessManager:
         return frozenset(node.name for node in nodes if self.ports_of(node).source)
 
     def accounts(self, managed: ManagedProcess, *, outgoing: bool = False) -> list[EdgeAccount]:
-        """Of the edges into a process, or out of it."""
+        """Return the accounts of the edges into a process, or out of it."""
         names = {node.name for node in managed.nodes}
         return [
             self.ledger.edges[edge.index]
@@ -179,11 +179,11 @@ class ProcessManager:
         ]
 
     def release(self) -> None:
-        """Give the run folder and its memory back; every process must have ended."""
+        """Release the run folder and its memory; every process must have ended."""
         self.run_folder.release()
 
     def vacate(self, managed: ManagedProcess) -> None:
-        """Nobody works there now: writers do not wait for it."""
+        """Mark a process as absent, so that writers do not wait for it."""
         if managed.handle is not None:
             self.dismiss(managed.handle)
         managed.handle = None
@@ -193,11 +193,11 @@ class ProcessManager:
             self.ledger.nodes[node.index].enter("absent")
 
     def live_file(self, node: str) -> Path:
-        """Where a node keeps the settings that it was told while it ran."""
+        """Return the file of a node's changed live settings."""
         return self.run_folder.folder.path / f"{node}.live"
 
     def change_plan(self, plan: Plan) -> None:
-        """Another plan runs now; a process that left it must have ended."""
+        """Switch to another plan; removed processes must have ended."""
         self.plan, self.revision = plan, self.revision + 1
         for name, nodes in plan.processes().items():
             managed = self.processes.setdefault(name, ManagedProcess(name, nodes))
@@ -209,9 +209,9 @@ class ProcessManager:
         self.note()
 
     def launch(self, job: Assignment, *, fresh: bool = False) -> ProcessHandle:
-        """A process for an assignment; a `fresh` one has imported what is on disk now.
+        """Return a process for an assignment; `fresh`: with the current code on disk.
 
-        Raises `RunError` when the machine gives none.
+        Raises `RunError` when no process can be started.
         """
         if fresh:
             self.spare.refresh()
@@ -225,12 +225,12 @@ class ProcessManager:
         return handle
 
     def dismiss(self, handle: ProcessHandle, within_s: float = 0.0) -> None:
-        """Let a process end by itself in that time, or be killed; nobody waits for it."""
+        """Give a process that time to end, then kill it, without waiting."""
         self.leaving[handle] = time.monotonic() + within_s
         self.see_off()
 
     def see_off(self) -> None:
-        """Kill those that were to end by now, give back what is left of those that have."""
+        """Kill dismissed processes after their deadline, and clean up ended ones."""
         now_s = time.monotonic()
         for handle, late_s in list(self.leaving.items()):
             if handle.ended() is not None:
@@ -240,14 +240,14 @@ class ProcessManager:
                 handle.kill()
                 if now_s > late_s + KILLED_S:
                     log.error("%s: process %d hangs in the kernel", handle.name, handle.pid)
-                    self.leaving[handle] = float("inf")  # it is buried when it ends after all
+                    self.leaving[handle] = float("inf")  # it is cleaned up when it ends
 
     def _spawn(self, modules: Collection[str], *, wanted: bool) -> NodeProcess:
         folder = self.run_folder
         return spawn(folder.run_id, folder.folder.path, modules, wanted=wanted, reaper=self.reaper)
 
     def let_go(self, managed: ManagedProcess) -> None:
-        """Let a process that is ready begin, if it may."""
+        """Let a ready process begin, if its conditions are met."""
         if managed.handle is not None and self._is_heard(managed) and self._may_go(managed):
             managed.handle.going, managed.going_since_s = True, time.monotonic()
             managed.handle.tell(Go())
@@ -257,20 +257,20 @@ class ProcessManager:
                 managed.handle.tell(Finish())
 
     def is_first(self, managed: ManagedProcess) -> bool:
-        """Whether its process is the first of the run."""
+        """Whether its process is its first instance in the run."""
         return managed.epoch == self._first_epoch + 1
 
     def is_unborn(self, managed: ManagedProcess) -> bool:
-        """Whether its process is the first of the run and has not opened its operators yet."""
+        """Whether its process is its first instance and has not opened its operators yet."""
         return self.is_first(managed) and not (managed.handle and managed.handle.ready)
 
     @property
     def sources_wait(self) -> bool:
-        """Whether there are sources here, and none of them has begun."""
+        """Whether there are sources here and none has begun."""
         return bool(self.source_names) and not self.exposing_since_s
 
     def _is_heard(self, managed: ManagedProcess) -> bool:
-        """Sources begin when every reader has heard them; the others at once."""
+        """Whether all readers of its sources have their handshake; True without sources."""
         if not managed.sources:
             return True
         all_ready = all(s.handle and s.handle.ready for s in self.processes.values())
@@ -282,7 +282,7 @@ class ProcessManager:
         return all(account.live or not account.reader_epoch for account in accounts)
 
     def note(self) -> None:
-        """Write down what others may want to know about this run."""
+        """Write the facts of this run for other processes."""
         self.run_folder.note(
             {
                 "graph": self.plan.name,

@@ -1,7 +1,7 @@
-"""Ends what nodes leave behind when they die: an orphan of a node becomes a child of this process.
+"""Kill orphans of dead nodes, which become children of this process.
 
-For processes that are fovea's own, the command line and the agent: a process of the user's that
-runs a graph as a library goes on as the system made it.
+Only for fovea's own processes, i.e. the command line and the agent; a user's process that runs a
+graph as a library is not changed.
 """
 
 import contextlib
@@ -15,18 +15,18 @@ from collections.abc import Callable
 from pipeline import process_tree
 from pipeline.process_tree import Member, session_of
 
-ROUNDS = 20  # a killed process takes a moment to end
+ROUNDS = 20  # attempts, since a killed process takes a moment to end
 PAUSE_S = 0.005
 log = logging.getLogger(__name__)
 
 
 class Reaper:
-    """Adopts orphans from now on; one for all supervisors of a process.
+    """Adopts orphans; one instance serves all supervisors of a process.
 
-    A node leads a session of its own and no process can enter a session, so that every child of
-    another session, but the nodes and what was there before, is an orphan of a node. The first
-    process of a container gets the orphans of all others, too: there it waits for those that have
-    ended and kills none.
+    Each node leads its own session, and no process can enter an existing session. So every child
+    in another session, except nodes and earlier children, is an orphan of a node. As the first
+    process of a container, it also gets orphans of others: there it only reaps ended ones and
+    kills none.
     """
 
     def __init__(self) -> None:
@@ -44,12 +44,12 @@ class Reaper:
             return popen
 
     def forget(self, pid: int) -> None:
-        """That node was waited for."""
+        """Remove a node that was reaped."""
         with self._lock:
             self._nodes.discard(pid)
 
     def end(self) -> int:
-        """Kill all orphans with their descendants, wait for them; returns how many there were."""
+        """Kill all orphans with their descendants and reap them; return how many there were."""
         found: set[Member] = set()
         with self._lock:
             for _ in range(ROUNDS):
@@ -69,7 +69,7 @@ class Reaper:
         ]
 
     def _reap(self) -> int:
-        """Wait for the orphans that have ended; returns how many there were."""
+        """Reap ended orphans; return how many there were."""
         ended = [pid for pid in process_tree.zombies(os.getpid()) if self._is_orphan(pid)]
         before = {member.pid for member in self._before}
         for pid in set(ended) - before:

@@ -1,4 +1,4 @@
-"""The account of a run: ledger, samples and summaries to one plain dictionary, and to tables."""
+"""Report of a run: ledger, samples and summaries as one plain dictionary, and as tables."""
 
 from collections.abc import Collection, Mapping, Sequence
 from itertools import chain
@@ -44,9 +44,9 @@ def compose(
     left_out: Mapping[str, str] | None = None,
     source_names: Collection[str] | None = None,
 ) -> Report:
-    """The run's report. Figures that a source gives (frames, pixels, coverage) stand on top.
+    """Return the report of a run, with the figures of a source (frames, pixels, coverage) on top.
 
-    Without the names of the sources the operators tell which they are, and are imported for that.
+    Without the names of the sources, operators are imported to find them.
     """
     report: Report = {
         "graph": plan.name,
@@ -91,14 +91,14 @@ def compose(
 
 
 def print_report(console: Console, report: Report, *, verbose: bool = False) -> None:
-    """Print a report: its verdict, and below it, where asked for, what it follows from."""
+    """Print a report: its verdict and, if `verbose`, the tables behind it."""
     print_verdict(console, report)
     if verbose:
         console.print(Text(), tables(report), sep="\n")
 
 
 def tables(report: Report) -> Group:
-    """Every edge's account, every stage's latency, the loop, and what the summaries say."""
+    """Return tables of edges and stages, and lines on the loop and the summaries."""
     told = (losses(e["from"], e["to"], e, broken=False) for e in report["edges"])
     return Group(_edge_table(report), *chain(*told), _stage_table(report), *_lines(report))
 
@@ -120,7 +120,7 @@ def _stage(
 
 
 def _cpu_percent(samples: Sequence[Sample]) -> float:
-    """Mean over the last incarnation: processor time restarts at zero with a new process."""
+    """Return the mean over the last instance, as CPU time restarts at zero with a new process."""
     newest = list(samples)
     for i in range(len(samples) - 1, 0, -1):
         if samples[i].cpu_s < samples[i - 1].cpu_s or samples[i].pid != samples[i - 1].pid:
@@ -157,7 +157,7 @@ def _stage_table(report: Report) -> Table:
 
 
 def _spread(figures: Mapping[str, float]) -> str:
-    """Median and 99th percentile, a dash where nothing was measured."""
+    """Return median and 99th percentile as text, a dash without measurements."""
     return pair(figures) if figures["p99"] else "–"
 
 
@@ -181,7 +181,7 @@ def _lines(report: Report) -> list[Text]:
 
 
 def _figures(value: Any) -> Mapping[str, Any]:
-    """Figures of a summary in which one line is enough; an operator may say anything there."""
+    """Return the figures of a summary that fit on one line; its content is untrusted."""
     return value if isinstance(value, Mapping) and len(value) <= MOST_FIGURES else {}
 
 

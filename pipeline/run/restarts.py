@@ -1,4 +1,4 @@
-"""What follows the end of a process: another start after a pause, or the end of the run."""
+"""Restart processes after a pause, or end the run."""
 
 import logging
 
@@ -10,7 +10,7 @@ from pipeline.run.process_manager import ProcessManager
 
 HEALTHY_S = 1.0  # a process that ran this long starts with the shortest back-off again
 LONGEST_BACKOFF_S = 5.0
-UNABLE_S = 2.0  # until a process that could not be started is tried again
+UNABLE_S = 2.0  # pause after a failed start
 log = logging.getLogger(__name__)
 
 
@@ -19,20 +19,20 @@ class Restarts:
 
     def __init__(self, manager: ProcessManager) -> None:
         self._manager = manager
-        self.at_least = 0  # allowed whatever the graph says
+        self.at_least = 0  # minimum allowed, whatever the graph sets
 
     def begin_again(self, managed: ManagedProcess, now_s: float) -> None:
-        """Start a process whose pause is over."""
+        """Restart a process whose pause is over."""
         managed.next_start_s = 0.0
         try:
             self._manager.begin(managed)
-        except RunError as error:  # no memory, say: the others may go on until there is some
+        except RunError as error:  # e.g. no memory: the others continue, and it is retried
             log.error("%s", error)
             managed.next_start_s = now_s + UNABLE_S
         self._manager.note()
 
     def on_end(self, managed: ManagedProcess, status: int, now_s: float) -> None:
-        """A process has ended with that status, and all it said was heard."""
+        """Handle the end of a process, after all its events were read."""
         announced = managed.handle is not None and managed.handle.left
         unborn = self._manager.is_unborn(managed)
         self._manager.vacate(managed)
@@ -52,16 +52,16 @@ class Restarts:
             self._manager.failure = f"{managed.name} {why}" + (f": {last}" if last else "")
 
     def count_crash(self, process: str) -> None:
-        """A process has ended without being asked to."""
+        """Count an unexpected end of a process."""
         counts = self._manager.crashes
         counts[process] = counts.get(process, 0) + 1
 
     def _follow(
         self, managed: ManagedProcess, how: str, now_s: float, *, succeeded: bool, unborn: bool
     ) -> str:
-        """Let it start again, or let it be; why neither can be, when the run has to end.
+        """Schedule a restart or none; return the reason when the run has to end.
 
-        Sources begin when every process has been ready: they would wait for one that is gone.
+        Sources begin only when every process has been ready, so they would wait for a missing one.
         """
         manager, rule = self._manager, managed.nodes[0].restart
         if manager.plan.clock == "lockstep":
@@ -88,7 +88,7 @@ class Restarts:
 
 
 def _pause_s(rule: Restart, quick_deaths: int) -> float:
-    """The pause before the next start, which doubles.
+    """Return the pause before the next start in seconds, which doubles each time.
 
     >>> _pause_s(Restart(), 0), _pause_s(Restart(), 3), _pause_s(Restart(), 50)
     (0.05, 0.4, 5.0)

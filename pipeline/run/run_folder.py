@@ -1,4 +1,4 @@
-"""What a supervisor owns while its graph runs: the graph's name, run folder and memory folder."""
+"""Resources that a supervisor owns: the graph's name, run folder and memory folder."""
 
 import json
 import logging
@@ -16,14 +16,14 @@ from pipeline.run.leftovers import cleanup, clear, forget_detached
 from pipeline.run.memory_folder import MemoryFolder
 from pipeline.run.rundir import FACTS, folder_of, locked, noted
 
-CLAIM_S = 0.5  # a process that looks whether a graph runs has its lock for a moment
-CLEANUP_S = 5.0  # and one that removes what a killed run left has it for as long as that takes
+CLAIM_S = 0.5  # a process that lists running graphs holds the lock for a moment
+CLEANUP_S = 5.0  # a cleanup of leftovers holds it for as long as it takes
 log = logging.getLogger(__name__)
 
 
 @dataclass
 class RunFolder:
-    """The owned folder of a running graph, and its memory folder."""
+    """The locked run folder of a graph, and its memory folder."""
 
     folder: PrivateFolder
     memory: MemoryFolder
@@ -31,7 +31,7 @@ class RunFolder:
 
     @staticmethod
     def claim(graph: str) -> "RunFolder":
-        """Own the graph's name; raises `RunError` when it runs already, or there is no room."""
+        """Claim the graph's name; raises `RunError` when it already runs or memory is short."""
         path = folder_of(graph)
         lock = _claimed(path)
         if lock is None:
@@ -49,17 +49,17 @@ class RunFolder:
 
     @property
     def run_id(self) -> str:
-        """Tells this run from all others; every process of it bears the id in its command line."""
+        """The unique id of this run, also in the command line of its processes."""
         return self.memory.run_id
 
     def to_read(self, process: str) -> str:
-        """The command that shows what a process wrote."""
+        """Return the command that shows a process's log."""
         return f"`fovea logs {self.folder.path.name} {process}`"
 
     def note(self, facts: dict[str, Any]) -> None:
-        """Write down what others may want to know about this run.
+        """Write the facts of this run for other processes.
 
-        Raises `RunError` when that cannot be; later on what was written down before must do.
+        Raises `RunError` if the first write fails; a later failure leaves the former facts.
         """
         told = {"run": self.run_id, "pid": os.getpid(), **facts}
         try:
@@ -78,7 +78,7 @@ class RunFolder:
 
 
 def _claimed(folder: Path) -> int | None:
-    """The lock, also when another process looks at it for a moment, or cleans it up."""
+    """Return the lock of a folder, waiting for processes that read or clean it up."""
     began_s = time.monotonic()
     while True:
         try:
@@ -93,7 +93,7 @@ def _claimed(folder: Path) -> int | None:
 
 
 def _at_work(folder: Path) -> bool:
-    """Whether the supervisor that is noted there lives."""
+    """Whether the supervisor recorded there is alive."""
     try:
         pid = noted(PrivateFolder(folder)).get("pid", 0)
     except RunError:

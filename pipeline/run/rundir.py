@@ -1,9 +1,9 @@
-"""Where running graphs keep their sockets, logs and facts, and which of them run.
+"""Run folders of graphs (sockets, logs, facts), and which graphs are running.
 
     <tmp>/fovea-<uid>/<graph>/   0700: lock, run.json, <process>.<epoch>.sock, <process>.log …
 
-The process that holds the lock owns the graph's name. A folder whose lock is free belongs to no
-run: the next start removes what a killed run left there (`pipeline.run.leftovers`).
+The process that holds the lock owns the graph's name. A folder with a free lock belongs to no run:
+the next start removes leftovers of a killed run there (`pipeline.run.leftovers`).
 """
 
 import contextlib
@@ -25,7 +25,7 @@ from pipeline.run.memory_folder import RUN_ID, path_of
 FACTS, LOCK = "run.json", "lock"
 MOST_FACTS_BYTES = 4 << 20
 LONGEST_ADDRESS = 107  # bytes of a unix socket's path
-NEWEST_EPOCH = 9_999_999  # as long as an instance's number gets
+NEWEST_EPOCH = 9_999_999  # largest number of an instance
 
 
 class _NodeFacts(msgspec.Struct):
@@ -42,7 +42,7 @@ class _EdgeFacts(msgspec.Struct, rename={"origin": "from", "end": "to"}):
 
 
 class _Facts(msgspec.Struct):
-    """What is noted of a run, as it has to look wherever it is read."""
+    """The recorded facts of a run, as validated by readers."""
 
     graph: str
     run: str
@@ -52,7 +52,7 @@ class _Facts(msgspec.Struct):
     edges: list[_EdgeFacts]
     plan: dict[str, Any]
     revision: int
-    pids: dict[str, int]  # of the processes that there are
+    pids: dict[str, int]  # by process
     restarts: dict[str, int] = {}  # by process
     crashes: dict[str, int] = {}  # by process
 
@@ -61,7 +61,7 @@ _READ = msgspec.json.Decoder(_Facts)
 
 
 def base() -> Path:
-    """The folder of this user's graphs, made when it is not there; raises `RunError`."""
+    """Return the folder of this user's graphs, creating it if needed; raises `RunError`."""
     parent = Path(tempfile.gettempdir())
     path = parent / f"fovea-{os.geteuid()}"
     seen = parent.stat()
@@ -77,14 +77,14 @@ def base() -> Path:
 
 
 def folder_of(graph: str) -> Path:
-    """The run folder of a graph, or of a graph's part `graph@host`; raises `RunError`."""
+    """Return the run folder of a graph, or of a part `graph@host`; raises `RunError`."""
     if not is_run_name(graph):
         raise RunError(f"expected the name of a graph, got {graph[:80]!r}")
     return base() / graph
 
 
 def check_addresses(folder: Path, names: Iterable[str]) -> None:
-    """Raise `RunError` when a socket of one of these nodes or processes would have no address."""
+    """Raise `RunError` if the socket path of one of these nodes or processes would be too long."""
     longest = max((folder / f"{name}.{NEWEST_EPOCH}.sock" for name in names), key=_length)
     if _length(longest) > LONGEST_ADDRESS:
         raise RunError(
@@ -94,7 +94,7 @@ def check_addresses(folder: Path, names: Iterable[str]) -> None:
 
 
 def is_run_name(text: str) -> bool:
-    """Whether it is a graph's name, or a name, @ and a host's label.
+    """Whether a text is a graph's name or `graph@host`.
 
     >>> is_run_name("tracking"), is_run_name("trio@sensor"), is_run_name("../x"), is_run_name("a@")
     (True, True, False, False)
@@ -103,10 +103,10 @@ def is_run_name(text: str) -> bool:
 
 
 def running() -> dict[str, dict[str, Any]]:
-    """What is noted of every graph of this user that runs now, by name."""
+    """Return the facts of every running graph of this user, by name."""
     found = {}
     for folder in run_folders():
-        lock = locked(folder.path, fcntl.LOCK_SH)  # so that two who look see the same
+        lock = locked(folder.path, fcntl.LOCK_SH)  # shared among readers
         if lock is not None:
             os.close(lock)
         elif facts := noted(folder):
@@ -115,16 +115,16 @@ def running() -> dict[str, dict[str, Any]]:
 
 
 def run_folders() -> Iterator[PrivateFolder]:
-    """The run folders of this user, sorted by name; what else lies beside them is left alone."""
+    """Yield the run folders of this user, sorted by name; ignore anything else there."""
     parent = base()
     for name in sorted(os.listdir(parent)):
         if is_run_name(name):
-            with contextlib.suppress(RunError):  # a file, a link, gone meanwhile
+            with contextlib.suppress(RunError):  # a file, a link, or already gone
                 yield PrivateFolder(parent / name)
 
 
 def noted(folder: PrivateFolder) -> dict[str, Any]:
-    """What is noted of a run; empty when nothing is, or something that no supervisor wrote."""
+    """Return the facts of a run; empty if they are missing or invalid."""
     try:
         facts = _READ.decode(folder.read(FACTS, MOST_FACTS_BYTES))
     except (OSError, msgspec.MsgspecError, ValueError, RecursionError):
@@ -142,12 +142,12 @@ def _length(path: Path) -> int:
 
 
 def memory_of(facts: dict[str, Any]) -> PrivateFolder:
-    """The memory folder of a run of which this is noted; raises `RunError` when it is gone."""
+    """Return the memory folder of a run by its facts; raises `RunError` when it is gone."""
     return PrivateFolder(path_of(facts["run"]))
 
 
 def locked(folder: Path, kind: int = fcntl.LOCK_EX, *, create: bool = False) -> int | None:
-    """The lock of a folder, or None when another has it; raises `OSError` only to `create`."""
+    """Lock a folder; return None if it is locked already. Raises `OSError` only with `create`."""
     path = folder / LOCK
     flags = os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | (os.O_CREAT if create else 0)
     try:
@@ -161,6 +161,6 @@ def locked(folder: Path, kind: int = fcntl.LOCK_EX, *, create: bool = False) -> 
         if os.path.samestat(os.fstat(handle), path.stat()):
             return handle
     except (BlockingIOError, FileNotFoundError):
-        pass  # another process has it, or removed it between the two lines
+        pass  # another process locked or removed it meanwhile
     os.close(handle)
     return None

@@ -1,8 +1,8 @@
-"""Keeps a graph running: starts its processes, watches progress, restarts, stops, accounts.
+"""Supervise a graph: start its processes, monitor progress, restart, stop, account.
 
-A process manager has the processes, a health monitor judges them, a control server takes orders.
+It is composed of a process manager, a health monitor and a control server.
 
-Only this process writes who reads and who speaks for a node now (`reader_epoch`, `writer_epoch`).
+Only this process writes which instance of a node is active (`reader_epoch`, `writer_epoch`).
 """
 
 import logging
@@ -39,11 +39,11 @@ from pipeline.text import harmless
 
 TICK_S = 0.02
 SAMPLE_S = 1.0
-DRAIN_S = 5.0  # without a message that meets its end
+DRAIN_S = 5.0  # limit without any message being accounted for
 LONGEST_DRAIN_S = 60.0
 STOP_S = 4.0
-KILLED, TOO_LATE = -signal.SIGKILL, 2  # how a node ends that does not stop: by us, or by itself
-CLOSE_S = 3.0  # for the bus to be left: a frozen visitor may hold it up
+KILLED, TOO_LATE = -signal.SIGKILL, 2  # status of a node that does not stop: killed, or timed out
+CLOSE_S = 3.0  # for leaving the bus: a frozen client may delay it
 log = logging.getLogger(__name__)
 
 
@@ -55,7 +55,7 @@ class Supervisor:
         may_go: MayGo = always, reaper: Reaper | None = None,
         ports: Mapping[str, Ports] | None = None,
     ) -> None:  # fmt: skip
-        """As for a `ProcessManager`; takes orders from now on."""
+        """Parameters as for `ProcessManager`; orders are accepted from now on."""
         self.manager = ProcessManager(
             plan, frames=frames, folder=folder, first_epoch=first_epoch, may_go=may_go,
             reaper=reaper, ports=ports,
@@ -72,21 +72,21 @@ class Supervisor:
         self.reports, self._restarts = NodeReports(), Restarts(self.manager)
         self._sampled_s = 0.0
         self.started_s = time.monotonic()
-        self.begun = False  # every process has worked once
+        self.begun = False  # whether every process has been running once
 
     @property
     def plan(self) -> Plan:
-        """The plan that runs now."""
+        """The current plan."""
         return self.manager.plan
 
     @property
     def ledger(self) -> Ledger:
-        """The accounts of its nodes and edges."""
+        """The accounts of nodes and edges."""
         return self.manager.ledger
 
     @property
     def revision(self) -> int:
-        """How often the plan was changed."""
+        """The number of changes of the plan."""
         return self.manager.revision
 
     @property
@@ -96,36 +96,36 @@ class Supervisor:
 
     @property
     def finished(self) -> bool:
-        """Every source has made its last frame, or the run has failed."""
+        """Whether every source has produced its last frame, or the run has failed."""
         return self.manager.finished
 
     @property
     def failure(self) -> str:
-        """Why the run cannot go on; empty while it can."""
+        """Why the run cannot continue; empty while it can."""
         return self.manager.failure
 
     @property
     def restarts(self) -> dict[str, int]:
-        """How often each process was started again."""
+        """The number of restarts, by process."""
         return self.manager.restarts
 
     @property
     def crashes(self) -> dict[str, int]:
-        """How often each process ended without being asked to, started again or not."""
+        """The number of unexpected ends, by process, restarted or not."""
         return self.manager.crashes
 
     @property
     def exposed_s(self) -> float:
-        """For how long frames have been made."""
+        """Return the time since the first exposure, in seconds."""
         return time.monotonic() - (self.manager.exposing_since_s or self.started_s)
 
     def allow_restarts(self, count: int) -> None:
-        """Allow so many at least, whatever the graph says; for tests that kill on purpose."""
+        """Allow at least this many restarts, whatever the graph sets; for tests that kill nodes."""
         self._restarts.at_least = count
 
     @property
     def asked_to_end(self) -> Callable[[], int]:
-        """How often the caller was asked to end the run, by signals say."""
+        """A function for the number of requests to end the run, e.g. signals."""
         return self.manager.asked_to_end
 
     @asked_to_end.setter
@@ -134,21 +134,21 @@ class Supervisor:
 
     @property
     def end_requests(self) -> int:
-        """How often the run was asked to end, by signals and by clients."""
+        """The number of requests to end the run, by signals and clients."""
         return self.manager.end_requests
 
     def pid(self, process: str) -> int:
-        """The present id of a process, 0 while there is none."""
+        """Return the current pid of a process; 0 while there is none."""
         handle = self.processes[process].handle
         return handle.pid if handle else 0
 
     def load_s(self, process: str) -> float:
-        """How long the present process took to open its operators, 0 until it is ready."""
+        """Return the time in seconds to open the current process's operators; 0 until ready."""
         handle = self.processes[process].handle
         return handle.load_s if handle else 0.0
 
     def samples(self, process: str) -> list[Sample]:
-        """What a process used, about once a second: the first minutes and the last."""
+        """Return a process's samples, about one per second: the first and the last minutes."""
         return list(self.processes[process].samples)
 
     def __enter__(self) -> "Supervisor":
@@ -160,7 +160,7 @@ class Supervisor:
     def start(self) -> None:
         """Start every process, consumers first; frames flow once all are ready.
 
-        Returns early when the run is asked to end; raises `RunError` when it cannot begin.
+        Returns early on a request to end; raises `RunError` when the run cannot begin.
         """
         self.manager.begin_all()
         deadline = time.monotonic() + max(node.start_s for node in self.plan.nodes)
@@ -173,12 +173,12 @@ class Supervisor:
                     to_read = self.manager.run_folder.to_read(managed.name)
                     raise RunError(f"{managed.name}: {why}, see {to_read}")
             if time.monotonic() > deadline:
-                raise RunError("the readers of a source have not heard it in all that time")
+                raise RunError("the readers of a source did not receive its handshake in time")
         self.begun = self.manager.all_going
         self.started_s = time.monotonic()
 
     def tick(self) -> None:
-        """Look after everything once, then wait for a moment or until a node says something."""
+        """Check everything once, then wait for a moment or an event."""
         self.health.tick()
         self._hear()
         self.manager.see_off()
@@ -193,9 +193,9 @@ class Supervisor:
         self.manager.exchange.wait(TICK_S)
 
     def finish(self) -> None:
-        """Let the sources end and what is under way arrive, for as long as something does.
+        """Let the sources end and messages in flight arrive, while there is progress.
 
-        A run that was asked to end waits for `DRAIN_S` at most, and not at all in haste.
+        After a request to end, wait for at most `DRAIN_S`; after several, do not wait.
         """
         self.manager.ending = True
         for managed in self.processes.values():
@@ -215,13 +215,13 @@ class Supervisor:
                 ends, moved_s = ends_now, now_s
 
     def _drained(self) -> bool:
-        """Whether nothing is under way but to nodes that will not come back for it."""
+        """Whether no message is in flight, except to nodes that will not restart."""
         nobody = self._to_nobody()
         pairs = zip(self.ledger.edges, self.ledger.ends(), strict=True)
         return all(edge.sent == end or i in nobody for i, (edge, end) in enumerate(pairs))
 
     def _to_nobody(self) -> set[int]:
-        """Indices of the edges into processes that have ended and do not start again."""
+        """Return the indices of edges into ended processes that will not restart."""
         gone = [
             s for s in self.processes.values() if not s.handle and (s.sources or not s.next_start_s)
         ]
@@ -229,18 +229,18 @@ class Supervisor:
         return {edge.index for edge in self.plan.edges if edge.target in names}
 
     def _write_off(self) -> None:
-        """Count what was under way to a process that ended as lost: nobody else will."""
+        """Count messages in flight to ended processes as lost."""
         for index in self._to_nobody():
             account = self.ledger.edges[index]
             account.lost_in_crash += account.in_flight
 
     @property
     def in_haste(self) -> bool:
-        """Whether the run was asked to end more than once: nothing is waited for."""
+        """Whether there were several requests to end, so that nothing is waited for."""
         return self.end_requests > 1
 
     def stop(self) -> None:
-        """Stop every process and what it started, collect what they have to say."""
+        """Stop every process and its descendants, and collect their last events."""
         self.manager.ending = True
         self._sample()
         self.manager.spare.dismiss()
@@ -272,7 +272,7 @@ class Supervisor:
         self.manager.leaving.clear()
 
     def close(self) -> None:
-        """Nothing is left behind: no process, no socket, no memory."""
+        """Clean up all processes, sockets and memory."""
         try:
             self.stop()
         finally:
@@ -287,7 +287,7 @@ class Supervisor:
     def _await_ends(
         self, handles: set[ProcessHandle], limit_s: float, *, hurries: bool = True
     ) -> None:
-        """Wait until all have ended, hearing what they say; not at all in haste."""
+        """Wait until all have ended while reading their events; do not wait in haste."""
         late_s = time.monotonic() + limit_s
         while any(handle.ended() is None for handle in handles) and time.monotonic() < late_s:
             if hurries and self.in_haste:
@@ -316,7 +316,7 @@ class Supervisor:
         present = managed is not None and managed.handle is handle
         self.reports.note(handle, event, present=present)
         if managed is None or not present:
-            return  # of a node that was removed, of a process that was replaced
+            return  # from a removed node or a replaced process
         if isinstance(event, Ready):
             handle.ready, handle.load_s = True, event.load_s
         elif isinstance(event, Finished) and event.node in handle.nodes:
@@ -325,7 +325,7 @@ class Supervisor:
             self._note_failure(managed, event)
 
     def _note_failure(self, managed: ManagedProcess, event: Failed) -> None:
-        """What starting it again cannot mend ends the run: a graph that never began, a source."""
+        """End the run if a restart cannot help: the graph never began, or a source failed."""
         unborn = self.manager.is_unborn(managed)
         error = harmless(event.error)
         if event.expected and (unborn or managed.sources) and not self.failure:
@@ -338,14 +338,14 @@ class Supervisor:
         if self.control.owns(managed):
             return
         if managed.handle is None and managed.sources and self.manager.ending:
-            # it need not come back to make no frames
+            # a source that has ended need not restart
             self.manager.finished_sources |= managed.sources
         elif managed.handle is None:
             if managed.next_start_s and now_s >= managed.next_start_s:
                 self._restarts.begin_again(managed, now_s)
         elif (status := managed.handle.ended()) is not None:
             managed.handle.bury()
-            self._hear()  # what it said last is heard before its exit is handled
+            self._hear()  # read its last events before its exit is handled
             self._restarts.on_end(managed, status, now_s)
         elif managed.handle.ready and not managed.handle.going:
             self.manager.let_go(managed)

@@ -1,6 +1,6 @@
-"""Replaces the operator of a running node: by a successor that stands by, or by stop and start.
+"""Swap the operator of a running node: by a standby successor (hot), or by stop and start (cold).
 
-`hot_swap` and `cold_swap` are the two state machines; both reach the graph through `swap_target`.
+`hot_swap` and `cold_swap` are the state machines; both access the graph through `swap_target`.
 """
 
 from pipeline.errors import RunError
@@ -34,7 +34,7 @@ class SwapOperation(Operation):
         node = manager.plan.node(order.node)
         self._managed = manager.processes[node.process]
         if self._managed.handle is None or not self._managed.handle.going:
-            raise RunError(f"{order.node}: does not run just now, try again")
+            raise RunError(f"{order.node}: is not running now, try again")
         self._target = SwapTarget(manager, health, self._managed, node)
         hot = swappable(manager.plan, node) and not self._managed.sources
         self.facts |= {"node": order.node, "hot": hot}
@@ -45,26 +45,26 @@ class SwapOperation(Operation):
         )
 
     def advance(self) -> bool:
-        """Go on; raises `FoveaError` when the swap is refused or was rolled back."""
+        """Advance; raises `FoveaError` when the swap is refused or was rolled back."""
         return self.machine.advance()
 
     def done(self) -> SwapResult:
-        """What was swapped, and how."""
+        """Return the result of the swap."""
         return SwapResult(**self.facts)
 
     def clear_up(self, *, failed: bool) -> None:
-        """End the process that does not work."""
+        """End the inactive process."""
         if (other := self.machine.other) is not None:
             self._target.dismiss(other)
             self.machine.other = None
         self.machine.give_back(failed=failed)
 
     def owns(self, managed: ManagedProcess) -> bool:
-        """Whether exits of that process belong to this swap."""
+        """Whether this swap handles exits of that process."""
         return self.machine.owned and managed is self._managed
 
     def on_event(self, pid: int, event: Event) -> bool:
-        """Take note of an event; True when nothing else needs it."""
+        """Handle an event; return True when nothing else needs it."""
         if isinstance(self.machine, ColdSwap) and pid in self.machine.gone:
             return True
         other, working = self.machine.other, self._managed.handle
@@ -77,5 +77,5 @@ class SwapOperation(Operation):
         return mine is other or (self.machine.owned and isinstance(event, Failed))
 
     def abort(self) -> list[ProcessHandle]:
-        """The run ends: the process that does not work, to be ended with the others."""
+        """Abort at the end of the run; return the inactive process, to be ended as well."""
         return [self.machine.other] if self.machine.other else []

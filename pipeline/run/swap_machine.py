@@ -1,4 +1,4 @@
-"""What both kinds of swap are: a state machine that every tick of the supervisor advances."""
+"""Base of both kinds of swap: a state machine that the supervisor's ticks advance."""
 
 import time
 from abc import ABC, abstractmethod
@@ -18,10 +18,10 @@ SPARE_S = 10.0  # for the spare process to finish its imports
 
 
 class SwapMachine(ABC, Generic[State]):
-    """The state, when it was entered, and what states of both kinds do.
+    """A state machine of a swap, with the actions that both kinds share.
 
-    A method per state returns the state that follows, its own while it waits. A refusal ends the
-    swap; in the states of `undone` it begins the way back.
+    There is a method per state, which returns the next state, or its own while it waits. A failure
+    ends the swap; in the states of `undone` it starts the rollback.
     """
 
     DONE: State
@@ -34,15 +34,15 @@ class SwapMachine(ABC, Generic[State]):
         self._target, self._order, self._events, self._now = target, order, events, now
         self.facts = facts
         self.state, self._since_s = first, now()
-        self.other: ProcessHandle | None = None  # the process that does not work
-        self.owned = False  # exits of the working process belong to the swap
+        self.other: ProcessHandle | None = None  # the inactive process
+        self.owned = False  # whether the swap handles exits of the active process
         self._before: Plan = target.plan
-        self._failure = ""  # why it is rolled back
+        self._failure = ""  # reason of the rollback
         self._steps: Mapping[State, Callable[[], State]] = {}
         target.refresh_spare()
 
     def advance(self) -> bool:
-        """Go on as far as possible; True when it is done. Raises `FoveaError` for a refusal."""
+        """Advance as far as possible; return True when done. Raises `FoveaError` on failure."""
         while self.state is not self.DONE:
             try:
                 following = self._steps[self.state]()
@@ -57,11 +57,11 @@ class SwapMachine(ABC, Generic[State]):
 
     @abstractmethod
     def give_back(self, *, failed: bool) -> None:
-        """Leave the graph as it has to be at the end of a swap."""
+        """Restore the graph's invariants at the end of a swap."""
 
     @abstractmethod
     def _roll_back(self, why: str) -> State:
-        """Begin the way back; returns its first state."""
+        """Start the rollback; return its first state."""
 
     @property
     def _name(self) -> str:
@@ -71,7 +71,7 @@ class SwapMachine(ABC, Generic[State]):
         return self._now() - self._since_s > limit_s
 
     def _await(self, done: object, limit_s: float, what: str, of: ProcessHandle) -> bool:
-        """Whether it is done; raises `RunError` when that takes too long or a process ends."""
+        """Return whether it is done; raises `RunError` after the limit or if a process ends."""
         if done:
             return True
         self._events.check_alive(of)

@@ -1,6 +1,6 @@
-"""All that a swap may do to the graph: one node's processes, accounts, settings and place.
+"""Interface of a swap to the graph: processes, accounts, settings and plan of one node.
 
-Hot and cold swaps know the supervisor's process manager and its ledger through this class alone.
+Hot and cold swaps access the process manager and the ledger only through this class.
 """
 
 import logging
@@ -25,11 +25,11 @@ log = logging.getLogger(__name__)
 
 
 class Successor(NamedTuple):
-    """A process that stands by."""
+    """A process on standby."""
 
     handle: ProcessHandle
     epoch: int
-    receiver: str  # where it receives
+    receiver: str  # its receiver's address
 
 
 class SwapTarget:
@@ -39,11 +39,11 @@ class SwapTarget:
         self, manager: ProcessManager, health: HealthMonitor, managed: ManagedProcess, node: Node
     ) -> None:
         self._manager, self._health, self._managed, self.node = manager, health, managed, node
-        self._told: dict[str, Any] = {}  # the settings that it was given while it ran
+        self._told: dict[str, Any] = {}  # its live changes
 
     @property
     def plan(self) -> Plan:
-        """The plan that runs now."""
+        """The current plan."""
         return self._manager.plan
 
     @property
@@ -53,101 +53,101 @@ class SwapTarget:
 
     @property
     def run_ends(self) -> bool:
-        """Whether no more frames are made."""
+        """Whether the run is ending."""
         return self._manager.finished
 
     @property
     def messages_wait(self) -> bool:
-        """Whether something is under way to the node."""
+        """Whether messages are in flight to the node."""
         return any(account.in_flight for account in self._incoming())
 
     def working(self) -> ProcessHandle:
-        """The process that works; raises `RunError` when there is none."""
+        """Return the active process; raises `RunError` when there is none."""
         if self._managed.handle is None:
-            raise RunError(f"{self.node.name}: does not run just now, try again")
+            raise RunError(f"{self.node.name}: is not running now, try again")
         return self._managed.handle
 
     def is_working(self, handle: ProcessHandle) -> bool:
-        """Whether that process is the one that works."""
+        """Whether that process is the active one."""
         return self._managed.handle is handle
 
     def stalled(self) -> str:
-        """Why the working process would have to be killed, or nothing."""
+        """Return why the active process is stalled, or an empty string."""
         return self._health.problem(self._managed)
 
     # processes
 
     def refresh_spare(self) -> None:
-        """See that the spare process imports what is on disk now."""
+        """Make the spare process import the current code on disk."""
         self._manager.spare.refresh()
 
     def spare_is_warming(self) -> bool:
-        """Whether there is a spare process that has not finished its imports."""
+        """Whether there is a spare process that is still importing."""
         return self._manager.spare.warming
 
     def drop_spare(self) -> None:
-        """End the spare process, which hangs."""
+        """End the spare process because it hangs."""
         self._manager.spare.dismiss()
 
     def launch_successor(self, plan: Plan) -> Successor:
-        """Start a process that stands by to take the node over."""
+        """Start a standby process for the node."""
         epoch = self._managed.promise()
         job = self._manager.job(self._managed, plan, epoch, standby=True, checked=True)
         handle = self._manager.launch(job, fresh=True)
         return Successor(handle, epoch, str(job.receiver(self.node.name, epoch)))
 
     def launch_trial(self, plan: Plan) -> ProcessHandle:
-        """Start a process that only says whether operator and settings fit."""
+        """Start a process that only checks operator and settings."""
         job = self._manager.job(self._managed, plan, self._managed.epoch, trial=True)
         return self._manager.launch(job, fresh=True)
 
     def dismiss(self, handle: ProcessHandle, within_s: float = 0.0) -> None:
-        """Let a process end in that time, or be killed; nothing waits for it."""
+        """Give a process that time to end, then kill it, without waiting."""
         self._manager.dismiss(handle, within_s)
 
     def vacate(self) -> None:
-        """No process works for the node now."""
+        """Mark the node as having no process."""
         self._manager.vacate(self._managed)
 
     def start(self, plan: Plan) -> ProcessHandle:
-        """Start the node's process anew, by a plan that is still to prove itself."""
+        """Restart the node's process with a plan that is still on probation."""
         self._manager.begin(self._managed, plan=plan, checked=True)
         return self.working()
 
     def let_go(self) -> None:
-        """Let the process that is ready begin, if it may."""
+        """Let the ready process begin, if its conditions are met."""
         self._manager.let_go(self._managed)
 
     def retry_soon(self) -> None:
-        """Leave a node without a process to the process manager, which starts it again."""
+        """Leave a node without a process to the process manager, which restarts it."""
         if self._managed.handle is None and not self._managed.next_start_s:
             self._managed.next_start_s = time.monotonic()
 
     # accounts
 
     def send_also_to(self, epoch: int) -> None:
-        """Have writers send to a successor too; 0: to none."""
+        """Make writers send to a successor as well; 0: to none."""
         for account in self._incoming():
             account.next_receiver_epoch = epoch
 
     def sent(self) -> list[int]:
-        """How far each edge out of the node is, for `arrived`."""
+        """Return the counts sent on each edge out of the node, for `arrived`."""
         return [account.sent for account in self._outgoing()]
 
     def arrived(self, sent: Sequence[int]) -> bool:
-        """Whether readers that live have seen all that was sent then."""
+        """Whether live readers have seen everything up to these counts."""
         pairs = zip(self._outgoing(), sent, strict=True)
         return not any(account.live and account.seen < count for account, count in pairs)
 
     def fence(self, epoch: int) -> None:
-        """Refuse what other instances than that one still send."""
+        """Fence all instances but one: readers refuse their messages."""
         for account in self._outgoing():
             account.writer_epoch = epoch
 
     # the change of instances
 
     def switch(self, successor: Successor, plan: Plan) -> None:
-        """Have the successor work, by its plan; its predecessor's settings go with it."""
+        """Activate the successor with its plan, which contains its predecessor's live changes."""
         managed, epoch = self._managed, successor.epoch
         for account in self._incoming():
             account.reader_epoch = epoch
@@ -159,7 +159,7 @@ class SwapTarget:
         self._manager.change_plan(plan)
 
     def switch_back(self, old: ProcessHandle, before: Plan) -> int:
-        """Have the predecessor work again, as before; its new epoch."""
+        """Reactivate the predecessor and return its new epoch."""
         managed, switched = self._managed, not self.is_working(old)
         managed.handle = old
         if switched:
@@ -171,18 +171,18 @@ class SwapTarget:
         return managed.epoch
 
     def read_by(self, epoch: int) -> None:
-        """Note whose reading counts on the edges into the node."""
+        """Set the active reader of the edges into the node."""
         for account in self._incoming():
             account.reader_epoch = epoch
 
     def change_plan(self, plan: Plan) -> None:
-        """Another plan runs now."""
+        """Switch to another plan."""
         self._manager.change_plan(plan)
 
     # settings
 
     def changed(self, order: SwapOrder) -> Plan:
-        """The plan with the new operator and settings in the old place."""
+        """Return the plan with the new operator and settings."""
         node, plan = self.node, self._manager.plan
         self._told = kept(self._live_file())
         settings = {} if order.defaults else {**node.settings, **self._told}
@@ -196,7 +196,7 @@ class SwapTarget:
         return kept(self._live_file()) != self._told
 
     def keep_settings(self) -> None:
-        """Should the predecessor end, it comes back with what it had been told until `changed`."""
+        """Store the predecessor's live changes until `changed`, in case it restarts."""
         try:
             if self._told:
                 keep(self._live_file(), self._told)
@@ -206,7 +206,7 @@ class SwapTarget:
             log.warning("%s: its settings cannot be kept: %s", self.node.name, error)
 
     def forget_settings(self) -> None:
-        """What was told is a part of the plan now."""
+        """Remove the stored live changes, which are part of the plan now."""
         self._live_file().unlink(missing_ok=True)
 
     def _live_file(self) -> Path:

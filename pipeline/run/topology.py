@@ -1,7 +1,7 @@
-"""Changes which nodes and edges a running graph has, while the others go on.
+"""Add, remove and rewire nodes of a running graph, while the others keep running.
 
-Nodes that stay and whose edges change are told between two calls of their handlers; nobody is
-started anew but what is added.
+Remaining nodes whose edges change are reconnected between two calls of their handlers; only added
+nodes are started.
 """
 
 import time
@@ -21,7 +21,7 @@ from pipeline.run.process_manager import ProcessManager
 START_S = 60.0
 TELL_S = 5.0
 REST_S = 1.0
-LEAVE_S = 1.0  # for a process that only checked what is added
+LEAVE_S = 1.0  # for the trial process to exit
 DONE = object()
 
 
@@ -47,8 +47,8 @@ class TopologyOperation(Operation):
         self._edges_added = [e for e in self._plan.edges if e not in manager.plan.edges]
         self._edges_removed = [e for e in manager.plan.edges if e not in self._plan.edges]
         self._check()
-        self._mine: list[ManagedProcess] = []  # that come or go
-        self._trial: ProcessHandle | None = None  # imports what is added, in place of this process
+        self._mine: list[ManagedProcess] = []  # added or removed processes
+        self._trial: ProcessHandle | None = None  # imports added operators, instead of this process
         super().__init__()
         self.manager, self._steps = manager, self._change()
         self.facts |= {
@@ -59,11 +59,11 @@ class TopologyOperation(Operation):
         }
 
     def owns(self, managed: ManagedProcess) -> bool:
-        """Whether a process belongs to this change: its end is no crash."""
+        """Whether a process is added or removed by this change, so that its end is no crash."""
         return managed in self._mine
 
     def on_event(self, pid: int, event: Event) -> bool:
-        """That one of them fails, or makes no more frames, concerns this change alone."""
+        """Handle failures and ends of added or removed processes."""
         super().on_event(pid, event)
         if self._trial is not None and self._trial.pid == pid:
             return True
@@ -71,26 +71,26 @@ class TopologyOperation(Operation):
         return mine and isinstance(event, (Failed, Finished))
 
     def advance(self) -> bool:
-        """Go one step on."""
+        """Advance by one step."""
         return next(self._steps, DONE) is DONE
 
     def abort(self) -> list[ProcessHandle]:
-        """The run ends: the process that only checks, which has nothing to close."""
+        """Abort at the end of the run; return the trial process, which has nothing to close."""
         if self._trial is None:
             return []
         self._trial.kill()
         return [self._trial]
 
     def clear_up(self, *, failed: bool) -> None:
-        """Dismiss the process that only checks."""
+        """Dismiss the trial process."""
         self._dismiss_trial()
 
     def done(self) -> TopologyResult:
-        """What came and went."""
+        """Return the added and removed nodes and edges."""
         return TopologyResult(**self.facts)
 
     def _check(self) -> None:
-        """What cannot be done while it runs; raises `RunError`."""
+        """Raise `RunError` for changes that are impossible at run time."""
         stay = [n for n in self._before.nodes if n not in self._removed]
         for node in (*self._added, *self._removed):
             if any(n.process == node.process for n in stay):
@@ -102,7 +102,7 @@ class TopologyOperation(Operation):
         self._plan.order()
 
     def _check_operators(self) -> Iterator[None]:
-        """Whether the operators fit, the added ones imported by a process of their own."""
+        """Check that the operators fit; a trial process imports the added ones."""
         plan, manager = self._plan, self.manager
         added = {node.name for node in self._added}
         for name, nodes in plan.processes().items():
@@ -156,7 +156,7 @@ class TopologyOperation(Operation):
         self._address()
         touched = {e.target for e in (*self._edges_added, *self._edges_removed)}
         writers = {e.source for e in (*self._edges_added, *self._edges_removed)}
-        for name in (*touched, *(writers - touched)):  # who reads must know before who writes
+        for name in (*touched, *(writers - touched)):  # readers before writers
             yield from self._tell(name)
         yield from self._remove()
         manager.note()
@@ -171,7 +171,7 @@ class TopologyOperation(Operation):
             yield
 
     def _address(self) -> None:
-        """Edges between nodes that run already: who speaks and who listens there now."""
+        """Set the active instances of new edges between running nodes."""
         manager, fresh = self.manager, {n.name for n in self._added}
         for edge in self._edges_added:
             account = manager.ledger.edges[edge.index]
@@ -186,7 +186,7 @@ class TopologyOperation(Operation):
                 )
 
     def _tell(self, name: str) -> Iterator[None]:
-        """Have a node connect anew; one that does not answer starts again with the new plan."""
+        """Make a node reconnect; if it does not answer, it is restarted with the new plan."""
         if name in {n.name for n in (*self._added, *self._removed)}:
             return
         handle = self.manager.processes[self._plan.node(name).process].handle
@@ -200,7 +200,7 @@ class TopologyOperation(Operation):
         handle.tell(Replan(name, self._plan))
         yield from _until(lambda: replanned() or handle.ended() is not None, TELL_S)
         if not replanned():
-            log.error("%s: does not connect anew; killed", name)
+            log.error("%s: does not reconnect; killed", name)
             handle.kill()
 
     def _remove(self) -> Iterator[None]:
@@ -236,14 +236,14 @@ class TopologyOperation(Operation):
 
 
 def _until(done: Callable[[], bool], limit_s: float) -> Iterator[None]:
-    """Wait for something, for so long at most."""
+    """Wait for a condition, up to a limit."""
     late_s = time.monotonic() + limit_s
     while not done() and time.monotonic() <= late_s:
         yield
 
 
 def _numbered(manager: ProcessManager, plan: Plan) -> Plan:
-    """The plan with the numbers that its nodes and edges have in the ledger, or will have."""
+    """Return the plan with the indices of its nodes and edges in the ledger."""
     known_nodes = {n.name: n.index for n in manager.plan.nodes}
     known_edges = {_ends(e): e for e in manager.plan.edges}
     free_nodes = iter(set(range(len(manager.ledger.nodes))) - set(known_nodes.values()))
@@ -259,13 +259,13 @@ def _numbered(manager: ProcessManager, plan: Plan) -> Plan:
                 raise RunError(f"{edge.end}: the policy of an edge cannot change while it runs")
     except StopIteration:
         raise RunError(
-            f"{plan.name}: the accounts have no room for more nodes or edges; start it anew"
+            f"{plan.name}: the accounts have no room for more nodes or edges; restart the graph"
         ) from None
     return replace(plan, nodes=tuple(nodes), edges=tuple(edges))
 
 
 def _same(manager: ProcessManager, node: Node) -> Node | None:
-    """The node as it runs, which keeps its settings whatever else is said of it."""
+    """Return the running node if it stays, with its current settings."""
     return next((n for n in manager.plan.nodes if n.name == node.name), None)
 
 

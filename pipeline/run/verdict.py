@@ -1,7 +1,6 @@
-"""The first lines of a report: whether rate, loop and deliveries were as asked, and the results.
+"""Verdict of a run: whether rate, loop latency and losses met their targets, and the results.
 
-All of it follows from the report's own figures. What a node has to tell of the run it says itself,
-by `headline` in its summary.
+It is derived from the report's own figures. The results are the `headline` of each node's summary.
 """
 
 from collections.abc import Mapping
@@ -15,8 +14,8 @@ from rich.text import Text
 from pipeline.terminal import brief, pair
 from pipeline.text import harmless
 
-HELD_SHARE = 0.99  # of the rate asked for, from which on it was held
-BUDGET_FRAMES = {"p50": 1, "p99": 2}  # of the loop, in frames at the rate asked for
+HELD_SHARE = 0.99  # a rate of at least this share of its target counts as held
+BUDGET_FRAMES = {"p50": 1, "p99": 2}  # of the loop, in frames at the target rate
 MOST_HEADLINES = 16
 MOST_HZ = 1e9
 MOST_CHARS = 200  # of a sentence
@@ -25,7 +24,7 @@ COLOUR = {True: "green", False: "red", None: ""}
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One line: of what, whether it was as asked (None: nothing was asked), and the sentence."""
+    """One line: the subject, whether it met its target (None: no target), and the sentence."""
 
     about: str
     held: bool | None = None
@@ -33,7 +32,7 @@ class Finding:
 
 
 def verdict(report: Mapping[str, Any]) -> list[Finding]:
-    """The findings about a report as `compose` makes it, in the order in which they are shown."""
+    """Return the findings on a report of `compose`, in the order of display."""
     headlines = list(report.get("headlines", {}).items())
     told = [Finding(about=node, sentence=words) for node, words in headlines[:MOST_HEADLINES]]
     more = len(headlines) - len(told)
@@ -43,12 +42,12 @@ def verdict(report: Mapping[str, Any]) -> list[Finding]:
 
 
 def as_data(findings: list[Finding]) -> list[dict[str, Any]]:
-    """The findings as the JSON report holds them."""
+    """Return the findings for the JSON report."""
     return [asdict(finding) for finding in findings]
 
 
 def print_verdict(console: Console, report: Mapping[str, Any]) -> None:
-    """Print the findings: beside their names in a terminal of any width, a line each in a pipe."""
+    """Print the findings: as a table in a terminal, one line each in a pipe."""
     left_out = (
         Finding(about=node, sentence=f"its summary is left out: {why}")
         for node, why in report.get("left_out", {}).items()
@@ -147,7 +146,7 @@ def _crashes(report: Mapping[str, Any]) -> list[Finding]:
 
 
 def crashed(report: Mapping[str, Any]) -> str:
-    """Which processes ended without being asked to, in a sentence; empty when none did.
+    """Return a sentence on processes that crashed; empty when none did.
 
     >>> crashed({"crashes": {"eye": 1, "hand": 2}})
     '2 processes crashed: eye once, hand 2 times'
@@ -159,12 +158,12 @@ def crashed(report: Mapping[str, Any]) -> str:
 
 
 def lost_on(edge: Mapping[str, Any]) -> int:
-    """How many messages of an edge were dropped or lost; what is in flight is neither."""
+    """Return the number of dropped or lost messages of an edge, without those in flight."""
     return int(sum(edge["dropped"].values())) + int(edge["lost_in_crash"])
 
 
 def rate_of(frames: int, duration_s: float, told: object) -> dict[str, Any]:
-    """The rate of a source: what its summary tells if it is one, else frames by the clock.
+    """Return the rate of a source: from its summary, if valid there, else frames per run time.
 
     >>> rate_of(50, 5.0, {"asked_hz": 30, "achieved_hz": 12.5})
     {'frames': 50, 'asked_hz': 30.0, 'achieved_hz': 12.5}
@@ -180,6 +179,6 @@ def rate_of(frames: int, duration_s: float, told: object) -> dict[str, Any]:
 
 
 def _hertz(value: Any) -> float | None:
-    """A rate as an operator may tell it; None for anything else."""
+    """Return a rate in Hz from an operator's summary; None for an invalid value."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return float(value) if number and 0 <= value < MOST_HZ else None

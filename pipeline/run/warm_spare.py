@@ -1,4 +1,4 @@
-"""One process that has imported every operator and waits: a restart is then a load."""
+"""A spare process that has imported every operator, which makes restarts fast."""
 
 import logging
 import time
@@ -8,8 +8,8 @@ from itertools import chain
 from pipeline.module_files import edited_since, module_files
 from pipeline.run.process_handle import KILLED_S, NodeProcess
 
-AGAIN_S = 5.0  # after one that ended by itself, or could not be had
-MOST_FILES = 10_000  # that are looked at
+AGAIN_S = 5.0  # pause after a spare that ended or could not be started
+MOST_FILES = 10_000  # files watched for edits
 log = logging.getLogger(__name__)
 
 
@@ -19,17 +19,17 @@ class WarmSpare:
     def __init__(self, spawn: Callable[[Collection[str]], NodeProcess]) -> None:
         self._spawn = spawn
         self._process: NodeProcess | None = None
-        self._since_s = 0.0  # wall clock, as files have it
+        self._since_s = 0.0  # wall clock, to compare with modification times
         self._again_s = 0.0
-        self._files: set[str] = set()  # that other processes have imported
+        self._files: set[str] = set()  # imported by other processes
 
     def watch(self, files: Iterable[str]) -> None:
-        """Look at these files, too: this process does not import what nodes do."""
+        """Watch these files, too, because this process does not import what nodes do."""
         if len(self._files) < MOST_FILES:
             self._files.update(files)
 
     def keep(self, modules: Collection[str]) -> None:
-        """See that there is one; without one a restart takes longer, and nothing else."""
+        """Ensure that there is a spare; without one, restarts only take longer."""
         self._bury()
         if self._process is not None or time.monotonic() < self._again_s:
             return
@@ -37,10 +37,10 @@ class WarmSpare:
         try:
             self._process = self._spawn(sorted(modules))
         except OSError as error:
-            log.warning("no process can stand by: %s", error)
+            log.warning("cannot start a spare process: %s", error)
 
     def take(self) -> NodeProcess | None:
-        """The spare, if it is through with its imports: it says so in its first line."""
+        """Return the spare if it has finished its imports, which its first event announces."""
         self._bury()
         if self._process is None or self.warming:
             return None
@@ -49,16 +49,16 @@ class WarmSpare:
 
     @property
     def process_id(self) -> int:
-        """Its process id, 0 while there is none."""
+        """The pid of the spare, 0 while there is none."""
         return self._process.pid if self._process else 0
 
     @property
     def warming(self) -> bool:
-        """Whether there is one that is not through."""
+        """Whether there is a spare that is still importing."""
         return self._process is not None and not self._process.channel.waiting()
 
     def refresh(self) -> None:
-        """End it when what it may have imported was edited since."""
+        """End the spare when code that it may have imported was edited since."""
         files = chain(module_files(), self._files)
         if self._process is not None and edited_since(self._since_s, files):
             self.dismiss()

@@ -1,4 +1,4 @@
-"""Bad luck, chosen by a seed: the graph gets over it, accounts add up, nothing is left."""
+"""Faults chosen by a seed: the graph recovers, accounts add up, nothing is left behind."""
 
 import json
 import secrets

@@ -1,4 +1,4 @@
-"""The fuzzer notices what it looks for."""
+"""The fuzzer detects the failures that it searches for."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The tracker that measures is the one that is named, whatever lies on the machine."""
+"""The evaluation uses the tracker that was named, whatever is installed."""
 
 from pathlib import Path
 

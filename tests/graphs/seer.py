@@ -1,4 +1,4 @@
-"""A stand-in for detector, filter and policy: it sees the square of `MovingSquare` move."""
+"""A fake of detector, filter and policy: it detects the square of `MovingSquare`."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A recording that stops is cut where it was whole; another file under its name is left alone."""
+"""A recording that stops growing is truncated to its complete part; replaced files stay."""
 
 from pathlib import Path
 

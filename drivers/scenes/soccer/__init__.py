@@ -1,4 +1,4 @@
-"""A procedural soccer broadcast in a stadium that does not exist, with exact truth."""
+"""A procedural soccer broadcast in a fictitious stadium, with exact ground truth."""
 
 from drivers.scenes.soccer.scene import SoccerScene
 

@@ -1,7 +1,7 @@
-"""Where the ball goes: a seed and a time -> position and height, endless.
+"""Path of the ball: a seed and a time -> position and height, without end.
 
-Time is cut into chunks. The place of the ball where two chunks meet follows from the seed alone,
-so that any chunk can be made without those before it.
+Time is divided into chunks. The ball's position between two chunks depends only on the seed, so
+that any chunk can be computed without its predecessors.
 """
 
 from dataclasses import dataclass

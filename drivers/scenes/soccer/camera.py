@@ -1,4 +1,4 @@
-"""Where the world lies in the picture: metres -> angles of a cylinder -> pixels.
+"""Projection of the world into the picture: metres -> angles on a cylinder -> pixels.
 
 The camera stands beside the pitch and turns; its picture is a piece of a cylinder around it, so
 that pan, tilt, zoom and roll are one affine map and people stay upright. World: x along the far

@@ -1,4 +1,4 @@
-"""What people wear: a seed -> kits, skin, hair, boots and numbers of everybody on the pitch."""
+"""Appearance of people: a seed -> kits, skin, hair, boots and numbers of everybody."""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ KITS: tuple[Colour, ...] = (
     *((25, 25, 28), (20, 120, 60), (120, 180, 230), (240, 110, 30), (110, 20, 45)),
     *((100, 40, 130), (60, 170, 160), (190, 190, 195)),
 )
-BRIGHT: tuple[Colour, ...] = (  # what officials like to wear, so that nobody passes to them
+BRIGHT: tuple[Colour, ...] = (  # kits of officials, distinct from the teams
     *((225, 245, 40), (250, 90, 160), (90, 235, 120), (60, 210, 240), (255, 130, 60)),
 )
 PATTERNS = ("plain", "plain", "plain", "stripes", "hoops", "sash", "halves", "sleeves")

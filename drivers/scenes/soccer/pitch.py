@@ -1,4 +1,4 @@
-"""Draw the world that stands still: pitch, lines, goals, flags, stands -> one wide canvas.
+"""Draw the static world: pitch, lines, goals, flags, stands -> one wide canvas.
 
 The canvas is a piece of the camera's cylinder; row and column are linear in its angles.
 """
@@ -235,7 +235,7 @@ def _paint_goals(canvas: Canvas, station: Station) -> None:
 
 
 def _paint_litter(canvas: Canvas, rng: np.random.Generator, station: Station) -> None:
-    """Corner flags, bottles and balls' likes: small bright things that are no ball."""
+    """Corner flags, bottles and similar: small bright objects other than the ball."""
     for x in (0.0, PITCH_M[0]):
         for y in (0.0, PITCH_M[1]):
             scale = canvas.radius_px / float(station.distance_m(np.array([x, y])))

@@ -1,4 +1,4 @@
-"""Who is where when: a seed and a chunk of time -> paths of ball, people and camera focus."""
+"""Simulate the play: a seed and a chunk of time -> paths of ball, people and camera focus."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,7 +10,7 @@ from drivers.scenes.soccer.camera import PITCH_M
 
 GRID_HZ = 30.0
 MARGIN_S = 4.0
-RAMP_S = 7.0  # nobody sets off earlier; less than a chunk
+RAMP_S = 7.0  # longest approach of a person to the ball; less than a chunk
 PACE_M_S = 4.0
 STRIDE_M = 2.3  # ground covered by one full cycle of the legs when running
 LABELS = (
@@ -38,9 +38,9 @@ class Duty:
 
     leg: Leg
     who: int
-    gap_m: float  # how near he comes
+    gap_m: float  # closest distance to the ball
     pull: float  # how firmly, 0..1
-    come_s: float  # how long before the leg he sets off
+    come_s: float  # start of the approach before the leg
     leave_s: float
 
 
@@ -54,7 +54,7 @@ class Moment:
     heading: Metres  # (25,) radians, 0 along x
     speed: Metres  # (25,) m/s
     phase: Metres  # (25,) cycles of the legs, mod 1
-    carrier: int  # who has the ball in his hands; -1: nobody
+    carrier: int  # index of the person holding the ball; -1: none
     focus: Metres  # (2,) metres, where the camera should look
 
 

@@ -28,8 +28,8 @@ SPRITE_BYTES = 48 << 20  # kept at 1920x1080; four times as many made no picture
 class SoccerScene:
     """An endless match, the same for the same seed whatever the order of access.
 
-    `difficulty` 0..1 widens what varies: noise, blur of motion, dull light. With `ball` False
-    the ball is not there, neither in the picture nor in the truth.
+    `difficulty` 0..1 increases the variation of noise, motion blur and dull light. With `ball`
+    False there is no ball, neither in the picture nor in the truth.
     """
 
     shows = "soccer"

@@ -1,4 +1,4 @@
-"""Place everything of one frame: moment and view -> sprites in the order of drawing, and truth."""
+"""Compose one frame: moment and view -> sprites in drawing order, and ground truth."""
 
 from collections import OrderedDict
 from collections.abc import Callable

@@ -1,12 +1,11 @@
-"""fovea for scripts and notebooks: the names that a user needs, in one place.
+"""The package for scripts and notebooks: all names that a user needs.
 
     import fovea
 
     report = fovea.load("tracking").run(frames=100)
 
-`load` takes a shipped graph or a file; `drive` hands an operator messages by hand. The other names
-are those of `pipeline`, with which an operator is written. Names are imported when they are first
-used.
+`load` takes a shipped graph or a file; `drive` calls one operator by hand. All other names are from
+`pipeline`, for writing operators. Names are imported on first use.
 """
 
 from importlib import import_module
@@ -31,7 +30,7 @@ _HOME_OF = {
     "header": "pipeline.testing",
 }
 
-if not TYPE_CHECKING:  # a checker shall see the names above and no others
+if not TYPE_CHECKING:  # type checkers see only the names above
 
     def __getattr__(name: str) -> object:
         """Return a name from the module that defines it."""

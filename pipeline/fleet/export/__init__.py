@@ -1,1 +1,1 @@
-"""Exports of a graph to engines other than our agents' own deployment."""
+"""Export of graphs to other deployment engines: systemd, Compose, Kubernetes."""

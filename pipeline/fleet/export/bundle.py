@@ -1,4 +1,4 @@
-"""What a graph needs in another engine: memory, credentials, the command that deploys it."""
+"""Needs of a graph under another engine: memory, credentials, the deploying command."""
 
 import json
 import math
@@ -28,59 +28,59 @@ AGENT = ("fovea", "agent", "--config", f"{ETC}/agent.yaml", "--state", f"{STATE}
 
 @dataclass(frozen=True)
 class Bundle:
-    """The files that an engine has to mount, and the user who deploys. Paths are absolute."""
+    """The files that an engine has to mount, and the deploying user. Paths are absolute."""
 
     graph: Path
-    credentials: Path  # folder by `fovea secure`
+    credentials: Path  # folder made by `fovea secure`
     user: str
 
     def host_folder(self, label: str) -> Path:
-        """The credentials and the agent.yaml of a host."""
+        """Return the folder with credentials and agent.yaml of a host."""
         return self.credentials / f"host.{label}"
 
     @property
     def own(self) -> Path:
-        """The credentials of who deploys."""
+        """The folder with the deploying user's credentials."""
         return self.credentials / user_identity(self.user)
 
 
 def memory_mb(plan: Plan, label: str) -> int:
-    """Shared memory that a host's frame pools may take, if every picture is the largest."""
+    """Return the shared memory for a host's frame pools in MB, if all pictures are the largest."""
     outputs = {(e.source, e.output) for e in plan.edges if plan.node(e.source).host == label}
     count = sum(slots(plan.readers(*output)) for output in outputs)
     return SPARE_MB + math.ceil(count * LARGEST_FRAME_MB)
 
 
 def run_words() -> list[str]:
-    """What a container runs for a graph without hosts."""
+    """Return the command of a container for a graph without hosts."""
     return ["fovea", "run", GRAPH]
 
 
 def up_words(plan: Plan) -> list[str]:
-    """What a container runs to deploy to hosts that their labels resolve to."""
+    """Return the command that deploys to hosts reachable by their labels."""
     hosts = ",".join(f"{label}={label}:{AGENT_PORT}" for label in plan.hosts)
     return ["fovea", "up", GRAPH, "--credentials", USER, "--hosts", hosts, "--replace"]
 
 
 def credentials_words(plan: Plan, bundle: Bundle) -> list[str]:
-    """What makes credentials for hosts that are reached by their labels."""
+    """Return the command that makes credentials for hosts reachable by their labels."""
     hosts = [f"--host={label}={label}" for label in plan.hosts]
     return ["fovea", "secure", "init", str(bundle.credentials), f"--graph={bundle.graph}", *hosts,
             f"--user={bundle.user}"]  # fmt: skip
 
 
 def comments(*lines: str | Sequence[str]) -> Iterator[str]:
-    """Lines to be read first; of words, a command to be typed."""
+    """Yield comment lines; a sequence of words is a command to type."""
     for line in lines:
         yield f"# {line if isinstance(line, str) else shlex.join(line)}\n"
 
 
 def to_yaml(document: Mapping[str, Any]) -> str:
-    """A document as a YAML file."""
+    """Return a document as YAML text."""
     yaml, text = YAML(), StringIO()
     yaml.default_flow_style = False
     yaml.width = 1000
     plain = json.loads(json.dumps(document))
-    walk_tree(plain)  # a graph file reads as it does elsewhere
+    walk_tree(plain)  # keeps graph files readable
     yaml.dump(plain, text)
     return str(text.getvalue())

@@ -1,4 +1,4 @@
-"""`fovea export compose`: a service for every host of a graph, and one that deploys."""
+"""`fovea export compose`: write a Compose file for the hosts of a graph."""
 
 import os
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from pipeline.graph.plan import Plan
 
 
 def compose(plan: Plan, bundle: Bundle) -> str:
-    """A compose file: a service per host with its own shared memory, and one that deploys."""
+    """Return a Compose file: a service per host with its shared memory, and one that deploys."""
     graph = f"{bundle.graph}:{GRAPH}:ro"
     if not plan.hosts:
         return to_yaml({"services": {plan.name: _service(plan, "", run_words(), graph)}})
@@ -58,7 +58,7 @@ def _service(plan: Plan, label: str, command: Sequence[str], *volumes: str) -> d
 
 
 def _common() -> dict[str, Any]:
-    """Keys are readable for their owner only, whom root without capabilities is not."""
+    """Return common options; the user must own the keys, as root has no capabilities here."""
     return {
         "image": IMAGE, "init": True, "user": f"{os.getuid()}:{os.getgid()}",
         "cap_drop": ["ALL"], "security_opt": ["no-new-privileges:true"],

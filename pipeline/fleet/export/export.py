@@ -1,7 +1,7 @@
-"""`fovea export`: a graph's hosts for those who run their own engine: systemd, compose, Kubernetes.
+"""`fovea export`: write a graph's hosts for another engine: systemd, Compose, Kubernetes.
 
-Every host runs an agent under that engine, and `fovea up` places the graph on them. A graph without
-hosts is one service that runs it. What is printed holds no secret: credentials are mounted.
+Every host runs an agent under that engine, and `fovea up` deploys the graph to the agents. A graph
+without hosts is one service that runs it. The output contains no secrets: credentials are mounted.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,5 +20,5 @@ KINDS: Mapping[str, Callable[[Plan, Bundle], str]] = {
 
 
 def engines() -> click.Choice[str]:
-    """What a graph can be exported for."""
+    """Return the choice of engines."""
     return click.Choice(list(KINDS))

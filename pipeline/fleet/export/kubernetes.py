@@ -1,7 +1,7 @@
-"""A graph for Kubernetes: deployments, services and a job, and how their secrets are made.
+"""Kubernetes manifests of a graph: deployments, services, a job, and commands for their secrets.
 
-A secret holds no folders, so every identity has one of its own, and a projected volume lays them
-out as an agent expects them.
+A secret cannot contain folders, so every identity has its own, and a projected volume arranges them
+as an agent expects.
 """
 
 import re
@@ -30,17 +30,17 @@ from pipeline.graph.plan import Plan
 
 _DNS = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")
 CREDENTIAL_FILES = ("ca.pem", "own.pem", "own.key")
-Mount = tuple[dict[str, Any], dict[str, Any]]  # a volume, and where a container mounts it
+Mount = tuple[dict[str, Any], dict[str, Any]]  # a volume and its mount in the container
 
 
 def k8s(plan: Plan, bundle: Bundle) -> str:
-    """Manifests: per host a deployment of one pod and a headless service; a job that deploys."""
+    """Return manifests: per host a deployment of one pod and a headless service; a job."""
     first, documents = manifests(plan, bundle)
     return first + "---\n".join(to_yaml(document) for document in documents)
 
 
 def manifests(plan: Plan, bundle: Bundle) -> tuple[str, list[dict[str, Any]]]:
-    """What is to be typed before, and the documents; raises `GraphError` for a host's label."""
+    """Return commands to type first, and the documents; raises `GraphError` for a bad label."""
     graph = _config(plan, bundle)
     mounted = _volume(
         "graph", {"configMap": {"name": graph["metadata"]["name"]}}, str(Path(GRAPH).parent)
@@ -114,7 +114,7 @@ def _pod(command: Sequence[str], mounts: Sequence[Mount]) -> dict[str, Any]:
                 "name": "fovea", "image": IMAGE, "command": list(command),
                 "volumeMounts": [mount for _, mount in mounts],
                 "securityContext": {
-                    # keys are readable for their owner only, and secrets are root's
+                    # keys must be readable by their owner only, and root owns secrets
                     "runAsUser": 0,
                     "allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]},
                 },
@@ -130,7 +130,7 @@ def _deployment(name: str, pod: dict[str, Any]) -> dict[str, Any]:
         "apiVersion": "apps/v1", "kind": "Deployment", "metadata": {"name": f"fovea-{name}"},
         "spec": {
             "replicas": 1,
-            "strategy": {"type": "Recreate"},  # a sensor has one owner
+            "strategy": {"type": "Recreate"},  # only one process can open a sensor
             "selector": {"matchLabels": labels},
             "template": {"metadata": {"labels": labels}, "spec": pod},
         },
@@ -173,7 +173,7 @@ def _checked(label: str) -> str:
 
 
 def _slug(name: str) -> str:
-    """A name as Kubernetes may have it.
+    """Return a name that is valid in Kubernetes.
 
     >>> _slug("My_graph.2")
     'my-graph-2'

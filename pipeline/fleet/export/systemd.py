@@ -1,4 +1,4 @@
-"""`fovea export systemd`: the units of a graph's agents, and one that deploys."""
+"""`fovea export systemd`: write units for a graph's agents, and one that deploys."""
 
 import getpass
 import sys
@@ -39,7 +39,7 @@ WantedBy=multi-user.target
 
 
 def agent_unit(config: Path, state: Path, user: str = "fovea") -> str:
-    """The unit for an agent with that file, which keeps its state there."""
+    """Return the unit for an agent with that configuration and state folder."""
     config = config.resolve()
     command = Path(sys.executable).parent / "fovea"
     return UNIT.format(
@@ -48,7 +48,7 @@ def agent_unit(config: Path, state: Path, user: str = "fovea") -> str:
 
 
 def systemd(plan: Plan, bundle: Bundle) -> str:
-    """Units: one per host, to be copied to it, and one that deploys from this one."""
+    """Return units: one per host, to be copied there, and one that deploys from this host."""
     if not plan.hosts:
         return _titled(f"fovea-{plan.name}.service", _unit(["run", str(bundle.graph)], plan.name))
     units = [
@@ -79,7 +79,7 @@ def _unit(words: Sequence[str], what: str, *, once: bool = False) -> str:
 
 
 def _quoted(word: str) -> str:
-    """A word as systemd reads it.
+    """Quote a word for systemd.
 
     >>> _quoted("up"), _quoted("my graph.yaml"), _quoted("100%")
     ('up', '"my graph.yaml"', '100%%')

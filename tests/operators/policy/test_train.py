@@ -1,4 +1,4 @@
-"""Training: what is lowered falls, what is masked counts for nothing, what stops goes on."""
+"""Training: the loss falls, masked entries do not count, and a stopped training resumes."""
 
 import math
 from dataclasses import replace

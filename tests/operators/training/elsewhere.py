@@ -1,4 +1,4 @@
-"""A device that is not there: tensors that say they are elsewhere and are computed here.
+"""A fake device: tensors that claim another device and are computed on the CPU.
 
 What a GPU would refuse, an operation on tensors of both places, is refused without one. The device
 must be one that torch knows and nobody is on: `meta`, whose tensors otherwise hold no numbers.

@@ -1,4 +1,4 @@
-"""A training goes on where it stopped if it is the same one; what is none of its own is refused."""
+"""The same training resumes where it stopped; a checkpoint of another one is refused."""
 
 from collections.abc import Mapping
 from pathlib import Path

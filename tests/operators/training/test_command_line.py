@@ -70,7 +70,7 @@ def test_afterwards_signals_are_what_they_were() -> None:
     ("sent", "status", "said"),
     [
         (signal.SIGTERM, 143, ""),
-        (signal.SIGINT, 130, "fovea: interrupted; the same command goes on where it was\n"),
+        (signal.SIGINT, 130, "fovea: interrupted; repeat the command to resume\n"),
     ],
 )
 def test_a_signal_ends_a_command_and_its_jobs_at_once(

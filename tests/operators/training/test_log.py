@@ -1,4 +1,4 @@
-"""A training's log goes on where its checkpoint does; the rate rises, then falls."""
+"""A training's log resumes at its checkpoint; the learning rate rises, then falls."""
 
 from pathlib import Path
 

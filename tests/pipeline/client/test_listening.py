@@ -1,4 +1,4 @@
-"""`echo` and `hz` on running graphs: their figures are the output's, the graph feels nothing."""
+"""`echo` and `hz` on running graphs measure the output without affecting the graph."""
 
 import os
 import secrets

@@ -246,7 +246,7 @@ def test_a_mistake_while_a_question_is_answered_ends_no_agent(
     plan = plan_of(tmp_path)
     with monkeypatch.context() as patch:
         patch.setattr("pipeline.fleet.agent.permitted", broken)
-        with pytest.raises(RunError, match="prepare broke: Overflow"):
+        with pytest.raises(RunError, match="prepare failed: Overflow"):
             up(fleet, plan)
 
     up(fleet, plan)

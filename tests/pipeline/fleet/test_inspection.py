@@ -1,4 +1,4 @@
-"""An agent imports no operator: one that breaks when it is imported costs its own plan alone."""
+"""An agent imports no operator: one that fails on import affects only its own plan."""
 
 import os
 import sys

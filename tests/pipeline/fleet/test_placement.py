@@ -1,4 +1,4 @@
-"""Nodes are placed by label, and a host runs only what it allows: nothing by the wire's word."""
+"""Nodes are placed by label, and a host runs only what its own lists allow."""
 
 import hashlib
 import sys
@@ -66,7 +66,7 @@ def test_a_group_stays_on_one_host(tmp_path: Path) -> None:
 
 
 def test_a_label_without_an_agent_is_told(tmp_path: Path) -> None:
-    with pytest.raises(GraphError, match="no host viewer among the agents found"):
+    with pytest.raises(GraphError, match="no host viewer among the known agents"):
         check_labels(plan_of(tmp_path), {"sensor": 0, "compute": 0, "viewr": 0})
 
 

@@ -1,4 +1,4 @@
-"""Every message is the same after its way; whatever else comes is refused in one sentence."""
+"""Every message survives encoding and decoding; anything else is refused in one sentence."""
 
 import gc
 import weakref

@@ -1,4 +1,4 @@
-"""A node to swap that has no processes: what a swap asks of it is noted, what it answers is set."""
+"""A fake swap target without processes: it records calls and returns preset results."""
 
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -66,7 +66,7 @@ class StandIn:
 
     def working(self) -> StandInHandle:
         if self.works is None:
-            raise RunError("work: does not run just now, try again")
+            raise RunError("work: is not running now, try again")
         return self.works
 
     def is_working(self, handle: object) -> bool:

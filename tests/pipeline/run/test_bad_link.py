@@ -1,4 +1,4 @@
-"""A link that delays, loses, stalls or breaks costs its far reader; the writer never waits."""
+"""A link that delays, loses, stalls or breaks affects only its remote reader, never the writer."""
 
 import time
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""No figure, no limit and no decision hangs on the wall clock: it may jump as it likes."""
+"""No figure, limit or decision depends on the wall clock, which may jump."""
 
 import ast
 import os

@@ -109,7 +109,7 @@ def back_again(one: Swapping, why: str) -> None:
     working(one).ready = True
     assert one.tick() == "RUNNING_BACK"
     one.target.account.handled += 1
-    assert one.tick() == f"{why}; the old part was started again"
+    assert one.tick() == f"{why}; the old instance was restarted"
     assert one.target.did[-1] == "change_plan before"
     assert one.machine.facts["rolled_back"]
 
@@ -122,7 +122,7 @@ def test_a_new_part_that_ends_gives_way_to_the_old_one(state: str) -> None:
 
     assert one.tick() == state
     assert one.tick((new, Failed("by design", False))) == "STARTING_BACK"
-    ended = "work: the new part ended by exit status 1 by design"
+    ended = "work: the new instance ended by exit status 1 by design"
     back_again(one, ended if state == "PROVING" else "by design")
 
 
@@ -147,7 +147,7 @@ def test_a_new_part_that_is_too_slow_gives_way_to_the_old_one() -> None:
     assert one.tick() == "STOPPING_BACK"
     new.status = 0
     assert one.tick() == "STARTING_BACK"
-    back_again(one, "work: the new part takes 11.0 ms a frame, expected at most 10.0 ms")
+    back_again(one, "work: the new instance takes 11.0 ms a frame, expected at most 10.0 ms")
 
 
 def test_a_new_part_that_cannot_be_started_gives_way_to_the_old_one() -> None:

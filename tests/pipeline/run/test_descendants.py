@@ -1,4 +1,4 @@
-"""What a node started ends with the node, holds nobody up, and nothing else is touched."""
+"""Processes that a node started end with it and delay nothing; no others are touched."""
 
 import os
 import shutil

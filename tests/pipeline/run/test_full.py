@@ -1,4 +1,4 @@
-"""Full disks and full shared memory cost what they must, and are told of in one sentence."""
+"""Full disks and full shared memory are reported in one sentence and cause no other failure."""
 
 import secrets
 import subprocess

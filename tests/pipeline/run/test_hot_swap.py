@@ -133,7 +133,7 @@ def test_a_cut_that_does_not_come_is_taken_back_and_may_cross_that_order() -> No
             assert one.tick((one.target.old, CutMade("work", 9))) == "TAKING_OVER"
         else:
             said = one.tick(later_s=hot_swap.UNCUT_S + 0.1)
-            assert said == "work: it did not come to a frame where it could be cut"
+            assert said == "work: it did not reach a frame for the cut"
             assert not one.machine.owned
 
 
@@ -155,7 +155,7 @@ def rolled_back(one: Swapping, why: str) -> None:
     assert one.machine.state is HotState.RESUMING
     assert one.machine.other is None
     assert one.target.old.told[-1] == "Resume"
-    assert one.tick((one.target.old, Resumed("work"))) == f"{why}; the old part goes on"
+    assert one.tick((one.target.old, Resumed("work"))) == f"{why}; the old instance continues"
     assert one.target.did[-3:] == ["back to before", "read_by 3", "fence 3"]
     assert one.machine.facts["rolled_back"]
 
@@ -167,7 +167,7 @@ def test_a_successor_that_ends_is_rolled_back(state: str) -> None:
 
     one.tick()
     assert one.tick((one.target.new, Failed("by design", False))) == "RESUMING"
-    ended = "work: the new part ended by exit status 1 by design"
+    ended = "work: the new instance ended by exit status 1 by design"
     rolled_back(one, ended if state == "PROVING" else "by design")
 
 
@@ -192,7 +192,7 @@ def test_a_successor_that_is_too_slow_is_rolled_back() -> None:
     one.target.account.handled += 5
 
     assert one.tick() == "KILLING"
-    rolled_back(one, "work: the new part takes 11.0 ms a frame, expected at most 10.0 ms")
+    rolled_back(one, "work: the new instance takes 11.0 ms a frame, expected at most 10.0 ms")
 
 
 def test_a_successor_that_hangs_is_rolled_back_and_one_without_work_is_not() -> None:
@@ -247,7 +247,7 @@ def test_a_predecessor_that_does_not_resume_is_told() -> None:
 
     said = one.tick(later_s=hot_swap.ANSWER_S + 1)
 
-    assert said == "work: the old part did not go on within 5 s"
+    assert said == "work: the old instance did not resume within 5 s"
 
 
 def test_every_state_stands_in_the_drawing() -> None:

@@ -1,4 +1,4 @@
-"""What killed runs left is found and removed, and nothing that fovea did not make."""
+"""Leftovers of killed runs are found and removed, and nothing that fovea did not make."""
 
 import fcntl
 import json

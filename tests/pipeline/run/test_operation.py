@@ -1,4 +1,4 @@
-"""What an order waits for may be said by a process that has ended already."""
+"""An order also sees events of a process that has already ended."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -64,5 +64,5 @@ def test_an_order_that_breaks_is_refused_and_cleared_up() -> None:
     order = Broken()
     order.tick()
 
-    assert order.result == Refused("it broke: ZeroDivisionError: by design")
+    assert order.result == Refused("it failed: ZeroDivisionError: by design")
     assert cleared == [True]

@@ -1,4 +1,4 @@
-"""The rate in a report is that of the exposures, whatever else took its time."""
+"""The rate in a report is that of the exposures, excluding start and stop."""
 
 import secrets
 from pathlib import Path

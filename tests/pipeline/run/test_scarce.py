@@ -1,4 +1,4 @@
-"""A machine that has too little of something is told of in one sentence; nothing is left behind."""
+"""A lack of a resource is reported in one sentence, and nothing is left behind."""
 
 import gc
 import shlex

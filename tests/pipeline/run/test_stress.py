@@ -1,4 +1,4 @@
-"""Whoever is frozen, dead-locked, leaking, slow or looping is dealt with; the others go on."""
+"""Frozen, dead-locked, leaking, slow or looping nodes are handled; the others keep running."""
 
 import os
 import signal

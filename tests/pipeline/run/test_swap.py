@@ -149,7 +149,7 @@ def test_a_shadow_run_tells_how_the_answers_differ(
 def test_a_part_that_fails_its_probation_gives_way_to_the_old_one(tmp_path: Path) -> None:
     results: Results = []
     failures = {
-        "ValueError: told to crash; the old part goes on": {"crash_at": 0},
+        "ValueError: told to crash; the old instance continues": {"crash_at": 0},
         "ms a frame, expected at most 20.0 ms": {"sleep_s": 0.03},
         "finished no frame for 2": {"sleep_s": 60.0},
     }
@@ -247,7 +247,7 @@ def test_a_node_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
     with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
         with pytest.raises(RunError, match="no node wrk, did you mean 'work'"):
             supervisor.control.take(SwapOrder(node="wrk"), lambda _: None)
-        with pytest.raises(RunError, match="work: does not run just now"):
+        with pytest.raises(RunError, match="work: is not running now"):
             supervisor.control.take(SwapOrder(node="work"), lambda _: None)
 
 
@@ -293,7 +293,7 @@ def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: P
     assert all(swapped(r).gap_ms > 0 for r in (results[0], results[3]))
     assert not swapped(results[0]).hot
     assert results[2] == Refused("work.every: must be at least 1, got 0")
-    assert "told not to live for long; the old part was started again" in reasons(results)[1]
+    assert "told not to live for long; the old instance was restarted" in reasons(results)[1]
     assert_accounts_add_up(report)
     assert report["failure"] == ""
     assert exposed(report) > 5  # it went on until it was told to finish

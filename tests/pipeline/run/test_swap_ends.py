@@ -1,4 +1,4 @@
-"""What goes wrong with a successor, or with the run, in the middle of a swap, is cleared away."""
+"""A failure of a successor or of the run during a swap leaves nothing behind."""
 
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,9 @@ def swap(supervisor: Supervisor, **changes: Any) -> list[Result]:
     ("kind", "said"),
     [
         ("exit_in_open", "SystemExit: 0"),
-        ("exit_0", "the new part ended by exit status 0"),
+        ("exit_0", "the new instance ended by exit status 0"),
         ("long_text", "ValueError: xxxx"),
-        ("fork_and_die", "the new part ended by signal SIGKILL"),
+        ("fork_and_die", "the new instance ended by signal SIGKILL"),
     ],
 )
 def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str, said: str) -> None:

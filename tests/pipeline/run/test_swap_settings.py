@@ -1,4 +1,4 @@
-"""A swap keeps what the old part was told while it ran, and changes only what it is asked to."""
+"""A swap keeps live changes of settings, and changes only what its order says."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""What a swap cannot carry over of a state is told, or refused, and the old part goes on."""
+"""State that a swap cannot transfer is reported or refused, and the old instance continues."""
 
 import logging
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Nodes and edges come and go while a graph runs; who is not concerned does not notice."""
+"""Nodes and edges are added and removed while a graph runs, without disturbing the others."""
 
 import threading
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""A machine that gives no process costs the head start, or a moment, never the graph."""
+"""If no spare process can be started, restarts are slower, but the graph keeps running."""
 
 import os
 import signal

@@ -91,7 +91,7 @@ class Work(Operator[WorkSettings, Frame]):
 
     def on_settings(self, settings: WorkSettings) -> None:
         if settings.gain == 7:
-            raise SettingsError("gain: 7 is not for a running part")
+            raise SettingsError("gain: 7 is not for a running operator")
         if settings.gain == 8:
             raise ValueError("told to break")
         self.settings = settings
