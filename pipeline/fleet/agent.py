@@ -15,7 +15,7 @@ from pipeline.bus.session import Session
 from pipeline.errors import FoveaError, MessageError, RunError
 from pipeline.fleet.agent_file import GraphStore, HostConfig
 from pipeline.fleet.hosted_graph import HostedGraph, Inspected, change, identity_of, planned
-from pipeline.fleet.inspection import Inspector
+from pipeline.fleet.inspection import Inspector, NotInspected
 from pipeline.fleet.links import (
     agent_permits,
     asker_permits,
@@ -40,6 +40,7 @@ from pipeline.run.reaper import Reaper
 
 MOST_GRAPHS = 8
 MOST_LINES = 1000
+RESUME_ATTEMPTS = 3
 Act = Callable[[bytes], ControlMessage | None]
 log = logging.getLogger(__name__)
 
@@ -96,7 +97,8 @@ class Agent:
 
     def _work(self) -> None:
         for name in self._store.names():
-            self._guarded(partial(self._resume, name))
+            if not self._stop.is_set():
+                self._guarded(partial(self._resume, name))
         self._answer_all(slow=True)
 
     def _answer_all(self, *, slow: bool) -> None:
@@ -165,7 +167,7 @@ class Agent:
             return Prepared({}, missing)
         self._check_free(plan, replace=asked.replace)
         local = self._permitted(plan)
-        self._inspector.prepare(local, asked.fingerprints)
+        self._inspector.prepare(local, asked.fingerprints, self._allowed.files_of(local))
         return Prepared(self._free_end_points(local))
 
     def _start(self, data: bytes) -> wire.Accepted:
@@ -262,7 +264,8 @@ class Agent:
 
     def _inspected(self, plan: Plan, fingerprints: Mapping[str, str]) -> Inspected:
         local = self._permitted(plan)
-        return local, self._inspector.begin(local, fingerprints)
+        files = self._allowed.files_of(local)
+        return local, self._inspector.begin(local, fingerprints, files)
 
     def _permitted(self, plan: Plan) -> Plan:
         local = permitted(plan, self.label, self._allowed, self.host.file.settings)
@@ -330,13 +333,22 @@ class Agent:
             raise RunError(f"{local.name}: {strange[0]} is not free here any more, try again")
 
     def _resume(self, name: str) -> None:
-        """Restart a graph that ran when the agent ended; on failure, `ps` shows the reason."""
+        """Restart a graph that ran when the agent ended; on failure, the log has the reason."""
         asked = self._store.asked(name)
         try:
-            hosted = self._hosted_of(asked)
+            hosted = self._resumed(asked)
         except FoveaError as error:
             log.error("%s: cannot resume: %s", name, error)
             return
         self.hosted[name] = hosted
         hosted.begin()
         log.info("%s: resumed", name)
+
+    def _resumed(self, asked: Start) -> HostedGraph:
+        """Return the graph to resume; while a machine starts, an inspection may take too long."""
+        for _ in range(RESUME_ATTEMPTS - 1):
+            try:
+                return self._hosted_of(asked)
+            except NotInspected as error:
+                log.warning("%s; trying again", error)
+        return self._hosted_of(asked)

@@ -22,6 +22,7 @@ from pipeline.bus.session import Session
 from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, Silent
 from pipeline.fleet.agent_file import local_endpoint
 from pipeline.fleet.hosted_graph import END_S
+from pipeline.fleet.inspection import INSPECT_S
 from pipeline.fleet.links import asker_permits
 from pipeline.fleet.names import ANYBODY, agent_key, endpoint
 from pipeline.fleet.placement import (
@@ -40,7 +41,7 @@ from pipeline.protocol.codec import ControlMessage, decode_answer, encode
 from pipeline.whole_file import write_whole
 
 TIMEOUT_S = 5.0  # time for an agent to answer
-DOWN_S = END_S + 5.0
+DOWN_S = END_S + INSPECT_S + 5.0  # the agent may be inspecting another graph
 READY_S = 90.0
 T = TypeVar("T")
 log = logging.getLogger(__name__)
@@ -283,7 +284,6 @@ def default_user() -> str:
 def _prepare(
     fleet: Fleet, label: str, question: wire.Prepare, files: Mapping[str, Path]
 ) -> dict[str, str]:
-    # a host that has just started imports every operator first
     prepared = fleet.ask(label, "prepare", question, wire.Prepared, READY_S)
     if prepared.weights:
         send_weights(fleet, label, prepared.weights, files)

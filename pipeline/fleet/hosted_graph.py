@@ -40,7 +40,7 @@ AGAIN_S = (1.0, 30.0)  # first and longest pause before a restart of a graph tha
 STARTS_EPOCHS = 1000  # epochs per start of a host, to distinguish messages of former starts
 log = logging.getLogger(__name__)
 Inspected = tuple[Plan, Mapping[str, Ports]]  # what this host would run; ports by `module:Class`
-Inspect = Callable[[Plan, Mapping[str, str]], Inspected]  # raises for what may not run here
+Permit = Callable[[Plan, Mapping[str, str]], Inspected]  # raises for what may not run here
 Ends = tuple[str, str, str, str]
 
 
@@ -220,7 +220,7 @@ def planned(hosted: HostedGraph, store: GraphStore) -> wire.Planned:
 
 
 def change(
-    hosted: HostedGraph, asked: wire.PlanChange, store: GraphStore, inspect: Inspect,
+    hosted: HostedGraph, asked: wire.PlanChange, store: GraphStore, permit: Permit,
     reply: Callable[[bytes], None],
 ) -> None:  # fmt: skip
     """Change this host's part of the graph and reply when done; raises `FoveaError`."""
@@ -232,7 +232,7 @@ def change(
     known = {**before.fingerprints, **asked.fingerprints}
     origins = {edge.origin for edge in asked.plan.edges}  # keeps the stored state bounded
     fingerprints = {origin: said for origin, said in known.items() if origin in origins}
-    local, ports = inspect(asked.plan, fingerprints)
+    local, ports = permit(asked.plan, fingerprints)
     start = msgspec.structs.replace(
         before, plan=asked.plan, fingerprints=fingerprints, identity=identity_of(before)
     )

@@ -90,6 +90,17 @@ class Allowed:
                 f"{where}: {path}: expected code with sha256 {wanted[:12]}…, got {got[:12]}…"
             )
 
+    def files_of(self, plan: Plan) -> dict[str, str]:
+        """Return module -> file for the code of this host's nodes that is allowed by checksum."""
+        files: dict[str, str] = {}
+        for node in filter(plan.is_here, plan.nodes):
+            for path in code_of(node.operator, node.settings):
+                module = path.partition(":")[0]
+                wanted = ANY if self.code is None else self.code.get(path, ANY)
+                if wanted != ANY and (file := _module_file(module)) is not None:
+                    files[module] = str(file)
+        return files
+
     def localise(self, value: Any, where: str, depth: int = 0) -> Any:
         """Return a setting's value with weights as local files; raises for forbidden values."""
         if depth > DEEPEST:

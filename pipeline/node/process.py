@@ -18,7 +18,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -28,10 +27,9 @@ from pipeline.bus.session import Session
 from pipeline.contract import Operator, Source, settings_of
 from pipeline.errors import FoveaError
 from pipeline.graph.plan import Node, load_operator
-from pipeline.graph.ports import check_fingerprints, check_operators, declared_ports
-from pipeline.module_files import module_files
 from pipeline.node.control import Control
 from pipeline.node.handover import Say
+from pipeline.node.inspection import imported, inspect
 from pipeline.node.logfile import log_to
 from pipeline.node.operator_runner import OperatorRunner
 from pipeline.node.port_contract import check_fit
@@ -53,7 +51,6 @@ from pipeline.protocol.supervision import (
     Go,
     Headline,
     Idle,
-    Imported,
     Inspect,
     Instruction,
     Leaving,
@@ -70,7 +67,6 @@ from pipeline.text import error_text, harmless, plain, said_by
 ASIDE_NICENESS = 5  # of processes that are not on the path of sensor commands
 AHEAD_NICENESS = 19  # of imports in advance
 HEADLINE_S = 1.0  # interval of headlines
-MOST_FILES = 1000  # limit of reported source files
 FAREWELL_S = 3.0  # after this time the process ends, whatever operators do
 log = logging.getLogger(__name__)
 
@@ -98,7 +94,7 @@ class Process:
         try:
             self._check()
             if self._job.trial:
-                return self.say(Fits(_imported(self._nodes)))
+                return self.say(Fits(imported(self._nodes)))
             for node in self._nodes:
                 if not self._job.standby:
                     account = self._ledger.nodes[node.index]
@@ -116,7 +112,7 @@ class Process:
             ]
             gc.collect()
             gc.freeze()  # loaded objects stay: exclude them from garbage collection
-            self.say(Ready(loaded_s - began_s, _imported(self._nodes)))
+            self.say(Ready(loaded_s - began_s, imported(self._nodes)))
             self._run_all()
         except BaseException as error:  # an operator may raise SystemExit, a library panic
             self.report(error)
@@ -242,7 +238,7 @@ class Process:
 
 
 def main() -> None:
-    """Read an assignment, run it, announce the end, and exit with 0 or 1."""
+    """Read the first instruction, obey it, announce the end, and exit with 0 or 1."""
     adopt_orphans()  # orphans of its operators end with it
     control = Control.from_standard_input()
     try:
@@ -256,7 +252,7 @@ def main() -> None:
 
 
 def _work(control: Control) -> bool:
-    """Run the assignment; return whether it failed."""
+    """Run the assignment, or inspect a plan; return whether it failed."""
     loader = threading.Thread(target=_import_ahead, args=(sys.argv[2:],))
     loader.start()
     loader.join()
@@ -265,7 +261,7 @@ def _work(control: Control) -> bool:
     instructions = control.instructions()
     job = next(instructions, None)
     if isinstance(job, Inspect):
-        return _inspect(job, control.say)
+        return _inspect(job, control, instructions)
     if not isinstance(job, Assignment):
         _leave(0, alone=True)  # a spare that was not needed
     first = max(job.epochs.values()) == 1 and not job.trial
@@ -290,22 +286,26 @@ def _work(control: Control) -> bool:
     return process.failed
 
 
-def _inspect(job: Inspect, say: Say) -> bool:
+def _inspect(job: Inspect, control: Control, instructions: Iterator[Instruction]) -> bool:
     """Import the operators of a plan and report whether they fit; return whether that failed."""
+    file = log_to(Path(job.log), fresh=True)
+    faulthandler.enable(file)
+    faulthandler.dump_traceback_later(job.timeout_s / 2, file=file)
+    leaver = threading.Thread(target=_leave_without, args=(control, instructions), daemon=True)
+    leaver.start()
     try:
-        check_operators(job.plan)
-        check_fingerprints(job.plan, job.fingerprints)
-        say(Fits(_imported(filter(job.plan.is_here, job.plan.nodes))))
+        control.say(inspect(job))
     except BaseException as error:  # a module may raise SystemExit, a library panic
-        say(_failed(error))
+        control.say(_failed(error))
         return True
     return False
 
 
-def _imported(nodes: Iterable[Node]) -> Imported:
-    operators = {node.operator for node in nodes}
-    files = list(islice(module_files(), MOST_FILES))
-    return Imported({o: declared_ports(o) for o in operators}, files)
+def _leave_without(control: Control, instructions: Iterator[Instruction]) -> None:
+    """Leave when the process that asked for an inspection has ended."""
+    for _ in instructions:
+        pass
+    _leave(2, alone=control.alone)
 
 
 def _failed(error: BaseException) -> Failed:

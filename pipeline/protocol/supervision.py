@@ -74,6 +74,9 @@ class Inspect(ControlMessage, frozen=True):
 
     plan: Plan
     fingerprints: dict[str, str]  # of the expected messages, by `node.output`
+    files: dict[str, str]  # module -> file whose checksum was compared with the allow list
+    log: str  # file for what operators print
+    timeout_s: float
 
 
 class Go(ControlMessage, frozen=True):
@@ -130,7 +133,7 @@ INSTRUCTION: Kind[Instruction] = Kind("an instruction", Instruction, MOST_INSTRU
 
 
 class Idle(ControlMessage, frozen=True):
-    """Every module is imported; an assignment may come."""
+    """Every module is imported; the first instruction may come."""
 
 
 class Fits(ControlMessage, frozen=True):

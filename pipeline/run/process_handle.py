@@ -131,7 +131,7 @@ def spawn(
     run_id: str, folder: Path, modules: Collection[str], *, wanted: bool,
     reaper: Reaper | None = None,
 ) -> NodeProcess:  # fmt: skip
-    """Start a process that imports modules in advance and waits for its assignment.
+    """Start a process that imports modules in advance and waits for its first instruction.
 
     Unless it is `wanted` at once, it imports with low priority. Raises `OSError`.
     """

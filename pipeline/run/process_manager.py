@@ -53,8 +53,10 @@ class ProcessManager:
         self.networks: dict[str, Network] = {}  # by process, for those with edges to other hosts
         names = [name for n in plan.nodes for name in (n.name, n.process)]
         check_addresses(folder_of(folder or plan.name), names)
-        here = filter(plan.is_here, plan.nodes)  # imported already by the loader
-        self._ports = dict(ports or {n.operator: declared_ports(n.operator) for n in here})
+        if ports is None:  # the loader has imported the operators
+            here = filter(plan.is_here, plan.nodes)
+            ports = {node.operator: declared_ports(node.operator) for node in here}
+        self._ports = dict(ports)
         self.run_folder = RunFolder.claim(folder or plan.name)
         try:
             self.ledger = Ledger.create(self.run_folder.memory, len(plan.edges), len(plan.nodes))
