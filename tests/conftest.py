@@ -19,7 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 OF_THE_USER = re.compile(
     r"XDG_.*|GIT_.*|ZENOH_.*|RUST_LOG|LANG|LANGUAGE|LC_.*|COLUMNS|LINES|JUPYTER_.*|"
     r"(NO|FORCE|CLICOLOR_FORCE|CLICOLOR|PY)_?COLORS?|TTY_.*|(?i:(http|https|ftp|all|no)_proxy)|"
-    r"MPLCONFIGDIR|MPLBACKEND|TEMP|TMP"
+    r"MPLCONFIGDIR|MPLBACKEND|TEMP|TMP|"
+    r"PYTHONDONTWRITEBYTECODE"  # each of a thousand processes would compile what it imports
 )
 LONGEST_FOLDER = 24  # characters: the path of a socket has at most 107, and names follow
 

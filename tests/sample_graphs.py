@@ -48,16 +48,19 @@ nodes:
     operator: tests.samples:Pass
     inputs: {frame: ticker.roi}
 """
+# A process costs half a second of processor time to start: only `work` has one of its own.
 LOSSLESS = """\
 nodes:
   ticker:
     operator: tests.samples:Ticker
+    group: ends
     settings: {rate_hz: 20, side_px: 120}
   work:
     operator: tests.samples:PassEvery
     inputs: {frame: {from: ticker.context, depth: 60}}
   count:
     operator: tests.samples:Count
+    group: ends
     inputs: {frame: {from: work, depth: 60}}
 """
 KILLED = """
@@ -80,6 +83,21 @@ def plan_of(tmp_path: Path, text: str, **overlay: Any) -> Plan:
     path = tmp_path / "graph.yaml"
     path.write_text(f"name: test-{secrets.token_hex(3)}\n{text}")
     return load(path, Overlay(**overlay))
+
+
+def together(text: str, *nodes: str, group: str = "hand") -> str:
+    """The graph with these nodes in one process: for tests that others are about."""
+    for node in nodes:
+        assert f"  {node}:\n" in text, f"no node {node}"
+        text = text.replace(f"  {node}:\n", f"  {node}:\n    group: {group}\n")
+    return text
+
+
+def apart(text: str) -> str:
+    """The graph with a process for every node."""
+    return "".join(
+        line for line in text.splitlines(keepends=True) if not line.startswith("    group:")
+    )
 
 
 def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = None) -> Report:
@@ -163,10 +181,10 @@ def account_of(supervisor: Supervisor, end: str) -> EdgeAccount:
     return supervisor.ledger.edges[index]
 
 
-def until(holds: Callable[[], object], patience_s: float = PATIENCE_S) -> None:
+def until(holds: Callable[[], object], patience_s: float = PATIENCE_S, what: str = "it") -> None:
     end = time.monotonic() + patience_s
     while not holds():
-        assert time.monotonic() < end, "it did not come true"
+        assert time.monotonic() < end, f"{what} did not come true"
         time.sleep(0.02)
 
 

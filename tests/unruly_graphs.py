@@ -1,6 +1,7 @@
 """A graph with one misbehaving operator, and functions to run it in tests."""
 
 import secrets
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ UNRULY = """\
 nodes:
   ticker:
     operator: tests.samples:Ticker
+    group: ends
     settings: {rate_hz: 20, side_px: 60}
   unruly:
     operator: tests.faulty_samples:Unruly
@@ -19,8 +21,31 @@ nodes:
     inputs: {frame: {from: ticker.context, depth: 60}}
   after:
     operator: tests.samples:Count
+    group: ends
     inputs: {frame: {from: unruly, depth: 60}}
 """
+
+PART = """\
+  {name}:
+    operator: tests.faulty_samples:Unruly
+    restart: {{backoff_s: 0.01}}
+    settings: {{kind: {kind}, once: {folder}/once-{name}, note: {folder}/note-{name}}}
+    inputs: {{frame: {{from: ticker.context, depth: 40}}}}
+  after_{name}:
+    operator: tests.samples:Count
+    group: ends
+    inputs: {{frame: {{from: {name}, depth: 60}}}}
+"""
+
+
+def unruly_parts(folder: Path, kinds: Mapping[str, str]) -> str:
+    """A graph with several of them, by name, each in a process of its own and with a reader.
+
+    The notes of each are in `note-NAME` in the folder.
+    """
+    head = UNRULY[: UNRULY.index("  unruly:")]
+    parts = (PART.format(name=name, kind=kind, folder=folder) for name, kind in kinds.items())
+    return head + "".join(parts)
 
 
 def unruly_plan(tmp_path: Path, *, text: str = UNRULY, clock: str = "", **settings: Any) -> Plan:
@@ -50,4 +75,16 @@ def recovers(supervisor: Supervisor) -> None:
     wait_for(supervisor, lambda: supervisor.restarts.get("unruly") == 1, 60)
     seen = handled(supervisor, "after")
     wait_for(supervisor, lambda: handled(supervisor, "after") > seen + 5, 60)
+    supervisor.finish()
+
+
+def all_recover(supervisor: Supervisor, names: Iterable[str]) -> None:
+    """Likewise each of several."""
+    names = list(names)
+    wait_for(supervisor, lambda: all(supervisor.restarts.get(name) for name in names))
+    seen = {name: handled(supervisor, f"after_{name}") for name in names}
+    wait_for(
+        supervisor,
+        lambda: all(handled(supervisor, f"after_{name}") > seen[name] + 5 for name in names),
+    )
     supervisor.finish()

@@ -1,7 +1,7 @@
 """The evaluation: equal budgets, states told by the truth, honest intervals, the loop itself."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -137,6 +137,13 @@ def clip() -> Clip:
     return read(ClipName(seed=70_003), (1, 14))
 
 
+@pytest.fixture(scope="module")
+def stages() -> Iterator[Stages]:
+    """The parts under pursuit; each episode begins with new ones."""
+    with Stages(GRAPH, policy="pursuit") as stages:
+        yield stages
+
+
 def loop(camera: Camera, stages: Stages, tracks: Sequence[Tracks] = (), **rules: bool) -> Loop:
     return Loop(camera=camera, stages=stages, tracks=tracks, rules=Rules(**rules))  # type: ignore[arg-type]
 
@@ -166,14 +173,13 @@ def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
     assert outcome.read_px == pytest.approx(14 * HD[0] * HD[1] / 8, rel=0.01)
 
 
-def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip) -> None:
+def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip, stages: Stages) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     means = {}
-    with Stages(GRAPH, policy="pursuit") as stages:
-        for strategy in ("full", "oracle", "spatial"):
-            camera = Camera(clip, acquisition(strategy, Fraction(1, 16), clip.size_px))
-            outcome = run(loop(camera, stages), ball, 0)
-            means[strategy] = np.nanmean(outcome.iou)
+    for strategy in ("full", "oracle", "spatial"):
+        camera = Camera(clip, acquisition(strategy, Fraction(1, 16), clip.size_px))
+        outcome = run(loop(camera, stages), ball, 0)
+        means[strategy] = np.nanmean(outcome.iou)
 
     assert means["full"] == pytest.approx(means["oracle"], abs=0.1)
     assert means["spatial"] <= means["full"] + 0.05
@@ -220,39 +226,36 @@ def test_a_window_of_more_pixels_than_the_budget_has_is_refused(clip: Clip) -> N
 
 
 @pytest.mark.parametrize("strategy", ["full", *STRATEGIES])
-def test_what_the_sensor_reads_of_an_episode_is_counted(clip: Clip, strategy: str) -> None:
+def test_what_the_sensor_reads_of_an_episode_is_counted(
+    clip: Clip, stages: Stages, strategy: str
+) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     how = acquisition(strategy, Fraction(1, 8), clip.size_px)
     camera = Camera(clip, how)
 
-    with Stages(GRAPH, policy="pursuit") as stages:
-        tracks = watched(camera, stages, 14, Replaced())
-        both, alone = (
-            run(loop(camera, stages, tracks, context=context), ball, 2) for context in (True, False)
-        )
+    tracks = watched(camera, stages, 14, Replaced())
+    both, alone = (
+        run(loop(camera, stages, tracks, context=context), ball, 2) for context in (True, False)
+    )
 
     assert both.read_px / both.full_px == pytest.approx(float(how.budget), rel=0.01)
     assert (alone.read_px, alone.full_px) == (both.read_px, both.full_px)
 
 
-def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip) -> None:
+def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip, stages: Stages) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     quarter = acquisition("oracle", Fraction(1, 4), clip.size_px)
     camera = Camera(clip, replace(quarter, budget=Fraction(1, 8)))
 
-    with (
-        Stages(GRAPH, policy="pursuit") as stages,
-        pytest.raises(RunError, match=r"oracle read 0\.25\d* of the pixels, expected 0\.125"),
-    ):
+    with pytest.raises(RunError, match=r"oracle read 0\.25\d* of the pixels, expected 0\.125"):
         run(loop(camera, stages), ball, 0)
 
 
-def test_where_the_roi_was_can_be_told_again(clip: Clip) -> None:
+def test_where_the_roi_was_can_be_told_again(clip: Clip, stages: Stages) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
-    with Stages(GRAPH, policy="pursuit") as stages:
-        first = run(loop(camera, stages), ball, 2)
-        again = run(loop(camera, stages), ball, 2, first.windows)
+    first = run(loop(camera, stages), ball, 2)
+    again = run(loop(camera, stages), ball, 2, first.windows)
 
     assert (again.windows, again.iou) == (first.windows, first.iou)
 

@@ -12,7 +12,8 @@ import pytest
 from click.testing import CliRunner
 
 from pipeline.cli import commands
-from tests.sample_graphs import LOOP, until
+from tests.commands import command
+from tests.sample_graphs import LOOP, together, until
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
 
@@ -41,7 +42,7 @@ def fovea(*words: str, timeout_s: float = 120) -> subprocess.CompletedProcess[st
 @pytest.fixture
 def graph(tmp_path: Path) -> Path:
     path = tmp_path / "graph.yaml"
-    path.write_text(f"name: cli-{secrets.token_hex(3)}\n{LOOP}")
+    path.write_text(f"name: cli-{secrets.token_hex(3)}\n{together(LOOP, 'pair', 'steer')}")
     return path
 
 
@@ -56,7 +57,7 @@ def running(graph: Path, name: str) -> Iterator["subprocess.Popen[str]"]:
         [*FOVEA, "run", str(graph)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
     try:
-        until(lambda: process.poll() is not None or not fovea("health", name).returncode)
+        until(lambda: process.poll() is not None or not command("health", name).returncode)
         assert process.poll() is None, process.communicate()[0]
         yield process
     finally:
@@ -98,7 +99,7 @@ def test_an_inline_run_gives_the_same_commands_as_a_lockstep_one(
 def test_a_wrong_graph_exits_with_2_and_one_sentence(graph: Path) -> None:
     graph.write_text(graph.read_text().replace("frame: ticker.context", "frame: tiker.context"))
 
-    done = fovea("run", str(graph))
+    done = command("run", str(graph))
 
     assert done.returncode == 2
     assert done.stderr.strip() == (
@@ -118,7 +119,7 @@ def test_a_wrong_graph_exits_with_2_and_one_sentence(graph: Path) -> None:
     ],
 )
 def test_wrong_options_exit_with_2_and_say_why(graph: Path, words: list[str], said: str) -> None:
-    done = fovea("run", str(graph), *words)
+    done = command("run", str(graph), *words)
 
     assert done.returncode == 2
     assert said in done.stderr
@@ -132,19 +133,19 @@ def test_a_source_that_breaks_is_one_sentence(graph: Path) -> None:
 
 
 def test_check_draw_and_schema_start_nothing(graph: Path) -> None:
-    assert "4 nodes in 4 processes" in " ".join(fovea("check", str(graph)).stdout.split())
-    assert fovea("draw", str(graph)).stdout.startswith("flowchart LR")
-    assert json.loads(fovea("check", "--schema").stdout)["title"] == "fovea graph"
+    assert "4 nodes in 3 processes" in " ".join(command("check", str(graph)).stdout.split())
+    assert command("draw", str(graph)).stdout.startswith("flowchart LR")
+    assert json.loads(command("check", "--schema").stdout)["title"] == "fovea graph"
 
 
 def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
     running: "subprocess.Popen[str]", name: str
 ) -> None:
     echoed = fovea("echo", name, "steer", "--count", "2")
-    rate = fovea("hz", name, "ticker.roi", "--duration-s", "1")
-    table = fovea("top", name, "--once")
-    logs = fovea("logs", name, "work")
-    unknown = fovea("echo", name, "stear")
+    rate = command("hz", name, "ticker.roi", "--duration-s", "1")
+    table = command("top", name, "--once")
+    logs = command("logs", name, "work")
+    unknown = command("echo", name, "stear")
 
     assert len(echoed.stdout.splitlines()) == 2, echoed.stderr
     assert "windows int32[4, 4]" in echoed.stdout
@@ -158,17 +159,17 @@ def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
     assert running.returncode == 128 + signal.SIGINT
     assert "losses: none of" in out or " messages on " in out
     assert "edges: offered = delivered" not in out
-    assert name not in fovea("ps").stdout
+    assert name not in command("ps").stdout
 
 
 def test_a_running_node_can_be_set_and_says_why_not(
     running: "subprocess.Popen[str]", name: str
 ) -> None:
-    done = fovea("set", name, "work", "every=2", "hold=1")
-    shown = fovea("set", name, "work")
-    refused = fovea("set", name, "work", "sleep_s=1")
-    nowhere = fovea("set", "nowhere", "work", "every=2")
-    wrong = fovea("set", name, "work", "every=2", "every")
+    done = command("set", name, "work", "every=2", "hold=1")
+    shown = command("set", name, "work")
+    refused = command("set", name, "work", "sleep_s=1")
+    nowhere = command("set", "nowhere", "work", "every=2")
+    wrong = command("set", name, "work", "every=2", "every")
 
     assert done.stdout.splitlines() == ["work.every = 2", "work.hold = 1"]
     assert done.returncode == 0

@@ -14,6 +14,7 @@ from rerun.chunk import RrdReader
 
 from pipeline import SettingsError
 from pipeline.cli.files import try_recording, try_report, write_report
+from tests.commands import command
 from tests.pipeline.run.namespaces import with_small_mounts
 from tests.sample_graphs import CHAIN
 
@@ -56,10 +57,7 @@ def test_what_cannot_be_written_is_refused_before_anything_runs(
     (tmp_path / "file").write_text("x")
 
     for path in (tmp_path, tmp_path / "file" / "x.json", Path("/proc/x/y"), Path("/proc/x")):
-        done = subprocess.run(
-            [*FOVEA, "run", str(graph), option, str(path)], capture_output=True, text=True,
-            check=False,
-        )  # fmt: skip
+        done = command("run", str(graph), option, str(path))
 
         assert done.returncode == 2
         assert done.stderr.startswith(f"fovea: {option} {path}: cannot be written: ")
@@ -101,10 +99,8 @@ def test_folders_that_were_there_stay(tmp_path: Path) -> None:
 def test_a_run_that_is_refused_leaves_no_folder(graph: Path, tmp_path: Path) -> None:
     graph.write_text("nodes: {}")
 
-    done = subprocess.run(
-        [*FOVEA, "run", str(graph), "--report", str(tmp_path / "new" / "deep" / "report.json")],
-        capture_output=True, check=False,
-    )  # fmt: skip
+    report = tmp_path / "new" / "deep" / "report.json"
+    done = command("run", str(graph), "--report", str(report))
 
     assert done.returncode == 2
     assert [p.name for p in tmp_path.iterdir()] == ["graph.yaml"]
@@ -115,9 +111,7 @@ def test_an_old_report_stays_when_the_graph_is_wrong(graph: Path, tmp_path: Path
     report.write_text("old")
     graph.write_text("nodes: {}")
 
-    done = subprocess.run(
-        [*FOVEA, "run", str(graph), "--report", str(report)], capture_output=True, check=False
-    )
+    done = command("run", str(graph), "--report", str(report))
 
     assert done.returncode == 2
     assert report.read_text() == "old"

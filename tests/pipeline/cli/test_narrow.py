@@ -24,7 +24,7 @@ from pipeline.protocol.fleet import EdgeState, NodeState, Process, State
 from pipeline.protocol.questions import Health
 from pipeline.run.report import compose, print_report, tables
 from pipeline.run.rundir import running
-from tests.sample_graphs import CHAIN
+from tests.sample_graphs import CHAIN, together
 
 ROOT = Path(__file__).resolve().parents[3]
 FOVEA = (sys.executable, "-m", "pipeline.entry")
@@ -151,7 +151,7 @@ def in_terminal(*words: str, columns: int = 50, **environment: str) -> tuple[int
 def name(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     path = tmp_path_factory.mktemp("graph") / "graph.yaml"
     name = f"narrow-{secrets.token_hex(3)}"
-    path.write_text(f"name: {name}\n{CHAIN}")
+    path.write_text(f"name: {name}\n{together(CHAIN, 'ticker', 'glance')}")
     begun = subprocess.run([*FOVEA, "run", str(path), "--detach"], check=False, timeout=120)
     assert begun.returncode == 0
     yield name
@@ -187,7 +187,7 @@ def test_nothing_writes_an_escape_sequence_where_no_colours_are_wanted(
     words: tuple[str, ...], tmp_path: Path
 ) -> None:
     path = tmp_path / "GRAPH.yaml"
-    path.write_text(f"name: plain-{secrets.token_hex(3)}\n{CHAIN}")
+    path.write_text(f"name: plain-{secrets.token_hex(3)}\n{together(CHAIN, 'ticker', 'glance')}")
 
     _, shown = in_terminal(*(w.replace("GRAPH.yaml", str(path)) for w in words), NO_COLOR="1")
 

@@ -17,9 +17,11 @@ from pipeline.graph.plan import load_operator
 from pipeline.import_path import imported
 from pipeline.settings import build
 from tests.broken_parts import CLASSES, ENDING, HEAD, MODULES
+from tests.commands import command
 from tests.sample_graphs import CHAIN
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
+SLOW_TOO = pytest.mark.slow  # what differs from a usual case by the command alone
 EXTRA = "  extra:\n    operator: {}\n    settings: {{}}\n"
 
 
@@ -100,22 +102,30 @@ def test_only_operators_are_operators() -> None:
         load_operator("json:dumps")
 
 
-@pytest.mark.parametrize("name", ["exits", "is no Python", "raises an interrupt", *ENDING])
-def test_check_and_run_end_with_2_and_the_sentence(module: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        pytest.param(name, words, marks=[] if name == "exits" or words[0] == "run" else SLOW_TOO)
+        for name in ("exits", "is no Python", "raises an interrupt", *ENDING)
+        for words in (["check"], ["run", "--report", "report.json"])
+    ],
+)
+def test_check_and_run_end_with_2_and_the_sentence(
+    module: Path, name: str, words: list[str]
+) -> None:
     text, line, said = {**MODULES, **ENDING}[name]
     module.write_text(text)
     path = graph_of(module)
 
-    for words in (["check"], ["run", "--report", "report.json"]):
-        done = subprocess.run(
-            [*FOVEA, *words, path.name], cwd=module.parent, capture_output=True, text=True,
-            check=False, env={"PYTHONPATH": str(Path.cwd()), "TMPDIR": str(module.parent)},
-        )  # fmt: skip
+    done = subprocess.run(
+        [*FOVEA, *words, path.name], cwd=module.parent, capture_output=True, text=True,
+        check=False, env={"PYTHONPATH": str(Path.cwd()), "TMPDIR": str(module.parent)},
+    )  # fmt: skip
 
-        assert done.returncode == 2, done.stderr
-        assert f"{module.name}:{line}: {said}" in done.stderr
-        assert "Traceback" not in done.stderr
-        assert done.stdout == ""
+    assert done.returncode == 2, done.stderr
+    assert f"{module.name}:{line}: {said}" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
 
 
 def test_a_module_that_crashes_the_command_is_told_with_its_line(module: Path) -> None:
@@ -200,9 +210,7 @@ def test_looking_without_imports_checks_names_numbers_and_edges(
     assert old in text
     path.write_text(text.replace(old, new))
 
-    done = subprocess.run(
-        [*FOVEA, "check", "--no-import", str(path)], capture_output=True, text=True, check=False
-    )
+    done = command("check", "--no-import", str(path))
 
     assert done.returncode == 2
     assert f"fovea: {path}:" in done.stderr

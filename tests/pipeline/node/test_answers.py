@@ -20,7 +20,7 @@ from pipeline.protocol.codec import Refused, decode, encode
 from pipeline.protocol.questions import Command, Health, Outcome
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import header
-from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, until, wait_for
+from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, together, until, wait_for
 from tests.samples import Pass, WorkSettings
 
 
@@ -131,7 +131,8 @@ def test_a_running_graph_answers_every_question(tmp_path: Path) -> None:
 
 
 def test_who_hangs_says_so_and_who_is_frozen_is_silent(tmp_path: Path) -> None:
-    text = LOOP.replace("  work:\n", "  work:\n    stall_s: 1\n")
+    text = together(LOOP, "ticker", "pair")
+    text = text.replace("  work:\n", "  work:\n    stall_s: 1\n")
     text = text.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
     plan = plan_of(tmp_path, text, changes=("work.hang_at=5",))
 

@@ -17,7 +17,7 @@ from pipeline.protocol.codec import Refused, decode, encode
 from pipeline.protocol.questions import ConfigQuestion
 from pipeline.run.inline import InlineRunner
 from pipeline.run.supervisor import Supervisor
-from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, wait_for
+from tests.sample_graphs import LOOP, go, handled, plan_of, send_signal, together, wait_for
 from tests.samples import Pass, WorkSettings
 
 
@@ -136,7 +136,7 @@ def test_in_line_an_unknown_node_is_one_sentence(tmp_path: Path) -> None:
 def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_told(
     tmp_path: Path,
 ) -> None:
-    plan = plan_of(tmp_path, LOOP)
+    plan = plan_of(tmp_path, together(LOOP, "pair", "steer"))
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 3)
@@ -162,7 +162,7 @@ def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_tol
 
 
 def test_the_next_run_begins_with_what_its_graph_says(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOOP)
+    plan = plan_of(tmp_path, together(LOOP, "work", "pair", "steer"))
     seen = []
 
     def change(supervisor: Supervisor) -> None:
@@ -179,7 +179,7 @@ def test_the_next_run_begins_with_what_its_graph_says(tmp_path: Path) -> None:
 
 
 def test_a_node_or_graph_that_does_not_run_is_one_sentence(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOOP)
+    plan = plan_of(tmp_path, together(LOOP, "work", "pair", "steer"))
 
     with Supervisor(plan) as supervisor:
         supervisor.start()

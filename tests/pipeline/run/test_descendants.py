@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,18 +22,26 @@ from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import (
     KILLED,
     assert_accounts_add_up,
+    beside,
     ended,
     go,
+    plan_of,
     send_signal,
     until,
     wait_for,
 )
-from tests.unruly_graphs import recovers, unruly_file, unruly_plan
+from tests.unruly_graphs import (
+    all_recover,
+    recovers,
+    unruly_file,
+    unruly_parts,
+    unruly_plan,
+)
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 
-KINDS = [("fork_many", 2), ("start_session", 1), ("escape", 1), ("escape_twice", 1)]
+KINDS = {"fork_many": 2, "start_session": 1, "escape": 1, "escape_twice": 1}  # processes
 REAPING = """
 import os, subprocess, sys
 from pipeline.run.reaper import Reaper
@@ -74,83 +83,84 @@ def noted(note: Path, count: int) -> list[int]:
     return [int(line) for line in note.read_text().splitlines()]
 
 
-@pytest.mark.parametrize("kind", ["fork_and_die", "leave_session"])
-def test_a_child_that_outlives_its_node_holds_nobody_up_and_is_ended(
-    tmp_path: Path, kind: str
-) -> None:
-    note = tmp_path / "pids"
-    plan = unruly_plan(tmp_path, kind=kind, note=note, once=tmp_path / "once")
+def notes_of(folder: Path, kinds: Mapping[str, int]) -> dict[str, list[int]]:
+    """What each of several unruly parts has started, once that is all."""
+    return {name: noted(folder / f"note-{name}", count) for name, count in kinds.items()}
 
-    report = go(plan, 0, recovers)
+
+def test_children_that_outlive_their_nodes_hold_nobody_up_and_are_ended(tmp_path: Path) -> None:
+    kinds = ("fork_and_die", "leave_session")
+    plan = plan_of(tmp_path, unruly_parts(tmp_path, {kind: kind for kind in kinds}))
+
+    report = go(plan, 0, lambda supervisor: all_recover(supervisor, kinds))
 
     assert report["failure"] == ""
-    assert report["restarts"] == {"unruly": 1}
+    assert report["restarts"] == dict.fromkeys(kinds, 1)
     assert_accounts_add_up(report)
-    until(lambda: all(ended(pid) for pid in noted(note, 1)))
+    for kind, pids in notes_of(tmp_path, dict.fromkeys(kinds, 1)).items():
+        until(lambda pids=pids: all(ended(pid) for pid in pids), what=kind)  # type: ignore[misc]
 
 
-@pytest.mark.parametrize(("kind", "count"), KINDS)
-def test_what_a_node_started_ends_with_the_run(tmp_path: Path, kind: str, count: int) -> None:
-    note = tmp_path / "pids"
-    plan = unruly_plan(tmp_path, kind=kind, note=note, once=tmp_path / "once")
-    pids: list[int] = []
+def test_what_nodes_started_ends_with_the_run(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, unruly_parts(tmp_path, {kind: kind for kind in KINDS}))
+    pids: dict[str, list[int]] = {}
 
     def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: note.exists() and len(note.read_text().split()) >= count, 60)
-        pids.extend(noted(note, count))
-        assert not any(ended(pid) for pid in pids)
+        pids.update(beside(supervisor, lambda: notes_of(tmp_path, KINDS)))
+        assert not any(ended(pid) for each in pids.values() for pid in each)
         supervisor.finish()
 
     go(plan, 0, during)
 
-    until(lambda: all(ended(pid) for pid in pids))
+    for kind, each in pids.items():
+        until(lambda each=each: all(ended(pid) for pid in each), what=kind)  # type: ignore[misc]
 
 
-@pytest.mark.parametrize(("kind", "count"), KINDS)
 def test_what_nodes_of_a_killed_supervisor_started_ends_with_them_or_with_the_next_cleanup(
-    tmp_path: Path, kind: str, count: int
+    tmp_path: Path,
 ) -> None:
-    note = tmp_path / "pids"
-    plan = unruly_plan(tmp_path, kind=kind, note=note, once=tmp_path / "once")
-    graph, settings = tmp_path / "graph.yaml", f"{{kind: {kind}, note: {note}}}"
-    operator = "    operator: tests.faulty_samples:Unruly\n"
-    graph.write_text(graph.read_text().replace(operator, f"{operator}    settings: {settings}\n"))
-    with subprocess.Popen([sys.executable, "-c", KILLED, str(graph)]) as supervisor:
-        pids = noted(note, count)
-        nodes = list(running()[plan.name]["pids"].values())
-
-        supervisor.kill()
+    plan = plan_of(tmp_path, unruly_parts(tmp_path, {kind: kind for kind in KINDS}))
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
+    with subprocess.Popen(command) as supervisor:
+        try:
+            pids = notes_of(tmp_path, KINDS)
+            nodes = list(running()[plan.name]["pids"].values())
+        finally:
+            supervisor.kill()
 
     until(lambda: all(ended(pid) for pid in nodes))
     cleanup()
-    until(lambda: all(ended(pid) for pid in pids))
+    for kind, each in pids.items():
+        until(lambda each=each: all(ended(pid) for pid in each), what=kind)  # type: ignore[misc]
 
 
-@pytest.mark.parametrize("kind", ["escape", "escape_twice"])
-@pytest.mark.parametrize("killer", ["the supervisor", "another"])
-def test_what_a_killed_node_started_ends_however_it_tried_to_leave(
-    tmp_path: Path, kind: str, killer: str
-) -> None:
-    note = tmp_path / "pids"
-    plan = unruly_plan(tmp_path, kind=kind, note=note, once=tmp_path / "once")
-    pids: list[int] = []
+def test_what_a_killed_node_started_ends_however_it_tried_to_leave(tmp_path: Path) -> None:
+    killers = {"ours": "the supervisor", "theirs": "another"}
+    kinds = {f"{kind}_{who}": kind for kind in ("escape", "escape_twice") for who in killers}
+    plan = plan_of(tmp_path, unruly_parts(tmp_path, kinds))
+    pids: dict[str, list[int]] = {}
 
     def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, note.exists)
-        pids.extend(noted(note, 1))
-        managed = supervisor.processes["unruly"]
-        assert managed.handle is not None
-        if killer == "the supervisor":
-            managed.handle.kill()
-        else:
-            seen = len(managed.samples)  # what it started is looked at with every sample
-            wait_for(supervisor, lambda: len(managed.samples) > seen)
-            send_signal(supervisor, "unruly", signal.SIGKILL)
-        recovers(supervisor)
+        counts = dict.fromkeys(kinds, 1)
+        pids.update(beside(supervisor, lambda: notes_of(tmp_path, counts)))
+        managed = [supervisor.processes[name] for name in kinds]
+        seen = [len(one.samples) for one in managed]  # a sample looks at what a node started
+        wait_for(
+            supervisor,
+            lambda: all(len(one.samples) > n for one, n in zip(managed, seen, strict=True)),
+        )
+        for name, one in zip(kinds, managed, strict=True):
+            if name.endswith("_ours"):
+                assert one.handle is not None
+                one.handle.kill()
+            else:
+                send_signal(supervisor, name, signal.SIGKILL)
+        all_recover(supervisor, kinds)
 
     go(plan, 0, during)
 
-    until(lambda: all(ended(pid) for pid in pids))
+    for name, each in pids.items():
+        until(lambda each=each: all(ended(pid) for pid in each), what=name)  # type: ignore[misc]
 
 
 def test_a_command_ends_and_waits_for_what_a_node_left_behind_the_moment_it_died(

@@ -13,8 +13,15 @@ from pipeline.errors import RunError
 from pipeline.run.report import Report
 from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
-from tests.sample_graphs import assert_accounts_add_up, go, handled, plan_of, wait_for
-from tests.unruly_graphs import UNRULY, name_of, recovers, unruly_file, unruly_plan
+from tests.sample_graphs import apart, assert_accounts_add_up, go, plan_of
+from tests.unruly_graphs import (
+    UNRULY,
+    all_recover,
+    name_of,
+    unruly_file,
+    unruly_parts,
+    unruly_plan,
+)
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 
@@ -28,26 +35,15 @@ KINDS = {
     "exit_in_open": "SystemExit: 0",
     "exit_in_headline": "SystemExit: 0",
     "close_streams": "ValueError: after it closed everything",
+    "segfault": "ended by signal SIGSEGV",
 }
-
-
-PART = """\
-  {kind}:
-    operator: tests.faulty_samples:Unruly
-    restart: {{backoff_s: 0.01}}
-    settings: {{kind: {kind}, once: {once}}}
-    inputs: {{frame: {{from: ticker.context, depth: 40}}}}
-  after_{kind}:
-    operator: tests.samples:Count
-    group: after
-    inputs: {{frame: {{from: {kind}, depth: 60}}}}
-"""
 
 
 @dataclass(frozen=True)
 class Left:
     """What became of a graph whose parts all leave without being asked, each in its own way."""
 
+    name: str
     report: Report
     log: str
 
@@ -56,23 +52,11 @@ class Left:
 def left(tmp_path_factory: pytest.TempPathFactory) -> Left:
     """One run for all of them: each has come back, and frames have arrived behind it."""
     folder = tmp_path_factory.mktemp("left")
-    text = UNRULY[: UNRULY.index("  unruly:")]
-    for kind in KINDS:
-        text += PART.format(kind=kind, once=folder / f"once-{kind}")
-
-    def come_back(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: all(supervisor.restarts.get(kind) for kind in KINDS))
-        seen = {kind: handled(supervisor, f"after_{kind}") for kind in KINDS}
-        for kind in KINDS:
-            wait_for(
-                supervisor,
-                lambda kind=kind: handled(supervisor, f"after_{kind}") > seen[kind] + 5,  # type: ignore[misc]
-            )
-        supervisor.finish()
+    plan = plan_of(folder, unruly_parts(folder, {kind: kind for kind in KINDS}))
 
     with Words() as words:
-        report = go(plan_of(folder, text), 0, come_back)
-    return Left(report, "\n".join(words.lines))
+        report = go(plan, 0, lambda supervisor: all_recover(supervisor, KINDS))
+    return Left(plan.name, report, "\n".join(words.lines))
 
 
 class Words(logging.Handler):
@@ -95,25 +79,21 @@ class Words(logging.Handler):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_part_that_leaves_without_being_asked_is_restarted(left: Left, kind: str) -> None:
-    lines = [line for line in left.log.splitlines() if line.startswith(f"{kind}: ")]
+    lines = [line for line in left.log.splitlines() if line.startswith((f"{kind}: ", f"{kind} "))]
+    ending = "signal SIGSEGV" if kind == "segfault" else "exit status"
 
     assert left.report["failure"] == ""
     assert left.report["restarts"][kind] == 1
     assert left.report["crashes"][kind] == 1
     assert KINDS[kind] in "\n".join(lines)
-    assert f"{kind} ended by exit status" in left.log
+    assert f"{kind} ended by {ending}" in left.log
     assert_accounts_add_up(left.report)
 
 
-def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    plan = unruly_plan(tmp_path, kind="exit_0", once=tmp_path / "once")
+def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(left: Left) -> None:
+    said = "exit_0 ended by exit status 0, which it did not announce"
 
-    go(plan, 0, recovers)
-
-    said = "unruly ended by exit status 0, which it did not announce"
-    assert f"{said}, see `fovea logs {plan.name} unruly`" in caplog.text
+    assert f"{said}, see `fovea logs {left.name} exit_0`" in left.log
 
 
 def test_a_part_that_may_not_restart_and_leaves_is_a_crash_in_the_report(tmp_path: Path) -> None:
@@ -127,16 +107,9 @@ def test_a_part_that_may_not_restart_and_leaves_is_a_crash_in_the_report(tmp_pat
     assert (found["held"], found["sentence"]) == (False, "1 process crashed: unruly once")
 
 
-def test_a_part_that_crashes_in_an_extension_module_has_its_stack_in_the_log(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    plan = unruly_plan(tmp_path, kind="segfault", once=tmp_path / "once")
+def test_a_part_that_crashes_in_an_extension_module_has_its_stack_in_the_log(left: Left) -> None:
+    log = (base() / left.name / "segfault.log").read_text()
 
-    report = go(plan, 0, recovers)
-
-    assert report["crashes"] == {"unruly": 1}
-    assert "unruly ended by signal SIGSEGV" in caplog.text
-    log = (base() / plan.name / "unruly.log").read_text()
     assert "Fatal Python error: Segmentation fault" in log
     assert "in do_segfault" in log
 
@@ -157,7 +130,7 @@ def test_a_run_that_came_to_its_end_although_a_part_left_ends_with_3(
     graph = unruly_file(tmp_path, text=text, kind="exit_0", once=once)
 
     done = subprocess.run(
-        [*FOVEA, "run", str(graph), "--frames", "60", "--report", str(path)],
+        [*FOVEA, "run", str(graph), "--frames", "30", "--report", str(path)],
         capture_output=True, text=True, check=False, timeout=100,
     )  # fmt: skip
 
@@ -203,7 +176,7 @@ def test_in_lockstep_an_exit_with_status_0_ends_the_run_with_an_error(tmp_path: 
 def test_a_source_that_may_not_restart_and_leaves_is_the_reason_for_the_end(
     tmp_path: Path,
 ) -> None:
-    text = UNRULY.replace("  ticker:\n", "  ticker:\n    restart: never\n")
+    text = apart(UNRULY).replace("  ticker:\n", "  ticker:\n    restart: never\n")
     text = text.replace("tests.samples:Ticker", "tests.faulty_samples:Deserter")
 
     report = go(unruly_plan(tmp_path, text=text), 0)
@@ -239,18 +212,9 @@ def test_a_part_that_leaves_while_it_opens_for_the_first_time_again_and_again_en
         supervisor.start()
 
 
-def test_what_a_part_printed_after_it_had_closed_its_streams_went_nowhere_else(
-    tmp_path: Path,
-) -> None:
-    plan = unruly_plan(tmp_path, kind="close_streams", once=tmp_path / "once")
+def test_what_a_part_printed_after_it_had_closed_its_streams_went_nowhere_else(left: Left) -> None:
+    log = (base() / left.name / "close_streams.log").read_text()
 
-    def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: handled(supervisor, "after") > 20, 60)
-        recovers(supervisor)
-
-    report = go(plan, 0, during)
-
-    log = (base() / plan.name / "unruly.log").read_text()
     assert "into nothing" in log
     assert "after it closed everything" in log
-    assert report["summaries"]["after"]["torn"] == 0
+    assert left.report["summaries"]["after_close_streams"]["torn"] == 0

@@ -6,6 +6,7 @@ would refuse the order.
 
 import os
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from pipeline.run.loaded_graph import account_of
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import (
     LOSSLESS,
+    apart,
     ended,
     handled,
     plan_of,
@@ -31,11 +33,17 @@ GOOD = "from tests.samples import Count as Part, PassEvery as Other, Ticker as C
 BAD = {
     "exits": ("import os\nos._exit(0)\n", "ended by exit status 0"),
     "crashes": ("import ctypes\nctypes.string_at(0)\n", "ended by signal SIGSEGV"),
-    "raises": ("1 / 0\n", "theirs.py:1: ZeroDivisionError"),
-    "leaves": ("raise SystemExit(0)\n", "theirs.py:1: it exits: 0"),
-    "is no operator": ("Part = 5\n", "theirs:Part: expected an Operator, got 5"),
+    "raises": ("1 / 0\n", "{module}.py:1: ZeroDivisionError"),
+    "leaves": ("raise SystemExit(0)\n", "{module}.py:1: it exits: 0"),
+    "is no operator": ("Part = 5\n", "{module}:Part: expected an Operator, got 5"),
     "has another input": ("from tests.samples import Steer as Part\n", "second: no input frame"),
 }
+
+
+def find_in(folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Have processes that are started from now on look for modules in a folder."""
+    words = [str(folder), *filter(None, [os.environ.get("PYTHONPATH", str(Path.cwd()))])]
+    patch.setenv("PYTHONPATH", os.pathsep.join(words))
 
 
 @pytest.fixture
@@ -43,8 +51,7 @@ def theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of a module that node processes find and this process does not."""
     folder = tmp_path / "theirs"
     folder.mkdir()
-    words = [str(folder), *filter(None, [os.environ.get("PYTHONPATH", str(Path.cwd()))])]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(words))
+    find_in(folder, monkeypatch)
     return folder / "theirs.py"
 
 
@@ -53,7 +60,7 @@ def added(plan: Plan, operator: str = "theirs:Part") -> Plan:
     node, edge = plan.node("count"), plan.inputs("count")["frame"]
     return replace(
         plan,
-        nodes=(*plan.nodes, replace(node, name="second", operator=operator, index=7)),
+        nodes=(*plan.nodes, replace(node, name="second", group="", operator=operator, index=7)),
         edges=(*plan.edges, replace(edge, target="second", index=7)),
     )
 
@@ -69,7 +76,7 @@ def test_what_is_added_and_swapped_in_is_never_imported_by_the_supervisor(
     tmp_path: Path, theirs: Path
 ) -> None:
     theirs.write_text(GOOD)
-    with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
+    with Supervisor(plan_of(tmp_path, apart(LOSSLESS))) as supervisor:
         supervisor.start()
 
         told = done(supervisor, PlanOrder(plan=added(supervisor.plan), revision=0))
@@ -86,25 +93,6 @@ def test_what_is_added_and_swapped_in_is_never_imported_by_the_supervisor(
     assert supervisor.failure == ""
     assert report["rate"]["frames"] > 0
     assert "theirs" not in sys.modules
-
-
-@pytest.mark.parametrize(("text", "said"), BAD.values(), ids=BAD)
-def test_an_addition_that_breaks_while_it_is_imported_is_refused_and_the_graph_goes_on(
-    tmp_path: Path, theirs: Path, text: str, said: str
-) -> None:
-    theirs.write_text(text)
-    with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
-        supervisor.start()
-
-        told = done(supervisor, PlanOrder(plan=added(supervisor.plan), revision=0))
-
-        (why,) = reasons([told])
-        assert said in why
-        assert "theirs:Part" in why or "second" in why
-        assert "\n" not in why
-        assert (supervisor.failure, supervisor.restarts) == ("", {})
-        assert "second" not in supervisor.processes
-        wait_for_progress(supervisor, "count")
 
 
 def test_an_addition_that_never_ends_to_be_imported_holds_up_neither_frames_nor_the_end(
@@ -135,7 +123,7 @@ def test_an_edited_file_of_code_that_nodes_alone_have_imported_is_taken_anew(
     tmp_path: Path, theirs: Path
 ) -> None:
     theirs.write_text(GOOD)
-    with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
+    with Supervisor(plan_of(tmp_path, apart(LOSSLESS))) as supervisor:
         supervisor.start()
         first = SwapOrder(node="count", operator="theirs:Part", probation=3)
         swapped(done(supervisor, first))
@@ -149,3 +137,36 @@ def test_an_edited_file_of_code_that_nodes_alone_have_imported_is_taken_anew(
         swapped(done(supervisor, first))
 
         assert supervisor.pid("count") != stale
+
+
+@pytest.fixture(scope="module")
+def breaking(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Supervisor]:
+    """A graph that runs, whose node processes find a module `broken_N` for each of `BAD`."""
+    folder = tmp_path_factory.mktemp("breaking")
+    for number, (text, _said) in enumerate(BAD.values()):
+        (folder / f"broken_{number}.py").write_text(text)
+    with pytest.MonkeyPatch.context() as patch:
+        find_in(folder, patch)
+        with Supervisor(plan_of(folder, LOSSLESS)) as supervisor:
+            supervisor.start()
+            yield supervisor
+            assert (supervisor.failure, supervisor.restarts) == ("", {})
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_an_addition_that_breaks_while_it_is_imported_is_refused_and_the_graph_goes_on(
+    breaking: Supervisor, kind: str
+) -> None:
+    module, said = f"broken_{list(BAD).index(kind)}", BAD[kind][1]
+    before = breaking.plan
+
+    told = done(breaking, PlanOrder(plan=added(breaking.plan, f"{module}:Part"), revision=0))
+
+    (why,) = reasons([told])
+    assert said.format(module=module) in why
+    assert f"{module}:Part" in why or "second" in why
+    assert "\n" not in why
+    assert (breaking.failure, breaking.restarts) == ("", {})
+    assert "second" not in breaking.processes
+    assert breaking.plan == before
+    wait_for_progress(breaking, "count")

@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -27,6 +29,7 @@ from tests.sample_graphs import (
     handled,
     plan_of,
     send_signal,
+    together,
     until,
     wait_for,
     wait_for_progress,
@@ -39,20 +42,30 @@ def until_steered(supervisor: Supervisor) -> None:
     supervisor.finish()
 
 
-def test_the_loop_closes_and_every_account_adds_up(tmp_path: Path) -> None:
+def test_the_loop_closes_every_account_adds_up_and_nothing_is_left_behind(tmp_path: Path) -> None:
+    plan, seen = plan_of(tmp_path, LOOP), set()
+
+    def during(supervisor: Supervisor) -> None:
+        seen.add(running()[plan.name]["run"])
+        until_steered(supervisor)
+
     began_s = time.monotonic()
-    report = go(plan_of(tmp_path, LOOP), 0, until_steered)
+    report = go(plan, 0, during)
     took_ms = 1000 * (time.monotonic() - began_s)
 
     assert_accounts_add_up(report)
     assert report["loop"]["commands"] > 20
     assert 0 < report["loop"]["latency_ms"]["p50"] < took_ms
     assert edge(report, "steer.percept")["dropped"] == {}
+    (run_id,) = seen
+    assert not path_of(run_id).exists()
+    assert not [p for p in psutil.Process().children() if "pipeline.node.process" in p.cmdline()]
 
 
 def test_a_run_of_so_many_frames_exposes_them_and_in_lockstep_answers_each(tmp_path: Path) -> None:
-    realtime = go(plan_of(tmp_path, LOOP), 30)
-    lockstep = go(plan_of(tmp_path, LOOP, clock="lockstep"), 30)
+    text = together(LOOP, "work", "pair", "steer")
+    realtime = go(plan_of(tmp_path, text), 30)
+    lockstep = go(plan_of(tmp_path, text, clock="lockstep"), 30)
 
     for report in (realtime, lockstep):
         assert report["frames"] == {"exposed": 30, "skipped": 0}
@@ -60,23 +73,13 @@ def test_a_run_of_so_many_frames_exposes_them_and_in_lockstep_answers_each(tmp_p
     assert lockstep["loop"]["commands"] == 30
 
 
-def test_nothing_is_left_behind(tmp_path: Path) -> None:
-    plan, seen = plan_of(tmp_path, LOOP), set()
-
-    def during(_: Supervisor) -> None:
-        seen.add(running()[plan.name]["run"])
-
-    go(plan, 10, during)
-
-    (run_id,) = seen
-    assert not path_of(run_id).exists()
-    assert not [p for p in psutil.Process().children() if "pipeline.node.process" in p.cmdline()]
-
-
 def test_lockstep_gives_the_same_commands_in_line_and_as_processes(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOOP, clock="lockstep", changes=("work.every=3",))
+    plan, grouped = (
+        plan_of(tmp_path, text, clock="lockstep", changes=("work.every=3",))
+        for text in (LOOP, together(LOOP, "work", "pair", "steer"))
+    )
 
-    hashes = {go(plan, 40)["schedule_sha256"] for _ in range(2)}
+    hashes = {go(one, 40)["schedule_sha256"] for one in (plan, grouped)}
     for _ in range(2):
         with InlineRunner(plan) as runner:
             assert list(runner.run(40)) == list(range(40))
@@ -87,7 +90,8 @@ def test_lockstep_gives_the_same_commands_in_line_and_as_processes(tmp_path: Pat
 
 def test_a_reader_that_stands_still_on_a_lossless_edge_loses_nothing(tmp_path: Path) -> None:
     frames = 60  # a camera does not wait: the edge holds all, however long the machine sleeps
-    plan = plan_of(tmp_path, CHAIN, changes=("ticker.rate_hz=1",))
+    text = together(CHAIN, "ticker", "glance")
+    plan = plan_of(tmp_path, text, changes=("ticker.rate_hz=1",))
 
     def freeze(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "count") > 0)
@@ -158,25 +162,26 @@ def test_a_slow_reader_of_the_latest_never_slows_a_lossless_one(tmp_path: Path) 
     assert edge(report, "glance.frame")["dropped"]["superseded"] > 20
 
 
-@pytest.mark.parametrize("victim", ["ticker", "work", "pair", "steer"])
-def test_a_killed_operator_comes_back_and_the_accounts_still_add_up(
-    tmp_path: Path, victim: str
-) -> None:
+def test_killed_operators_come_back_and_the_accounts_still_add_up(tmp_path: Path) -> None:
+    victims = ("ticker", "work", "pair", "steer")
+
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "steer") > 10)
-        send_signal(supervisor, victim, signal.SIGKILL)
-        wait_for(supervisor, lambda: supervisor.restarts.get(victim) == 1)
-        index = supervisor.plan.node(victim).index
-        wait_for(
-            supervisor, lambda: supervisor.ledger.nodes[index].condition in ("waiting", "busy")
-        )
-        wait_for_progress(supervisor, "steer")
+        for victim in victims:
+            send_signal(supervisor, victim, signal.SIGKILL)
+            wait_for(supervisor, partial(supervisor.restarts.get, victim))
+            account = supervisor.ledger.nodes[supervisor.plan.node(victim).index]
+            wait_for(
+                supervisor,
+                lambda account=account: account.condition in ("waiting", "busy"),  # type: ignore[misc]
+            )
+            wait_for_progress(supervisor, "steer")
         supervisor.finish()
 
     report = go(plan_of(tmp_path, LOOP), 0, kill)
 
     assert_accounts_add_up(report)
-    assert report["restarts"] == {victim: 1}
+    assert report["restarts"] == dict.fromkeys(victims, 1)
     assert report["failure"] == ""
 
 
@@ -188,7 +193,7 @@ def test_a_run_ends_while_its_source_is_away(tmp_path: Path) -> None:
         assert supervisor.finished
         assert supervisor.pid("ticker") == 0
 
-    report = go(plan_of(tmp_path, LOOP), 0, kill)
+    report = go(plan_of(tmp_path, together(LOOP, "work", "pair", "steer")), 0, kill)
 
     assert (report["failure"], report["restarts"].get("ticker", 1)) == ("", 1)
 
@@ -196,7 +201,8 @@ def test_a_run_ends_while_its_source_is_away(tmp_path: Path) -> None:
 def test_what_was_under_way_to_a_node_that_does_not_come_back_is_lost_in_a_crash(
     tmp_path: Path,
 ) -> None:
-    text = CHAIN.replace("  count:\n", "  count:\n    restart: never\n")
+    text = together(CHAIN, "ticker", "glance")
+    text = text.replace("  count:\n", "  count:\n    restart: never\n")
 
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
@@ -214,7 +220,8 @@ def test_what_was_under_way_to_a_node_that_does_not_come_back_is_lost_in_a_crash
 
 
 def test_a_node_that_shall_never_restart_stays_away_and_the_graph_goes_on(tmp_path: Path) -> None:
-    text = CHAIN.replace("  count:\n", "  count:\n    restart: never\n")
+    text = together(CHAIN, "ticker", "glance")
+    text = text.replace("  count:\n", "  count:\n    restart: never\n")
 
     def kill(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
@@ -231,7 +238,8 @@ def test_a_node_that_shall_never_restart_stays_away_and_the_graph_goes_on(tmp_pa
 
 
 def test_a_node_that_dies_too_often_ends_the_run(tmp_path: Path) -> None:
-    text = LOOP.replace("  work:\n", "  work:\n    restart: {most: 2, backoff_s: 0.01}\n")
+    text = together(LOOP, "pair", "steer")
+    text = text.replace("  work:\n", "  work:\n    restart: {most: 2, backoff_s: 0.01}\n")
     plan = plan_of(tmp_path, text, changes=("work.every=1", "work.crash_after=3"))
 
     report = go(plan, 0)
@@ -240,7 +248,8 @@ def test_a_node_that_dies_too_often_ends_the_run(tmp_path: Path) -> None:
 
 
 def test_an_exception_is_in_the_log_and_the_graph_goes_on(tmp_path: Path) -> None:
-    text = LOOP.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
+    text = together(LOOP, "pair", "steer")
+    text = text.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
     plan = plan_of(tmp_path, text, changes=("work.crash_at=20",))
 
     def until_it_is_back(supervisor: Supervisor) -> None:
@@ -258,7 +267,8 @@ def test_an_exception_is_in_the_log_and_the_graph_goes_on(tmp_path: Path) -> Non
 
 
 def test_in_lockstep_a_crash_ends_the_run_with_an_error(tmp_path: Path) -> None:
-    report = go(plan_of(tmp_path, LOOP, clock="lockstep", changes=("work.crash_at=5",)), 50)
+    text = together(LOOP, "pair", "steer")
+    report = go(plan_of(tmp_path, text, clock="lockstep", changes=("work.crash_at=5",)), 50)
 
     assert report["failure"] == (
         "work ended by exit status 1: a lockstep run cannot go on: ValueError: told to crash"
@@ -273,7 +283,8 @@ def test_in_lockstep_a_crash_ends_the_run_with_an_error(tmp_path: Path) -> None:
 def test_a_source_that_breaks_ends_the_run_with_its_sentence(
     tmp_path: Path, clock: str, change: str, said: str
 ) -> None:
-    report = go(plan_of(tmp_path, LOOP, clock=clock, changes=(change,)), 0)
+    text = together(LOOP, "work", "pair", "steer")
+    report = go(plan_of(tmp_path, text, clock=clock, changes=(change,)), 0)
 
     assert report["failure"] == said
     assert report["frames"]["exposed"] >= 9
@@ -357,9 +368,7 @@ def test_a_reader_without_shared_memory_gets_the_bytes(tmp_path: Path) -> None:
 
 
 def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
-    text = LOOP.replace("  work:\n", "  work:\n    group: hand\n")
-    text = text.replace("  pair:\n", "  pair:\n    group: hand\n")
-    plan = plan_of(tmp_path, text)
+    plan = plan_of(tmp_path, together(LOOP, "work", "pair"))
     assert set(plan.processes()) == {"ticker", "hand", "steer"}
 
     report = go(plan, 0, until_steered)
@@ -386,5 +395,5 @@ def test_a_killed_supervisor_takes_its_nodes_along_and_the_next_start_cleans_up(
     gone, alive = psutil.wait_procs(children, timeout=60)
     assert (len(gone), alive) == (4, [])
     assert plan.name not in running()
-    go(plan, 5)
+    go(replace(plan, nodes=tuple(replace(node, group="all") for node in plan.nodes)), 5)
     assert not path_of(facts["run"]).exists()

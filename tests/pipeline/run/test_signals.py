@@ -15,16 +15,20 @@ from pathlib import Path
 import pytest
 
 from bench.leftovers import leftover_files
+from pipeline.client.find import find
+from pipeline.errors import FoveaError
 from pipeline.run.memory_folder import path_of
 from pipeline.run.rundir import base, running
-from tests.sample_graphs import LOOP, ended, until
+from tests.sample_graphs import LOOP, ended, together, until
 from tests.unruly_graphs import UNRULY, name_of, unruly_file
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 SLOW_TOO = pytest.mark.slow  # what differs from an usual case by the signal or moment alone
 LIMIT_S = 20  # drain and stop take 10 s at most, of an idle machine 0.3 to 3.3
-SLOW = LOOP.replace(
+# two processes end as four do, and take half the time to start
+PAIRED = together(LOOP, "work", "pair", "steer")
+SLOW = together(LOOP, "pair", "steer").replace(
     "    operator: tests.samples:Pass\n",
     "    operator: tests.faulty_samples:Sick\n    settings: {open_s: 600}\n    start_s: 600\n",
 )
@@ -75,8 +79,10 @@ def ends(process: "subprocess.Popen[str]", *numbers: int) -> str:
 
 def works(name: str) -> bool:
     """Whether every node of a graph answers."""
-    asked = subprocess.run([*FOVEA, "health", name], capture_output=True, check=False)
-    return asked.returncode == 0
+    try:
+        return all(find(name).health().values())
+    except FoveaError:  # it has not come up yet
+        return False
 
 
 def nodes_of(name: str) -> list[int]:
@@ -93,7 +99,8 @@ def assert_nothing_left(name: str, run_id: str, pids: list[int]) -> None:
 @pytest.mark.parametrize(
     ("text", "number"),
     [
-        *(pytest.param(LOOP, number, id=f"running-{number}") for number in SIGNALS),
+        pytest.param(LOOP, signal.SIGINT, id="running-2"),
+        *(pytest.param(PAIRED, number, id=f"running-{number}") for number in SIGNALS[1:]),
         pytest.param(SLOW, signal.SIGINT, id="starting-2"),
         pytest.param(SLOW, signal.SIGTERM, id="starting-15", marks=SLOW_TOO),
         pytest.param(SLOW, signal.SIGHUP, id="starting-1", marks=SLOW_TOO),
@@ -106,10 +113,11 @@ def test_a_signal_ends_a_graph_in_whatever_state_it_is(
     tmp_path: Path, number: int, text: str
 ) -> None:
     graph, report = written(tmp_path, text), tmp_path / "report.json"
-    name, goal = name_of(graph), 2 if text is CRASHING else 4
+    name = name_of(graph)
+    goal = {LOOP: 4, PAIRED: 2, SLOW: 3, CRASHING: 1}[text]
     with fovea("run", str(graph), "--report", str(report)) as process:
         until(lambda: len(nodes_of(name)) >= goal)
-        if text is LOOP:
+        if text in (LOOP, PAIRED):
             until(lambda: works(name))
         pids, run_id = nodes_of(name), running()[name]["run"]
 
@@ -122,16 +130,16 @@ def test_a_signal_ends_a_graph_in_whatever_state_it_is(
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_a_second_signal_waits_for_nothing_and_leaves_nothing(tmp_path: Path, count: int) -> None:
-    text = LOOP.replace("tests.samples:Pair", "tests.faulty_samples:Clinging")
+    text = PAIRED.replace("tests.samples:Pair", "tests.faulty_samples:Clinging")
     graph, report = written(tmp_path, text), tmp_path / "report.json"
     name = name_of(graph)
     with fovea("run", str(graph), "--report", str(report)) as process:
-        until(lambda: len(nodes_of(name)) == 4)
+        until(lambda: len(nodes_of(name)) == 2)
         pids, run_id = nodes_of(name), running()[name]["run"]
 
         said = ends(process, *[signal.SIGINT] * count)
 
-    assert "pair:" not in said  # neither that it was killed late, nor that it left by itself
+    assert "hand:" not in said  # neither that it was killed late, nor that it left by itself
     assert report.exists()
     assert_nothing_left(name, run_id, pids)
 
@@ -147,7 +155,7 @@ def test_a_second_signal_waits_for_nothing_and_leaves_nothing(tmp_path: Path, co
 def test_a_signal_while_the_command_comes_up_ends_it_without_a_word(
     tmp_path: Path, number: int, after_s: float
 ) -> None:
-    graph = written(tmp_path, LOOP)
+    graph = written(tmp_path, PAIRED)
     with fovea("run", str(graph)) as process:
         until(lambda: answers_signals(process.pid))
         time.sleep(after_s)
@@ -203,7 +211,7 @@ def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) ->
 @pytest.fixture(scope="module")
 def looked_at(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """The name of a graph that runs, for commands that only look; it leaves nothing behind."""
-    graph = written(tmp_path_factory.mktemp("looked-at"), LOOP)
+    graph = written(tmp_path_factory.mktemp("looked-at"), PAIRED)
     name = name_of(graph)
     with fovea("run", str(graph)) as process:
         until(lambda: works(name))
@@ -212,9 +220,15 @@ def looked_at(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     assert leftover_files(base() / name) == []
 
 
-@pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize(
-    "words", [("top", "NAME"), ("echo", "NAME", "steer"), ("logs", "NAME", "work", "-f")]
+    ("words", "number"),
+    [
+        pytest.param(words, number, marks=[] if row == column else SLOW_TOO)
+        for row, words in enumerate(
+            [("top", "NAME"), ("echo", "NAME", "steer"), ("logs", "NAME", "work", "-f")]
+        )
+        for column, number in enumerate(SIGNALS)
+    ],
 )
 def test_a_signal_ends_a_command_that_looks(
     looked_at: str, number: int, words: tuple[str, ...]
@@ -241,7 +255,7 @@ def test_a_signal_ends_an_agent_as_it_is_meant_to(tmp_path: Path, number: int) -
 
 
 def test_a_reader_that_leaves_costs_words_and_not_the_graph(tmp_path: Path) -> None:
-    graph, report = written(tmp_path, LOOP), tmp_path / "report.json"
+    graph, report = written(tmp_path, PAIRED), tmp_path / "report.json"
     with fovea("run", str(graph), "--frames", "200", "--report", str(report)) as process:
         assert process.stdout is not None
         process.stdout.close()
@@ -266,7 +280,7 @@ def test_a_reader_that_leaves_ends_a_command_that_only_shows(looked_at: str) -> 
 
 
 def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path) -> None:
-    graph, report = written(tmp_path, LOOP), tmp_path / "report.json"
+    graph, report = written(tmp_path, PAIRED), tmp_path / "report.json"
     name = name_of(graph)
     terminal, other = pty.openpty()
     os.set_blocking(terminal, False)
@@ -280,7 +294,7 @@ def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path
     def has_started() -> bool:
         with suppress(BlockingIOError):  # a terminal that nobody reads fills
             os.read(terminal, 4096)
-        return len(nodes_of(name)) == 4
+        return len(nodes_of(name)) == 2
 
     until(has_started)
     pids, run_id = nodes_of(name), running()[name]["run"]
@@ -293,10 +307,10 @@ def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path
 
 
 def test_a_visitor_that_is_frozen_does_not_hold_up_the_end(tmp_path: Path) -> None:
-    graph = written(tmp_path, LOOP)
+    graph = written(tmp_path, PAIRED)
     name = name_of(graph)
     with fovea("run", str(graph)) as process:
-        until(lambda: len(nodes_of(name)) == 4)
+        until(lambda: len(nodes_of(name)) == 2)
         with fovea("echo", name, "steer") as looking:
             assert looking.stdout is not None
             assert "windows" in looking.stdout.readline()

@@ -34,6 +34,7 @@ from tests.sample_graphs import (
     reasons,
     send_signal,
     swapped,
+    together,
     until,
     wait_for,
     wait_for_progress,
@@ -43,12 +44,14 @@ TALLY = """\
 nodes:
   ticker:
     operator: tests.samples:Ticker
+    group: ends
     settings: {rate_hz: 20, side_px: 120}
   work:
     operator: tests.samples:Tally
     inputs: {frame: {from: ticker.context, depth: 60}}
   recall:
     operator: tests.samples:Recall
+    group: ends
     inputs: {percept: {from: work, depth: 60}}
 """
 Results = list[Result]
@@ -94,7 +97,8 @@ def test_at_most_one_frame_is_left_out_where_the_latest_counts(tmp_path: Path) -
     results: Results = []
     orders = [order("work", probation=2) for _ in range(3)]
 
-    plan = plan_of(tmp_path, LOOP, changes=("ticker.rate_hz=4",))
+    text = together(LOOP, "pair", "steer")
+    plan = plan_of(tmp_path, text, changes=("ticker.rate_hz=4",))
     report = go(plan, 0, swapping(results, *orders))
 
     assert reasons(results) == [""] * 3
@@ -123,26 +127,24 @@ def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_pat
     assert report["summaries"]["recall"]["said"] == [[n, n + 1] for n in range(exposed(report))]
 
 
-@pytest.mark.parametrize(("change", "alike"), [({}, 15), ({"gain": 2}, 0)])
-def test_a_shadow_run_tells_how_the_answers_differ(
-    tmp_path: Path, change: dict[str, Any], alike: int
-) -> None:
+def test_a_shadow_run_tells_how_the_answers_differ(tmp_path: Path) -> None:
     results: Results = []
-    shadowed = order("work", shadow=15, changes=change)
+    orders = [order("work", shadow=15, changes=change) for change in ({}, {"gain": 2})]
 
     inline = ("ticker.side_px=50",)  # a picture in a slot may be gone when a late shadow looks
-    report = go(plan_of(tmp_path, TALLY, changes=inline), 0, swapping(results, shadowed))
+    report = go(plan_of(tmp_path, TALLY, changes=inline), 0, swapping(results, *orders))
 
-    shadow = swapped(results[0]).shadow
-    assert shadow is not None
-    assert (shadow.frames, shadow.identical, shadow.missed) == (15, alike, 0)
-    if change:
-        assert shadow.differences["action"].frames == 15
-        assert shadow.differences["action"].most >= 15
+    shadows = [swapped(result).shadow for result in results]
+    assert all(shadow is not None for shadow in shadows)
+    found = [(shadow.frames, shadow.identical, shadow.missed) for shadow in shadows if shadow]
+    assert found == [(15, 15, 0), (15, 0, 0)]
+    same, doubled = (shadow.differences for shadow in shadows if shadow)
+    assert "action" not in same
+    assert doubled["action"].frames == 15
+    assert doubled["action"].most >= 15
     counts = [count for _, count in report["summaries"]["recall"]["said"]]
-    cut = swapped(results[0]).seq + 1
-    gain = change.get("gain", 1)
-    assert counts == [*range(1, cut + 1), *(gain * n for n in range(cut + 1, len(counts) + 1))]
+    cut = swapped(results[1]).seq + 1
+    assert counts == [*range(1, cut + 1), *(2 * n for n in range(cut + 1, len(counts) + 1))]
     assert_accounts_add_up(report)
 
 
@@ -265,7 +267,7 @@ def test_joined_inputs_and_latest_edges_keep_their_accounts(tmp_path: Path) -> N
 
 def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
     results: Results = []
-    plan = plan_of(tmp_path, LOOP, clock="lockstep")
+    plan = plan_of(tmp_path, together(LOOP, "work", "steer"), clock="lockstep")
 
     one = go(plan, 0, swapping(results, order("pair")))
     with InlineRunner(plan) as runner:
@@ -279,8 +281,7 @@ def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
 
 def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: Path) -> None:
     results: Results = []
-    text = LOOP.replace("  work:\n", "  work:\n    group: hand\n")
-    text = text.replace("  pair:\n", "  pair:\n    group: hand\n")
+    text = together(LOOP, "work", "pair", "steer")
     orders = [
         order("work", changes={"every": 2}),
         order("work", changes={"crash_after": 3}, probation=30),

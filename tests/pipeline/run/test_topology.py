@@ -14,6 +14,7 @@ from pipeline.protocol.orders import TopologyResult
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import (
     LOSSLESS,
+    apart,
     assert_accounts_add_up,
     edge,
     go,
@@ -95,7 +96,7 @@ def test_a_consumer_is_added_and_removed_and_the_others_do_not_stutter(tmp_path:
 
 
 def test_an_edge_is_rewired_between_two_frames(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOSSLESS, changes=("work.every=1000000",))
+    plan = plan_of(tmp_path, apart(LOSSLESS), changes=("work.every=1000000",))
 
     def acts(order: Order, supervisor: Supervisor) -> None:
         before = supervisor.pid("count")

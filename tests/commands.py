@@ -1,0 +1,49 @@
+"""Commands carried out by the process of the tests: starting one for each takes half a second.
+
+For commands that ask or tell a running graph, and for what is refused before anything runs. What a
+process does by itself (signals, what it imports, how it runs a graph) needs one of its own.
+"""
+
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from typing import IO
+
+import pytest
+
+from pipeline import cli
+
+
+def command(*words: str) -> "subprocess.CompletedProcess[str]":
+    """The exit status of `fovea WORDS`, and what it says."""
+    status: object = 0
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        with pytest.MonkeyPatch.context() as patch, leading_to(1, out), leading_to(2, err):
+            patch.setattr(sys, "argv", ["fovea", *words])
+            try:
+                cli._carry_out()
+            except SystemExit as left:
+                status = left.code or 0
+        assert isinstance(status, int)
+        said = [os.pread(file.fileno(), 1 << 24, 0).decode() for file in (out, err)]
+    return subprocess.CompletedProcess(words, status, *said)
+
+
+@contextlib.contextmanager
+def leading_to(handle: int, file: IO[bytes]) -> Iterator[None]:
+    """Standard output or standard error, the stream and the descriptor, leads to a file."""
+    before = os.dup(handle)
+    os.dup2(file.fileno(), handle)
+    redirect = contextlib.redirect_stdout if handle == 1 else contextlib.redirect_stderr
+    try:
+        with open(handle, "w", encoding="utf-8", closefd=False) as stream, redirect(stream):
+            try:
+                yield
+            finally:
+                (sys.stdout if handle == 1 else sys.stderr).flush()  # it may be another by now
+    finally:
+        os.dup2(before, handle)
+        os.close(before)
