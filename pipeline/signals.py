@@ -33,13 +33,14 @@ def raising() -> Iterator[None]:
 
     After `LAST_RESORT_S` the kernel ends the process.
     """
-    asked = 0
+    asked = first = 0
 
     def note(number: int, _frame: FrameType | None) -> None:
-        nonlocal asked
+        nonlocal asked, first
         asked += 1
         if asked > 1:
             return
+        first = number
         end_by_kernel(LAST_RESORT_S)
         if number == signal.SIGINT:
             raise KeyboardInterrupt
@@ -48,6 +49,11 @@ def raising() -> Iterator[None]:
     before = _install(note)
     try:
         yield
+    except RuntimeError as error:
+        # Python 3.11 wraps what a `__set_name__` raises, so also this in the import of a class
+        if asked and isinstance(error.__cause__, (KeyboardInterrupt, SystemExit)):
+            sys.exit(128 + first)
+        raise
     finally:
         if asked:
             ignore()

@@ -77,7 +77,7 @@ def test_an_operator_that_breaks_over_a_command_is_told_of_and_raises() -> None:
     with pytest.raises(ValueError, match="told to break"):
         respond("work", Command, told, commanded(work()), answers.append)
 
-    assert "starts again: ValueError: told to break" in decode(Refused, answers[0]).reason
+    assert "it failed and restarts: ValueError: told to break" in decode(Refused, answers[0]).reason
 
 
 def test_commands_name_methods_whose_arguments_have_types() -> None:

@@ -99,7 +99,7 @@ def test_an_operator_that_breaks_over_a_change_is_told_of_and_raises() -> None:
     with pytest.raises(ValueError, match="told to break"):
         respond("work", ConfigQuestion, told, live.configure, answers.append)
 
-    assert "starts again: ValueError: told to break" in decode(Refused, answers[0]).reason
+    assert "it failed and restarts: ValueError: told to break" in decode(Refused, answers[0]).reason
 
 
 def test_live_names_settings() -> None:

@@ -77,6 +77,32 @@ def ends(process: "subprocess.Popen[str]", *numbers: int) -> str:
     return out + err
 
 
+IN_A_CLASS = """
+import os, signal, sys
+from pipeline import signals
+
+class Field:
+    def __set_name__(self, *_):
+        os.kill(os.getpid(), signal.SIGNAL)
+
+try:
+    with signals.raising():
+        class Owner:
+            field = Field()
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_while_a_class_is_made_is_no_error(number: signal.Signals) -> None:
+    text = IN_A_CLASS.replace("SIGNAL", number.name)
+
+    ended = subprocess.run([sys.executable, "-c", text], capture_output=True, check=False)
+
+    assert (ended.returncode, ended.stderr) == (128 + number, b"")
+
+
 def works(name: str) -> bool:
     """Whether every node of a graph answers."""
     try:
