@@ -155,7 +155,10 @@ def test_a_part_that_fails_its_probation_gives_way_to_the_old_one(tmp_path: Path
         "ms a frame, expected at most 20.0 ms": {"sleep_s": 0.03},
         "finished no frame for 2": {"sleep_s": 60.0},
     }
-    orders = [SwapOrder(node="work", changes=change) for change in failures.values()]
+    # by default the budget follows from the predecessor's times, which a busy machine makes longer
+    orders = [
+        SwapOrder(node="work", changes=change, budget_ms=20.0) for change in failures.values()
+    ]
 
     report = go(
         plan_of(tmp_path, TALLY, changes=("ticker.rate_hz=10",)), 0, swapping(results, *orders)
