@@ -195,6 +195,26 @@ def test_a_successor_that_is_too_slow_is_rolled_back() -> None:
     rolled_back(one, "work: the new instance takes 11.0 ms a frame, expected at most 10.0 ms")
 
 
+@pytest.mark.parametrize(("before_ms", "budget_ms"), [(1.0, 20.0), (10.0, 30.0)])
+def test_without_a_budget_a_successor_may_take_three_times_as_long_or_20_ms(
+    before_ms: float, budget_ms: float
+) -> None:
+    one = swapping("TAKING_OVER", probation=5)
+    times = one.target.account.histograms["handler"]
+    times.before_ms = before_ms
+    assert one.tick((one.target.new, TAKEN)) == "PROVING"
+
+    times.slow_ms = budget_ms
+    one.target.account.handled += 4
+    assert one.tick() == "PROVING"
+    times.slow_ms = budget_ms + 1
+    one.target.account.handled += 1
+
+    assert one.tick() == "KILLING"
+    said = f"takes {budget_ms + 1} ms a frame, expected at most {budget_ms} ms"
+    rolled_back(one, f"work: the new instance {said}")
+
+
 def test_a_successor_that_hangs_is_rolled_back_and_one_without_work_is_not() -> None:
     for waits in (True, False):
         one = swapping("PROVING")
