@@ -27,7 +27,7 @@ from rich.table import Table
 from bench.grounds import Ground, OneHost, ThreeHosts
 from bench.machine import facts
 from bench.netns import permitted
-from bench.options import JSON, Bench, on_graph
+from bench.options import JSON, Bench, file_name, on_graph
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
@@ -155,7 +155,7 @@ def main(
         stuck = _strike_for(ground, minutes * 60, seed, faults)
         leftovers = ground.end()
     result = {
-        "bench": "chaos", **facts(), "graph": str(graph), "minutes": minutes, "seed": seed,
+        "bench": "chaos", **facts(), "graph": file_name(graph), "minutes": minutes, "seed": seed,
         "recovery": {kind: summary([f for f in faults if f.kind == kind]) for kind in ground.kinds},
         "stuck": stuck, **leftovers, "faults": [asdict(f) for f in faults],
     }  # fmt: skip

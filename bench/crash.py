@@ -22,7 +22,7 @@ from rich.table import Table
 
 from bench.leftovers import Traces, run_for, unbalanced
 from bench.machine import facts
-from bench.options import JSON, Bench, on_graph
+from bench.options import JSON, Bench, file_name, on_graph
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Node
@@ -61,7 +61,7 @@ def main(
         supervisor.stop()
         report = compose(plan, supervisor.ledger, {}, {}, duration_s=1.0)
     result = {
-        "bench": "crash", **facts(), "graph": str(graph), "count": count,
+        "bench": "crash", **facts(), "graph": file_name(graph), "count": count,
         "edges": report["edges"], "unbalanced": unbalanced(report["edges"]),
         "left": traces.files(), "grown_mb": grown, "kills": kills,
         "recovery": {node.name: _summary(kills, node.name) for node in plan.nodes},

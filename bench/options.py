@@ -9,6 +9,7 @@ import click
 from pipeline.errors import FoveaError
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 
+ROOT = Path(__file__).resolve().parents[1]
 JSON = click.option("--json", "path", type=click.Path(path_type=Path), help="Write figures, facts.")
 
 
@@ -21,6 +22,16 @@ class Bench(click.Command):
             return super().invoke(ctx)
         except FoveaError as error:
             raise click.ClickException(str(error)) from error
+
+
+def file_name(path: Path) -> str:
+    """Return the name of a file for a report: below the repository its path there, else its name.
+
+    >>> file_name(ROOT / "graphs/tracking.yaml"), file_name(Path("/somewhere/graph.yaml"))
+    ('graphs/tracking.yaml', 'graph.yaml')
+    """
+    found = path.resolve()
+    return found.relative_to(ROOT).as_posix() if found.is_relative_to(ROOT) else found.name
 
 
 def on_graph(command: Callable[..., Any]) -> Callable[..., Any]:

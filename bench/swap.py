@@ -21,7 +21,7 @@ from rich.table import Table
 
 from bench.leftovers import run_for
 from bench.machine import facts
-from bench.options import JSON, Bench, on_graph
+from bench.options import JSON, Bench, file_name, on_graph
 from pipeline.bus.inport import InPort
 from pipeline.bus.ledger import private_ledger
 from pipeline.bus.outport import Arrival
@@ -122,7 +122,7 @@ def main(
     done = [s for s in swaps if not s["refused"]]
     others = [p for p in memory[0] if p not in {plan.node(n).process for n in nodes}]
     result = {
-        "bench": "swap", **facts(), "graph": str(graph), "nodes": nodes, "count": count,
+        "bench": "swap", **facts(), "graph": file_name(graph), "nodes": nodes, "count": count,
         "probation_frames": probation, **_losses(report["edges"], commands.seqs),
         "gap_ms": {n: _spread([s["gap_ms"] for s in done if s["node"] == n]) for n in nodes},
         "fps": fps, "pause_s": pause_s,
