@@ -68,8 +68,9 @@ def main(
             runs.append({"objects": count, **run(plans[count], frames)})
             progress.update(task, completed=(turn + 1) * frames)
     result = {"bench": "objects", **facts(), "graph": file_name(graph),
-              "source": file_name(source) if source else "", "changes": changes, "together": together, "frames": frames, "rounds": rounds,
-              "seed": seed, "summary": {str(n): summarise(_of(runs, n)) for n in counts},
+              "source": file_name(source) if source else "", "changes": changes,
+              "together": together, "frames": frames, "rounds": rounds, "seed": seed,
+              "summary": {str(n): summarise(_of(runs, n)) for n in counts},
               "runs": runs}  # fmt: skip
     Console().print(table(result["summary"], together=together))
     if path:

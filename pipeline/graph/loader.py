@@ -126,10 +126,8 @@ class _LoadedNode:
 
     def __init__(self, file: YamlFile, spec: NodeSpec) -> None:
         self.file, self.spec, self.name = file, spec, spec.name
-        try:
-            self.operator: type[Operator[Any, Any]] = load_operator(spec.operator)
-        except GraphError as error:
-            file.fail(spec.entry, "operator", f"{spec.name}.operator: {error}")
+        where = f"{file.at(spec.entry, 'operator')}: {spec.name}.operator"
+        self.operator: type[Operator[Any, Any]] = load_operator(spec.operator, where)
         self.inputs = inputs_of(self.operator)
         self.outputs = outputs_of(self.operator)
         self.settings = self._settings()

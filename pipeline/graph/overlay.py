@@ -53,8 +53,9 @@ class Overlay:
 
 def manual_nodes(path: Path, setting: str) -> list[str]:
     """Return the nodes that start only on request and have that setting."""
-    nodes = graph_spec(YamlFile(path)).nodes.values()
-    return [n.name for n in nodes if n.manual and setting in _settings_of(n)]
+    file = YamlFile(path)
+    nodes = graph_spec(file).nodes.values()
+    return [n.name for n in nodes if n.manual and setting in _settings_of(file, n.entry, n.name)]
 
 
 def source_document(path: Path) -> YamlFile:
@@ -125,8 +126,9 @@ def _makes_frames(node: NodeSpec) -> bool:
         return False
 
 
-def _settings_of(node: NodeSpec) -> set[str]:
-    return {f.name for f in fields(settings_of(load_operator(node.operator)))}
+def _settings_of(file: YamlFile, entry: Mapping[str, Any], node: str) -> set[str]:
+    where = f"{file.at(entry, 'operator')}: {node}.operator"
+    return {f.name for f in fields(settings_of(load_operator(entry["operator"], where)))}
 
 
 def _lay_value(file: YamlFile, nodes: Any, place: str, name: str, setting: str, value: Any) -> None:
@@ -134,7 +136,7 @@ def _lay_value(file: YamlFile, nodes: Any, place: str, name: str, setting: str, 
         what = f"{file.path} has no node {shown_key(name)}{suggest(name, nodes)}"
         raise GraphError(f"{place}: {what}")
     entry: YamlMapping = nodes[name]
-    names = {f.name for f in fields(settings_of(load_operator(entry["operator"])))}
+    names = _settings_of(file, entry, name)
     keys = setting.split(".")
     if keys[0] not in names and "options" in names:
         keys = ["options", *keys]

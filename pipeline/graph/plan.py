@@ -201,12 +201,15 @@ def inputs_for(plan: Plan, node: Node) -> dict[str, Input]:
     return {name: _effective(operator, edges[name], plan.clock) for name in edges}
 
 
-def load_operator(path: str) -> type[Operator[Any, Any]]:
-    """Import `module:Class`; raises `GraphError` when it is not a valid operator."""
-    found = imported(path, GraphError)
-    if not (isinstance(found, type) and issubclass(found, Operator)):
-        raise GraphError(f"{path}: expected an Operator, got {shown(found)}")
-    check_declarations(found)
+def load_operator(path: str, where: str = "") -> type[Operator[Any, Any]]:
+    """Import `module:Class`; raises `GraphError`, beginning with `where`, for no valid operator."""
+    try:
+        found = imported(path, GraphError)
+        if not (isinstance(found, type) and issubclass(found, Operator)):
+            raise GraphError(f"{path}: expected an Operator, got {shown(found)}")
+        check_declarations(found)
+    except GraphError as error:
+        raise GraphError(f"{where}: {error}" if where else str(error)) from error
     return found
 
 

@@ -98,6 +98,18 @@ def test_a_wrong_graph_is_refused_with_its_line(
     assert said in str(caught.value)
 
 
+@pytest.mark.parametrize("operator", ["tests.samples:Past", "json:dumps", "tests.faulty_samples:x"])
+def test_a_change_of_a_node_whose_operator_is_wrong_is_refused_with_its_line(
+    operator: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path, GOOD.replace("tests.samples:Pass", operator))
+
+    with pytest.raises(GraphError) as caught:
+        load(path, Overlay(changes=("work.every=3",)))
+
+    assert str(caught.value).startswith(f"{path}:9: work.operator: {operator}"), str(caught.value)
+
+
 def test_a_loop_without_a_sensor_command_is_refused(tmp_path: Path) -> None:
     text = GOOD + "  echo:\n    operator: tests.samples:PassEvery\n    inputs: {frame: mirror}\n"
     text += "  mirror:\n    operator: tests.samples:PassEvery\n    inputs: {frame: echo}\n"
