@@ -168,7 +168,9 @@ def test_a_terminal_has_colours_unless_they_are_not_wanted(name: str, words: str
     assert (coloured[0], plain[0]) == (0, 0), coloured[1] + plain[1]
     assert "\x1b[" in coloured[1]
     assert "\x1b" not in plain[1]
-    assert {len(line) > 50 for line in plain[1].splitlines()} == {False}
+    # a graph of another test that has ended is a sentence, which the terminal wraps
+    lines = [line for line in plain[1].splitlines() if ": ended " not in line]
+    assert {len(line) > 50 for line in lines} == {False}
 
 
 @pytest.mark.parametrize(
