@@ -24,14 +24,12 @@ DONE                                         STOPPING_BACK   if it runs: it ends
 import time
 from collections.abc import Callable
 from enum import Enum, auto
-from typing import Any
 
 from pipeline.errors import RunError
 from pipeline.graph.plan import Plan
 from pipeline.protocol.orders import SwapOrder
-from pipeline.protocol.supervision import Fits, Stop
+from pipeline.protocol.supervision import Event, Fits, Stop
 from pipeline.run.probation import QUIET_S, Probation
-from pipeline.run.process_events import ProcessEvents
 from pipeline.run.process_handle import KILLED_S
 from pipeline.run.swap_machine import SwapMachine
 from pipeline.run.swap_target import SwapTarget
@@ -63,14 +61,14 @@ S = ColdState
 class ColdSwap(SwapMachine[ColdState]):
     """One cold swap; `other` is the trial."""
 
+    hot = False
     DONE = S.DONE
     UNDONE = (S.STOPPING, S.STARTING, S.RUNNING, S.PROVING)
 
     def __init__(
-        self, target: SwapTarget, order: SwapOrder, events: ProcessEvents, facts: dict[str, Any],
-        now: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
-        super().__init__(target, order, events, facts, S.WARMING, now)
+        self, target: SwapTarget, order: SwapOrder, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__(target, order, S.WARMING, now)
         self.gone: set[int] = set()  # ids of processes that were told to stop
         self._killed = False
         self._steps = {
@@ -80,7 +78,11 @@ class ColdSwap(SwapMachine[ColdState]):
             S.STARTING_BACK: self._starting_back, S.RUNNING_BACK: self._running_back,
         }  # fmt: skip
 
-    def give_back(self, *, failed: bool) -> None:
+    def on_event(self, pid: int, event: Event) -> bool:
+        """Handle an event; what a process says that was told to stop is ignored."""
+        return pid in self.gone or super().on_event(pid, event)
+
+    def _give_back(self, *, failed: bool) -> None:
         """Leave a node that could not be started to the process manager."""
         self._target.send_also_to(0)
         if self.owned:
@@ -99,7 +101,7 @@ class ColdSwap(SwapMachine[ColdState]):
     def _checking(self) -> ColdState:
         trial = self.other
         if trial is not None and not self._await(
-            self._events.heard(trial, Fits), START_S, "it was not checked", trial
+            self.events.heard(trial, Fits), START_S, "it was not checked", trial
         ):
             return S.CHECKING
         self.other = None
@@ -129,7 +131,7 @@ class ColdSwap(SwapMachine[ColdState]):
     def _running(self) -> ColdState:
         if not self._has_run():
             return S.RUNNING
-        self._probation = Probation(self._target, self._order, self._events, self._now)
+        self._probation = Probation(self._target, self._order, self.events, self._now)
         return S.PROVING
 
     def _proving(self) -> ColdState:
@@ -205,7 +207,7 @@ class ColdSwap(SwapMachine[ColdState]):
             self._target.let_go()
         ran = self._handle.going and self._target.account.handled > self._handled
         if not ran and not self._late(QUIET_S):
-            self._events.check_alive(self._handle)
+            self.events.check_alive(self._handle)
             return False
         self.facts["gap_ms"] = round(1000 * (self._now() - self._stopped_s), 1)
         return True

@@ -14,6 +14,7 @@ from pipeline.protocol.codec import decode, encode, refused
 from pipeline.protocol.orders import (
     ORDER,
     Order,
+    PlanOrder,
     Refused,
     Result,
     StopOrder,
@@ -21,12 +22,14 @@ from pipeline.protocol.orders import (
     SwapOrder,
 )
 from pipeline.protocol.supervision import Event
+from pipeline.run.cold_swap import ColdSwap
 from pipeline.run.health import HealthMonitor
+from pipeline.run.hot_swap import HotSwap
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.operation import Operation
 from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.process_manager import ProcessManager
-from pipeline.run.swap import SwapOperation
+from pipeline.run.swap_target import SwapTarget
 from pipeline.run.topology import TopologyOperation
 from pipeline.text import error_text
 
@@ -76,12 +79,14 @@ class ControlServer:
         elif self._operation is not None:
             raise RunError(f"{manager.plan.name}: another order is in progress")
         else:
-            self._operation = (
-                SwapOperation(manager, self._health, order)
-                if isinstance(order, SwapOrder)
-                else TopologyOperation(manager, order)
-            )
+            self._operation = self._started(order)
             self._reply = reply
+
+    def _started(self, order: SwapOrder | PlanOrder) -> Operation:
+        if not isinstance(order, SwapOrder):
+            return TopologyOperation(self._manager, order)
+        target = SwapTarget.of(self._manager, self._health, order.node)
+        return HotSwap(target, order) if target.can_stand_by else ColdSwap(target, order)
 
     def _take_up(self, order: bytes, reply: Reply) -> None:
         try:

@@ -30,7 +30,6 @@
 import time
 from collections.abc import Callable
 from enum import Enum, auto
-from typing import Any
 
 from pipeline.errors import RunError
 from pipeline.protocol.orders import SwapOrder
@@ -49,7 +48,6 @@ from pipeline.protocol.supervision import (
     Uncut,
 )
 from pipeline.run.probation import QUIET_S, Probation
-from pipeline.run.process_events import ProcessEvents
 from pipeline.run.process_handle import KILLED_S
 from pipeline.run.swap_machine import SwapMachine
 from pipeline.run.swap_target import Successor, SwapTarget
@@ -89,14 +87,14 @@ S = HotState
 class HotSwap(SwapMachine[HotState]):
     """One hot swap; `other` is the inactive one of the two instances."""
 
+    hot = True
     DONE = S.DONE
     UNDONE = (S.TAKING_OVER, S.PROVING, S.ANSWERING)
 
     def __init__(
-        self, target: SwapTarget, order: SwapOrder, events: ProcessEvents, facts: dict[str, Any],
-        now: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
-        super().__init__(target, order, events, facts, S.WARMING, now)
+        self, target: SwapTarget, order: SwapOrder, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__(target, order, S.WARMING, now)
         self._old = target.working()
         self._steps = {
             S.WARMING: self._warming, S.LOADING: self._loading, S.CONNECTING: self._connecting,
@@ -107,7 +105,7 @@ class HotSwap(SwapMachine[HotState]):
             S.DRAINING_BACK: self._draining_back,
         }  # fmt: skip
 
-    def give_back(self, *, failed: bool) -> None:
+    def _give_back(self, *, failed: bool) -> None:
         """Clean up: no writer sends to a second instance, and a live predecessor resumes."""
         self._target.send_also_to(0)
         self.owned = False
@@ -132,7 +130,7 @@ class HotSwap(SwapMachine[HotState]):
         return S.CONNECTING
 
     def _connecting(self) -> HotState:
-        standing = self._events.heard(self._new.handle, Standing)
+        standing = self.events.heard(self._new.handle, Standing)
         ready = self._beside(standing, CONNECT_S, "its inputs got no handshake")
         if standing is None or not ready:
             return S.CONNECTING
@@ -144,7 +142,7 @@ class HotSwap(SwapMachine[HotState]):
         return self._begin_cut()
 
     def _shadowing(self) -> HotState:
-        shadowed = self._events.heard(self._new.handle, Shadowed)
+        shadowed = self.events.heard(self._new.handle, Shadowed)
         self._check_cut()
         limit_s = QUIET_S + SHADOW_S * self._order.shadow
         if not self._beside(shadowed, limit_s, "the shadow run did not end") or shadowed is None:
@@ -153,7 +151,7 @@ class HotSwap(SwapMachine[HotState]):
         return self._begin_cut()
 
     def _cutting(self) -> HotState:
-        if self._events.heard(self._old, CutMade):
+        if self.events.heard(self._old, CutMade):
             return S.TAKING_OVER
         self._check_cut()
         ended = self._old.ended() is not None or self._new.handle.ended() is not None
@@ -163,15 +161,15 @@ class HotSwap(SwapMachine[HotState]):
         return S.TAKING_BACK
 
     def _taking_back(self) -> HotState:
-        if self._events.heard(self._old, CutMade):
+        if self.events.heard(self._old, CutMade):
             return S.TAKING_OVER
-        if not self._late(UNCUT_S) and not self._events.over(self._old):
+        if not self._late(UNCUT_S) and not self.events.over(self._old):
             return S.TAKING_BACK
         self.owned = False
         raise RunError(f"{self._name}: it did not reach a frame for the cut")
 
     def _taking_over(self) -> HotState:
-        taken = self._events.heard(self._new.handle, TakenOver)
+        taken = self.events.heard(self._new.handle, TakenOver)
         self._await(taken, ANSWER_S, "it did not take over", self._new.handle)
         if taken is None:
             return S.TAKING_OVER
@@ -183,7 +181,7 @@ class HotSwap(SwapMachine[HotState]):
             raise RunError(f"{self._name}: its settings were changed meanwhile, try again")
         self._target.switch(self._new, self._plan)
         self.other = self._old
-        self._probation = Probation(self._target, self._order, self._events, self._now)
+        self._probation = Probation(self._target, self._order, self.events, self._now)
         return S.PROVING
 
     def _proving(self) -> HotState:
@@ -193,9 +191,9 @@ class HotSwap(SwapMachine[HotState]):
         return S.ANSWERING
 
     def _answering(self) -> HotState:
-        answered = self._events.heard(self._new.handle, Answered)
+        answered = self.events.heard(self._new.handle, Answered)
         if answered is None and self._probation.frames and not self._late(ANSWER_S):
-            self._events.check_alive(self._new.handle)
+            self.events.check_alive(self._new.handle)
             return S.ANSWERING
         if answered is not None:
             self.facts |= {"left_out": answered.left_out, "answered_ms": answered.answered_ms}
@@ -231,7 +229,7 @@ class HotSwap(SwapMachine[HotState]):
         return S.RESUMING
 
     def _resuming(self) -> HotState:
-        resumed = self._events.heard(self._old, Resumed)
+        resumed = self.events.heard(self._old, Resumed)
         if not self._await(resumed, ANSWER_S, "the old instance did not resume", self._old):
             return S.RESUMING
         self._target.read_by(self._epoch)
@@ -264,5 +262,5 @@ class HotSwap(SwapMachine[HotState]):
 
     def _check_cut(self) -> None:
         """Raise `RunError` when the predecessor has refused the cut."""
-        if refusal := self._events.heard(self._old, CutRefused):
+        if refusal := self.events.heard(self._old, CutRefused):
             raise RunError(f"{self._name}: {refusal.reason}")

@@ -14,12 +14,15 @@ from pipeline.bus.ledger import EdgeAccount, NodeAccount
 from pipeline.errors import RunError
 from pipeline.graph.plan import Node, Plan
 from pipeline.node.live import keep, kept
+from pipeline.node.wiring import swappable
 from pipeline.protocol.orders import SwapOrder
 from pipeline.protocol.supervision import Go
 from pipeline.run.health import HealthMonitor
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.process_manager import ProcessManager
+from pipeline.settings import suggest
+from pipeline.wording import shown_key
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +43,24 @@ class SwapTarget:
     ) -> None:
         self._manager, self._health, self._managed, self.node = manager, health, managed, node
         self._told: dict[str, Any] = {}  # its live changes
+
+    @classmethod
+    def of(cls, manager: ProcessManager, health: HealthMonitor, name: str) -> "SwapTarget":
+        """Return the target of that name; raises `RunError` when it does not run here and now."""
+        plan = manager.plan
+        names = [node.name for node in filter(plan.is_here, plan.nodes)]
+        if name not in names:
+            raise RunError(f"{plan.name}: no node {shown_key(name)}{suggest(name, names)}")
+        node = plan.node(name)
+        managed = manager.processes[node.process]
+        if managed.handle is None or not managed.handle.going:
+            raise RunError(f"{name}: is not running now, try again")
+        return cls(manager, health, managed, node)
+
+    @property
+    def can_stand_by(self) -> bool:
+        """Whether a successor can run beside it."""
+        return swappable(self._manager.plan, self.node) and not self._managed.sources
 
     @property
     def plan(self) -> Plan:
@@ -70,6 +91,14 @@ class SwapTarget:
     def is_working(self, handle: ProcessHandle) -> bool:
         """Whether that process is the active one."""
         return self._managed.handle is handle
+
+    def works_as(self, pid: int) -> bool:
+        """Whether the active process has that id."""
+        return self._managed.handle is not None and self._managed.handle.pid == pid
+
+    def runs_in(self, managed: ManagedProcess) -> bool:
+        """Whether that is the process of the node."""
+        return managed is self._managed
 
     def stalled(self) -> str:
         """Return why the active process is stalled, or an empty string."""

@@ -18,9 +18,9 @@ from pipeline.bus.tap import Heard, Missed
 from pipeline.client import listening
 from pipeline.client.find import find
 from pipeline.client.listening import figures, line, rate_line
+from pipeline.protocol.orders import SwapOrder
 from pipeline.run.rundir import folder_of
 from pipeline.run.supervisor import Supervisor
-from pipeline.run.swap import SwapOrder
 from pipeline.testing import header
 from tests.sample_graphs import (
     CHAIN,

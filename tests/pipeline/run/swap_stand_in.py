@@ -8,7 +8,6 @@ from pipeline.errors import RunError
 from pipeline.protocol.codec import ControlMessage
 from pipeline.protocol.orders import SwapOrder
 from pipeline.protocol.supervision import Event
-from pipeline.run.process_events import ProcessEvents
 from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.swap_target import Successor, SwapTarget
 
@@ -139,11 +138,12 @@ class Swapping:
     """A machine over a stand-in, with a clock of its own."""
 
     def __init__(self, machine: type[Any], **order: Any) -> None:
-        self.target, self.events, self.now_s = StandIn(), ProcessEvents(), 100.0
+        self.target, self.now_s = StandIn(), 100.0
         self.machine = machine(
-            cast(SwapTarget, self.target), SwapOrder(**{"node": "work", **order}), self.events,
-            {}, lambda: self.now_s,
+            cast(SwapTarget, self.target), SwapOrder(**{"node": "work", **order}),
+            lambda: self.now_s,
         )  # fmt: skip
+        self.events = self.machine.events
 
     def tick(self, *events: tuple[StandInHandle, Event], later_s: float = 0.0) -> str:
         """Go on by one tick after these events; the state, or why it was refused."""

@@ -57,6 +57,7 @@ def test_a_swap_that_goes_well_passes_every_state_once() -> None:
         "start after", "change_plan after",
     ]  # fmt: skip
     assert one.machine.facts == {
+        "node": "work", "hot": False,
         "state": "begins anew: it was stopped and started", "gap_ms": 0.0, "proven_frames": 3,
     }  # fmt: skip
 
@@ -163,7 +164,7 @@ def test_a_node_that_cannot_be_started_at_all_is_left_to_the_process_manager() -
     one.target.old.status, one.target.refuses_to_start = 0, 2
 
     assert one.tick() == "work: cannot be started"
-    one.machine.give_back(failed=True)
+    one.machine.clear_up(failed=True)
     assert one.target.did[-2:] == ["send_also_to 0", "retry_soon"]
     assert not one.machine.owned
 

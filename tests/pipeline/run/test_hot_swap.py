@@ -56,6 +56,7 @@ def test_a_swap_that_goes_well_passes_every_state_once() -> None:
     assert one.target.new.told == ["Confirm"]
     assert one.target.did == ["refresh_spare", "send_also_to 2", "switch to after", "fence 2"]
     assert one.machine.facts == {
+        "node": "work", "hot": True,
         "ready_seq": 7, "seq": 9, "gap_ms": 0.5, "state": "none", "forgotten": [],
         "proven_frames": 3, "left_out": {"frame": 0}, "answered_ms": 2.0,
     }  # fmt: skip
@@ -119,7 +120,7 @@ def test_a_predecessor_that_cannot_stop_works_on() -> None:
 
     assert one.machine.owned
     assert one.tick((one.target.old, CutRefused("work", "no state"))) == "work: no state"
-    one.machine.give_back(failed=True)
+    one.machine.clear_up(failed=True)
     assert not one.machine.owned
     assert one.target.old.told == ["Cut", "Uncut"]
 
