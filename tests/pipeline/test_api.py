@@ -41,7 +41,7 @@ def test_every_message_and_error_that_an_operator_may_use_has_its_name() -> None
     assert named <= set(fovea.__all__)
 
 
-def test_a_name_that_is_none_is_an_attribute_error() -> None:
+def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module 'fovea' has no attribute 'laod'"):
         fovea.laod  # type: ignore[attr-defined]  # noqa: B018
 
@@ -75,7 +75,7 @@ def test_a_graph_runs_as_processes_with_the_answers_of_a_run_in_line(graph: Path
     )
 
 
-def test_processes_run_for_as_long_as_they_may(graph: Path) -> None:
+def test_a_run_as_processes_ends_after_its_duration(graph: Path) -> None:
     report = fovea.load(graph, settings={"ticker.rate_hz": 30}).run(processes=True, duration_s=0.5)
 
     assert report["frames"]["exposed"] > 0
@@ -118,7 +118,7 @@ def test_watch_sees_every_message_of_a_run_in_line(graph: Path) -> None:
         ({"manual": ["viewer"]}, "no node viewer; there is ticker, work, pair, steer"),
     ],
 )
-def test_what_does_not_fit_a_graph_is_one_sentence(
+def test_arguments_that_do_not_fit_a_graph_are_refused_in_one_sentence(
     graph: Path, given: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(fovea.FoveaError) as refused:
@@ -150,13 +150,13 @@ def test_a_graph_that_cannot_go_on_raises_in_both_ways(graph: Path) -> None:
             loaded.run(frames=5, processes=processes)
 
 
-def test_the_repr_of_a_graph_says_what_it_is(graph: Path) -> None:
+def test_the_repr_of_a_graph_has_its_name_size_and_clock(graph: Path) -> None:
     assert repr(fovea.load(graph)) == "Graph(api: 4 nodes, 5 edges, realtime)"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Heat(fovea.Message):
-    """A message of one's own."""
+    """A message class of a user."""
 
     degrees: Annotated[NDArray[np.float32], fovea.Shape.of("h", "w")]
     words: tuple[str, ...] = ()

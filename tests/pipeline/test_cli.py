@@ -118,14 +118,14 @@ def test_a_wrong_graph_exits_with_2_and_one_sentence(graph: Path) -> None:
         (["--with", "viewer"], "no node viewer"),
     ],
 )
-def test_wrong_options_exit_with_2_and_say_why(graph: Path, words: list[str], said: str) -> None:
+def test_wrong_options_exit_with_2_and_a_reason(graph: Path, words: list[str], said: str) -> None:
     done = command("run", str(graph), *words)
 
     assert done.returncode == 2
     assert said in done.stderr
 
 
-def test_a_source_that_breaks_is_one_sentence(graph: Path) -> None:
+def test_a_source_that_breaks_ends_the_run_with_one_sentence(graph: Path) -> None:
     done = fovea("run", str(graph), "--set", "ticker.fail_at=3")
 
     assert done.returncode != 0
@@ -162,7 +162,7 @@ def test_a_running_graph_can_be_looked_at_and_ends_cleanly_on_ctrl_c(
     assert name not in command("ps").stdout
 
 
-def test_a_running_node_can_be_set_and_says_why_not(
+def test_settings_of_a_running_node_change_or_are_refused_with_a_reason(
     running: "subprocess.Popen[str]", name: str
 ) -> None:
     done = command("set", name, "work", "every=2", "hold=1")
@@ -255,7 +255,7 @@ def test_an_option_that_was_renamed_names_the_new_one(
         (["set", "g", "every=2"], "expected NODE SETTING=VALUE: fovea set g NODE every=2"),
     ],
 )
-def test_an_order_of_words_that_was_changed_names_the_new_one(words: list[str], said: str) -> None:
+def test_a_changed_order_of_arguments_names_the_new_one(words: list[str], said: str) -> None:
     done = CliRunner().invoke(commands, words)
 
     assert done.exit_code == 2

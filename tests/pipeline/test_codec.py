@@ -1,4 +1,4 @@
-"""Messages survive the wire, and nothing else gets in."""
+"""Messages are the same after encoding and decoding; anything else is refused."""
 
 from dataclasses import dataclass, replace
 
@@ -160,7 +160,7 @@ def test_empty_arrays_of_absurd_sides_are_refused_or_empty(sides: list[int]) -> 
 
 
 @pytest.mark.parametrize("value", [1 << 64, object(), np.zeros(1, np.complex64)])
-def test_what_msgpack_has_no_word_for_is_refused_before_sending(value: object) -> None:
+def test_a_value_that_msgpack_cannot_encode_is_refused_before_sending(value: object) -> None:
     with pytest.raises(MessageError, match="cannot travel"):
         to_bytes([value])
 

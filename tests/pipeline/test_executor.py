@@ -1,4 +1,4 @@
-"""The executor hands out the memory that an operator writes its outputs into."""
+"""The executor provides the memory that an operator writes its outputs into."""
 
 from typing import Any
 

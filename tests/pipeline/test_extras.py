@@ -1,4 +1,4 @@
-"""Packages of extras: loaded late, and named with what brings them where they are missing."""
+"""Packages of extras are imported late; a missing one is named with its install command."""
 
 import sys
 import tomllib
@@ -13,7 +13,7 @@ from pipeline.extras import EXTRAS, LateModule, need
 PROJECT = Path(__file__).resolve().parents[2] / "pyproject.toml"
 
 
-def test_every_package_is_brought_by_the_extra_that_is_named() -> None:
+def test_every_package_is_installed_by_the_extra_that_is_named() -> None:
     project = tomllib.loads(PROJECT.read_text())["project"]
     asked = {
         extra: {Requirement(r).name for r in project["optional-dependencies"][extra]}
@@ -34,7 +34,7 @@ def test_a_late_module_is_imported_when_it_is_used(monkeypatch: pytest.MonkeyPat
     assert (before, "colorsys" in sys.modules) == (False, True)
 
 
-def test_a_package_that_is_needed_and_missing_is_told_in_a_sentence(
+def test_a_missing_package_is_reported_in_one_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     need("numpy", "here")

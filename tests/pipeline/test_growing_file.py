@@ -30,7 +30,7 @@ print(path.stat().st_size)
 
 
 def stopped(path: Path, grown: bytes, meanwhile: bytes | None = None) -> GrowingFile:
-    """A recording whose writer stops after some more bytes; another file may take its name."""
+    """Return a recording whose writer stopped after `grown`; a file `meanwhile` takes its name."""
     answers = iter([True, False, False])
     path.write_bytes(b"whole")
     file = GrowingFile(path, lambda _: next(answers))
@@ -45,7 +45,7 @@ def stopped(path: Path, grown: bytes, meanwhile: bytes | None = None) -> Growing
     return file
 
 
-def test_it_is_cut_where_it_was_whole_last(tmp_path: Path) -> None:
+def test_a_recording_is_truncated_to_its_last_complete_part(tmp_path: Path) -> None:
     file = stopped(tmp_path / "x.rrd", b"torn")
 
     assert (tmp_path / "x.rrd").read_bytes() == b"whole"
@@ -60,7 +60,7 @@ def test_another_file_that_has_taken_its_name_is_not_cut(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("when", ["before a look", "at the end"])
-def test_what_was_written_in_part_is_cut_off_and_told(tmp_path: Path, when: str) -> None:
+def test_a_partial_write_is_cut_off_and_reported(tmp_path: Path, when: str) -> None:
     small = tmp_path / "small"
     small.mkdir()
 

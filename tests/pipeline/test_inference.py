@@ -1,4 +1,4 @@
-"""Networks run here and nowhere else: nothing of them is reported to anybody."""
+"""Networks run without telemetry and write nothing into the user's home."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Names become paths and keys: what is no name is refused wherever a plan comes from."""
+"""Names become parts of paths and keys, so a plan with an invalid name is always refused."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A private folder: nobody else's file is read, followed, trusted or removed."""
+"""A private folder never reads, follows, trusts or removes a file of another user."""
 
 import os
 import stat
@@ -44,7 +44,9 @@ def test_a_folder_of_another_user_is_refused(tmp_path: Path) -> None:
         PrivateFolder(tmp_path / "theirs")
 
 
-def test_a_link_a_file_and_nothing_are_no_folders(tmp_path: Path, folder: PrivateFolder) -> None:
+def test_a_link_a_file_and_a_missing_path_are_refused_as_folders(
+    tmp_path: Path, folder: PrivateFolder
+) -> None:
     (tmp_path / "link").symlink_to(folder.path)
     (tmp_path / "file").touch()
 
@@ -53,7 +55,7 @@ def test_a_link_a_file_and_nothing_are_no_folders(tmp_path: Path, folder: Privat
             PrivateFolder(tmp_path / name)
 
 
-def test_what_is_written_is_read_and_nobody_else_may_read_it(folder: PrivateFolder) -> None:
+def test_a_written_file_is_read_back_and_only_its_owner_may_read_it(folder: PrivateFolder) -> None:
     folder.write("facts", b"one")
     folder.write("facts", b"two")
 

@@ -1,4 +1,4 @@
-"""What a run tells can be read in a narrow terminal."""
+"""The output of a run can be read in a narrow terminal."""
 
 import logging
 from pathlib import Path
@@ -36,7 +36,7 @@ def test_every_name_and_figure_of_the_shipped_graph_stands_whole_in_80_columns(
         assert f"{edge.origin} -> {edge.end}: 5 dropped, superseded" in caught.get()
 
 
-def test_whatever_was_not_delivered_is_counted_and_what_was_lost_is_named() -> None:
+def test_undelivered_messages_are_counted_and_losses_are_named() -> None:
     account = {"offered": 9, "delivered": 4, "dropped": {"superseded": 3}, "lost_in_crash": 1}
     whole = {"offered": 9, "delivered": 8, "dropped": {}, "lost_in_crash": 0}
 
@@ -47,7 +47,7 @@ def test_whatever_was_not_delivered_is_counted_and_what_was_lost_is_named() -> N
     assert list(losses("a", "b.in", whole, broken=False)) == []
 
 
-def test_what_is_too_tall_for_a_terminal_says_how_much_is_missing() -> None:
+def test_output_too_tall_for_a_terminal_is_cropped_with_a_count_of_missing_lines() -> None:
     console = Console(width=80, height=10)
     tall, low = "\n".join(f"row {n}" for n in range(30)), "row 0"
 

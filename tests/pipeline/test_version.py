@@ -26,7 +26,9 @@ def repository(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_source_tree_asks_git_and_marks_what_was_changed(repository: Path) -> None:
+def test_in_the_source_tree_the_commit_comes_from_git_and_changes_are_marked(
+    repository: Path,
+) -> None:
     clean = commit(repository)
     (repository / "new.txt").write_text("not tracked")
     untracked = commit(repository)
@@ -38,7 +40,7 @@ def test_the_source_tree_asks_git_and_marks_what_was_changed(repository: Path) -
     assert version(repository) == "7.8.9"
 
 
-def test_a_wheel_says_what_was_recorded(tmp_path: Path) -> None:
+def test_in_a_wheel_the_commit_is_the_recorded_one(tmp_path: Path) -> None:
     (tmp_path / "pipeline").mkdir()
     (tmp_path / "pipeline" / "commit.txt").write_text("0123456789ab\n")
 
@@ -54,13 +56,13 @@ def test_without_git_and_record_there_is_the_version_alone(
     assert version(repository) == "7.8.9"
 
 
-def test_a_project_of_another_name_around_it_is_not_asked(tmp_path: Path) -> None:
+def test_a_surrounding_project_of_another_name_is_ignored(tmp_path: Path) -> None:
     (tmp_path / "pyproject.toml").write_text(PROJECT.replace("fovea", "mine"))
 
     assert version(tmp_path) != "7.8.9"
 
 
-def test_the_command_line_says_both() -> None:
+def test_the_command_line_prints_version_and_commit() -> None:
     said = CliRunner().invoke(commands, ["--version"]).output
 
     assert said == f"fovea {described()}\n"

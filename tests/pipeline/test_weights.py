@@ -1,4 +1,4 @@
-"""Weights: what is found is what was named, and what is refused leaves nothing behind."""
+"""Weights are found by name and checksum; a refused download leaves nothing behind."""
 
 import hashlib
 import threading
@@ -31,7 +31,7 @@ def manifest_of(folder: Path, *, url: str = "", body: bytes = NETWORK) -> Path:
 
 @pytest.fixture
 def serve() -> Iterator[Serve]:
-    """Serve one body at a local address, announcing a size that may be a lie."""
+    """Serve one body at a local address, announcing a size that may be wrong."""
     servers: list[tuple[ThreadingHTTPServer, threading.Thread]] = []
 
     def start(body: bytes, announced_bytes: int) -> str:
@@ -106,7 +106,7 @@ def test_a_refused_download_leaves_the_copy_that_was_there(tmp_path: Path, serve
     assert old.read_bytes() == b"old"
 
 
-def test_a_missing_page_is_one_sentence(tmp_path: Path, serve: Serve) -> None:
+def test_a_missing_page_is_reported_in_one_sentence(tmp_path: Path, serve: Serve) -> None:
     url = serve(NETWORK, len(NETWORK)) + ".gone"
     manifest = manifest_of(tmp_path, url=url)
 
@@ -114,7 +114,7 @@ def test_a_missing_page_is_one_sentence(tmp_path: Path, serve: Serve) -> None:
         pull(["net"], folder=tmp_path / "kept", manifest=manifest)
 
 
-def test_a_silent_server_is_given_up(tmp_path: Path, serve: Serve) -> None:
+def test_a_silent_server_is_a_timeout(tmp_path: Path, serve: Serve) -> None:
     url = serve(NETWORK, len(NETWORK) + 1)  # announces a byte that never comes
     manifest = manifest_of(tmp_path, url=url, body=NETWORK + b"x")
 
@@ -133,7 +133,7 @@ def test_a_mirror_is_searched_in_its_sub_folders_for_the_right_file(tmp_path: Pa
     assert path.read_bytes() == NETWORK
 
 
-def test_a_mirror_without_the_file_says_so(tmp_path: Path) -> None:
+def test_a_mirror_without_the_file_is_an_error_that_names_it(tmp_path: Path) -> None:
     (tmp_path / "mirror").mkdir()
 
     with pytest.raises(WeightsError, match=r"expected net.onnx somewhere in .*mirror, got none"):
@@ -186,7 +186,7 @@ def test_pulling_is_proposed_only_for_a_file_that_the_manifest_names(tmp_path: P
     assert pull_hint(Path("there/mine.onnx"), manifest=manifest) == ""
 
 
-def test_a_misspelt_name_is_met_with_the_right_one() -> None:
+def test_a_misspelt_name_gets_a_suggestion() -> None:
     with pytest.raises(WeightsError, match="did you mean vittrack"):
         find("vitrack")
 
@@ -202,7 +202,7 @@ def test_a_misspelt_name_is_met_with_the_right_one() -> None:
         (("sha256 = ", 'sha256 = "12" # '), "net.sha256: expected 64 hex digits, got '12'"),
     ],
 )
-def test_a_bad_manifest_says_what_is_wrong(
+def test_a_bad_manifest_is_refused_with_the_reason(
     tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     path = manifest_of(tmp_path)
@@ -212,7 +212,7 @@ def test_a_bad_manifest_says_what_is_wrong(
         entries(path)
 
 
-def test_the_shipped_manifest_can_be_read_and_its_files_are_told_apart() -> None:
+def test_the_shipped_manifest_can_be_read_and_its_files_have_different_names() -> None:
     named = entries()
 
     assert {"yolox_nano", "vittrack", "nanotrack_v3_backbone"} <= set(named)

@@ -1,4 +1,4 @@
-"""What is written whole touches nothing else: files and links of the user beside it stay."""
+"""Writing a file whole changes nothing else: files and links of the user beside it stay."""
 
 import json
 import os
@@ -80,7 +80,7 @@ WRITERS = (
 
 
 def beside(path: Path) -> Iterator[Path]:
-    """Names that are easily guessed for a temporary file."""
+    """Yield names that are easily guessed for a temporary file."""
     for suffix in (".part", ".tmp", ".new", "~", ".part.npz"):
         yield path.with_name(f"{path.name}{suffix}")
         yield path.with_name(f"{path.stem}{suffix}")
@@ -118,7 +118,7 @@ def test_links_beside_it_are_not_followed(write: Writer, tmp_path: Path) -> None
     assert all(p.is_symlink() for p in beside(tmp_path / "aim" / written))
 
 
-def test_what_fails_leaves_the_older_file_and_nothing_beside_it(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_older_file_and_nothing_beside_it(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_text("old")
 
@@ -165,7 +165,7 @@ def umask(mask: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
-def test_its_mode_is_what_the_umask_says(mask: int, mode: int, tmp_path: Path) -> None:
+def test_its_mode_follows_the_umask(mask: int, mode: int, tmp_path: Path) -> None:
     with umask(mask):
         write_whole(tmp_path / "file", "x")
         write_whole(tmp_path / "key", "x", secret=True)
@@ -174,7 +174,7 @@ def test_its_mode_is_what_the_umask_says(mask: int, mode: int, tmp_path: Path) -
     assert stat.S_IMODE((tmp_path / "key").stat().st_mode) == 0o600
 
 
-def test_a_link_in_its_place_is_replaced_and_its_aim_stays(tmp_path: Path) -> None:
+def test_a_link_in_its_place_is_replaced_and_the_target_stays(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("three years")
     (tmp_path / "file").symlink_to(tmp_path / "thesis.tex")
 
@@ -185,7 +185,7 @@ def test_a_link_in_its_place_is_replaced_and_its_aim_stays(tmp_path: Path) -> No
     assert not (tmp_path / "file").is_symlink()
 
 
-def test_an_agent_that_cannot_write_says_so(tmp_path: Path) -> None:
+def test_an_agent_that_cannot_write_raises(tmp_path: Path) -> None:
     store = GraphStore(tmp_path / "nowhere")
 
     with pytest.raises(RunError, match=r"g\.starts: cannot be written: No such file"):

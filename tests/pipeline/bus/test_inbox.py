@@ -90,7 +90,7 @@ def test_latest_drops_whole_sets() -> None:
     assert sorted(recorder.outcomes) == [("left", "superseded"), ("right", "superseded")]
 
 
-def test_nothing_from_a_required_input_is_answered_by_nothing() -> None:
+def test_none_on_a_required_input_is_answered_with_none() -> None:
     recorder = Recorder(left=EVERY, right=EVERY)
     recorder.put("left", 1)
     recorder.put("right", 1, nothing=True)
@@ -102,7 +102,7 @@ def test_nothing_from_a_required_input_is_answered_by_nothing() -> None:
     assert set(work.arrived) == {"left", "right"}
 
 
-def test_an_optional_input_is_waited_for_only_so_long() -> None:
+def test_an_optional_input_is_waited_for_until_its_timeout() -> None:
     recorder = Recorder(left=EVERY, right=Input(Frame, keep="every", optional=True, wait_ms=5))
     recorder.put("left", 1)
 
@@ -123,7 +123,7 @@ def test_in_lockstep_an_optional_input_is_waited_for_until_it_answers() -> None:
     assert recorder.take() == 1
 
 
-def test_what_comes_beside_a_set_is_handled_after_it_in_lockstep() -> None:
+def test_an_input_that_does_not_join_is_handled_after_the_set_in_lockstep() -> None:
     recorder = Recorder(lockstep=True, frame=EVERY, beside=Input(Percept, join=False))
     recorder.put("beside", 3)
 
@@ -164,7 +164,7 @@ def test_stale_sets_are_dropped_and_counted() -> None:
 
 @pytest.mark.parametrize("keep", ["latest", "every"])
 @given(data=st.data())
-def test_every_arrival_is_settled_once_and_memory_is_bounded(
+def test_every_arrival_is_acknowledged_once_and_memory_is_bounded(
     keep: str, data: st.DataObject
 ) -> None:
     declared = Input(Frame, keep=keep, depth=4)  # type: ignore[arg-type]
@@ -200,7 +200,7 @@ def test_a_histogram_of_nothing_is_zero() -> None:
     assert Histogram(np.zeros(BUCKETS, np.uint32)).summary() == {"p50": 0.0, "p99": 0.0}
 
 
-def test_after_a_loss_an_incomplete_set_is_given_up_when_its_member_had_time_to_come() -> None:
+def test_after_a_loss_an_incomplete_set_is_dropped_when_its_member_is_overdue() -> None:
     recorder = Recorder(left=EVERY, right=EVERY)
     for seq in range(3):
         recorder.put("right", seq)
@@ -212,7 +212,9 @@ def test_after_a_loss_an_incomplete_set_is_given_up_when_its_member_had_time_to_
 
     assert recorder.take(999) == 0
     assert recorder.take(999) == 2
-    assert recorder.outcomes == [("right", "unmatched")]  # frame 1: the left one can come no more
+    assert recorder.outcomes == [
+        ("right", "unmatched")
+    ]  # frame 1: its left member can no longer come
     assert recorder.inbox.due_ns() is not None
     assert recorder.take(1001) is None
     assert len(recorder.inbox) == 1  # frame 3 came after the loss
@@ -229,7 +231,7 @@ def test_a_loss_where_nothing_waits_changes_nothing() -> None:
     assert len(recorder.inbox) == 1
 
 
-def test_a_set_whose_member_is_lost_is_given_up_after_a_second() -> None:
+def test_a_set_whose_member_is_lost_is_dropped_after_a_second() -> None:
     recorder = Recorder(left=EVERY, right=EVERY)
     recorder.put("right", 0)
 
@@ -241,7 +243,7 @@ def test_a_set_whose_member_is_lost_is_given_up_after_a_second() -> None:
     assert recorder.outcomes == [("right", "unmatched")]
 
 
-def test_losses_that_follow_one_another_put_nothing_off() -> None:
+def test_further_losses_do_not_delay_the_drop_of_earlier_sets() -> None:
     recorder = Recorder(left=EVERY, right=EVERY)
     for seq in range(3):
         recorder.put("right", seq)
@@ -255,7 +257,7 @@ def test_losses_that_follow_one_another_put_nothing_off() -> None:
     assert given_up == [0, 1, 2, 3]
 
 
-def test_a_loss_of_one_stream_is_none_of_the_next() -> None:
+def test_a_loss_in_one_stream_does_not_affect_the_next() -> None:
     recorder = Recorder(left=EVERY, right=EVERY)
     recorder.put("right", 5)
     recorder.inbox.lost("left", now_ns=0)

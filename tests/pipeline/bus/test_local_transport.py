@@ -1,4 +1,4 @@
-"""The local transport: packets whole and in order, no reader can hold a writer up."""
+"""The local transport delivers whole packets in order, and no reader can block a writer."""
 
 import time
 from pathlib import Path
@@ -29,7 +29,7 @@ def test_packets_arrive_whole_and_in_order(address: Path) -> None:
 
     for number, packet in enumerate(packets):
         sender.send(packet)
-        drained(receiver, got, number - 2)  # a few are always under way
+        drained(receiver, got, number - 2)  # a few packets are always in flight
 
     assert drained(receiver, got, 40) == packets
     sender.close()

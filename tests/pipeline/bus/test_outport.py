@@ -1,4 +1,4 @@
-"""The ends of an edge: what arrives is accounted for once, whoever sent it."""
+"""The two ends of an edge: every message is accounted for exactly once."""
 
 import time
 from collections.abc import Iterator
@@ -31,11 +31,11 @@ class Wire:
         self.fresh = False
 
     def connect(self) -> bool:
-        """Whether a link is new."""
+        """Return whether a link is new."""
         return self.fresh
 
     def set_targets(self, *_: object) -> None:
-        """There is one reader."""
+        """Do nothing: there is one reader."""
 
     def send(self, payload: bytes) -> list[int]:
         self.sent.append(payload)
@@ -81,7 +81,7 @@ class Edge:
         self.wire.sent.clear()
 
     def finish(self) -> None:
-        """The operator has done with all that arrived."""
+        """Acknowledge all that arrived, as an operator that handled it."""
         self.account.acknowledge("delivered", len(self.arrivals))
         self.arrivals.clear()
 
@@ -103,7 +103,7 @@ def test_a_loaned_picture_is_not_copied_on_its_way(edge: Edge) -> None:
     received = edge.arrivals[0].message
     assert isinstance(received, Frame)
 
-    pixels[0, 0, 0] = 77  # what no author may do proves what the runtime did
+    pixels[0, 0, 0] = 77  # forbidden to an author; the reader sees it only in shared memory
 
     assert received.pixels[0, 0, 0] == 77
     assert not received.pixels.flags.writeable
@@ -131,7 +131,7 @@ def test_a_lossless_reader_has_credit_for_its_depth_only(edge: Edge) -> None:
     assert edge.account.sent == 4
 
 
-def test_a_reader_that_never_came_holds_nobody_up() -> None:
+def test_a_reader_that_never_connected_does_not_block_the_writer() -> None:
     edge = Edge(depth=2)
     for seq in range(10):
         assert edge.out.has_credit()
@@ -152,7 +152,7 @@ def test_a_lost_descriptor_is_counted_as_a_gap(edge: Edge) -> None:
     assert edge.account.accounted == edge.account.sent == 3
 
 
-def test_a_reader_to_whom_everything_was_lost_hears_of_it_and_the_writer_goes_on(
+def test_a_reader_that_lost_every_message_counts_them_and_the_writer_continues(
     edge: Edge, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     edge.out.handshake()
@@ -175,9 +175,9 @@ def test_a_reader_to_whom_everything_was_lost_hears_of_it_and_the_writer_goes_on
 def test_a_new_reader_counts_what_its_predecessor_left(edge: Edge) -> None:
     edge.send(0)
     edge.carry()
-    edge.arrivals.clear()  # taken, never finished: killed
+    edge.arrivals.clear()  # received and never finished: the reader was killed
     edge.send(1)
-    edge.wire.sent.clear()  # sent to nobody
+    edge.wire.sent.clear()  # lost: no reader was there
     edge.account.reader_epoch = 2
     edge.port = edge.reader(2)
 
@@ -197,7 +197,7 @@ def test_a_superseded_writer_is_fenced(edge: Edge) -> None:
     edge.send(1)
 
     assert edge.account.dropped("fenced") == 1
-    assert edge.account.sent == 1  # and it does not speak any more
+    assert edge.account.sent == 1  # it sends nothing any more
     assert edge.arrivals == []
 
 
@@ -225,7 +225,7 @@ def test_noise_on_the_key_never_raises_and_never_counts_as_sent(noise: bytes) ->
     assert edge.account.accounted == 0
 
 
-def test_a_repeated_descriptor_is_a_stray(edge: Edge) -> None:
+def test_a_repeated_descriptor_is_counted_as_unexpected(edge: Edge) -> None:
     edge.send(0)
     payload = edge.wire.sent[0]
     edge.carry()
@@ -241,7 +241,7 @@ def test_bytes_are_rendered_only_while_a_remote_reader_matches() -> None:
     far.send(3)
 
     assert near.remote.sent == []
-    far.port.receive(far.remote.sent[0])  # no pool of its own is needed for these
+    far.port.receive(far.remote.sent[0])  # a remote reader needs no pool
     received = far.arrivals[0].message
     assert isinstance(received, Frame)
     assert (received.pixels == 3).all()
@@ -257,12 +257,12 @@ def test_a_tap_copies_what_it_would_pin() -> None:
         edge.carry()
 
     values = [a.message.pixels[0, 0, 0] for a in edge.arrivals if isinstance(a.message, Frame)]
-    assert values == list(range(12))  # kept all, in three slots
+    assert values == list(range(12))  # all are kept, although the pool has three slots
     edge.arrivals.clear()
     edge.memory.empty()
 
 
-def test_nothing_is_a_message_too(edge: Edge) -> None:
+def test_none_is_sent_as_a_message(edge: Edge) -> None:
     edge.out.send(None, header(4))
     edge.carry()
 
@@ -295,7 +295,7 @@ def test_an_envelope_of_another_version_is_refused() -> None:
 
 
 def told_of_losses(edge: Edge) -> list[int]:
-    """Sends handshakes and messages; one entry for every loss that the reader heard of."""
+    """Send a handshake; return one entry for every loss that the reader was notified of."""
     told: list[int] = []
     edge.port.on_loss = lambda: told.append(1)
     edge.out.handshake()
@@ -303,7 +303,7 @@ def told_of_losses(edge: Edge) -> list[int]:
     return told
 
 
-def test_a_reader_hears_of_a_loss_once(edge: Edge) -> None:
+def test_a_reader_is_notified_of_a_loss_once(edge: Edge) -> None:
     edge.out.handshake()
     edge.carry()
 
@@ -313,7 +313,7 @@ def test_a_reader_hears_of_a_loss_once(edge: Edge) -> None:
     assert told_of_losses(edge) == []
 
 
-def test_who_began_anew_has_lost_something_and_who_took_over_has_not(edge: Edge) -> None:
+def test_a_restarted_writer_reports_a_loss_and_one_that_took_over_does_not(edge: Edge) -> None:
     edge.out.handshake()
     edge.carry()
 

@@ -1,4 +1,4 @@
-"""Frame pools: no copy, no overwritten picture, nothing kept by the dead."""
+"""Frame pools copy nothing, overwrite no picture in use, and free the slots of dead readers."""
 
 import multiprocessing
 import os
@@ -57,7 +57,7 @@ def test_the_readers_array_lies_in_the_writers_memory(memory: MemoryFolder) -> N
     view = PoolReader(memory, STEM).take(lease.ref())
     assert view is not None
 
-    written[17] = 99  # only memory that both share can show this
+    written[17] = 99  # the view shows it only if both share the memory
 
     assert view[17] == 99
 
@@ -112,7 +112,7 @@ def test_the_slot_written_last_is_taken_again_as_soon_as_it_is_done(memory: Memo
     assert len({fill(pool, value, value).slot for value in range(6)}) == 1
 
 
-def test_of_slots_to_spare_the_oldest_goes_first(memory: MemoryFolder) -> None:
+def test_of_several_spare_slots_the_oldest_is_reused_first(memory: MemoryFolder) -> None:
     pool = writer(memory, claim=SPARE)
 
     slots = [fill(pool, value, value).slot for value in range(6)]

@@ -1,4 +1,4 @@
-"""A connection does not outlive its cable."""
+"""`hasten` makes a TCP connection end soon after its cable was unplugged."""
 
 import socket
 import struct
@@ -51,10 +51,10 @@ def test_the_named_connection_neither_lingers_nor_waits_for_long_and_stays_open(
         assert far.recv(11) == b"still there"
 
 
-def test_a_connection_that_is_gone_is_none() -> None:
+def test_hasten_returns_false_for_a_connection_that_is_gone() -> None:
     assert not hasten("tls/127.0.0.1:1", "tls/127.0.0.1:2")
 
 
 @pytest.mark.parametrize("far", ["/tmp/agent-viewer.sock", "c52b79a8-339c-43f5-bfe5-21cd410e350c"])
-def test_sockets_of_this_host_have_no_cable(far: str) -> None:
+def test_unix_sockets_are_left_alone(far: str) -> None:
     assert not hasten("unixsock-stream//tmp/agent-desk.sock", f"unixsock-stream/{far}")

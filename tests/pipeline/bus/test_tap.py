@@ -1,4 +1,4 @@
-"""A tap hears all that an output sends, holds nothing of it, and knows what it missed."""
+"""A tap receives every message of an output, holds no slot, and counts what it missed."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -22,7 +22,7 @@ from tests.pipeline.bus.test_outport import STEM, Wire
 
 
 class Output:
-    """An output that nobody in the graph reads, and the key that a tap listens on."""
+    """An output without a reader in the graph, and the key that a tap listens on."""
 
     def __init__(self) -> None:
         self.memory = MemoryFolder.claim()
@@ -63,12 +63,12 @@ def heard(tap: Tap) -> list[int]:
     return seqs
 
 
-def test_a_tap_hears_pictures_whose_slot_was_written_anew_long_ago(output: Output) -> None:
+def test_a_tap_receives_pictures_whose_slot_was_reused_long_ago(output: Output) -> None:
     tap = Tap(Frame)
     for seq in range(20):
         output.send(seq)
 
-    output.carry(tap)  # as late as can be: the output has two slots
+    output.carry(tap)  # after the last one: the output has two slots
 
     one = tap.next(0.0)
     assert one is not None
@@ -88,7 +88,7 @@ def test_what_a_tap_keeps_holds_no_slot(output: Output) -> None:
     assert len(kept) == 20
 
 
-def test_small_values_and_nothings_are_told_as_they_are(output: Output) -> None:
+def test_small_pictures_and_none_arrive_unchanged(output: Output) -> None:
     tap = Tap(Frame)
     output.send(251 + 7, side_px=2)
     output.out.send(None, header(9))
@@ -179,7 +179,7 @@ def test_what_is_sent_before_a_tap_hears_a_new_instance_is_counted(
     assert tap.missed == Missed(on_the_way=2)
 
 
-def test_after_a_swap_that_is_rolled_back_the_numbers_still_fit(output: Output) -> None:
+def test_a_swap_that_is_rolled_back_counts_no_message_as_missed(output: Output) -> None:
     tap, first = Tap(Frame), output.out
     output.send(0, side_px=2)
     output.out = output.instance(2)
@@ -202,7 +202,7 @@ def test_a_straggler_of_the_old_instance_is_no_loss_and_a_superseded_one_is_not_
         tap.receive(Envelope.render(kind, ordinal, epoch, schema, None, header(ordinal)))
 
     send(5, 1)
-    send(7, 2)  # of another link, and so before the last one of the old instance
+    send(7, 2)  # over another link, so it arrives before the last one of the old instance
     send(6, 1)
     send(7, 1)
 
@@ -210,7 +210,7 @@ def test_a_straggler_of_the_old_instance_is_no_loss_and_a_superseded_one_is_not_
     assert tap.missed == Missed()
 
 
-def test_a_greeting_tells_a_tap_what_it_missed(output: Output) -> None:
+def test_a_handshake_makes_a_tap_count_what_it_missed(output: Output) -> None:
     tap = Tap(Frame)
     output.send(0)
     for seq in range(1, 4):

@@ -1,4 +1,4 @@
-"""A run without a terminal: it goes on when its command has left, and how it ends can be found."""
+"""A detached run goes on after its command has ended, and its end is recorded."""
 
 import contextlib
 import json
@@ -40,7 +40,7 @@ if {wrong}:
 def fovea(
     *words: str, cwd: Path | None = None, quiet: bool = False
 ) -> "subprocess.CompletedProcess[str]":
-    """The command when it has ended; `quiet`: what it leaves may hold its streams open."""
+    """Run the command to its end; `quiet` where processes that it leaves hold its streams open."""
     pipe = subprocess.DEVNULL if quiet else subprocess.PIPE
     return subprocess.run(
         [*FOVEA, *words], stdout=pipe, stderr=pipe, cwd=cwd, text=True, timeout=120, check=False
@@ -109,7 +109,7 @@ def test_what_a_detached_run_prints_is_bounded_and_its_end_is_shown(graph: Path,
     assert "rate:" in fovea("logs", name).stdout
 
 
-def test_words_that_cannot_be_read_are_told_as_such(name: str) -> None:
+def test_output_that_cannot_be_read_is_an_error_with_the_reason(name: str) -> None:
     folder = folder_of(name)
     folder.mkdir(mode=0o700)
     with pytest.raises(RunError, match=r": no detached run wrote anything$"):
@@ -156,7 +156,7 @@ def test_a_run_that_ends_by_itself_leaves_its_status(graph: Path, name: str) -> 
     assert (found.exit_status, found.why) == (2, "picture 30: torn")
 
 
-def test_a_killed_run_is_told_of_without_an_end(graph: Path, name: str) -> None:
+def test_a_killed_run_is_reported_as_killed(graph: Path, name: str) -> None:
     pid = json.loads(fovea("run", str(graph), "--detach", "--json").stdout)["pid"]
     os.kill(pid, signal.SIGKILL)
     until(lambda: name not in running())
@@ -165,7 +165,9 @@ def test_a_killed_run_is_told_of_without_an_end(graph: Path, name: str) -> None:
     assert f"\n{name}: was killed\n" in fovea("ps").stdout
 
 
-def test_what_cannot_begin_is_told_by_the_command_that_began_it(graph: Path, name: str) -> None:
+def test_a_detached_run_that_cannot_begin_is_an_error_of_its_command(
+    graph: Path, name: str
+) -> None:
     wrong = fovea("run", str(graph), "--detach", "--set", "ticker.fail_a=3")
     together = fovea("run", str(graph), "--detach", "--inline")
 
@@ -176,7 +178,7 @@ def test_what_cannot_begin_is_told_by_the_command_that_began_it(graph: Path, nam
 
 
 @pytest.mark.parametrize("wrong", [False, True])
-def test_what_a_module_forks_when_it_is_imported_is_not_waited_for(
+def test_a_process_that_a_module_forks_on_import_is_not_waited_for(
     graph: Path, name: str, tmp_path: Path, wrong: bool
 ) -> None:
     pids = tmp_path / "pids"
@@ -211,9 +213,7 @@ def test_attach_watches_until_ctrl_c_and_the_graph_goes_on(graph: Path, name: st
     assert fovea("stop", name).returncode == 0
 
 
-def test_a_run_in_the_foreground_is_stopped_too_and_down_says_the_same(
-    graph: Path, name: str
-) -> None:
+def test_stop_and_down_also_end_a_run_in_the_foreground(graph: Path, name: str) -> None:
     for verb in ("stop", "down"):
         run = subprocess.Popen([*FOVEA, "run", str(graph)], stdout=subprocess.PIPE, text=True)
         until(lambda: name in running() and not fovea("health", name).returncode)
@@ -225,7 +225,7 @@ def test_a_run_in_the_foreground_is_stopped_too_and_down_says_the_same(
         assert run.returncode == 0
 
 
-def test_what_does_not_run_cannot_be_stopped_or_watched() -> None:
+def test_a_graph_that_does_not_run_cannot_be_stopped_or_watched() -> None:
     for verb in ("stop", "down", "attach"):
         done = fovea(verb, "nowhere-at-all")
 
@@ -234,7 +234,7 @@ def test_what_does_not_run_cannot_be_stopped_or_watched() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"{}", b"[1]", b'{"graph": 3}', b"\xff", b"{" * 3000])
-def test_a_record_that_no_run_wrote_is_none(data: bytes) -> None:
+def test_a_record_that_no_run_wrote_is_ignored(data: bytes) -> None:
     folder = folder_of(f"noise-{secrets.token_hex(3)}")
     folder.mkdir(mode=0o700)
     (folder / detached.RECORD).write_bytes(data)
@@ -243,7 +243,7 @@ def test_a_record_that_no_run_wrote_is_none(data: bytes) -> None:
     assert folder.name not in detached.all_noted()
 
 
-def test_ps_says_in_words_that_no_graph_runs(
+def test_ps_prints_a_sentence_where_no_graph_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))

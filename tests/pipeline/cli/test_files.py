@@ -1,4 +1,4 @@
-"""Reports and recordings are tried before a run, and what cannot be written is told."""
+"""Paths of reports and recordings are tried before a run; unwritable ones are refused."""
 
 import json
 import os
@@ -132,7 +132,7 @@ def test_a_report_goes_through_a_link_and_into_a_pipe(tmp_path: Path) -> None:
     os.close(write)
 
 
-def test_a_pipe_that_nobody_reads_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_without_a_reader_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
 
     with pytest.raises(SettingsError, match="cannot be written"):
@@ -168,7 +168,7 @@ def test_a_report_that_does_not_fit_is_printed_and_the_old_one_stays(
 @pytest.mark.parametrize(
     "words", [("--inline",), ("--clock", "lockstep")], ids=["in line", "as processes"]
 )
-def test_a_recording_whose_disk_fills_is_told_and_can_be_read_up_to_there(
+def test_a_recording_whose_disk_fills_is_an_error_and_can_be_read_up_to_there(
     graph: Path, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     small = tmp_path / "small"

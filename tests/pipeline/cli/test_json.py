@@ -1,4 +1,4 @@
-"""Every command that shows something answers with JSON, whose keys stay."""
+"""Every command with `--json` prints JSON whose keys do not change."""
 
 import secrets
 import subprocess

@@ -1,4 +1,4 @@
-"""Terminals of 50 and 30 columns, without colours, and pipes: what is shown stays readable."""
+"""Output stays readable in terminals of 50 and 30 columns, without colours and in pipes."""
 
 import fcntl
 import itertools
@@ -37,7 +37,7 @@ ACCOUNT = {
 
 
 def status() -> Status:
-    """A graph with names and figures as long as they get."""
+    """Return the status of a graph with the longest names and figures."""
     state = State(
         graph="tracking", label="", at_ns=0, phase="running", failure="", hosts=(),
         network_bytes={},
@@ -90,7 +90,7 @@ def lines_of(shown: RenderableType, width: int) -> list[str]:
 
 
 def headings(lines: list[str]) -> list[str]:
-    """The lines above the rules of tables."""
+    """Return the lines above the rules of tables."""
     return [above for above, line in itertools.pairwise(lines) if line.startswith("──")]
 
 
@@ -127,7 +127,7 @@ def test_the_verdict_of_a_run_is_read_in_a_narrow_terminal(width: int) -> None:
 
 
 def in_terminal(*words: str, columns: int = 50, **environment: str) -> tuple[int, str]:
-    """The exit status of a command in a terminal of so many columns, and what that shows."""
+    """Run a command in a terminal of so many columns; return its exit status and output."""
     ours, its = pty.openpty()
     fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 40, columns, 0, 0))
     known = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "COLUMNS", "LINES")}
@@ -168,7 +168,7 @@ def test_a_terminal_has_colours_unless_they_are_not_wanted(name: str, words: str
     assert (coloured[0], plain[0]) == (0, 0), coloured[1] + plain[1]
     assert "\x1b[" in coloured[1]
     assert "\x1b" not in plain[1]
-    # a graph of another test that has ended is a sentence, which the terminal wraps
+    # the end of another test's graph is shown as a sentence, which the terminal wraps
     lines = [line for line in plain[1].splitlines() if ": ended " not in line]
     assert {len(line) > 50 for line in lines} == {False}
 
@@ -213,7 +213,7 @@ def test_top_in_a_pipe_prints_one_table_after_the_other(name: str) -> None:
             top.terminate()
 
 
-def test_echo_leaves_quietly_when_its_reader_does(name: str) -> None:
+def test_echo_ends_without_an_error_when_its_reader_ends(name: str) -> None:
     with subprocess.Popen(
         [*FOVEA, "echo", name, "glance"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as echo:

@@ -1,4 +1,4 @@
-"""What operators advise is shown before anything starts."""
+"""The advice of operators is shown before anything starts."""
 
 import subprocess
 import sys
@@ -23,7 +23,7 @@ def bare_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def with_network(name: str, tmp_path: Path) -> Path:
-    """A shipped graph whose tracker needs weights that are not here."""
+    """Return a shipped graph whose tracker needs weights that are missing."""
     text = (GRAPHS / name).read_text().replace("CorrelationTracker", "VitTracker")
     path = tmp_path / name
     path.write_text(text)
@@ -68,5 +68,5 @@ def test_running_shows_the_advice_first() -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
 
     assert done.returncode == 0, done.stderr
-    told = " ".join(done.stdout.split())  # where a line ends depends on where the graph lies
+    told = " ".join(done.stdout.split())  # the path of the graph decides where lines break
     assert told.index("the detector finds player") < told.index("rate: ")

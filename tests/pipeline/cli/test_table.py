@@ -58,7 +58,7 @@ def test_what_only_lists_the_commands_imports_nothing_heavy(words: list[str]) ->
 
 
 @pytest.mark.parametrize("name", sorted(TABLE))
-def test_the_summary_of_a_command_is_told_in_its_own_words(name: str) -> None:
+def test_the_summary_of_a_command_uses_the_words_of_its_help(name: str) -> None:
     loaded = commands.commands[name].loaded()  # type: ignore[attr-defined]
 
     def plain(text: str) -> list[str]:
@@ -94,7 +94,7 @@ def test_a_word_that_is_no_command_is_refused() -> None:
          f"torch, got none: pip install 'fovea[train]'{INDEX}"),
     ],
 )  # fmt: skip
-def test_a_missing_extra_is_one_sentence_of_the_command_that_needs_it(
+def test_a_command_whose_extra_is_missing_is_refused_in_one_sentence(
     words: list[str], said: str, tmp_path: Path
 ) -> None:
     done = python(MISSING, *words, cwd=tmp_path)

@@ -1,4 +1,4 @@
-"""What `ps` and `top` show of hosts: every node that was brought up, and words as they came."""
+"""`ps` and `top` show every node that was deployed, and text from outside as it is."""
 
 from rich.console import Console, RenderableType
 
@@ -53,7 +53,7 @@ def test_top_keeps_the_nodes_of_a_lost_host_in_sight() -> None:
         assert [line for line in lines if node in line and "lost" in line], lines
 
 
-def test_words_from_outside_are_no_markup() -> None:
+def test_text_from_outside_is_not_taken_for_markup() -> None:
     why = "no such device [/dev/video0] [red]"
 
     assert why in "".join(ps("sensor", [state("sensor", "[/x]", phase="failed", failure=why)]))

@@ -1,4 +1,4 @@
-"""Tasks: a name or a file leads to a command, and what leads nowhere is said in one sentence."""
+"""The name or file of a task leads to its command; any other is refused in one sentence."""
 
 import sys
 from pathlib import Path
@@ -22,7 +22,7 @@ def test_a_shipped_task_is_found_by_name_and_has_both_commands() -> None:
     assert isinstance(command_of("tracking", "train"), click.Command)
 
 
-def test_a_task_whose_module_needs_an_extra_says_how_to_get_it(
+def test_a_missing_extra_of_a_task_is_named_with_its_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)

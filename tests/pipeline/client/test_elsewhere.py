@@ -1,4 +1,4 @@
-"""A running graph is asked: a command from another folder imports nothing of its operators."""
+"""Commands work from any folder: they ask the running graph and import no operator of it."""
 
 import json
 import secrets
@@ -15,7 +15,7 @@ from tests.sample_graphs import until
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 OPERATOR = '''
-"""Frames as they come, of a message of its own."""
+"""The brightness of frames, in a message class of its own."""
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,7 +87,7 @@ def elsewhere(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def name(tmp_path: Path, elsewhere: Path) -> Iterator[str]:
-    """A graph that runs in a folder with an operator that is nowhere else."""
+    """Run a graph whose operator is in its own folder only; yield the graph's name."""
     home, module = tmp_path / "home", f"mine_{secrets.token_hex(3)}"
     name = f"else-{secrets.token_hex(3)}"
     home.mkdir()

@@ -62,7 +62,7 @@ def missing(lines: list[str]) -> int:
 
 
 @pytest.mark.parametrize("output", ["glance", "ticker.context"])
-def test_every_message_of_an_output_that_nobody_reads_is_heard_or_told_missed(
+def test_every_message_of_an_unread_output_is_received_or_counted_as_missed(
     output: str, tmp_path: Path
 ) -> None:
     plan, lines = plan_of(tmp_path, UNREAD), list[str]()
@@ -76,7 +76,7 @@ def test_every_message_of_an_output_that_nobody_reads_is_heard_or_told_missed(
     found = seqs(lines)
     assert len(found) == 40
     unheard = found[-1] - found[0] + 1 - len(found)
-    # glance may have left a frame out, which is no message of its output
+    # glance may have skipped a frame, for which its output has no message
     assert missing(lines) == unheard if output != "glance" else missing(lines) <= unheard
 
 
@@ -227,7 +227,7 @@ def test_an_output_that_falls_silent_does_not_keep_its_rate() -> None:
     assert "none in the last 3.0 s" in said
 
 
-def test_without_a_message_the_rate_is_an_error_that_says_what_came_instead() -> None:
+def test_without_a_message_the_rate_is_an_error_that_counts_the_nones() -> None:
     nothing = [Heard(0, header(0), None, False), Heard(1, header(1), None, False)]
 
     with pytest.raises(RunError, match=r"eye: no message in 1\.0 s, 2 times nothing"):

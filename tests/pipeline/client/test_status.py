@@ -1,4 +1,4 @@
-"""What `ps` and `top` learn of a graph that runs here: its processes, with restarts and crashes."""
+"""The status of a local graph lists its processes with their restarts and crashes."""
 
 import signal
 from pathlib import Path
@@ -15,7 +15,7 @@ def processes(graph: str) -> dict[str, Process]:
     return {process.name: process for state in said for process in state.processes}
 
 
-def test_restarts_and_crashes_of_every_process_are_told(tmp_path: Path) -> None:
+def test_the_status_has_restarts_and_crashes_of_every_process(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, CHAIN.replace("  count:\n", "  count:\n    restart: never\n"))
     found: dict[str, Process] = {}
 

@@ -1,4 +1,4 @@
-"""The doctor finds what is wrong, says what to do, and finds nothing where all is well."""
+"""The doctor reports what is wrong with a remedy, and reports nothing where nothing is wrong."""
 
 import json
 import os
@@ -47,14 +47,14 @@ def verdicts(findings: list[Finding]) -> dict[str, str]:
     return {finding.what: finding.verdict for finding in findings}
 
 
-def test_every_finding_says_what_to_do(tmp_path: Path) -> None:
+def test_every_finding_has_a_remedy(tmp_path: Path) -> None:
     findings = [*examine_machine(), *examine_machine(memory=tmp_path / "none", system=tmp_path)]
 
     assert verdicts(findings)["shared memory"] == "wrong"
     assert all(finding.todo for finding in findings if finding.verdict != "ok")
 
 
-def test_shared_memory_on_a_disk_is_told_of(tmp_path: Path) -> None:
+def test_shared_memory_on_a_disk_is_reported(tmp_path: Path) -> None:
     assert shared_memory(MEMORY).verdict == "ok"
     assert "on a disk" in shared_memory(Path(__file__).parent).why
     assert shared_memory(tmp_path / "none").verdict == "wrong"
@@ -84,7 +84,7 @@ def test_a_control_group_may_allow_less_than_there_are_cores(tmp_path: Path) -> 
     assert crowd(8, 2).verdict == "ok"
 
 
-def test_a_sleepy_governor_and_a_slow_clock_are_told_of(tmp_path: Path) -> None:
+def test_a_power_saving_governor_and_a_slow_clock_are_reported(tmp_path: Path) -> None:
     for place, word in (
         ("cpu/cpu0/cpufreq/scaling_governor", "powersave"),
         ("clocksource/clocksource0/current_clocksource", "hpet"),
@@ -98,7 +98,9 @@ def test_a_sleepy_governor_and_a_slow_clock_are_told_of(tmp_path: Path) -> None:
     assert clock_source(tmp_path).verdict == "warning"
 
 
-def test_packages_are_held_against_what_the_project_asks_for(tmp_path: Path) -> None:
+def test_installed_packages_are_compared_with_the_requirements_of_the_project(
+    tmp_path: Path,
+) -> None:
     project = tmp_path / "pyproject.toml"
     project.write_text('[project]\ndependencies = ["numpy>=99", "psutil>=1", "fovea-nowhere"]\n')
 
@@ -111,7 +113,7 @@ def test_packages_are_held_against_what_the_project_asks_for(tmp_path: Path) -> 
     assert found[1].todo == "pip install 'fovea-nowhere'"
 
 
-def test_what_this_project_asks_for_is_installed() -> None:
+def test_the_requirements_of_this_project_are_installed() -> None:
     asked = requirements(Path("nowhere"))
 
     assert Requirement("numpy>=2.2,<3") in asked
@@ -120,7 +122,7 @@ def test_what_this_project_asks_for_is_installed() -> None:
     assert bus().verdict == "ok"
 
 
-def test_the_pools_of_a_graph_are_as_big_as_foreseen(tmp_path: Path) -> None:
+def test_the_pools_of_a_graph_are_as_big_as_estimated(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, CHAIN)
     foreseen = pool_bytes(plan, message_bytes(plan))
     sizes = []
@@ -139,7 +141,7 @@ def test_the_pools_of_a_graph_are_as_big_as_foreseen(tmp_path: Path) -> None:
     assert pools(foreseen, foreseen - 1).verdict == "wrong"
 
 
-def test_a_graph_that_cannot_run_is_told_of_without_running_it(tmp_path: Path) -> None:
+def test_a_graph_that_cannot_run_is_reported_without_running_it(tmp_path: Path) -> None:
     path = tmp_path / "graph.yaml"
     path.write_text(f"name: sick\n{LOOP}")
 
@@ -154,7 +156,7 @@ def test_a_graph_that_cannot_run_is_told_of_without_running_it(tmp_path: Path) -
     assert "ValueError: told to crash" in bug[-1].why
 
 
-def test_what_a_killed_run_left_is_found_and_swept(tmp_path: Path) -> None:
+def test_leftovers_of_a_killed_run_are_found_and_removed(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOOP)
     command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
     supervisor = subprocess.Popen(command, stdout=subprocess.PIPE)
@@ -192,7 +194,7 @@ def test_a_port_that_something_else_listens_on_is_named() -> None:
     assert "agent.yaml" in held.todo
 
 
-def test_a_graph_whose_folder_is_elsewhere_is_no_remains(
+def test_a_graph_whose_folder_is_elsewhere_is_no_leftover(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     plan, told = plan_of(tmp_path, LOOP), []
@@ -214,7 +216,7 @@ def test_a_graph_whose_folder_is_elsewhere_is_no_remains(
     assert not [pid for pid in facts["pids"].values() if str(pid) in words.split()]
 
 
-def test_where_shared_memory_is_too_small_the_doctor_says_how_much_is_needed(
+def test_where_shared_memory_is_too_small_the_doctor_reports_how_much_is_needed(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "graph.yaml"

@@ -1,4 +1,4 @@
-"""Hosts to test with: agents in threads of this process, each with nodes of its own."""
+"""Hosts for tests: agents in threads of this process, each with nodes of its own."""
 
 import threading
 from collections.abc import Iterator, Sequence
@@ -73,7 +73,7 @@ def host_of(label: str, others: Sequence[str], folder: Path, **more: object) -> 
 
 
 class Running:
-    """An agent at work."""
+    """An agent that runs in a thread."""
 
     def __init__(self, own: HostConfig) -> None:
         self.agent = Agent(own)

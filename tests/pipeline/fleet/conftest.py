@@ -1,4 +1,4 @@
-"""What every test of the fleet may count on."""
+"""Fixtures of every test of the fleet."""
 
 from pathlib import Path
 
@@ -7,5 +7,5 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is remembered of deployed graphs lies apart from what this user deployed."""
+    """Keep the record of deployed graphs apart from that of this user."""
     monkeypatch.setenv("HOME", str(tmp_path / "home"))

@@ -17,7 +17,7 @@ from pipeline.protocol import fleet as wire
 from pipeline.protocol.codec import encode
 
 PLAN = Plan(name="trio", clock="realtime", nodes=(), edges=())
-HALF_OPEN = 10  # links to each end point; Zenoh rests for 0.1 s after each that comes to nothing
+HALF_OPEN = 10  # links to each endpoint; Zenoh pauses for 0.1 s after each that fails
 READ = ("fovea/trio/capture/roi/bytes", "fovea/trio/capture/context/bytes", "fovea/**")
 FORGED = ("fovea/trio/steer/out/bytes", "fovea/trio/capture/context/bytes")
 ASKED = [
@@ -29,12 +29,12 @@ ASKED = [
 
 
 class Open(Network):
-    """Without the restraint of our own access list."""
+    """A network without the access list of this project."""
 
     def config(self) -> dict[str, object]:
         config = super().config()
         config.pop("access_control")
-        if self.credentials.startswith("-"):  # TLS without a certificate of one's own
+        if self.credentials.startswith("-"):  # TLS without a client certificate
             config["transport"]["link"]["tls"] = {
                 "root_ca_certificate": self.credentials[1:],
                 "verify_name_on_connect": False,
@@ -76,7 +76,7 @@ def main(credentials: str, points: list[str], seconds: float) -> dict[str, objec
 
 
 def question(verb: str) -> bytes:
-    """What an agent would have to answer, if it answered him."""
+    """Return a valid question, which an agent answers if the identity is permitted."""
     if verb == "about":
         return encode(wire.Nothing())
     if verb == "start":
@@ -85,7 +85,7 @@ def question(verb: str) -> bytes:
 
 
 def flood_of_connections(points: list[str]) -> list[socket.socket]:
-    """Many links that say nothing."""
+    """Open many connections that send nothing."""
     found: list[socket.socket] = []
 
     def connect(point: str) -> None:

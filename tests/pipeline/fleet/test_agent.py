@@ -1,4 +1,4 @@
-"""Agents on one machine, over sockets of this user: a graph is laid over them and looked after."""
+"""Agents on one machine, over unix sockets: a graph is deployed to them and supervised."""
 
 import hashlib
 import os
@@ -91,7 +91,7 @@ def test_a_graph_goes_up_runs_over_its_hosts_and_comes_down(fleet: Fleet, tmp_pa
         ),
     ],
 )
-def test_what_one_host_refuses_starts_on_none(
+def test_a_graph_that_one_host_refuses_starts_on_none(
     fleet: Fleet, node: str, changes: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     plan = plan_of(tmp_path)
@@ -120,7 +120,9 @@ def test_noise_is_refused_and_the_agent_lives(fleet: Fleet, data: bytes) -> None
     assert fleet.ask("sensor", "about", wire.Nothing(), wire.About).label == "sensor"
 
 
-def test_a_host_that_asks_what_it_may_not_holds_up_nobody(fleet: Fleet, tmp_path: Path) -> None:
+def test_a_host_without_permission_is_refused_and_blocks_nothing(
+    fleet: Fleet, tmp_path: Path
+) -> None:
     way = Network(
         connect=(fleet.hosts.points["sensor"],),
         permits=asker_permits(host_identity("viewer"), ["sensor"]),
@@ -139,7 +141,9 @@ def test_a_host_that_asks_what_it_may_not_holds_up_nobody(fleet: Fleet, tmp_path
     down("trio", fleet.hosts)
 
 
-def test_a_deployed_graph_is_steered_from_the_desk(fleet: Fleet, tmp_path: Path) -> None:
+def test_a_deployed_graph_takes_commands_and_orders_from_a_client(
+    fleet: Fleet, tmp_path: Path
+) -> None:
     up(fleet, plan_of(tmp_path))
 
     trio = find("trio")
@@ -185,7 +189,7 @@ def test_a_node_that_is_killed_starts_again_on_its_host(fleet: Fleet, tmp_path: 
     down("trio", fleet.hosts)
 
 
-def test_a_host_that_ends_is_told_and_takes_its_part_up_again(
+def test_a_host_that_ends_is_reported_and_runs_its_part_again_when_it_is_back(
     three: dict[str, Running], fleet: Fleet, tmp_path: Path
 ) -> None:
     up(fleet, plan_of(tmp_path))
@@ -215,7 +219,7 @@ def test_another_graph_of_the_name_takes_the_place_of_the_first_when_asked_to(
     up(fleet, plan_of(tmp_path, fewer.replace("rate_hz: 30", "rate_hz: 20")), again=True)
 
     until(lambda: handled(fleet, "compute", "steer") > 10)
-    assert fleet.states()["viewer"] == []  # where the other one ran and this one does not
+    assert fleet.states()["viewer"] == []  # the first graph ran there, this one does not
     edge = next(e for e in state_of(fleet, "compute").edges if e.end == "work.frame")
     assert edge.account["offered"] < 200  # its own, not those of the graph before
     down("trio", fleet.hosts)
@@ -237,7 +241,7 @@ def test_two_graphs_share_a_host_and_both_go_on_after_it_began_again(
         down(name, fleet.hosts)
 
 
-def test_a_mistake_while_a_question_is_answered_ends_no_agent(
+def test_an_exception_while_a_question_is_answered_ends_no_agent(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: object) -> None:
@@ -253,7 +257,7 @@ def test_a_mistake_while_a_question_is_answered_ends_no_agent(
     down("trio", fleet.hosts)
 
 
-def test_a_part_that_worked_once_tries_again_when_it_cannot_begin(
+def test_the_start_of_a_part_that_worked_once_is_retried(
     three: dict[str, Running], fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     up(fleet, plan_of(tmp_path))
@@ -288,7 +292,7 @@ def test_a_damaged_state_stops_one_graph_and_not_the_host(tmp_path: Path) -> Non
             (own.state / f"{name}.graph").unlink()
 
 
-def test_who_gives_up_waiting_leaves_nothing_running(
+def test_an_interrupted_up_leaves_nothing_running(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: object) -> None:
@@ -302,7 +306,7 @@ def test_who_gives_up_waiting_leaves_nothing_running(
     assert remembered() == {}
 
 
-def test_a_graph_that_another_desk_deployed_is_found(
+def test_a_graph_that_was_deployed_from_elsewhere_is_found(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     up(fleet, plan_of(tmp_path))
@@ -360,7 +364,7 @@ def test_a_host_behind_a_bad_link_is_missed_and_found_again(
         for worse, better in ((link.stalled.set, link.stalled.clear), (link.cut, link.mend)):
             worse()
             until(lost)
-            goes_on("compute", "steer")  # nobody waits for it
+            goes_on("compute", "steer")  # no other host waits for it
             better()
             until(lambda: not lost())
             goes_on("viewer", "count")

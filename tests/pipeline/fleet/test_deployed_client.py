@@ -1,4 +1,4 @@
-"""A graph over several hosts is listened to and changed by the client that a local one has."""
+"""The client of a local graph also listens to and changes a graph over several hosts."""
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -92,7 +92,7 @@ def nodes_there(fleet: Fleet, *labels: str) -> dict[str, list[str]]:
 def rates(
     listener: Listener, duration_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[Rate, float]:
-    """What `hz` says, and the rate at which the same messages were exposed by their source."""
+    """Return what `hz` measures, and the rate at which the source exposed the same messages."""
     told, figures = [], listening.figures
 
     def look(output: str, heard: Sequence[Heard], *more: Any) -> Rate:
@@ -131,7 +131,7 @@ def test_an_output_on_another_host_is_heard_and_its_rate_is_that_of_its_source(
     assert "no node wrk, did you mean 'work'" in refusal(lambda: client.listen("wrk"))
 
 
-def test_what_a_relay_has_no_room_for_is_told_as_missed(
+def test_messages_that_a_relay_has_no_room_for_are_counted_as_missed(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(relay, "MOST_KEPT", 2)
@@ -143,7 +143,7 @@ def test_what_a_relay_has_no_room_for_is_told_as_missed(
     assert found.rate_hz == pytest.approx(exposed_hz, rel=0.3)  # what was missed counts
 
 
-def test_taps_are_bounded_and_closed_when_nobody_asks(
+def test_taps_are_bounded_and_closed_when_they_are_idle(
     two: dict[str, Running], fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def asked(tap: str, output: str = "out") -> wire.TapQuestion:
@@ -157,7 +157,9 @@ def test_taps_are_bounded_and_closed_when_nobody_asks(
         fleet.ask("brain", "tap", asked("one-more"), wire.TapMessages)
     with pytest.raises(RunError, match="listens to another output already"):
         fleet.ask("brain", "tap", asked("t0", "other"), wire.TapMessages)
-    agent._taps.fetch(agent.hosted["duo"], asked("t0"), "user.other")  # has a share of its own
+    agent._taps.fetch(
+        agent.hosted["duo"], asked("t0"), "user.other"
+    )  # another user has a limit of its own
     for name in ("", "a/b", "x" * 100_000):
         with pytest.raises(FoveaError, match="tap: expected up to 32 letters"):
             fleet.ask("brain", "tap", asked(name), wire.TapMessages)
@@ -166,7 +168,7 @@ def test_taps_are_bounded_and_closed_when_nobody_asks(
     until(lambda: not agent._taps._taps)
 
 
-def test_a_tap_that_takes_long_to_open_holds_up_no_other_question(
+def test_a_tap_that_takes_long_to_open_delays_no_other_question(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opens, go_on, session = threading.Event(), threading.Event(), relay.client_session
@@ -218,7 +220,7 @@ def test_nodes_are_added_on_both_hosts_rewired_and_removed_while_the_graph_runs(
     kept = two["brain"].agent._store.asked("duo")
     assert set(kept.fingerprints) == {edge.origin for edge in kept.plan.edges}
 
-    two["brain"].stop()  # what changed is so after a restart; the edge between hosts holds
+    two["brain"].stop()  # the changes and the edge between hosts survive a restart
     two["brain"] = Running(host_of("brain", LABELS, tmp_path))
     until(lambda: phases(fleet, "brain", "duo") == ["running"])
     goes_on(fleet, "brain", "tally")
@@ -234,7 +236,7 @@ def test_nodes_are_added_on_both_hosts_rewired_and_removed_while_the_graph_runs(
         (MORE.replace("second:", "work:"), "there is a node of that name already"),
     ],
 )
-def test_what_may_not_run_is_refused_and_everything_stays(
+def test_an_addition_that_may_not_run_is_refused_and_changes_nothing(
     fleet: Fleet, tmp_path: Path, text: str, said: str
 ) -> None:
     client = find("duo")
@@ -247,7 +249,7 @@ def test_what_may_not_run_is_refused_and_everything_stays(
     goes_on(fleet, "brain", "count")
 
 
-def test_what_changed_is_taken_back_when_the_next_host_goes_silent(
+def test_a_change_is_undone_when_the_next_host_does_not_answer(
     two: dict[str, Running], fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     change = DeployedGraph._change
@@ -267,7 +269,7 @@ def test_what_changed_is_taken_back_when_the_next_host_goes_silent(
         two["eye"] = Running(host_of("eye", LABELS, tmp_path))
 
 
-def test_a_host_whose_answer_is_lost_is_taken_back_too(
+def test_a_change_is_also_undone_on_a_host_whose_answer_was_lost(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before, change, lost = nodes_there(fleet), DeployedGraph._change, []

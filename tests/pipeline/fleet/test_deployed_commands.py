@@ -87,7 +87,7 @@ def test_a_change_that_the_second_host_refuses_is_undone_on_the_first(
 
     def refuses(self: DeployedGraph, fleet: Fleet, label: str, *rest: object) -> object:
         asked.append(label)
-        if len(asked) == 2:  # its plan is another one by now
+        if len(asked) == 2:  # as if its plan had changed meanwhile
             *plans, revision = rest
             assert isinstance(revision, int)
             rest = (*plans, revision + 1)

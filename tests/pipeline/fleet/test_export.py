@@ -1,4 +1,4 @@
-"""What is printed for other engines works: every file that is read there is where it is read."""
+"""Exports for other engines work: every file is where the engine reads it."""
 
 import configparser
 import os
@@ -36,7 +36,7 @@ for _label in ("sensor", "compute", "viewer"):
 
 @pytest.fixture
 def bundle(tmp_path: Path) -> Bundle:
-    """Credentials as `fovea secure init` makes them, and the graph they are for."""
+    """Make credentials as `fovea secure init` does, and the graph that they are for."""
     plan = plan_of(tmp_path)
     credentials = tmp_path / "credentials"
     secure.create(credentials)
@@ -46,7 +46,7 @@ def bundle(tmp_path: Path) -> Bundle:
 
 
 def expect_agent(plan: Plan, label: str, folder: Path) -> None:
-    """Everything that the agent of a host reads is there, and is its own."""
+    """Assert that everything that the agent of a host reads is there and is its own."""
     own = read(folder / "agent.yaml")
     assert own.endpoint == f"tls/{label}:7447"
     assert own.credentials is not None
@@ -60,7 +60,7 @@ def expect_agent(plan: Plan, label: str, folder: Path) -> None:
 
 
 def expect_deploy(words: Sequence[str], root: Path) -> None:
-    """Everything that `fovea up` reads is where its options say."""
+    """Assert that everything that `fovea up` reads is where its options point."""
     at = [root / word.removeprefix("/") for word in words]
     assert words[:2] == ["fovea", "up"]
     assert load(at[2]).name == "trio"
@@ -85,7 +85,7 @@ def test_compose_mounts_credentials_and_graph_where_they_are_read(
             path.parent.mkdir(parents=True, exist_ok=True)
             if Path(source).is_absolute():
                 path.symlink_to(source)
-        assert service["user"] == f"{os.getuid()}:{os.getgid()}"  # whose keys they are
+        assert service["user"] == f"{os.getuid()}:{os.getgid()}"  # the owner of the keys
         if name == "deploy":
             expect_deploy(service["command"], root)
         else:
@@ -116,7 +116,7 @@ def test_k8s_mounts_credentials_and_graph_where_they_are_read(
 
 
 def secrets_of(text: str) -> dict[str, dict[str, bytes]]:
-    """What the printed commands make: of a folder, its files and none of its folders."""
+    """Return the secrets that the printed commands make: the files of a folder, no subfolders."""
     made = {}
     for line in text.splitlines():
         words = shlex.split(line.removeprefix("# ")) if line.startswith("# kubectl create") else []
@@ -130,7 +130,7 @@ def secrets_of(text: str) -> dict[str, dict[str, bytes]]:
 def mount(
     pod: dict[str, Any], root: Path, made: Mapping[str, Any], config: Mapping[str, Any]
 ) -> list[str]:
-    """Lay a pod's volumes out below a folder; what its container runs."""
+    """Lay a pod's volumes out below a folder; return the command of its container."""
     volumes = {volume["name"]: volume for volume in pod["volumes"]}
     (container,) = pod["containers"]
     for at in container["volumeMounts"]:
@@ -168,7 +168,7 @@ def test_k8s_has_a_pod_per_host_and_never_two_owners_of_a_sensor(bundle: Bundle)
     }
 
 
-def test_a_host_that_kubernetes_cannot_name_is_told(tmp_path: Path) -> None:
+def test_a_host_that_kubernetes_cannot_name_is_refused(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, TRIO.replace("viewer", "Viewer_2"))
 
     with pytest.raises(GraphError, match="hosts: Viewer_2: expected small letters"):
@@ -187,7 +187,7 @@ def units(text: str) -> list[configparser.ConfigParser]:
     return found
 
 
-def test_systemd_units_name_files_wherever_they_are_started(bundle: Bundle) -> None:
+def test_systemd_units_find_their_files_from_any_folder(bundle: Bundle) -> None:
     *agents, deploy = units(systemd(load(bundle.graph), bundle))
 
     assert len(agents) == 3
@@ -206,7 +206,7 @@ def test_systemd_units_name_files_wherever_they_are_started(bundle: Bundle) -> N
         expect_agent(load(bundle.graph), label, bundle.host_folder(label))
 
 
-def test_who_deploys_is_you_unless_you_say_who(bundle: Bundle) -> None:
+def test_the_deploying_user_is_the_current_one_unless_another_is_given(bundle: Bundle) -> None:
     words = ["compose", str(bundle.graph), f"--credentials={bundle.credentials}"]
 
     own = CliRunner().invoke(export_command, words, catch_exceptions=False).output
@@ -264,7 +264,7 @@ def test_credentials_and_agent_files_allow_what_the_graph_has_on_that_host_and_n
         read_hosts((), folder / "user.alice", ["desk"])
 
 
-def test_a_host_without_an_address_is_told_before_anything_is_made(tmp_path: Path) -> None:
+def test_a_host_without_an_address_is_refused_before_anything_is_made(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="expected --host viewer=ADDRESS, got none"):
         check_addressed(tmp_path, {"sensor": "a", "compute": "b"}, [plan_of(tmp_path)])
 
@@ -277,7 +277,7 @@ def test_a_host_without_an_address_is_told_before_anything_is_made(tmp_path: Pat
         {"far": "10.0.0.9:7000"},
     ],
 )
-def test_two_hosts_of_one_address_are_told_before_anything_is_made(
+def test_two_hosts_of_one_address_are_refused_before_anything_is_made(
     tmp_path: Path, addresses: dict[str, str]
 ) -> None:
     note = tmp_path / "user.alice" / secure.ADDRESSES
@@ -292,7 +292,7 @@ def test_hosts_of_one_machine_have_a_port_each(tmp_path: Path) -> None:
     check_addressed(tmp_path, {"near": "10.0.0.1:7447", "far": "10.0.0.1:7448"}, [])
 
 
-def test_an_authority_is_made_once_and_credentials_are_their_identity(tmp_path: Path) -> None:
+def test_an_authority_is_made_once_and_credentials_have_one_identity(tmp_path: Path) -> None:
     secure.create(tmp_path / "ca")
     with pytest.raises(RunError, match="without an authority"):
         secure.create(tmp_path / "ca")

@@ -1,4 +1,4 @@
-"""Three hosts, TLS between them: a graph runs, hosts are missed and come back, intruders fail."""
+"""Three hosts with TLS: a graph runs, hosts are lost and come back, intruders fail."""
 
 import json
 import signal
@@ -36,7 +36,7 @@ def world() -> Iterator[World]:
 def part(world: World, label: str) -> dict[str, Any]:
     found: list[Any] = []
 
-    def answers() -> bool:  # who floods an agent with half-open links keeps others waiting
+    def answers() -> bool:  # half-open links of the intruders delay an agent
         found[:] = [s for s in world.states()[label] if isinstance(s, dict)]
         return bool(found)
 
@@ -65,7 +65,7 @@ def test_the_loop_closes_over_hosts_with_clocks_of_their_own(world: World) -> No
     assert 0 < error_ms < 50
     assert abs(hosts["compute"]["clock_ahead_ms"] - 1000 * AHEAD_S) <= error_ms
     read = edge(world, "compute", "pair.right")
-    assert 0 < read["age_ms"]["p50"] < 5000  # and not a thousand seconds
+    assert 0 < read["age_ms"]["p50"] < 5000  # not the 1000 s by which the clocks differ
     assert read["age_error_ms"] > 0
 
 
@@ -96,7 +96,7 @@ def test_a_lost_host_is_reported_before_its_links_end_and_its_nodes_come_back(wo
     before = node(world, label, "count")["handled"]
     try:
         until(lambda: node(world, label, "count")["handled"] > before + 10)
-    except AssertionError as error:  # seen once: tell where the messages stand
+    except AssertionError as error:  # it failed once: show where the messages are
         logs = {name: world.log(name).read_text()[-1500:] for name in (seer, label)}
         raise AssertionError(f"{error}\n{world.states()}\n{logs}") from error
 
@@ -108,7 +108,7 @@ def test_a_cable_that_is_out_for_long_silences_no_other_host(world: World) -> No
     world.link(label, up=False)
     try:
         world.heard(seer, f"host {label} is lost", since)
-        time.sleep(LEASE_MS / 1000 + 2)  # the links have been given up by now
+        time.sleep(LEASE_MS / 1000 + 2)  # the links have ended by now
         earlier = node(world, "compute", "work")["handled"]
         until(lambda: node(world, "compute", "work")["handled"] > earlier + 10)
     finally:
@@ -120,7 +120,7 @@ def test_a_cable_that_is_out_for_long_silences_no_other_host(world: World) -> No
     assert "compute is lost" not in " ".join(world.log(seer).read_text()[since:].split())
 
 
-def test_a_host_that_was_switched_off_goes_on_where_the_books_of_the_others_stand(
+def test_a_host_that_was_switched_off_continues_from_the_accounts_of_the_others(
     world: World,
 ) -> None:
     before = edge(world, "viewer", "count.frame")["account"]["delivered"]
@@ -133,7 +133,7 @@ def test_a_host_that_was_switched_off_goes_on_where_the_books_of_the_others_stan
     until(lambda: isinstance(world.states()["viewer"], list))
     until(lambda: part(world, "viewer")["phase"] == "running")
     account = edge(world, "viewer", "count.frame")["account"]
-    assert account["delivered"] >= before  # counted on, not from nothing
+    assert account["delivered"] >= before  # the count goes on, not from zero
     assert account["offered"] >= account["delivered"] + account["lost_in_crash"]
 
 
@@ -154,7 +154,7 @@ def credentials_of(world: World, who: str, tmp_path: Path) -> str:
 
 
 def intrude(world: World, tmp_path: Path) -> dict[str, dict[str, Any]]:
-    """What each of them got; they come together."""
+    """Run all intruders at once; return what each of them got."""
     sensor, compute = world.addresses["sensor"], world.addresses["compute"]
     points = [f"{host}:{port}" for host in (sensor, compute) for port in (7447, 7500, 7501, 7502)]
     began = {}
@@ -193,7 +193,7 @@ def test_intruders_get_nothing_and_disturb_nothing(world: World, tmp_path: Path)
 SEEN = (("sensor", "capture.schedule"), ("compute", "work.frame"), ("viewer", "count.frame"))
 
 
-def test_what_a_host_refuses_starts_nothing_anywhere(world: World, tmp_path: Path) -> None:
+def test_a_graph_that_one_host_refuses_starts_nowhere(world: World, tmp_path: Path) -> None:
     other = world.graph.with_name("other.yaml")
     other.write_text(
         TRIO.replace("name: trio", "name: other").replace(

@@ -63,7 +63,7 @@ os._exit(0)
 
 @pytest.fixture
 def user_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A module that works."""
+    """Yield a module that works, in a folder that Python imports from."""
     module = tmp_path / "user_part.py"
     module.write_text(WORKS)
     monkeypatch.syspath_prepend(tmp_path)
@@ -75,7 +75,7 @@ def user_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
 
 @pytest.fixture
 def fleet(user_part: Path, tmp_path: Path) -> Iterator[Fleet]:
-    """One host that allows `user_part:Part`."""
+    """Run one host that allows `user_part:Part`."""
     own = host_of("box", (), tmp_path, operators={**ALLOWED, "user_part:Part": ANY})
     running = Running(own)
     with fleet_of("box") as found:
@@ -218,7 +218,9 @@ def test_a_host_without_a_node_inspects_nothing(tmp_path: Path) -> None:
     assert Inspector(tmp_path / "missing", lambda: False).begin(plan, {}, {}) == {}
 
 
-def test_a_digest_is_had_without_an_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_digest_is_computed_without_an_import(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     for folder in ("regular_outer", "bare_outer/inner"):
         (tmp_path / folder).mkdir(parents=True)

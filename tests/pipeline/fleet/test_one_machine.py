@@ -1,4 +1,4 @@
-"""Agents that were given a label and nothing else, as somebody tries them on one machine."""
+"""Agents that have a label and nothing else run a graph on one machine."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ LABELS = ("sensor", "compute", "viewer")
 
 @pytest.fixture
 def labelled(tmp_path: Path) -> Iterator[None]:
-    """`fovea agent --label LABEL`, one each."""
+    """Run `fovea agent --label LABEL` for each label."""
     with ExitStack() as stack:
         for label in LABELS:
             words = ("agent", "--label", label, "--state", str(tmp_path / label))
@@ -41,7 +41,7 @@ def sees_the_others(fleet: Fleet, label: str) -> bool:
 
 
 @pytest.mark.usefixtures("labelled")
-def test_agents_that_know_their_labels_alone_run_a_graph_and_see_one_another(
+def test_agents_with_a_label_alone_run_a_graph_and_find_one_another(
     tmp_path: Path,
 ) -> None:
     with fleet_of(*LABELS) as fleet:
@@ -54,7 +54,7 @@ def test_agents_that_know_their_labels_alone_run_a_graph_and_see_one_another(
         down("trio", fleet.hosts)
 
 
-def test_an_agent_with_a_file_allows_what_it_lists_and_says_where_that_stands(
+def test_an_agent_with_a_file_allows_only_the_operators_that_it_lists(
     tmp_path: Path,
 ) -> None:
     path, file = "tests.samples:Pass", AgentFile(label="compute")

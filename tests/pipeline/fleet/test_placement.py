@@ -65,7 +65,7 @@ def test_a_group_stays_on_one_host(tmp_path: Path) -> None:
         plan_of(tmp_path, text)
 
 
-def test_a_label_without_an_agent_is_told(tmp_path: Path) -> None:
+def test_a_label_without_an_agent_is_refused(tmp_path: Path) -> None:
     with pytest.raises(GraphError, match="no host viewer among the known agents"):
         check_labels(plan_of(tmp_path), {"sensor": 0, "compute": 0, "viewr": 0})
 
@@ -80,13 +80,13 @@ def test_only_edges_between_hosts_carry_bytes(tmp_path: Path) -> None:
     assert set(listeners(part, "compute")) == {"work", "pair", "steer"}
 
 
-def test_a_plan_is_the_same_after_the_wire(tmp_path: Path) -> None:
+def test_a_plan_is_the_same_after_encoding_and_decoding(tmp_path: Path) -> None:
     plan = plan_of(tmp_path)
 
     assert decode(Prepare, encode(Prepare(plan, Versions.ours(), {}))).plan == plan
 
 
-def test_a_node_lets_others_do_what_the_graph_says_and_nothing_else(tmp_path: Path) -> None:
+def test_a_node_permits_others_only_what_the_edges_of_the_graph_need(tmp_path: Path) -> None:
     part = plan_for(plan_of(tmp_path), "sensor")
 
     permits = node_permits(part, "capture")
@@ -174,7 +174,7 @@ def test_the_code_of_another_host_is_never_loaded_here(tmp_path: Path) -> None:
         ("edges", {"target": "capture", "input": "schedule"}, r"one for an input"),
     ],
 )
-def test_what_no_file_may_say_is_refused_over_the_wire_too(
+def test_a_value_that_no_file_may_have_is_refused_over_the_wire_too(
     part: str, change: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     sent = encode(Prepare(plan_of(tmp_path), Versions.ours(), {}))
@@ -229,7 +229,7 @@ def test_weights_are_taken_by_checksum_only(tmp_path: Path) -> None:
         mine.localise(DIGEST_PREFIX + digest, "x")
 
 
-def test_what_the_host_sets_itself_stands_over_what_is_asked(tmp_path: Path) -> None:
+def test_settings_of_the_host_override_those_of_the_plan(tmp_path: Path) -> None:
     plan = evil(plan_of(tmp_path), "work", settings={"hold": 3, "every": 2})
 
     part = inspect(plan, "compute", allowed(tmp_path), {"work": {"hold": 1}})
@@ -246,7 +246,7 @@ def test_another_schema_is_refused_with_both_sides(tmp_path: Path) -> None:
     check_fingerprints(plan_for(plan, "compute"), fingerprints(plan))
 
 
-def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
+def test_an_offset_lies_within_its_error_whatever_the_delays() -> None:
     clock, ahead = Offset(), 1_000_000_000_000
     ways = [(5_000_000, 100_000), (200_000, 300_000), (90_000, 4_000_000), (150_000, 9_000_000)]
     now = 0
@@ -262,10 +262,10 @@ def test_an_offset_lies_within_its_error_whatever_the_ways_took() -> None:
     assert seen.error_ns <= 250_000 + DRIFT * 800_000_000
     later = clock.estimate(now + 60_000_000_000)
     assert later is not None
-    assert later.error_ns > 5_000_000  # nobody has asked for a minute: crystals drift
+    assert later.error_ns > 5_000_000  # the last measurement is a minute old: clocks drift
 
 
-def test_each_host_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
+def test_each_host_counts_its_half_and_receives_the_other(tmp_path: Path) -> None:
     sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
     ledgers = [private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2)]
@@ -289,7 +289,7 @@ def test_each_host_counts_its_half_and_hears_the_other(tmp_path: Path) -> None:
     assert not ledgers[0].edges[edge].live  # a writer waits for no reader that is gone
 
 
-def test_a_host_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Path) -> None:
+def test_a_restarted_host_continues_from_the_accounts_of_the_others(tmp_path: Path) -> None:
     sensor, viewer = (plan_for(plan_of(tmp_path), name) for name in ("sensor", "viewer"))
     old, fresh = (private_ledger(len(sensor.edges), len(sensor.nodes)) for _ in range(2))
     edge = next(e.index for e in sensor.edges if e.end == "count.frame")
@@ -302,7 +302,7 @@ def test_a_host_that_begins_anew_goes_on_from_what_the_others_know(tmp_path: Pat
     assert {fresh.edges[e.index].sent for e in siblings} == {20}
 
 
-def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) -> None:
+def test_a_local_edge_beside_one_between_hosts_begins_at_zero(tmp_path: Path) -> None:
     text = TRIO + "  near:\n    operator: tests.samples:Count\n    host: sensor\n"
     text += "    inputs: {frame: capture.context}\n"
     sensor, viewer = (plan_for(plan_of(tmp_path, text), name) for name in ("sensor", "viewer"))
@@ -318,7 +318,7 @@ def test_a_local_edge_beside_one_that_crosses_begins_at_nothing(tmp_path: Path) 
     assert fresh.edges[near].base == 20
 
 
-def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -> None:
+def test_counts_of_edges_that_are_not_of_the_sending_host_are_ignored(tmp_path: Path) -> None:
     plan = plan_for(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
     everything = {e.index: (99,) * len(WRITTEN) for e in plan.edges}
@@ -332,7 +332,7 @@ def test_a_host_that_tells_of_what_is_not_its_own_is_not_heard(tmp_path: Path) -
         assert account.seen == (99 if edge.end == "count.frame" else 0)
 
 
-def test_what_another_graph_of_that_name_counts_is_not_heard(tmp_path: Path) -> None:
+def test_counts_of_another_graph_of_that_name_are_ignored(tmp_path: Path) -> None:
     plan = plan_for(plan_of(tmp_path), "sensor")
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
     theirs = Replication(plan_for(plan_of(tmp_path), "viewer"), ledger, "sensor", fingerprint="old")
@@ -349,7 +349,7 @@ def test_what_another_graph_of_that_name_counts_is_not_heard(tmp_path: Path) -> 
     assert mine.edges[edge].reader_epoch == 7
 
 
-def test_a_clock_that_begins_anew_is_believed_at_once() -> None:
+def test_a_clock_that_was_reset_is_followed_at_once() -> None:
     clock = Offset()
     for k in range(64):
         now = k * 200_000_000

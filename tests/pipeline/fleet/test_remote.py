@@ -1,4 +1,4 @@
-"""From a command line: the health of nodes on hosts, files sent with a setting, `down`."""
+"""Commands on a deployed graph: the health of its nodes, files sent with a setting, `down`."""
 
 import hashlib
 from collections.abc import Iterator
@@ -119,6 +119,6 @@ def test_weights_that_no_message_can_carry_are_not_sent(tmp_path: Path) -> None:
         send_weights(fleet, "nowhere", ["digest"], {"digest": large})
 
 
-def test_who_does_not_answer_is_silent() -> None:
+def test_an_agent_that_does_not_answer_is_reported_as_silent() -> None:
     with fleet_of("nowhere") as fleet, pytest.raises(Silent, match="no agent answers"):
         fleet.ask("nowhere", "about", wire.Nothing(), wire.About, 0.2)

@@ -1,4 +1,4 @@
-"""Credentials: made whole after an interruption, renewed before they end, each of one identity."""
+"""Credentials are completed after an interruption and renewed before they end."""
 
 import datetime
 from dataclasses import replace
@@ -68,7 +68,7 @@ def test_an_authority_whose_making_was_interrupted_is_made_whole(tmp_path: Path)
     assert secure.issue(tmp_path / "host.a", tmp_path, "host.a").identity == "host.a"
 
 
-def test_a_name_that_no_certificate_can_bear_is_told_before_anything_is_made(
+def test_a_name_too_long_for_a_certificate_is_refused_before_anything_is_made(
     tmp_path: Path,
 ) -> None:
     graph, folder = tmp_path / "graph.yaml", tmp_path / "ca"
@@ -87,7 +87,7 @@ def test_a_name_that_no_certificate_can_bear_is_told_before_anything_is_made(
         secure.issue(tmp_path / "own", tmp_path, "user." + "x" * 60)
 
 
-def test_the_parts_of_a_identity_cannot_run_into_one_another(tmp_path: Path) -> None:
+def test_a_part_of_an_identity_cannot_contain_the_separator(tmp_path: Path) -> None:
     node = plan_of(tmp_path).nodes[0]
 
     assert node_identity("a-b", replace(node, name="c")) == "node.a-b.c"
@@ -96,7 +96,7 @@ def test_the_parts_of_a_identity_cannot_run_into_one_another(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"a": 1}', "\xff"])
-def test_a_damaged_note_of_addresses_is_named_in_a_sentence(text: str, tmp_path: Path) -> None:
+def test_a_damaged_file_of_addresses_is_refused_in_one_sentence(text: str, tmp_path: Path) -> None:
     secure.create(tmp_path)
     note = tmp_path / "user.alice" / secure.ADDRESSES
     note.parent.mkdir()

@@ -1,4 +1,4 @@
-"""A user's module or class that breaks is told in one sentence with the line of the cause."""
+"""An error in a user's module or class is reported in one sentence with the line of its cause."""
 
 import secrets
 import signal
@@ -21,13 +21,13 @@ from tests.commands import command
 from tests.sample_graphs import CHAIN
 
 FOVEA = (sys.executable, "-m", "pipeline.cli")
-SLOW_TOO = pytest.mark.slow  # what differs from a usual case by the command alone
+SLOW_TOO = pytest.mark.slow  # cases that differ from a usual one by the command alone
 EXTRA = "  extra:\n    operator: {}\n    settings: {{}}\n"
 
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The file of a module of its own name, which Python finds."""
+    """Yield the file of a module with a new name, in a folder that Python imports from."""
     monkeypatch.syspath_prepend(tmp_path)
     path = tmp_path / f"mine_{secrets.token_hex(4)}.py"
     yield path
@@ -58,7 +58,7 @@ def test_a_module_that_breaks_is_told_with_the_line_of_the_cause(
     assert capfd.readouterr().out == ""
 
 
-def test_an_addition_whose_module_breaks_is_told_with_its_line(module: Path) -> None:
+def test_an_addition_whose_module_breaks_is_refused_with_its_line(module: Path) -> None:
     module.write_text("1 / 0\n")
     graph = graph_of(module)
     addition = module.parent / "more.yaml"
@@ -69,7 +69,7 @@ def test_an_addition_whose_module_breaks_is_told_with_its_line(module: Path) -> 
         with_nodes(load(graph), addition)
 
 
-def test_a_sensor_whose_module_breaks_is_told_with_its_line(module: Path) -> None:
+def test_a_sensor_whose_module_breaks_is_refused_with_its_line(module: Path) -> None:
     module.write_text("\nimport sys; sys.exit('no')\n")
 
     with pytest.raises(SettingsError, match=rf"capture\.sensor: .*{module}:2: it exits: no"):
@@ -91,13 +91,13 @@ def test_a_class_with_broken_declarations_is_refused_in_one_sentence(
     assert "\n" not in str(caught.value)
 
 
-def test_what_is_written_like_no_import_path_is_not_imported() -> None:
+def test_a_text_that_is_no_import_path_is_not_imported() -> None:
     for path in ("", ":", "a:", ":b", "..a:b", "a b:c", "a:b.c", "a/b:c", "a:b:c", "a\0:b"):
         with pytest.raises(GraphError, match="expected an import path module:Class, got"):
             imported(path, GraphError)
 
 
-def test_only_operators_are_operators() -> None:
+def test_an_object_that_is_no_operator_is_refused() -> None:
     with pytest.raises(GraphError, match="json:dumps: expected an Operator, got <function"):
         load_operator("json:dumps")
 
@@ -128,7 +128,7 @@ def test_check_and_run_end_with_2_and_the_sentence(
     assert done.stdout == ""
 
 
-def test_a_module_that_crashes_the_command_is_told_with_its_line(module: Path) -> None:
+def test_a_module_that_crashes_the_command_is_reported_with_its_line(module: Path) -> None:
     module.write_text("import ctypes\n\nctypes.string_at(0)\n")
     path = graph_of(module)
 
@@ -155,7 +155,7 @@ def test_a_process_that_an_operators_module_forks_may_end_by_exit(module: Path) 
     assert done.returncode == 2
 
 
-def test_ctrl_c_during_an_import_is_no_fault_of_the_module(module: Path) -> None:
+def test_ctrl_c_during_an_import_is_not_reported_as_an_error_of_the_module(module: Path) -> None:
     module.write_text("import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(9)")
     path = graph_of(module)
 
@@ -169,7 +169,7 @@ def test_ctrl_c_during_an_import_is_no_fault_of_the_module(module: Path) -> None
     assert "cannot be imported" not in done.stderr
 
 
-def test_looking_without_imports_imports_nothing_and_names_all_that_would_be(
+def test_a_check_without_imports_imports_nothing_and_names_what_a_run_would_import(
     module: Path,
 ) -> None:
     mark = module.parent / "imported"
@@ -202,7 +202,7 @@ def test_looking_without_imports_imports_nothing_and_names_all_that_would_be(
         ("name: toy", "nam: toy", "did you mean 'name'"),
     ],
 )
-def test_looking_without_imports_checks_names_numbers_and_edges(
+def test_a_check_without_imports_checks_names_numbers_and_edges(
     tmp_path: Path, old: str, new: str, said: str
 ) -> None:
     path = tmp_path / "graph.yaml"

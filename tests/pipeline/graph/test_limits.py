@@ -1,4 +1,4 @@
-"""Names and numbers of a graph: one grammar and one table, for files, wire and editors."""
+"""Names and numbers of a graph have the same limits in files, messages and the JSON schema."""
 
 import json
 import random
@@ -51,7 +51,7 @@ def test_what_is_no_name_is_refused_with_its_line(
     assert "\n" not in str(caught.value)
 
 
-def test_a_graph_without_a_name_takes_that_of_its_file_or_is_asked_for_one(tmp_path: Path) -> None:
+def test_a_graph_without_a_name_takes_that_of_its_file_or_is_refused(tmp_path: Path) -> None:
     text = GOOD.replace("name: toy\n", "")
 
     assert load(write(tmp_path, text, "toy.yaml")).name == "toy"
@@ -153,7 +153,7 @@ NUMBERS = ("sleep_s", "crash_at", "crash_after", "hang_at", "every", "hold", "ga
 
 @settings(max_examples=100)
 @given(st.dictionaries(st.sampled_from(NUMBERS), SETTING_VALUES, max_size=3))
-def test_what_a_schema_says_of_settings_is_what_the_loader_says(
+def test_schema_and_loader_agree_on_settings(
     tmp_path_factory: pytest.TempPathFactory, values: dict[str, Any]
 ) -> None:
     folder = tmp_path_factory.getbasetemp()
@@ -173,7 +173,7 @@ def test_what_a_schema_says_of_settings_is_what_the_loader_says(
 
 
 @pytest.mark.parametrize("origin", ORIGINS)
-def test_what_a_schema_says_of_origins_is_what_the_loader_says(tmp_path: Path, origin: str) -> None:
+def test_schema_and_loader_agree_on_origins(tmp_path: Path, origin: str) -> None:
     document = plain(YamlFile(write(tmp_path, GOOD)).document)
     for value in (origin, {"from": origin}):
         document["nodes"]["pair"]["inputs"]["right"] = value

@@ -1,4 +1,4 @@
-"""A wrong graph is refused before anything starts, with the line and what would be right."""
+"""A wrong graph is refused before anything starts, with the line and what was expected."""
 
 import json
 from pathlib import Path

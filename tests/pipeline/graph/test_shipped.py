@@ -46,7 +46,7 @@ def test_a_file_without_a_suffix_is_found_and_a_shipped_name_goes_before_it(
     assert graph_path("tracking") == FOLDER / "tracking.yaml"
 
 
-def test_another_name_is_refused_with_those_there_are() -> None:
+def test_an_unknown_name_is_refused_with_the_known_ones() -> None:
     with pytest.raises(GraphError) as refused:
         graph_path("trackin")
 
@@ -57,7 +57,7 @@ def test_another_name_is_refused_with_those_there_are() -> None:
 
 
 @pytest.mark.parametrize("word", ["\0", "a\nb", "x" * 5000, "é/…", "\udc80"])
-def test_any_word_that_is_neither_name_nor_path_is_one_sentence(word: str) -> None:
+def test_any_word_that_is_neither_name_nor_path_is_refused_in_one_sentence(word: str) -> None:
     with pytest.raises(GraphError) as refused:
         graph_path(word)
 

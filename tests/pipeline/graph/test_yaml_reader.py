@@ -60,7 +60,7 @@ def write(folder: Path, text: str | bytes, name: str = "toy.yaml") -> Path:
 
 
 @pytest.mark.parametrize(("text", "line", "said"), BAD.values(), ids=BAD)
-def test_what_no_graph_needs_is_refused_with_its_line(
+def test_yaml_that_no_graph_needs_is_refused_with_its_line(
     tmp_path: Path, text: str, line: int, said: str
 ) -> None:
     path = write(tmp_path, text)
@@ -129,7 +129,7 @@ def test_bytes_that_are_no_text_or_too_many_are_refused(
         read_file(write(tmp_path, data))
 
 
-def test_what_is_no_file_is_refused_and_nothing_is_waited_for(tmp_path: Path) -> None:
+def test_a_path_that_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
 
     for path, said in (

@@ -1,4 +1,4 @@
-"""Every node answers four questions, one by one or all by a wildcard; one that hangs says so."""
+"""Every node answers four questions, singly or by a wildcard, and reports that it hangs."""
 
 import signal
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def work(*seqs: int) -> Pass:
 
 
 def commanded(operator: Pass) -> Callable[[Command], Outcome]:
-    """What a node does with a command."""
+    """Return the function with which a node answers a command."""
     return lambda c: Outcome(answer=carry_out("work", operator, c.command, c.arguments))
 
 
@@ -55,7 +55,7 @@ def test_a_command_is_done_and_answered() -> None:
         ("recall", {"last": 0}, r"work\.recall\.last: must be at least 1, got 0"),
     ],
 )
-def test_an_order_that_makes_no_sense_is_refused(
+def test_a_wrong_command_is_refused_with_the_reason(
     command: str, arguments: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(SettingsError, match=said):
@@ -63,7 +63,7 @@ def test_an_order_that_makes_no_sense_is_refused(
 
 
 @given(st.binary(max_size=60))
-def test_noise_orders_nothing(noise: bytes) -> None:
+def test_noise_is_refused_as_a_command(noise: bytes) -> None:
     answers: list[bytes] = []
 
     respond("work", Command, noise, commanded(work(1)), answers.append)
@@ -71,7 +71,7 @@ def test_noise_orders_nothing(noise: bytes) -> None:
     assert decode(Refused, answers[0]).reason.startswith("not a Command")
 
 
-def test_an_operator_that_breaks_over_a_command_is_told_of_and_raises() -> None:
+def test_an_exception_in_a_command_is_sent_as_the_answer_and_raised() -> None:
     told, answers = encode(Command("break_down")), list[bytes]()
 
     with pytest.raises(ValueError, match="told to break"):
@@ -130,7 +130,7 @@ def test_a_running_graph_answers_every_question(tmp_path: Path) -> None:
     assert go(plan, 0, during)["failure"] == ""
 
 
-def test_who_hangs_says_so_and_who_is_frozen_is_silent(tmp_path: Path) -> None:
+def test_a_node_that_hangs_reports_it_and_a_frozen_one_does_not_answer(tmp_path: Path) -> None:
     text = together(LOOP, "ticker", "pair")
     text = text.replace("  work:\n", "  work:\n    stall_s: 1\n")
     text = text.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
@@ -142,7 +142,7 @@ def test_who_hangs_says_so_and_who_is_frozen_is_silent(tmp_path: Path) -> None:
         send_signal(supervisor, "steer", signal.SIGSTOP)
         fleet: dict[str, Health | None] = {}
 
-        def has_problem() -> bool:  # and the supervisor does not look after them
+        def has_problem() -> bool:  # the supervisor does not tick meanwhile and replaces neither
             fleet.update(find(plan.name).health())
             return bool(fleet["work"] and fleet["work"].problem)
 

@@ -1,4 +1,4 @@
-"""Settings change while a graph runs, between two frames, or the reason why not is told."""
+"""Live settings change between two frames of a running graph, or are refused with a reason."""
 
 import signal
 from pathlib import Path
@@ -46,7 +46,9 @@ def test_a_live_setting_changes_and_the_others_stay() -> None:
         ({"every": 2, "sleep_s": 1.0}, "cannot change"),
     ],
 )
-def test_what_is_refused_is_told_and_changes_nothing(changes: dict[str, Any], said: str) -> None:
+def test_a_refused_change_raises_with_the_reason_and_changes_nothing(
+    changes: dict[str, Any], said: str
+) -> None:
     operator, live = work()
     live.change({"every": 5})
 
@@ -54,7 +56,7 @@ def test_what_is_refused_is_told_and_changes_nothing(changes: dict[str, Any], sa
         live.change(changes)
 
     assert operator.settings == WorkSettings(every=5)
-    live.change({"hold": 1})  # and what was refused does not come back with the next change
+    live.change({"hold": 1})  # the refused change does not come back with the next one
     assert operator.settings == WorkSettings(every=5, hold=1)
 
 
@@ -80,7 +82,7 @@ def test_what_cannot_be_kept_is_refused_and_changes_nothing(tmp_path: Path) -> N
 
 
 @given(st.binary(min_size=1, max_size=60))
-def test_noise_is_answered_and_changes_nothing_that_must_not_change(noise: bytes) -> None:
+def test_noise_is_refused_and_changes_nothing(noise: bytes) -> None:
     operator, live = work()
     answers: list[bytes] = []
 
@@ -91,7 +93,7 @@ def test_noise_is_answered_and_changes_nothing_that_must_not_change(noise: bytes
     assert operator.settings.sleep_s == 0
 
 
-def test_an_operator_that_breaks_over_a_change_is_told_of_and_raises() -> None:
+def test_an_exception_in_a_change_is_sent_as_the_answer_and_raised() -> None:
     _, live = work()
     told = encode(ConfigQuestion({"hold": -1}))
     answers: list[bytes] = []
@@ -125,7 +127,7 @@ def test_in_line_a_change_holds_from_the_next_frame_on(tmp_path: Path) -> None:
     assert answered == [0, 1, 2, 3, 4, 5, 8]
 
 
-def test_in_line_an_unknown_node_is_one_sentence(tmp_path: Path) -> None:
+def test_in_line_an_unknown_node_is_refused_in_one_sentence(tmp_path: Path) -> None:
     with (
         InlineRunner(plan_of(tmp_path, LOOP, clock="lockstep")) as runner,
         pytest.raises(RunError, match="no node wrk, did you mean 'work'"),
@@ -133,7 +135,7 @@ def test_in_line_an_unknown_node_is_one_sentence(tmp_path: Path) -> None:
         runner.change("wrk", {})
 
 
-def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_told(
+def test_a_running_node_keeps_its_changed_settings_across_a_crash(
     tmp_path: Path,
 ) -> None:
     plan = plan_of(tmp_path, together(LOOP, "pair", "steer"))
@@ -161,7 +163,7 @@ def test_a_running_node_changes_and_comes_back_from_a_crash_with_what_it_was_tol
     assert report["failure"] == ""
 
 
-def test_the_next_run_begins_with_what_its_graph_says(tmp_path: Path) -> None:
+def test_the_next_run_begins_with_the_settings_of_its_graph(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, together(LOOP, "work", "pair", "steer"))
     seen = []
 
@@ -178,7 +180,7 @@ def test_the_next_run_begins_with_what_its_graph_says(tmp_path: Path) -> None:
     assert seen == [7, 1]
 
 
-def test_a_node_or_graph_that_does_not_run_is_one_sentence(tmp_path: Path) -> None:
+def test_a_node_or_graph_that_does_not_run_is_refused_in_one_sentence(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, together(LOOP, "work", "pair", "steer"))
 
     with Supervisor(plan) as supervisor:

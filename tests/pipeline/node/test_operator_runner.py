@@ -24,7 +24,7 @@ from tests.samples import WorkSettings
 
 
 class Look(Operator[WorkSettings, None]):
-    """Notes how many slots its reader pins while it looks at a picture."""
+    """Records how many slots its reader pins while it handles a picture."""
 
     frame = Input(Frame, keep="every")
 
@@ -118,7 +118,7 @@ def test_questions_do_not_pile_up_behind_a_handler_that_hangs(scene: Scene) -> N
 
 
 @pytest.mark.parametrize(("waited_ns", "counted_ns"), [(3, 3), (5, 5), (900, 5)])
-def test_a_wait_for_a_core_counts_only_as_far_as_it_held_up_the_message(
+def test_a_scheduling_delay_counts_only_as_far_as_it_delayed_the_message(
     waited_ns: int, counted_ns: int
 ) -> None:
     before = Span(

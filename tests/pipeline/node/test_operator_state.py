@@ -1,4 +1,4 @@
-"""What a swap would lose of an operator is known, and what `open` rebuilds is not called lost."""
+"""State of an operator that a swap would lose is named; state that `open` rebuilds is not."""
 
 import array
 import functools
@@ -37,7 +37,7 @@ from tests.stateful_samples import (
 
 @dataclass
 class Table:
-    """Something that an operator might keep its state in."""
+    """An object that an operator might keep its state in."""
 
     rows: list[float] = field(default_factory=list)
 
@@ -87,7 +87,7 @@ class Slots:
 
 
 class Sharing(Forgetful):
-    """Keeps something for all its instances."""
+    """An operator with state that all its instances share."""
 
     total = 0
     every_seen: ClassVar[list[int]] = []
@@ -172,7 +172,7 @@ def test_what_a_class_keeps_for_its_instances_is_found() -> None:
     assert before.names() == ["every_seen", "total"]
 
 
-def test_what_nobody_can_look_into_is_named_as_that() -> None:
+def test_an_object_that_cannot_be_looked_into_is_named_as_such() -> None:
     operator: Any = kept()
     operator.kalman = cv2.KalmanFilter(4, 2)
     operator.inner.background = cv2.createBackgroundSubtractorMOG2()
@@ -201,7 +201,7 @@ def test_what_belongs_to_the_process_is_no_state(tmp_path: Path) -> None:
         assert before.names() == []
 
 
-def test_what_is_as_open_left_it_is_not_lost() -> None:
+def test_an_attribute_that_equals_its_value_after_open_is_not_lost() -> None:
     operator: Any = kept()
     before = UndeclaredState(operator)
 
@@ -211,7 +211,7 @@ def test_what_is_as_open_left_it_is_not_lost() -> None:
     assert before.names() == []
 
 
-def test_what_refers_to_itself_or_is_endless_is_looked_at_within_bounds() -> None:
+def test_recursive_or_large_state_is_looked_at_within_bounds() -> None:
     operator: Any = kept()
     operator.recent.append(operator.recent)
     operator.table["all"] = [list(range(100)) for _ in range(1000)]
@@ -240,7 +240,7 @@ def test_an_operator_that_declares_its_state_has_nothing_undeclared() -> None:
         (Unrestored, "it declares state() and no restore()"),
     ],
 )
-def test_a_state_that_cannot_be_carried_over_is_an_error_between_equals_only(
+def test_a_state_that_cannot_be_carried_over_is_an_error_only_within_one_class(
     cls: type[Operator[Any, Any]], said: str
 ) -> None:
     data = dumps(Counted(count=3))

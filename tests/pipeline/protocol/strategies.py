@@ -1,4 +1,4 @@
-"""Any value of any message of the protocol, made from the types of its fields."""
+"""Strategies for every message of the protocol, derived from the types of its fields."""
 
 import dataclasses
 import typing
@@ -29,21 +29,21 @@ PLAIN = st.recursive(
 
 
 def message_classes() -> list[type[codec.ControlMessage]]:
-    """Every message of the protocol."""
+    """Return every message class of the protocol."""
     found = [cls for module in MODULES for cls in vars(module).values() if isinstance(cls, type)]
     messages = [c for c in found if issubclass(c, codec.ControlMessage)]
     return sorted({*messages} - {codec.ControlMessage}, key=lambda cls: cls.__name__)
 
 
 def messages(cls: type[Any]) -> st.SearchStrategy[Any]:
-    """Any message, or part of one, of a class."""
+    """Return a strategy for a message class or for a part of one."""
     hints = typing.get_type_hints(cls, include_extras=True)
     fields = {name: of_type(hints[name]) for name in cls.__struct_fields__}
     return st.builds(cls, **fields)
 
 
 def of_type(hint: Any) -> st.SearchStrategy[Any]:
-    """Any value of a type that a field may have."""
+    """Return a strategy for a type that a field may have."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Annotated:
         return _limited(arguments[0], arguments[1])

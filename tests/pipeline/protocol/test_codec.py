@@ -35,7 +35,7 @@ EVERY = st.sampled_from(message_classes()).flatmap(messages)
 
 
 class Held:
-    """What a frame on the way to a refusal holds."""
+    """An object that a stack frame holds while it refuses a message."""
 
 
 def refuse(_held: Held, data: bytes) -> None:
@@ -46,7 +46,7 @@ def refuse(_held: Held, data: bytes) -> None:
 
 
 def sentence(kind: Kind[Any] | type[Any], data: bytes) -> str:
-    """How a decoder refuses bytes; raises for what is no such refusal."""
+    """Return the sentence in which a decoder refuses bytes; fail if it does not refuse them."""
     with pytest.raises(MessageError) as refusal:
         decode(kind, data)
     said = str(refusal.value)
@@ -57,7 +57,7 @@ def sentence(kind: Kind[Any] | type[Any], data: bytes) -> str:
 
 
 @given(EVERY)
-def test_every_message_is_the_same_after_its_way(message: ControlMessage) -> None:
+def test_every_message_is_the_same_after_encoding_and_decoding(message: ControlMessage) -> None:
     assert decode(type(message), encode(message)) == message
 
 
@@ -91,7 +91,7 @@ def test_another_version_is_refused_with_both_named(message: ControlMessage, ver
 
 
 @given(EVERY, st.sampled_from(KINDS))
-def test_a_message_of_another_conversation_is_refused(message: ControlMessage, kind: Any) -> None:
+def test_a_message_of_another_kind_is_refused(message: ControlMessage, kind: Any) -> None:
     if type(message) in (kind.classes if isinstance(kind, Kind) else (kind,)):
         return
 
@@ -114,7 +114,7 @@ def test_a_message_of_another_conversation_is_refused(message: ControlMessage, k
         ({TAG: "Jump\x1b[2J" + "x" * 1000}, r"got Jump\x1b[2Jxx"),
     ],
 )
-def test_what_an_order_must_not_be_is_told(body: Any, said: str) -> None:
+def test_a_wrong_order_is_refused_with_the_reason(body: Any, said: str) -> None:
     data = bytes((MARKER, VERSION)) + msgspec.msgpack.encode(body)
 
     assert said in sentence(ORDER, data)
@@ -122,7 +122,7 @@ def test_what_an_order_must_not_be_is_told(body: Any, said: str) -> None:
 
 def test_a_refusal_does_not_keep_what_led_to_it_alive() -> None:
     gc.collect()
-    gc.disable()  # a question is answered when nothing holds it any more
+    gc.disable()  # a question is answered when its last reference is gone
     try:
         held = Held()
         gone = weakref.ref(held)
@@ -133,14 +133,14 @@ def test_a_refusal_does_not_keep_what_led_to_it_alive() -> None:
         gc.enable()
 
 
-def test_too_many_bytes_are_not_looked_at() -> None:
+def test_too_many_bytes_are_refused_without_decoding_them() -> None:
     said = sentence(Health, bytes(MOST_BYTES + 1))
 
     assert said == f"not a Health: expected up to {MOST_BYTES} bytes, got {MOST_BYTES + 1}"
 
 
 @pytest.mark.parametrize("data", [b"", b"\xf5", b"{}", b'{"type": "swap", "node": "a"}'])
-def test_bytes_that_are_no_message_are_told_as_such(data: bytes) -> None:
+def test_bytes_that_are_no_message_are_refused_as_such(data: bytes) -> None:
     said = sentence(ORDER, data)
 
     assert said == f"not an order: expected a message, got {len(data)} other bytes"

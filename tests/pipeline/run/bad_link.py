@@ -1,4 +1,4 @@
-"""A link between two hosts as bad as one likes: delay, loss, a stall, a cut; by unix socket."""
+"""A link between two hosts over a unix socket, with delay, loss, stalls and cuts."""
 
 import random
 import socket
@@ -13,11 +13,11 @@ HELD = 256  # pieces under way in one direction; more have to wait, as in a netw
 
 
 class BadLink:
-    """Listens at `near` and hands everything on to `far`; use as a context.
+    """Listens at `near` and forwards everything to `far`; use as a context.
 
     `delay_s` holds for pieces that come from now on, `loss` is the share of pieces that come
     `AGAIN_S` later, with everything behind them. While `stalled` is set nothing passes, but the
-    link stands; `cut` ends it, and nobody gets through until `mend`.
+    link stands; `cut` ends it, and no new one forms until `mend`.
     """
 
     def __init__(self, near: Path, far: Path, *, seed: int = 1) -> None:
@@ -53,7 +53,7 @@ class BadLink:
             _shut(end)
 
     def mend(self) -> None:
-        """Let links stand again."""
+        """Let new links form again."""
         self._severed.clear()
 
     def _admit(self) -> None:
@@ -77,7 +77,7 @@ class BadLink:
                 _Way(self, source, sink)
 
     def due_s(self) -> float:
-        """When a piece that comes now is to leave."""
+        """Return when a piece that arrives now is to leave."""
         lost = self._chance.random() < self.loss
         return time.monotonic() + self.delay_s + (AGAIN_S if lost else 0.0)
 

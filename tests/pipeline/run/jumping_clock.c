@@ -1,4 +1,4 @@
-/* Laid before libc by LD_PRELOAD: the wall clock jumps by a day to and fro, four times a second. */
+/* For LD_PRELOAD: the wall clock jumps by a day back and forth, four times a second. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <sys/time.h>

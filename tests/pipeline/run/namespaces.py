@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @lru_cache(maxsize=1)
 def permitted() -> bool:
-    """Whether mounts of its own may be made for a process."""
+    """Return whether a process may have mounts of its own."""
     if os.getuid() != 0:
         return False
     command = ["unshare", "-m", "mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", "/dev/shm"]
@@ -27,7 +27,7 @@ def permitted() -> bool:
 def with_small_mounts(
     sizes: Mapping[Path | str, str], *words: str, timeout_s: float = 180, **environment: str
 ) -> "subprocess.CompletedProcess[str]":
-    """Run Python with `words`, a tmpfs of so many bytes on each folder; skips where forbidden."""
+    """Run Python with `words`, a tmpfs of so many bytes on each folder; skip where forbidden."""
     if not permitted():
         pytest.skip("mount namespaces are not permitted here")
     mounts = [f"mount -t tmpfs -o size={size} tmpfs '{folder}'" for folder, size in sizes.items()]

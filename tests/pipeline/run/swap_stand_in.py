@@ -14,7 +14,7 @@ from pipeline.run.swap_target import Successor, SwapTarget
 
 @dataclass(eq=False)
 class StandInHandle:
-    """A process that does what the test says."""
+    """A stand-in for a process, whose state the test sets."""
 
     name: str
     pid: int
@@ -49,7 +49,7 @@ class _Histogram:
 
 
 class StandIn:
-    """The place of a `SwapTarget`; `did` has what was asked of it, in order."""
+    """A stand-in for a `SwapTarget`; `did` lists the calls in order."""
 
     def __init__(self) -> None:
         self.node = SimpleNamespace(name="work")
@@ -126,7 +126,7 @@ class StandIn:
         return self.has_arrived
 
     def __getattr__(self, name: str) -> Any:
-        """What needs no answer is only noted."""
+        """Return a function that only notes a call which needs no answer."""
 
         def note(*words: object, **_more: object) -> None:
             self.did.append(" ".join([name, *(str(w) for w in words if isinstance(w, (int, str)))]))
@@ -135,7 +135,7 @@ class StandIn:
 
 
 class Swapping:
-    """A machine over a stand-in, with a clock of its own."""
+    """A swap machine over a stand-in, with a clock of its own."""
 
     def __init__(self, machine: type[Any], **order: Any) -> None:
         self.target, self.now_s = StandIn(), 100.0
@@ -146,7 +146,7 @@ class Swapping:
         self.events = self.machine.events
 
     def tick(self, *events: tuple[StandInHandle, Event], later_s: float = 0.0) -> str:
-        """Go on by one tick after these events; the state, or why it was refused."""
+        """Advance by one tick after these events; return the state, or the reason of a refusal."""
         self.now_s += later_s
         for handle, event in events:
             self.events.note(handle.pid, event)

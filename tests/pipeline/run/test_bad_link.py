@@ -29,7 +29,7 @@ class Far:
         until(lambda: self.sender.matching())
 
     def send(self, body: bytes = b"") -> int:
-        """Send the next message; how many that makes."""
+        """Send the next message; return how many were sent."""
         self.sender.send(self.sent.to_bytes(4, "little") + body)
         self.sent += 1
         return self.sent
@@ -51,7 +51,7 @@ def far(short_path: Path) -> Iterator[Far]:
     made.close()
 
 
-def test_a_delay_is_a_delay_and_order_holds(far: Far) -> None:
+def test_a_link_that_delays_and_loses_keeps_the_order(far: Far) -> None:
     far.link.delay_s, far.link.loss = 0.15, 0.2
 
     sent_s = []
@@ -65,14 +65,14 @@ def test_a_delay_is_a_delay_and_order_holds(far: Far) -> None:
     assert min(at_s - sent_s[number] for number, at_s in far.heard) >= 0.15
 
 
-def test_a_stalled_link_never_makes_the_writer_wait_and_brings_no_old_news(far: Far) -> None:
+def test_a_stalled_link_never_makes_the_writer_wait_and_drops_old_messages(far: Far) -> None:
     far.send()
     until(lambda: len(far.heard) == 1)
     far.link.stalled.set()
 
     for _ in range(150):
         far.send(PICTURE)
-    assert far.link.links == 1  # a writer that waits does so until the link is given up
+    assert far.link.links == 1  # a writer that waits does so until the link ends
     far.link.stalled.clear()
     until(lambda: far.send() > 0 and far.heard[-1][0] > 150)
 
@@ -97,7 +97,9 @@ def test_a_link_that_breaks_comes_back_by_itself(far: Far) -> None:
     assert far.link.links >= 2
 
 
-def test_who_is_near_hears_everything_while_another_link_stalls(far: Far, short_path: Path) -> None:
+def test_a_near_reader_receives_everything_while_another_link_stalls(
+    far: Far, short_path: Path
+) -> None:
     near = Session(short_path / "here", "near")
     heard: list[int] = []
     near.listen(

@@ -13,7 +13,7 @@ import pytest
 from tests.sample_graphs import LOOP
 
 ROOT = Path(__file__).resolve().parents[3]
-# a file's age is by that clock, a certificate's, and the moment that a user reads in `ps`
+# ages of files, validity of certificates and times shown by `ps` are by the wall clock
 ASKED_FOR_FILES = {"detached.py", "leftovers.py", "secure.py", "warm_spare.py"}
 UNDER_JUMPS = """
 import signal, sys, time
@@ -56,13 +56,13 @@ def jumping(short_path: Path) -> Path:
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler here")
-    library = short_path / "jumping.so"  # no blank may be in the path of what is loaded before
+    library = short_path / "jumping.so"  # LD_PRELOAD allows no blank in a path
     source = Path(__file__).with_name("jumping_clock.c")
     subprocess.run([compiler, "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
     return library
 
 
-def test_a_graph_does_not_notice_that_the_wall_clock_jumps(jumping: Path, tmp_path: Path) -> None:
+def test_jumps_of_the_wall_clock_do_not_affect_a_graph(jumping: Path, tmp_path: Path) -> None:
     path = tmp_path / "graph.yaml"
     path.write_text(f"name: clock-{secrets.token_hex(3)}\n{LOOP}")
 
@@ -74,7 +74,7 @@ def test_a_graph_does_not_notice_that_the_wall_clock_jumps(jumping: Path, tmp_pa
     assert done.stdout.splitlines() == ["jumps", "well: True", "done"], done.stderr
 
 
-def test_nothing_that_runs_asks_for_the_wall_clock() -> None:
+def test_nothing_that_runs_reads_the_wall_clock() -> None:
     asked = set()
     for path in sorted((ROOT / "pipeline").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -1,4 +1,4 @@
-"""Each state of a cold swap: what leads out of it, forward and back."""
+"""Each state of a cold swap and its transitions, forward and back."""
 
 import re
 from typing import Any
@@ -13,7 +13,7 @@ from tests.pipeline.run.swap_stand_in import StandInHandle, Swapping
 
 
 def swapping(until: str, **order: Any) -> Swapping:
-    """A swap that has come to that state."""
+    """Return a swap that has reached a state."""
     one = Swapping(ColdSwap, **{"probation": 3, **order})
     target = one.target
     assert one.tick() == "CHECKING"
@@ -77,13 +77,13 @@ def test_what_does_not_fit_is_refused_before_anything_is_stopped() -> None:
     one = swapping("CHECKING")
     one.target.new.status = 1
 
-    assert one.tick() == "CHECKING"  # what it said last is heard with the next tick
+    assert one.tick() == "CHECKING"  # its last event is received with the next tick
     assert one.tick((one.target.new, Failed("no such setting", True))) == "no such setting"
     assert one.target.old.told == []
     assert not one.machine.owned
 
 
-def test_a_trial_that_says_nothing_is_refused() -> None:
+def test_a_trial_that_sends_nothing_is_refused() -> None:
     one = swapping("CHECKING")
 
     said = one.tick(later_s=cold_swap.START_S + 1)
@@ -104,7 +104,7 @@ def test_a_node_that_does_not_stop_is_killed() -> None:
 
 
 def back_again(one: Swapping, why: str) -> None:
-    """The way back, once nothing of the new operator runs."""
+    """Assert that the old instance is restarted once the new one has ended."""
     assert one.machine.state is ColdState.STARTING_BACK
     assert one.target.did[-2:] == ["keep_settings", "start before"]
     working(one).ready = True

@@ -41,7 +41,7 @@ from tests.unruly_graphs import (
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 
-KINDS = {"fork_many": 2, "start_session": 1, "escape": 1, "escape_twice": 1}  # processes
+KINDS = {"fork_many": 2, "start_session": 1, "escape": 1, "escape_twice": 1}  # number of processes
 REAPING = """
 import os, subprocess, sys
 from pipeline.run.reaper import Reaper
@@ -78,13 +78,13 @@ print(os.getpid(), parent, reaper.end(), orphan.exists())
 
 
 def noted(note: Path, count: int) -> list[int]:
-    """The process ids in a file, once there are so many."""
+    """Wait until a file has so many process ids; return them."""
     until(lambda: note.exists() and len(note.read_text().splitlines()) >= count)
     return [int(line) for line in note.read_text().splitlines()]
 
 
 def notes_of(folder: Path, kinds: Mapping[str, int]) -> dict[str, list[int]]:
-    """What each of several unruly parts has started, once that is all."""
+    """Wait until each unruly part has started all its processes; return their ids."""
     return {name: noted(folder / f"note-{name}", count) for name, count in kinds.items()}
 
 
@@ -144,7 +144,9 @@ def test_what_a_killed_node_started_ends_however_it_tried_to_leave(tmp_path: Pat
         counts = dict.fromkeys(kinds, 1)
         pids.update(beside(supervisor, lambda: notes_of(tmp_path, counts)))
         managed = [supervisor.processes[name] for name in kinds]
-        seen = [len(one.samples) for one in managed]  # a sample looks at what a node started
+        seen = [
+            len(one.samples) for one in managed
+        ]  # each sample looks for processes that a node started
         wait_for(
             supervisor,
             lambda: all(len(one.samples) > n for one, n in zip(managed, seen, strict=True)),
@@ -223,7 +225,7 @@ def test_a_whole_tree_is_ended() -> None:
     until(lambda: all(ended(m.pid) for m in below))
 
 
-def test_only_what_carries_the_mark_is_ended() -> None:
+def test_only_processes_with_the_tag_are_ended() -> None:
     tag, other = new_tag("fovea-test-"), new_tag("fovea-test-")
     tags = {"mine": tag, "other": other, "longer": f"x{tag}"}
     started = {
@@ -256,7 +258,7 @@ def test_a_process_never_ends_itself() -> None:
     assert (done.returncode, done.stdout) == (0, "0\n"), done.stderr
 
 
-def test_a_tick_never_waits_for_a_stopped_node_that_is_told_more_than_its_socket_holds(
+def test_a_tick_never_waits_for_a_stopped_node_that_is_sent_more_than_its_socket_holds(
     tmp_path: Path,
 ) -> None:
     plan = unruly_plan(tmp_path)

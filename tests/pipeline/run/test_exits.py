@@ -41,7 +41,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Left:
-    """What became of a graph whose parts all leave without being asked, each in its own way."""
+    """The outcome of a graph whose parts all end unexpectedly, each in its own way."""
 
     name: str
     report: Report
@@ -50,7 +50,7 @@ class Left:
 
 @pytest.fixture(scope="module")
 def left(tmp_path_factory: pytest.TempPathFactory) -> Left:
-    """One run for all of them: each has come back, and frames have arrived behind it."""
+    """Run a graph once for all kinds, until each part is restarted and frames pass it."""
     folder = tmp_path_factory.mktemp("left")
     plan = plan_of(folder, unruly_parts(folder, {kind: kind for kind in KINDS}))
 
@@ -60,7 +60,7 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Left:
 
 
 class Words(logging.Handler):
-    """Everything that is logged meanwhile: `caplog` lives as long as one test."""
+    """Keeps everything that is logged meanwhile: `caplog` exists for one test only."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -78,7 +78,7 @@ class Words(logging.Handler):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_part_that_leaves_without_being_asked_is_restarted(left: Left, kind: str) -> None:
+def test_a_part_that_ends_unexpectedly_is_restarted(left: Left, kind: str) -> None:
     lines = [line for line in left.log.splitlines() if line.startswith((f"{kind}: ", f"{kind} "))]
     ending = "signal SIGSEGV" if kind == "segfault" else "exit status"
 
@@ -96,7 +96,9 @@ def test_an_exit_status_of_0_that_was_not_announced_is_told_as_such(left: Left) 
     assert f"{said}, see `fovea logs {left.name} exit_0`" in left.log
 
 
-def test_a_part_that_may_not_restart_and_leaves_is_a_crash_in_the_report(tmp_path: Path) -> None:
+def test_an_unexpected_end_of_a_part_that_may_not_restart_is_a_crash_in_the_report(
+    tmp_path: Path,
+) -> None:
     text = UNRULY.replace("restart: {backoff_s: 0.01}", "restart: never")
 
     report = go(unruly_plan(tmp_path, text=text, kind="exit_0"), 30)
@@ -114,7 +116,7 @@ def test_a_part_that_crashes_in_an_extension_module_has_its_stack_in_the_log(lef
     assert "in do_segfault" in log
 
 
-def test_a_run_in_which_nothing_crashed_says_nothing_of_crashes(tmp_path: Path) -> None:
+def test_a_run_without_a_crash_reports_none(tmp_path: Path) -> None:
     report = go(unruly_plan(tmp_path), 10)
 
     assert report["crashes"] == {}
@@ -122,7 +124,7 @@ def test_a_run_in_which_nothing_crashed_says_nothing_of_crashes(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("restart", ["{backoff_s: 0.01}", "never"])
-def test_a_run_that_came_to_its_end_although_a_part_left_ends_with_3(
+def test_a_run_that_came_to_its_end_although_a_part_crashed_exits_with_3(
     tmp_path: Path, restart: str
 ) -> None:
     text = UNRULY.replace("{backoff_s: 0.01}", restart)
@@ -173,7 +175,7 @@ def test_in_lockstep_an_exit_with_status_0_ends_the_run_with_an_error(tmp_path: 
     )
 
 
-def test_a_source_that_may_not_restart_and_leaves_is_the_reason_for_the_end(
+def test_the_end_of_a_source_that_may_not_restart_is_the_reason_for_the_end(
     tmp_path: Path,
 ) -> None:
     text = apart(UNRULY).replace("  ticker:\n", "  ticker:\n    restart: never\n")
@@ -187,7 +189,7 @@ def test_a_source_that_may_not_restart_and_leaves_is_the_reason_for_the_end(
 
 
 @pytest.mark.parametrize("kind", ["exit_in_close", "exit_in_summary"])
-def test_a_part_that_leaves_while_it_is_stopped_is_told_of_and_takes_nothing_along(
+def test_an_exit_of_a_part_while_it_is_stopped_is_reported_and_loses_no_frame(
     tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     report = go(unruly_plan(tmp_path, kind=kind), 20)
@@ -202,7 +204,7 @@ def test_a_part_that_leaves_while_it_is_stopped_is_told_of_and_takes_nothing_alo
     assert report["summaries"]["after"]["seen"] == list(range(20))
 
 
-def test_a_part_that_leaves_while_it_opens_for_the_first_time_again_and_again_ends_the_start(
+def test_a_part_that_ends_repeatedly_in_its_first_open_ends_the_start(
     tmp_path: Path,
 ) -> None:
     text = UNRULY.replace("backoff_s: 0.01", "backoff_s: 0.01, most: 1")
@@ -212,7 +214,7 @@ def test_a_part_that_leaves_while_it_opens_for_the_first_time_again_and_again_en
         supervisor.start()
 
 
-def test_what_a_part_printed_after_it_had_closed_its_streams_went_nowhere_else(left: Left) -> None:
+def test_output_of_a_part_that_closed_its_streams_goes_nowhere_but_to_its_log(left: Left) -> None:
     log = (base() / left.name / "close_streams.log").read_text()
 
     assert "into nothing" in log

@@ -48,7 +48,7 @@ def find_in(folder: Path, patch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The file of a module that node processes find and this process does not."""
+    """Return the file of a module that node processes find and this process does not."""
     folder = tmp_path / "theirs"
     folder.mkdir()
     find_in(folder, monkeypatch)
@@ -56,7 +56,7 @@ def theirs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def added(plan: Plan, operator: str = "theirs:Part") -> Plan:
-    """The plan and a second reader of `work`."""
+    """Return the plan with a second reader of `work`."""
     node, edge = plan.node("count"), plan.inputs("count")["frame"]
     return replace(
         plan,
@@ -95,7 +95,7 @@ def test_what_is_added_and_swapped_in_is_never_imported_by_the_supervisor(
     assert "theirs" not in sys.modules
 
 
-def test_an_addition_that_never_ends_to_be_imported_holds_up_neither_frames_nor_the_end(
+def test_an_addition_whose_import_never_ends_delays_neither_frames_nor_the_end(
     tmp_path: Path, theirs: Path
 ) -> None:
     note = tmp_path / "pid"
@@ -119,7 +119,7 @@ def test_an_addition_that_never_ends_to_be_imported_holds_up_neither_frames_nor_
     assert handled(supervisor, "count") > 0
 
 
-def test_an_edited_file_of_code_that_nodes_alone_have_imported_is_taken_anew(
+def test_an_edited_file_of_code_that_nodes_alone_have_imported_is_imported_anew(
     tmp_path: Path, theirs: Path
 ) -> None:
     theirs.write_text(GOOD)
@@ -141,7 +141,7 @@ def test_an_edited_file_of_code_that_nodes_alone_have_imported_is_taken_anew(
 
 @pytest.fixture(scope="module")
 def breaking(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Supervisor]:
-    """A graph that runs, whose node processes find a module `broken_N` for each of `BAD`."""
+    """Run a graph whose node processes find a module `broken_N` for each of `BAD`."""
     folder = tmp_path_factory.mktemp("breaking")
     for number, (text, _said) in enumerate(BAD.values()):
         (folder / f"broken_{number}.py").write_text(text)

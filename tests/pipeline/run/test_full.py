@@ -79,7 +79,7 @@ def test_a_log_is_bounded_and_holds_what_libraries_print(tmp_path: Path, name: s
     assert log.read_text().endswith("line 99 of many\na library's own words\n")
 
 
-def test_on_a_full_disk_nodes_break_come_back_and_lose_only_words(
+def test_on_a_full_disk_nodes_break_are_restarted_and_lose_only_log_lines(
     graph: Path,
 ) -> None:
     small = Path(tempfile.mkdtemp())  # short: the paths of sockets are bounded

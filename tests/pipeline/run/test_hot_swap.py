@@ -1,4 +1,4 @@
-"""Each state of a hot swap: what leads out of it, forward and back."""
+"""Each state of a hot swap and its transitions, forward and back."""
 
 import re
 from typing import Any
@@ -28,7 +28,7 @@ ANSWERED = Answered("work", {"frame": 0}, 2.0)
 
 
 def swapping(until: str = "", **order: Any) -> Swapping:
-    """A swap that has come to that state."""
+    """Return a swap that has reached a state."""
     one = Swapping(HotSwap, **{"probation": 3, **order})
     target = one.target
     steps: list[tuple[str, Event | None]] = [
@@ -107,11 +107,11 @@ def test_a_predecessor_that_ends_meanwhile_ends_the_swap(state: str) -> None:
 
 
 @pytest.mark.parametrize("state", ["LOADING", "CONNECTING"])
-def test_a_successor_that_ends_is_refused_with_its_last_words(state: str) -> None:
+def test_a_successor_that_ends_is_refused_with_the_reason_that_it_sent(state: str) -> None:
     one = swapping(state)
     one.target.new.status = 1
 
-    assert one.tick() == state  # what it said last is heard with the next tick
+    assert one.tick() == state  # its last event is received with the next tick
     assert one.tick((one.target.new, Failed("it does not fit", True))) == "it does not fit"
 
 
@@ -138,7 +138,7 @@ def test_a_cut_that_does_not_come_is_taken_back_and_may_cross_that_order() -> No
             assert not one.machine.owned
 
 
-def test_a_predecessor_that_dies_at_the_cut_is_heard_to_its_last_word() -> None:
+def test_the_last_event_of_a_predecessor_that_dies_at_the_cut_counts() -> None:
     one = swapping("CUTTING")
     one.target.old.status = 0
 
@@ -147,7 +147,7 @@ def test_a_predecessor_that_dies_at_the_cut_is_heard_to_its_last_word() -> None:
 
 
 def rolled_back(one: Swapping, why: str) -> None:
-    """The way back from the successor's end, or from its being killed."""
+    """Assert that the old instance continues once the successor has ended or was killed."""
     assert one.target.new.killed == 1
     if one.target.new.status is None:
         assert one.machine.state is HotState.KILLING
@@ -179,7 +179,7 @@ def test_a_successor_that_does_not_take_over_is_rolled_back() -> None:
     rolled_back(one, "work: it did not take over within 5 s")
 
 
-def test_a_setting_that_was_told_meanwhile_is_not_lost() -> None:
+def test_a_setting_that_was_changed_meanwhile_is_not_lost() -> None:
     one = swapping("TAKING_OVER")
     one.target.told = True
 
@@ -234,7 +234,7 @@ def test_without_frames_probation_ends_and_no_answer_is_awaited() -> None:
     assert one.machine.facts["proven_frames"] == 0
 
 
-def test_an_answer_that_does_not_come_costs_no_swap() -> None:
+def test_an_answer_that_does_not_come_fails_no_swap() -> None:
     one = swapping("ANSWERING")
 
     assert one.tick() == "ANSWERING"
@@ -260,7 +260,7 @@ def test_a_predecessor_that_does_not_leave_is_not_waited_for() -> None:
     assert one.machine.other is one.target.old  # to be dismissed
 
 
-def test_a_predecessor_that_does_not_resume_is_told() -> None:
+def test_a_predecessor_that_does_not_resume_is_an_error() -> None:
     one = swapping("TAKING_OVER")
     one.tick(later_s=hot_swap.ANSWER_S + 1)
     one.target.new.status = -9

@@ -117,7 +117,7 @@ def frame(seq: int = 0) -> Frame:
 
 @contextmanager
 def runner_of(folder: Path, cls: str, answer: str) -> Iterator[OperatorRunner]:
-    """The runner of an operator, without a graph around it."""
+    """Yield the runner of an operator without a graph."""
     operator: type[Operator[Any, Any]] = load_operator(f"tests.wrong_samples:{cls}")
     subject = operator(WrongSettings(answer=answer))
     subject.open()
@@ -247,7 +247,7 @@ def test_a_wrong_answer_ends_a_graph_of_processes_in_the_same_words(
     assert said in str(caught.value)
 
 
-def test_what_the_wire_lets_through_is_carried_in_line_as_by_the_wire() -> None:
+def test_values_that_the_codec_accepts_are_converted_in_line_as_by_the_codec() -> None:
     numbers = replace(frame(), command_seq=np.int32(7), window=[0, 0, 1, np.int64(1)])  # type: ignore[arg-type]
 
     got, sent = carried(numbers), loads(Frame, dumps(numbers))
@@ -317,7 +317,7 @@ def test_what_is_refused_in_line_is_what_the_reader_of_the_wire_refuses(
             r"Wrong\.frame: Frame\.status: expected str, got an int 7"),
     ],
 )  # fmt: skip
-def test_what_drive_is_told_wrongly_is_said_in_one_sentence(
+def test_wrong_arguments_of_drive_are_refused_in_one_sentence(
     operator: type[Any], message: Any, settings: dict[str, Any], said: str
 ) -> None:
     with pytest.raises(FoveaError, match=f"^{said}"):

@@ -1,4 +1,4 @@
-"""An operator that breaks under `fovea run --inline` is told in one sentence, in the report too."""
+"""An operator that breaks under `fovea run --inline` is reported in one sentence."""
 
 import json
 import subprocess
@@ -26,7 +26,7 @@ KINDS = {
 
 
 def run(graph: Path, *words: str) -> tuple[int, str, str, dict[str, object]]:
-    """Exit status, standard output and error, and the report."""
+    """Run a graph; return exit status, standard output and error, and the report."""
     path = graph.parent / "report.json"
     done = subprocess.run(
         [*FOVEA, *words, "--report", str(path), str(graph)],
@@ -37,7 +37,7 @@ def run(graph: Path, *words: str) -> tuple[int, str, str, dict[str, object]]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_operator_that_breaks_is_one_sentence_with_node_and_line_and_the_report_has_it(
+def test_an_operator_that_breaks_is_reported_in_one_sentence_with_node_and_line(
     tmp_path: Path, kind: str
 ) -> None:
     graph = unruly_file(tmp_path, kind=kind)

@@ -38,7 +38,7 @@ def other_base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def killed(memory: Path) -> Path:
-    """The memory folder of a run that was killed; not in /dev/shm, where any start removes it."""
+    """Make the memory folder of a killed run; not in /dev/shm, where any start removes it."""
     folder = MemoryFolder.claim(memory)
     folder.write("ledger", b"accounts")
     folder.write("eye.out.0123abcd", b"pictures")
@@ -108,7 +108,7 @@ def test_what_else_lies_in_abandoned_memory_stays_with_its_folder(tmp_path: Path
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give folders away")
-def test_a_folder_that_is_not_ours_is_no_memory_of_ours(tmp_path: Path) -> None:
+def test_a_memory_folder_of_another_user_is_not_removed(tmp_path: Path) -> None:
     path = path_of(secrets.token_hex(8), tmp_path)
     path.mkdir(mode=0o700)
     os.chown(path, 65534, 65534)
@@ -145,7 +145,7 @@ def test_a_folder_that_a_cleanup_took_for_abandoned_is_not_used(
     assert folder.exists
 
 
-def test_files_and_links_where_run_folders_are_expected_hurt_nobody(other_base: Path) -> None:
+def test_files_and_links_where_run_folders_are_expected_are_left_alone(other_base: Path) -> None:
     base()
     (other_base / "file").touch()
     (other_base / "link").symlink_to("/etc")
@@ -161,7 +161,9 @@ def test_files_and_links_where_run_folders_are_expected_hurt_nobody(other_base: 
     assert sorted(p.name for p in other_base.iterdir()) == ["file", "link", "open", "pipe"]
 
 
-def test_a_file_in_the_place_of_the_folder_of_all_graphs_is_one_sentence(other_base: Path) -> None:
+def test_a_file_in_the_place_of_the_folder_of_all_graphs_is_refused_in_one_sentence(
+    other_base: Path,
+) -> None:
     other_base.write_text("mine")
 
     with pytest.raises(RunError, match="cannot be opened as a folder"):
@@ -220,7 +222,7 @@ def test_what_a_supervisor_notes_is_read_as_it_is(tmp_path: Path) -> None:
         {"nodes": None}, {"edges": [1]}, {"plan": []},
     ],
 )  # fmt: skip
-def test_facts_that_no_supervisor_wrote_are_no_facts(
+def test_facts_that_no_supervisor_wrote_are_ignored(
     tmp_path: Path, change: dict[str, object]
 ) -> None:
     assert facts_of(tmp_path, json.dumps(FACTS | change).encode()) == {}

@@ -1,4 +1,4 @@
-"""An order also sees events of a process that has already ended."""
+"""An order also receives events of a process that has already ended."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -15,7 +15,7 @@ ENDED = cast(ProcessHandle, SimpleNamespace(name="work", pid=7, ended=lambda: 0,
 
 
 class Checked(Operation):
-    """Waits for a trial to say that it fits."""
+    """Waits for the event `Fits` of a trial."""
 
     def advance(self) -> bool:
         fits = self.events.heard(ENDED, Fits) is not None
@@ -30,7 +30,7 @@ class Checked(Operation):
 @pytest.mark.parametrize(
     ("word", "refused"), [(Fits(), ""), (Failed("it does not fit", True), "it does not fit")]
 )
-def test_its_last_words_count(word: Event, refused: str) -> None:
+def test_the_last_event_of_an_ended_process_counts(word: Event, refused: str) -> None:
     order = Checked()
     order.tick()
     assert order.result is None
@@ -42,7 +42,7 @@ def test_its_last_words_count(word: Event, refused: str) -> None:
     assert reasons([order.result]) == [refused]
 
 
-def test_a_process_that_ends_without_a_word_has_failed() -> None:
+def test_a_process_that_ends_without_an_event_has_failed() -> None:
     order = Checked()
 
     order.tick()

@@ -1,4 +1,4 @@
-"""The folders of running graphs: one owner, and old logs do not pile up."""
+"""Folders of running graphs have one owner each, and old logs are removed."""
 
 import fcntl
 import os

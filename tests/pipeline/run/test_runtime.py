@@ -1,4 +1,4 @@
-"""Graphs as real processes on the real bus: they lose nothing they promised to keep."""
+"""Graphs run as real processes on the real bus and lose nothing on lossless edges."""
 
 import os
 import signal
@@ -89,7 +89,7 @@ def test_lockstep_gives_the_same_commands_in_line_and_as_processes(tmp_path: Pat
 
 
 def test_a_reader_that_stands_still_on_a_lossless_edge_loses_nothing(tmp_path: Path) -> None:
-    frames = 60  # a camera does not wait: the edge holds all, however long the machine sleeps
+    frames = 60  # a camera does not wait: the edge holds all frames, however slow the machine
     text = together(CHAIN, "ticker", "glance")
     plan = plan_of(tmp_path, text, changes=("ticker.rate_hz=1",))
 
@@ -313,7 +313,7 @@ def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
     )
 
 
-def test_what_two_lossless_ways_lost_on_one_of_them_is_not_waited_for_on_the_other(
+def test_a_join_of_two_lossless_paths_does_not_wait_for_a_frame_lost_on_one(
     tmp_path: Path,
 ) -> None:
     text = (
@@ -377,7 +377,7 @@ def test_operators_of_a_group_share_a_process(tmp_path: Path) -> None:
     assert_accounts_add_up(report)
 
 
-def test_a_killed_supervisor_takes_its_nodes_along_and_the_next_start_cleans_up(
+def test_the_nodes_of_a_killed_supervisor_end_and_the_next_start_cleans_up(
     tmp_path: Path,
 ) -> None:
     plan = plan_of(tmp_path, LOOP)

@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a closed terminal end everything, at any moment, and leave nothing."""
+"""Ctrl-C, SIGTERM and a closed terminal end everything, at any moment, and leave nothing behind."""
 
 import json
 import os
@@ -24,8 +24,8 @@ from tests.unruly_graphs import UNRULY, name_of, unruly_file
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
-SLOW_TOO = pytest.mark.slow  # what differs from an usual case by the signal or moment alone
-LIMIT_S = 20  # drain and stop take 10 s at most, of an idle machine 0.3 to 3.3
+SLOW_TOO = pytest.mark.slow  # cases that differ from a usual one by the signal or moment alone
+LIMIT_S = 20  # drain and stop take 10 s at most, on an idle machine 0.3 to 3.3 s
 # two processes end as four do, and take half the time to start
 PAIRED = together(LOOP, "work", "pair", "steer")
 SLOW = together(LOOP, "pair", "steer").replace(
@@ -44,7 +44,7 @@ def written(tmp_path: Path, text: str) -> Path:
 
 @contextmanager
 def fovea(*words: str) -> Iterator["subprocess.Popen[str]"]:
-    """The command in a session of its own."""
+    """Run the command in a session of its own."""
     with no_signal_ignored():
         process = subprocess.Popen(
             [*FOVEA, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -59,7 +59,7 @@ def fovea(*words: str) -> Iterator["subprocess.Popen[str]"]:
 
 @contextmanager
 def no_signal_ignored() -> Iterator[None]:
-    """A process inherits what is ignored; these tests may run under nohup or in the background."""
+    """Restore the default handlers meanwhile: a child inherits ignored signals, as of nohup."""
     before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
     yield
     for number, handler in before.items():
@@ -67,7 +67,7 @@ def no_signal_ignored() -> Iterator[None]:
 
 
 def ends(process: "subprocess.Popen[str]", *numbers: int) -> str:
-    """Send signals one after the other; what it said until its end, which does not take long."""
+    """Send signals one after the other; return the output of the process, which ends soon."""
     for number in numbers:
         process.send_signal(number)
         time.sleep(0.2)
@@ -104,7 +104,7 @@ def test_a_signal_while_a_class_is_made_is_no_error(number: signal.Signals) -> N
 
 
 def works(name: str) -> bool:
-    """Whether every node of a graph answers."""
+    """Return whether every node of a graph answers."""
     try:
         return all(find(name).health().values())
     except FoveaError:  # it has not come up yet
@@ -178,7 +178,7 @@ def test_a_second_signal_waits_for_nothing_and_leaves_nothing(tmp_path: Path, co
         for turn, number in enumerate(SIGNALS)
     ],
 )
-def test_a_signal_while_the_command_comes_up_ends_it_without_a_word(
+def test_a_signal_while_the_command_comes_up_ends_it_without_a_traceback(
     tmp_path: Path, number: int, after_s: float
 ) -> None:
     graph = written(tmp_path, PAIRED)
@@ -193,7 +193,7 @@ def test_a_signal_while_the_command_comes_up_ends_it_without_a_word(
 
 
 def answers_signals(pid: int) -> bool:
-    """Whether a process has handlers for all three."""
+    """Return whether a process has handlers for all three signals."""
     status = Path(f"/proc/{pid}/status").read_text()
     caught = int(status.partition("SigCgt:")[2].split()[0], 16)
     return all(caught >> (number - 1) & 1 for number in SIGNALS)
@@ -224,7 +224,7 @@ def test_a_signal_ends_an_inline_run_that_hangs_in_a_handler(tmp_path: Path, cou
     assert len(json.loads(report.read_text())["stages"]) == 3
 
 
-def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) -> None:
+def test_an_operator_of_an_inline_run_that_exits_is_an_error(tmp_path: Path) -> None:
     graph = unruly_file(tmp_path, kind="system_exit")
     with fovea("run", str(graph), "--inline") as process:
         _, err = process.communicate(timeout=60)
@@ -236,7 +236,7 @@ def test_an_operator_of_an_inline_run_that_leaves_is_an_error(tmp_path: Path) ->
 
 @pytest.fixture(scope="module")
 def looked_at(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The name of a graph that runs, for commands that only look; it leaves nothing behind."""
+    """Run a graph for commands that only look; yield its name. It leaves nothing behind."""
     graph = written(tmp_path_factory.mktemp("looked-at"), PAIRED)
     name = name_of(graph)
     with fovea("run", str(graph)) as process:
@@ -262,14 +262,14 @@ def test_a_signal_ends_a_command_that_looks(
     with fovea(*(looked_at if word == "NAME" else word for word in words)) as looking:
         assert looking.stdout is not None
         until(lambda: answers_signals(looking.pid))
-        select.select([looking.stdout], [], [], 2)  # its first word, where it has one
+        select.select([looking.stdout], [], [], 2)  # its first output, where there is some
         assert looking.poll() is None
 
         ends(looking, number)
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_a_signal_ends_an_agent_as_it_is_meant_to(tmp_path: Path, number: int) -> None:
+def test_a_signal_ends_an_agent_with_exit_status_0(tmp_path: Path, number: int) -> None:
     with fovea("agent", "--label", "here", "--state", str(tmp_path)) as process:
         assert process.stdout is not None
         assert "listens" in process.stdout.readline()
@@ -280,7 +280,7 @@ def test_a_signal_ends_an_agent_as_it_is_meant_to(tmp_path: Path, number: int) -
     assert (process.returncode, "Traceback" in out + err) == (0, False)
 
 
-def test_a_reader_that_leaves_costs_words_and_not_the_graph(tmp_path: Path) -> None:
+def test_a_closed_standard_output_does_not_end_a_graph(tmp_path: Path) -> None:
     graph, report = written(tmp_path, PAIRED), tmp_path / "report.json"
     with fovea("run", str(graph), "--frames", "200", "--report", str(report)) as process:
         assert process.stdout is not None
@@ -293,7 +293,7 @@ def test_a_reader_that_leaves_costs_words_and_not_the_graph(tmp_path: Path) -> N
     assert json.loads(report.read_text())["frames"]["exposed"] == 200
 
 
-def test_a_reader_that_leaves_ends_a_command_that_only_shows(looked_at: str) -> None:
+def test_a_closed_standard_output_ends_a_command_that_only_shows(looked_at: str) -> None:
     with fovea("echo", looked_at, "steer") as looking:
         assert looking.stdout is not None
         assert "windows" in looking.stdout.readline()
@@ -318,7 +318,7 @@ def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path
     os.close(other)
 
     def has_started() -> bool:
-        with suppress(BlockingIOError):  # a terminal that nobody reads fills
+        with suppress(BlockingIOError):  # a terminal without a reader fills up
             os.read(terminal, 4096)
         return len(nodes_of(name)) == 2
 
@@ -332,7 +332,7 @@ def test_a_terminal_that_vanishes_ends_the_run_and_leaves_nothing(tmp_path: Path
     assert_nothing_left(name, run_id, pids)
 
 
-def test_a_visitor_that_is_frozen_does_not_hold_up_the_end(tmp_path: Path) -> None:
+def test_a_client_that_is_frozen_does_not_delay_the_end(tmp_path: Path) -> None:
     graph = written(tmp_path, PAIRED)
     name = name_of(graph)
     with fovea("run", str(graph)) as process:

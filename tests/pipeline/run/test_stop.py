@@ -20,7 +20,7 @@ FOVEA = (sys.executable, "-m", "pipeline.entry")
 
 
 def counted(graph: str) -> int:
-    """Frames that the last node of a graph says it has handled."""
+    """Return how many frames the last node of a graph has handled."""
     health = find(graph).health()["count"]
     return health.handled if health else 0
 
@@ -44,7 +44,7 @@ def test_a_graph_in_the_foreground_ends_with_its_report(tmp_path: Path) -> None:
     assert all(edge["in_flight"] == 0 for edge in edges)
 
 
-def test_a_second_order_is_in_haste(tmp_path: Path) -> None:
+def test_a_second_stop_order_ends_the_run_in_haste(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS)
     with Supervisor(plan) as supervisor:
         supervisor.start()
@@ -56,7 +56,7 @@ def test_a_second_order_is_in_haste(tmp_path: Path) -> None:
         assert supervisor.in_haste
 
 
-def test_a_swap_that_is_under_way_does_not_hold_the_end_up(tmp_path: Path) -> None:
+def test_a_swap_that_is_under_way_does_not_delay_the_end(tmp_path: Path) -> None:
     results: list[Result] = []
     plan = plan_of(tmp_path, LOSSLESS)
 
@@ -86,7 +86,7 @@ def test_an_order_that_comes_after_the_end_is_answered_at_once(tmp_path: Path) -
     ]
 
 
-def test_a_graph_that_has_ended_is_one_sentence(tmp_path: Path) -> None:
+def test_an_order_to_a_graph_that_has_ended_is_refused_in_one_sentence(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS)
 
     with pytest.raises(RunError, match=f"no graph {plan.name} runs"):

@@ -78,9 +78,7 @@ def test_a_frozen_process_is_replaced_whatever_it_was_doing(tmp_path: Path, vict
 
 
 @pytest.mark.parametrize("kind", [pytest.param("deadlock", marks=pytest.mark.slow), "seize"])
-def test_a_locked_operator_is_killed_and_its_log_says_where_it_stood(
-    tmp_path: Path, kind: str
-) -> None:
+def test_a_locked_operator_is_killed_and_its_stack_is_in_its_log(tmp_path: Path, kind: str) -> None:
     plan = plan_of(tmp_path, sick(stall_s=0.5), changes=(f"sick.kind={kind}",))
 
     def until_it_works_again(supervisor: Supervisor) -> None:
@@ -94,11 +92,11 @@ def test_a_locked_operator_is_killed_and_its_log_says_where_it_stood(
     assert report["restarts"] == {"sick": 1}
     assert 'faulty_samples.py", line' in log
     assert "in on_frame" in log
-    assert edge(report, "sick.frame")["lost_in_crash"] >= 1  # the one it hung over
+    assert edge(report, "sick.frame")["lost_in_crash"] >= 1  # the frame that it hung on
 
 
 @pytest.mark.slow
-def test_a_leaking_operator_starts_again_before_it_takes_all(
+def test_an_operator_that_exceeds_its_memory_limit_is_restarted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     plan = plan_of(tmp_path, sick(memory_mb=250), changes=("sick.kind=leak",))
@@ -115,7 +113,7 @@ def test_a_leaking_operator_starts_again_before_it_takes_all(
     assert " MB of its own, 250 allowed; killed" in caplog.text
 
 
-def test_who_never_comes_up_is_named_after_its_time(tmp_path: Path) -> None:
+def test_a_node_that_never_gets_ready_is_named_after_its_timeout(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, sick(start_s=3), changes=("sick.open_s=1000",))
 
     said = rf"sick: not ready after 3.*, see `fovea logs {plan.name} sick`$"
@@ -124,7 +122,7 @@ def test_who_never_comes_up_is_named_after_its_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_who_hangs_when_it_starts_again_is_killed_and_who_is_only_slow_is_not(
+def test_a_node_that_hangs_when_it_restarts_is_killed_and_a_slow_one_is_not(
     tmp_path: Path,
 ) -> None:
     changes = (f"sick.again={tmp_path / 'seen'}", "sick.open_s=60")
@@ -149,7 +147,7 @@ def test_who_hangs_when_it_starts_again_is_killed_and_who_is_only_slow_is_not(
 
 
 @pytest.mark.slow
-def test_a_crash_loop_costs_the_others_nothing_and_its_end_says_why(tmp_path: Path) -> None:
+def test_a_crash_loop_does_not_affect_the_others_and_ends_with_its_reason(tmp_path: Path) -> None:
     text = CHAIN.replace("  glance:\n", "  glance:\n    restart: {most: 3, backoff_s: 0.2}\n")
     plan = plan_of(tmp_path, text, changes=("glance.crash_after=1",))
 
@@ -163,7 +161,7 @@ def test_a_crash_loop_costs_the_others_nothing_and_its_end_says_why(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_a_graph_frozen_as_a_whole_goes_on_as_if_nothing_had_been(tmp_path: Path) -> None:
+def test_a_graph_frozen_as_a_whole_goes_on_without_a_restart(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOOP)
     command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
     supervisor = subprocess.Popen(command, stdout=subprocess.PIPE)

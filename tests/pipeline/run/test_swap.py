@@ -1,4 +1,4 @@
-"""A part is replaced while its graph runs: nothing is lost, nothing comes twice."""
+"""A node is replaced while its graph runs: no frame is lost and none arrives twice."""
 
 import re
 import signal
@@ -55,11 +55,11 @@ nodes:
     inputs: {percept: {from: work, depth: 60}}
 """
 Results = list[Result]
-UNHURRIED_MS = 60_000.0  # a frame: where no test is about a budget, a busy machine is no reason
+UNHURRIED_MS = 60_000.0  # per frame: a busy machine fails no test but those about the budget
 
 
 def order(node: str, **words: Any) -> SwapOrder:
-    """A swap that nothing but what the test does can make fail."""
+    """Return an order for a swap that only the test itself can make fail."""
     return SwapOrder(**{"node": node, "probation": 5, "budget_ms": UNHURRIED_MS, **words})
 
 
@@ -127,11 +127,11 @@ def test_the_state_is_carried_over_and_the_cut_is_where_it_was_asked_for(tmp_pat
     assert report["summaries"]["recall"]["said"] == [[n, n + 1] for n in range(exposed(report))]
 
 
-def test_a_shadow_run_tells_how_the_answers_differ(tmp_path: Path) -> None:
+def test_a_shadow_run_reports_how_the_answers_differ(tmp_path: Path) -> None:
     results: Results = []
     orders = [order("work", shadow=15, changes=change) for change in ({}, {"gain": 2})]
 
-    inline = ("ticker.side_px=50",)  # a picture in a slot may be gone when a late shadow looks
+    inline = ("ticker.side_px=50",)  # a slot may be reused before a late shadow reads it
     report = go(plan_of(tmp_path, TALLY, changes=inline), 0, swapping(results, *orders))
 
     shadows = [swapped(result).shadow for result in results]
@@ -220,7 +220,7 @@ def test_a_successor_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     assert edge(report, "work.frame")["delivered"] == exposed(report)
 
 
-def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> None:
+def test_a_successor_that_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> None:
     results: Results = []
     refusals = {
         "has no attribute 'Pass2'": {"operator": "tests.samples:Pass2"},
@@ -248,7 +248,7 @@ def test_what_does_not_fit_is_refused_and_the_graph_goes_on(tmp_path: Path) -> N
     assert_accounts_add_up(report)
 
 
-def test_a_node_that_is_not_there_is_one_sentence(tmp_path: Path) -> None:
+def test_a_swap_of_a_missing_node_is_refused_in_one_sentence(tmp_path: Path) -> None:
     with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
         with pytest.raises(RunError, match="no node wrk, did you mean 'work'"):
             supervisor.control.take(SwapOrder(node="wrk"), lambda _: None)
@@ -282,7 +282,7 @@ def test_in_lockstep_a_swapped_part_changes_no_byte(tmp_path: Path) -> None:
     assert one["schedule_sha256"] == plain["schedule_sha256"]
 
 
-def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: Path) -> None:
+def test_a_source_or_a_node_that_shares_a_process_is_stopped_and_started(tmp_path: Path) -> None:
     results: Results = []
     text = together(LOOP, "work", "pair", "steer")
     orders = [
@@ -300,7 +300,7 @@ def test_who_makes_frames_or_shares_a_process_is_stopped_and_started(tmp_path: P
     assert "told not to live for long; the old instance was restarted" in reasons(results)[1]
     assert_accounts_add_up(report)
     assert report["failure"] == ""
-    assert exposed(report) > 5  # it went on until it was told to finish
+    assert exposed(report) > 5  # it went on until `finish`
 
 
 def test_a_part_that_shall_never_restart_is_not_started_by_a_swap_that_failed(

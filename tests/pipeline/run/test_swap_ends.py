@@ -13,7 +13,7 @@ from tests.unruly_graphs import unruly_plan
 
 
 def swap(supervisor: Supervisor, **changes: Any) -> list[Result]:
-    """Begin a swap of the unruly part; its answer comes into the list."""
+    """Begin a swap of the unruly part; return the list that its answer is added to."""
     answers: list[Result] = []
     wait_for(supervisor, lambda: handled(supervisor, "after") > 5, 60)
     order = SwapOrder(node="unruly", changes=changes, probation=5)
@@ -30,7 +30,7 @@ def swap(supervisor: Supervisor, **changes: Any) -> list[Result]:
         ("fork_and_die", "the new instance ended by signal SIGKILL"),
     ],
 )
-def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str, said: str) -> None:
+def test_a_successor_that_ends_fails_only_the_swap(tmp_path: Path, kind: str, said: str) -> None:
     answers: list[Result] = []
     note = tmp_path / "pids"
 
@@ -53,7 +53,7 @@ def test_a_successor_that_leaves_costs_the_swap_alone(tmp_path: Path, kind: str,
     until(lambda: all(ended(pid) for pid in pids))
 
 
-def test_a_run_that_is_asked_to_end_in_the_middle_of_a_swap_ends_all(tmp_path: Path) -> None:
+def test_a_run_that_ends_in_the_middle_of_a_swap_ends_every_process(tmp_path: Path) -> None:
     plan = unruly_plan(tmp_path)
     with Supervisor(plan) as supervisor:
         run_id = supervisor.manager.run_folder.run_id

@@ -1,4 +1,4 @@
-"""A swap keeps live changes of settings, and changes only what its order says."""
+"""A swap keeps live changes of settings, and changes only what its order sets."""
 
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ Results = list[Result]
 
 
 @pytest.mark.parametrize("group", ["", "    group: hand\n"])
-def test_a_swap_knows_what_the_part_was_told_and_has_the_last_word(
+def test_a_swap_keeps_live_changes_except_where_its_order_sets_another_value(
     tmp_path: Path, group: str
 ) -> None:
     text = LOSSLESS.replace("  work:\n", f"  work:\n{group}") + GLANCE + group
@@ -60,14 +60,14 @@ def test_a_swap_knows_what_the_part_was_told_and_has_the_last_word(
     assert "said before" in log.read_text()
 
 
-def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path: Path) -> None:
+def test_a_setting_that_changes_while_a_successor_gets_ready_is_not_lost(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS, changes=("ticker.rate_hz=4",))
     results: Results = []
     kept: dict[str, Any] = {}
 
     def tell_meanwhile() -> None:
         find(plan.name).configure("work", {"every": 7})
-        find(plan.name).configure("ticker", {"rate_hz": 60})  # the cut may come
+        find(plan.name).configure("ticker", {"rate_hz": 60})  # now the cut may come
 
     def during(supervisor: Supervisor) -> None:
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
@@ -86,7 +86,7 @@ def test_what_a_part_is_told_while_its_successor_gets_ready_is_not_lost(tmp_path
     assert kept["every"] == 7
 
 
-def test_a_successor_that_cannot_be_started_leaves_the_old_part_what_it_was_told(
+def test_a_successor_that_cannot_be_started_leaves_the_old_part_its_settings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     group = "    group: hand\n"

@@ -21,7 +21,7 @@ nodes:
 """
 
 
-def test_state_that_is_not_declared_is_told_where_it_is_lost(
+def test_undeclared_state_that_a_swap_loses_is_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     plan, results = plan_of(tmp_path, GRAPH.format(cls="Forgetful")), Results()
@@ -49,7 +49,9 @@ def test_declared_state_and_another_operator_are_no_reason_to_warn(tmp_path: Pat
     assert [swapped(r).state for r in results] == ["none", "carried over"]
 
 
-def test_a_part_that_has_to_be_stopped_and_started_begins_anew_and_says_why(tmp_path: Path) -> None:
+def test_a_part_that_has_to_be_stopped_and_started_begins_anew_with_a_reason(
+    tmp_path: Path,
+) -> None:
     counter = GRAPH.format(cls="Counter").replace("  work:\n", "  work:\n    group: hand\n")
     beside = (
         "  beside:\n    group: hand\n    operator: tests.samples:Pass\n    inputs: {frame: work}\n"

@@ -42,7 +42,7 @@ def addition(tmp_path: Path, text: str = SECOND) -> Path:
 def operating(
     plan: Plan, acts: Callable[[Order, Supervisor], None]
 ) -> Callable[[Supervisor], None]:
-    """Do `acts` in another thread, as a command line would, while the graph is looked after."""
+    """Return a function that does `acts` in another thread while the supervisor ticks."""
 
     def during(supervisor: Supervisor) -> None:
         broken: list[BaseException] = []
@@ -53,7 +53,9 @@ def operating(
                     lambda edit, *words: find(plan.name).replan(lambda p: edit(p, *words)),
                     supervisor,
                 )
-            except BaseException as error:  # an assertion, to be raised where it is seen
+            except (
+                BaseException
+            ) as error:  # an assertion, too; it is raised again in the main thread
                 broken.append(error)
 
         wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
@@ -67,7 +69,7 @@ def operating(
     return during
 
 
-def test_a_consumer_is_added_and_removed_and_the_others_do_not_stutter(tmp_path: Path) -> None:
+def test_a_consumer_is_added_and_removed_and_the_others_lose_no_frame(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, LOSSLESS)
     lost: list[int] = []
 
@@ -106,7 +108,9 @@ def test_an_edge_is_rewired_between_two_frames(tmp_path: Path) -> None:
         after = handled(supervisor, "count")
         until(lambda: handled(supervisor, "count") > after + 20)
         assert supervisor.pid("count") == before
-        assert supervisor.ledger.edges[1].accounted == 0  # the old edge has ended for both
+        assert (
+            supervisor.ledger.edges[1].accounted == 0
+        )  # the old edge has ended for writer and reader
 
     report = go(plan, 0, operating(plan, acts))
 

@@ -1,4 +1,4 @@
-"""The first lines of a report say whether the run was as asked, from the report's own figures."""
+"""The first lines of a report judge the run by the figures of the report."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ TOLD = {"rate": {"asked_hz": 30, "achieved_hz": 30}}
 
 
 def ran(frames: int = 300, plan: Plan = PLAN, loop_ms: float = 0) -> Ledger:
-    """The ledger of a run in which every message arrived."""
+    """Return the ledger of a run in which every message arrived."""
     ledger = private_ledger(len(plan.edges), len(plan.nodes))
     for account in ledger.edges:
         account.sent = account.delivered = frames
@@ -61,7 +61,7 @@ def printed(report: Report, *, width: int = 80, terminal: bool = False, **how: A
         (0, False, "fell short by 100%: 0.00 of 30.0 frames/s over 300 frames"),
     ],
 )
-def test_a_source_is_judged_by_the_rate_that_it_tells(
+def test_a_source_is_judged_by_the_rate_that_it_reports(
     achieved_hz: float, held: bool, said: str
 ) -> None:
     told = {"rate": {"asked_hz": 30, "achieved_hz": achieved_hz}}
@@ -91,7 +91,7 @@ def test_a_run_without_a_frame_did_not_hold_its_rate() -> None:
     ("loop_ms", "held", "begins"),
     [(12, True, "held: "), (40, False, "over its budget, p50 by "), (0, False, "no command")],
 )
-def test_the_loop_is_held_against_one_and_two_frames_of_its_source(
+def test_the_budget_of_the_loop_is_one_and_two_frames_of_its_source(
     loop_ms: float, held: bool, begins: str
 ) -> None:
     finding = found(composed(ran(loop_ms=loop_ms)), "loop")
@@ -140,7 +140,7 @@ def test_losses_are_counted_with_the_edge_that_has_most_and_why() -> None:
 
     finding = found(composed(ledger), "losses")
 
-    assert finding.held is True  # that is what these edges are for
+    assert finding.held is True  # these edges keep only the newest message
     assert finding.sentence == (
         f"9 of {300 * len(PLAN.edges)} messages on 2 edges, most on {other.origin} -> {other.end} "
         "(7, superseded); all on edges that keep only the newest"
@@ -160,11 +160,11 @@ def test_a_message_that_was_promised_and_lost_is_a_failure() -> None:
     assert finding.sentence.endswith("; restarted: policy 2 times")
 
 
-def test_nothing_lost_is_said_too() -> None:
+def test_a_run_without_losses_is_reported_too() -> None:
     assert found(composed(), "losses").sentence == f"none of {300 * len(PLAN.edges)} messages"
 
 
-def test_what_an_operator_has_to_tell_stands_below_under_its_name() -> None:
+def test_the_headline_of_an_operator_is_shown_below_under_its_name() -> None:
     report = composed(score={"headline": "IoU 0.6", "iou": {"mean": 0.6}})
 
     assert [f.about for f in verdict(report)] == ["rate", "loop", "losses", "score"]
@@ -235,9 +235,7 @@ values = st.recursive(
 
 
 @given(told=values, headline=values, asked=values, achieved=values)
-def test_whatever_a_summary_says_there_is_a_verdict(
-    told: Any, headline: Any, asked: Any, achieved: Any
-) -> None:
+def test_any_summary_gives_a_verdict(told: Any, headline: Any, asked: Any, achieved: Any) -> None:
     for rate in (told, {"asked_hz": asked, "achieved_hz": achieved}):
         report = composed(capture={"rate": rate, "loop": told}, score={"headline": headline})
 
@@ -247,6 +245,6 @@ def test_whatever_a_summary_says_there_is_a_verdict(
         assert len(lines) <= 4
 
 
-def test_a_rate_that_is_none_is_taken_from_the_clock() -> None:
+def test_an_invalid_rate_is_replaced_by_frames_over_duration() -> None:
     for wrong in (None, 3, {}, {"asked_hz": -1, "achieved_hz": 1}, {"asked_hz": 30}):
         assert rate_of(20, 4.0, wrong) == {"frames": 20, "asked_hz": None, "achieved_hz": 5.0}

@@ -26,7 +26,7 @@ from tests.sample_graphs import (
 )
 
 
-def test_no_process_to_stand_by_is_no_error_and_not_asked_for_again_at_once() -> None:
+def test_a_spare_that_cannot_be_started_is_no_error_and_is_not_retried_at_once() -> None:
     asked: list[Collection[str]] = []
 
     def refuse(modules: Collection[str]) -> NodeProcess:

@@ -52,7 +52,7 @@ def test_figures_that_are_nested_too_deep_are_cut_off() -> None:
 
 
 def test_a_long_exception_holds_nothing_up_and_its_log_has_it_whole(tmp_path: Path) -> None:
-    size = 400_000  # a quarter of it took Rich for ever
+    size = 400_000  # Rich did not come to the end of a quarter of it
     graph = unruly_file(tmp_path, kind="long_text", size=size, once=tmp_path / "once")
 
     done = subprocess.run(
@@ -97,7 +97,7 @@ def test_a_headline_is_cut_to_a_line(tmp_path: Path, size: int) -> None:
 @pytest.mark.parametrize(
     ("kind", "size"), [("long_summary", 50_000_000), ("huge_summary", 200_000)]
 )
-def test_a_huge_summary_is_left_out_and_the_report_says_so(
+def test_a_huge_summary_is_left_out_and_the_report_has_the_reason(
     tmp_path: Path, kind: str, size: int
 ) -> None:
     graph, report = unruly_file(tmp_path, kind=kind, size=size), tmp_path / "r.json"
@@ -114,7 +114,9 @@ def test_a_huge_summary_is_left_out_and_the_report_says_so(
     assert found["frames"]["exposed"] == 20
 
 
-def test_a_long_text_in_a_summary_is_cut_and_says_so(tmp_path: Path) -> None:
+def test_a_long_text_in_a_summary_is_cut_with_the_number_of_missing_characters(
+    tmp_path: Path,
+) -> None:
     report = go(unruly_plan(tmp_path, kind="long_summary", size=2500), 20)
 
     assert report["long"] == "x" * 1000 + "… (1500 characters more)"
@@ -134,7 +136,7 @@ def test_a_summary_of_odd_figures_breaks_no_report(tmp_path: Path) -> None:
     assert "failure" not in json.loads(report.read_text())
 
 
-def test_a_state_that_cannot_be_had_costs_the_swap_alone(tmp_path: Path) -> None:
+def test_a_state_that_cannot_be_had_fails_only_the_swap(tmp_path: Path) -> None:
     answers: list[Result] = []
 
     def during(supervisor: Supervisor) -> None:
@@ -223,7 +225,7 @@ def test_a_line_without_an_end_takes_no_more_memory_than_is_allowed() -> None:
         channel.close()
 
 
-def test_a_node_that_does_not_read_is_deaf_and_blocks_nobody() -> None:
+def test_a_node_that_does_not_read_is_marked_and_does_not_block_the_writer() -> None:
     channel, node = ends()
     with node:
         for _ in range(2 + MOST_UNSENT // 1_000_000):
@@ -233,9 +235,9 @@ def test_a_node_that_does_not_read_is_deaf_and_blocks_nobody() -> None:
         channel.close()
 
 
-def test_what_was_said_last_is_heard_after_the_end() -> None:
+def test_the_last_event_of_a_node_is_received_after_its_end() -> None:
     channel, node = ends()
-    failed = Failed("a\nb\x1b0", False)  # with what ends a line, and what stands for it
+    failed = Failed("a\nb\x1b0", False)  # with the end of a line and its escape sequence
     node.sendall(line_of(failed))
     node.close()
 
@@ -244,7 +246,7 @@ def test_what_was_said_last_is_heard_after_the_end() -> None:
     assert channel.events() == [failed]
 
 
-def test_an_exchange_wakes_for_words_and_for_whoever_wakes_it() -> None:
+def test_an_exchange_wakes_for_events_and_on_request() -> None:
     exchange = Exchange()
     channel, node = ends()
     exchange.add(channel)
