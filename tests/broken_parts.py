@@ -1,6 +1,6 @@
 """Sources of user modules and classes that fail when they are imported or inspected."""
 
-MODULES = {  # the text, the line of the cause, and what is said of it
+MODULES = {  # source, line of the cause, part of the error
     "raises": ("import json\n\njson.loads('x')\n", 3, "JSONDecodeError"),
     "raises a text of many lines": ("raise ValueError('a\\nb' * 500)\n", 1, "ValueError"),
     "exits": ("import sys\n\nsys.exit(3)\n", 3, "it exits: 3"),
@@ -13,7 +13,7 @@ MODULES = {  # the text, the line of the cause, and what is said of it
         "class E(Exception):\n    def __str__(self): raise ValueError\nraise E\n", 3, "E",
     ),
 }  # fmt: skip
-ENDING = {  # likewise, that would end the process which imports them, or keep it from telling
+ENDING = {  # likewise; these end the process that imports them, or prevent its report
     "ends the process": ("import os\n\nos._exit(0)\n", 3, "it exits: os._exit(0)"),
     "closes the stream": ("import sys\nsys.stderr.close()\n1 / 0\n", 3, "ZeroDivisionError"),
     "closes the file": ("import os\nos.close(2)\n1 / 0\n", 3, "ZeroDivisionError"),

@@ -1,7 +1,7 @@
-"""Commands carried out by the process of the tests: starting one for each takes half a second.
+"""Run commands in the process of the tests, because starting a process takes half a second.
 
-For commands that ask or tell a running graph, and for what is refused before anything runs. What a
-process does by itself (signals, what it imports, how it runs a graph) needs one of its own.
+This is for commands that query or control a running graph, and for input that is refused before
+anything runs. Tests of signals, of imports and of running a graph need a process of their own.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from pipeline import cli
 
 
 def command(*words: str) -> "subprocess.CompletedProcess[str]":
-    """The exit status of `fovea WORDS`, and what it says."""
+    """Run `fovea WORDS`; return its exit status and output."""
     status: object = 0
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         with pytest.MonkeyPatch.context() as patch, leading_to(1, out), leading_to(2, err):
@@ -34,7 +34,7 @@ def command(*words: str) -> "subprocess.CompletedProcess[str]":
 
 @contextlib.contextmanager
 def leading_to(handle: int, file: IO[bytes]) -> Iterator[None]:
-    """Standard output or standard error, the stream and the descriptor, leads to a file."""
+    """Redirect standard output or standard error, stream and descriptor, to a file."""
     before = os.dup(handle)
     os.dup2(file.fileno(), handle)
     redirect = contextlib.redirect_stdout if handle == 1 else contextlib.redirect_stderr
@@ -43,7 +43,7 @@ def leading_to(handle: int, file: IO[bytes]) -> Iterator[None]:
             try:
                 yield
             finally:
-                (sys.stdout if handle == 1 else sys.stderr).flush()  # it may be another by now
+                (sys.stdout if handle == 1 else sys.stderr).flush()  # perhaps replaced
     finally:
         os.dup2(before, handle)
         os.close(before)

@@ -15,7 +15,7 @@ from pipeline.run.leftovers import cleanup
 from tests.shared_data import Footage
 
 ROOT = Path(__file__).resolve().parent.parent
-# What a shell, a terminal, a proxy or a git hook sets and what would change an outcome.
+# Variables of a shell, a terminal, a proxy or a git hook that would change results.
 OF_THE_USER = re.compile(
     r"XDG_.*|GIT_.*|ZENOH_.*|RUST_LOG|LANG|LANGUAGE|LC_.*|COLUMNS|LINES|JUPYTER_.*|"
     r"(NO|FORCE|CLICOLOR_FORCE|CLICOLOR|PY)_?COLORS?|TTY_.*|(?i:(http|https|ftp|all|no)_proxy)|"
@@ -24,14 +24,14 @@ OF_THE_USER = re.compile(
 )
 LONGEST_FOLDER = 24  # characters: the path of a socket has at most 107, and names follow
 
-# The usual run draws the same examples every time; `make test-slow` goes looking for others.
+# The usual run draws the same examples every time; `make test-slow` searches for others.
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("search", max_examples=1000, derandomize=False, deadline=None)
 settings.load_profile("same")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Where footage and third-party weights are."""
+    """Add the option for the folder of footage and third-party weights."""
     parser.addoption(
         "--shared", type=Path, default=ROOT.parent / "shared", metavar="PATH",
         help="folder of recordings and weights for tests marked `footage` (default: %(default)s)",
@@ -39,7 +39,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure() -> None:
-    """Drop what this user has set, for this process and those it starts."""
+    """Remove variables of the user from this process and from those that it starts."""
     for name in filter(OF_THE_USER.fullmatch, list(os.environ)):
         del os.environ[name]
     os.environ["LC_ALL"] = "C.UTF-8"
@@ -51,8 +51,8 @@ def pytest_configure() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Each test process has an empty home, and its own place for graphs with a short path."""
-    tmp_path_factory.getbasetemp()  # where the user wants it, before that changes
+    """Give each test process an empty home and a folder for graphs with a short path."""
+    tmp_path_factory.getbasetemp()  # made in the folder of the user's settings, before they change
     short = Path(tempfile.mkdtemp(prefix="fovea-", dir=_parent()))
     (short / "home").mkdir()
     with pytest.MonkeyPatch.context() as patch:
@@ -66,14 +66,14 @@ def own_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread_of_torch() -> None:
-    """Its threads wait by spinning: where cores are short, a step of 0.2 s takes half a minute."""
+    """Limit torch to one thread; several spin while waiting and slow 0.2 s to half a minute."""
     if torch := sys.modules.get("torch"):
         torch.set_num_threads(1)
 
 
 @pytest.fixture
 def short_path() -> Iterator[Path]:
-    """As `tmp_path`, with a path short enough for sockets in it."""
+    """Yield a folder like `tmp_path`, with a path short enough for sockets in it."""
     folder = Path(tempfile.mkdtemp(prefix="t"))
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
@@ -83,13 +83,13 @@ def short_path() -> Iterator[Path]:
 def footage(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Footage:
-    """Recordings and weights, only for tests marked `footage`; they skip where there are none."""
+    """Return recordings and weights for a test marked `footage`; skip it where there are none."""
     if request.node.get_closest_marker("footage") is None:
         pytest.fail(f"{request.node.name}: expected the mark `footage` on it, got none")
     folder: Path = request.config.getoption("--shared")
     if not folder.is_dir():
         pytest.skip(f"no footage: {folder} is not a folder; --shared=PATH says where it is")
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))  # weights pulled there are for nobody else
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))  # pulled weights are for this test only
     return Footage(folder)
 
 

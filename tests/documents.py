@@ -29,13 +29,13 @@ class Block:
 
     @property
     def name(self) -> str:
-        """How a test names it."""
+        """Its name in test ids."""
         return f"{self.page.relative_to(ROOT)}:{self.language}:{self.index}"
 
 
 @dataclass(frozen=True)
 class Line:
-    """A command line of a page, as words, and whether it stood in a fenced block."""
+    """A command line of a page, as words, and whether it is in a fenced block."""
 
     page: Path
     words: tuple[str, ...]
@@ -43,12 +43,12 @@ class Line:
 
     @property
     def name(self) -> str:
-        """How a test names it."""
+        """Its name in test ids."""
         return f"{self.page.relative_to(ROOT)}: {' '.join(self.words)}"
 
 
 def blocks(language: str, pages: list[Path] | None = None) -> list[Block]:
-    """The fenced blocks of one language."""
+    """Return the fenced blocks of one language."""
     found = []
     for page in PAGES if pages is None else pages:
         texts = re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.M | re.S)
@@ -57,7 +57,7 @@ def blocks(language: str, pages: list[Path] | None = None) -> list[Block]:
 
 
 def fenced_lines() -> list[Line]:
-    """The commands of all shell blocks, without comments."""
+    """Return the commands of all shell blocks, without comments."""
     lines = []
     for block in blocks("sh"):
         for text in block.text.replace("\\\n", " ").splitlines():
@@ -68,7 +68,7 @@ def fenced_lines() -> list[Line]:
 
 
 def inline_lines(first: str) -> list[Line]:
-    """What stands between backticks and begins so, outside fenced blocks."""
+    """Return the commands between backticks, outside fenced blocks, whose first word is `first`."""
     found = []
     for page in PAGES:
         text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
@@ -80,19 +80,19 @@ def inline_lines(first: str) -> list[Line]:
 
 
 def links(page: Path) -> list[str]:
-    """Targets of links and pictures that are no addresses of the web."""
+    """Return the targets of links and pictures, except web addresses."""
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.M | re.S)
     found = re.findall(r"\]\(([^)\s]+)\)", re.sub(r"`[^`]*`", "", text))
     return [unquote(target) for target in found if "://" not in target]
 
 
 def anchors(page: Path) -> set[str]:
-    """The fragments that a page's headings have where Markdown is shown."""
+    """Return the fragments of a page's headings, as Markdown viewers derive them."""
     headings = re.findall(r"^#+ (.*)$", page.read_text(), re.M)
     plain = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
     return {heading.strip().replace(" ", "-") for heading in plain}
 
 
 def prose_words(page: Path) -> int:
-    """Words of a page as `wc -w` counts them."""
+    """Return the number of words of a page, as `wc -w` counts them."""
     return len(page.read_text().split())

@@ -18,16 +18,16 @@ from tests.samples import Pair, Ticker
 
 @dataclass(frozen=True, kw_only=True)
 class SickSettings:
-    """Which illness, and from which frame on."""
+    """The fault, and the frame at which it begins."""
 
     ill_from: int = 10
     kind: str = ""  # leak, deadlock, seize
     open_s: float = 0.0
-    again: str = ""  # with a file there, opening takes open_s; without one it is made
+    again: str = ""  # a file that counts openings: with one, only the second takes open_s
 
 
 class Sick(Operator[SickSettings, Frame]):
-    """Passes frames on until it falls ill."""
+    """Passes frames on until its fault begins."""
 
     frame = Input(Frame, keep="every")
 
@@ -45,7 +45,7 @@ class Sick(Operator[SickSettings, Frame]):
             self.lock.acquire()
             self.lock.acquire()
         if frame.header.seq == self.settings.ill_from and self.settings.kind == "seize":
-            ctypes.PyDLL(None).sleep(1000)  # and keeps the interpreter from everybody
+            ctypes.PyDLL(None).sleep(1000)  # while it holds the interpreter lock
         if frame.header.seq > self.settings.ill_from and self.settings.kind == "leak":
             self.kept.append(bytearray(b"x") * 4_000_000)
         return replace(frame, pixels=frame.pixels)
@@ -53,7 +53,7 @@ class Sick(Operator[SickSettings, Frame]):
 
 @dataclass(frozen=True, kw_only=True)
 class UnrulySettings:
-    """What it does at which frame; with `once`, a file, only as long as the file is missing."""
+    """The fault and its frame; with `once`, a file, it occurs only while the file is missing."""
 
     kind: str = ""
     at: int = 10
@@ -63,14 +63,14 @@ class UnrulySettings:
 
 
 class Mute(Exception):
-    """Its text cannot be had."""
+    """An error whose text raises another error."""
 
     def __str__(self) -> str:
         raise RuntimeError("no words")
 
 
 class Unruly(Operator[UnrulySettings, Frame]):
-    """Passes frames on until it does what no operator should."""
+    """Passes frames on until the fault in its settings."""
 
     frame = Input(Frame, keep="every")
 
@@ -85,7 +85,7 @@ class Unruly(Operator[UnrulySettings, Frame]):
             time.sleep(1000)
 
     def first(self) -> bool:
-        """Whether it has not been so before; notes that it has."""
+        """Return whether the fault has not occurred before, and record that it has."""
         once = Path(self.settings.once) if self.settings.once else None
         if once is not None and once.exists():
             return False
@@ -131,7 +131,7 @@ class Unruly(Operator[UnrulySettings, Frame]):
             file.write(f"{pid}\n")
 
     def do_fork_and_die(self) -> None:
-        """Leave a child that holds all that this process held."""
+        """Leave a child that inherits all open files, and die."""
         pid = os.fork()
         if not pid:
             while True:
@@ -140,7 +140,7 @@ class Unruly(Operator[UnrulySettings, Frame]):
         os.kill(os.getpid(), signal.SIGKILL)
 
     def do_fork_many(self) -> None:
-        """Start workers the way `multiprocessing` does, and work on."""
+        """Start workers with `multiprocessing`, and continue."""
         for _ in range(2):
             worker = multiprocessing.get_context("fork").Process(target=time.sleep, args=(1000,))
             worker.start()
@@ -156,30 +156,30 @@ class Unruly(Operator[UnrulySettings, Frame]):
         self._note(subprocess.Popen(["sleep", "1000"], start_new_session=True).pid)
 
     def do_escape(self) -> None:
-        """Start a program in a session of its own, that has nothing of this process."""
+        """Start a program in a session of its own, without the environment of this process."""
         self._note(subprocess.Popen(["sleep", "1000"], start_new_session=True, env={}).pid)
 
     def do_escape_and_die(self) -> None:
-        """Likewise, and die at once."""
+        """Start such a program, and die at once."""
         self.do_escape()
         os.kill(os.getpid(), signal.SIGKILL)
 
     def do_escape_twice(self) -> None:
-        """Likewise, by a program that ends at once, so that it is nobody's child."""
+        """Start such a program by one that ends at once, so that its parent is gone."""
         script = f"setsid env -i sleep 1000 & echo $! >> {self.settings.note}"
         subprocess.run(["sh", "-c", script], check=True)
 
     def do_tell(self) -> None:
-        """Tell that it works."""
+        """Record that the operator works."""
         self._note(os.getpid())
 
     def do_hang(self) -> None:
-        """Tell, and come to no end."""
+        """Record the process id, and hang."""
         self._note(os.getpid())
         time.sleep(1000)
 
     def do_exit_0(self) -> None:
-        """Leave without a word."""
+        """Exit without a message."""
         os._exit(0)
 
     def do_segfault(self) -> None:
@@ -187,31 +187,31 @@ class Unruly(Operator[UnrulySettings, Frame]):
         ctypes.string_at(0)
 
     def do_system_exit(self) -> None:
-        """Leave as a script does."""
+        """Raise `SystemExit`, as a script does."""
         raise SystemExit(0)
 
     def do_keyboard_interrupt(self) -> None:
-        """Break as by Ctrl-C."""
+        """Raise `KeyboardInterrupt`, as Ctrl-C does."""
         raise KeyboardInterrupt
 
     def do_group(self) -> None:
-        """Break in two ways."""
+        """Raise a group of two exceptions."""
         raise BaseExceptionGroup("both", [SystemExit(0), ValueError("one\x1b[2J of two")])
 
     def do_long_text(self) -> None:
-        """Break with many words."""
+        """Raise an error with a long text."""
         raise ValueError("x" * self.settings.size)
 
     def do_odd_text(self) -> None:
-        """Break with words that no terminal takes."""
+        """Raise an error whose text has control characters and surrogates."""
         raise ValueError("odd \ud800\x1b[2J\x00\u202e text\nand more")
 
     def do_mute(self) -> None:
-        """Break without words."""
+        """Raise an error whose text raises another error."""
         raise Mute
 
     def do_thread(self) -> None:
-        """Break in a thread."""
+        """Raise an error in a thread."""
 
         def fail() -> None:
             raise ValueError("in a thread")
@@ -219,20 +219,20 @@ class Unruly(Operator[UnrulySettings, Frame]):
         threading.Thread(target=fail).start()
 
     def do_close_streams(self) -> None:
-        """Close what every program has."""
+        """Close the standard streams, print, and raise an error."""
         os.closerange(0, 3)
         print("into nothing")
         raise ValueError("after it closed everything")
 
     def do_print(self) -> None:
-        """Print without end, and no text."""
+        """Print many bytes that are no text, and raise an error."""
         for _ in range(self.settings.size // 65536):
             os.write(1, b"\xff\x00\x1b" * 21845)
         raise ValueError("after it printed")
 
 
 class Deserter(Ticker):
-    """A source that leaves at its tenth picture, without a word."""
+    """A source that exits at its tenth picture, without a message."""
 
     def produce(self) -> Mapping[str, Message] | None:
         if self.seq == 10:
@@ -241,7 +241,7 @@ class Deserter(Ticker):
 
 
 class Clinging(Pair):
-    """Takes its time to close."""
+    """Takes ten minutes to close."""
 
     def close(self) -> None:
         time.sleep(600)

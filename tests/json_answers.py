@@ -1,4 +1,4 @@
-"""What commands answer with `--json`: the words of each, and the keys that are documented."""
+"""Commands with `--json`, and the documented keys of their answers."""
 
 import json
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ ANSWERS: dict[str, set[str]] = {
     "top GRAPH --once --every-s 0.1": {"graph", "hosts", "nodes"},
     "health GRAPH": {"work", "count", "capture"},  # likewise
     "schema GRAPH work": {"inputs", "outputs", "settings", "commands"},
-    "logs GRAPH work": set(),  # lines, of a node that may have said nothing
+    "logs GRAPH work": set(),  # lines of a log that may be empty
     "echo GRAPH work --count 1": {"seq", "status", "pixels", "window"},
     "hz GRAPH work --duration-s 5": {"rate_hz", "age_ms_p50", "missed"},
     "set GRAPH work every=1": {"node", "settings", "live"},
@@ -25,11 +25,11 @@ ANSWERS: dict[str, set[str]] = {
     "remove GRAPH spare": {"added", "removed", "connected", "cut"},
     "stop GRAPH": {"graph", "stopped", "exit_status", "report"},
 }
-BELOW = ("ps", "health")  # answers that have a key for every graph
+BELOW = ("ps", "health")  # their answers have a key for every graph
 
 
 def answer(words: str, **places: str) -> tuple[int, list[Any]]:
-    """The exit status of a command and its JSON: one value, or one a line."""
+    """Run a command; return its exit status and its JSON: one value, or one for each line."""
     given = [places.get(word, word) for word in words.split()]
     done = CliRunner().invoke(commands, [*given, "--json"])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
@@ -41,7 +41,7 @@ def answer(words: str, **places: str) -> tuple[int, list[Any]]:
 
 
 def check(words: Iterable[str], **places: str) -> None:
-    """Every one of these commands answers with its keys."""
+    """Assert that each of these commands answers with its keys."""
     for line in words:
         status, found = answer(line, **places)
         assert status == 0, line

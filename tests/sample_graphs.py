@@ -19,7 +19,7 @@ from pipeline.protocol.orders import Refused, Result, SwapResult
 from pipeline.run.report import Report, compose
 from pipeline.run.supervisor import Supervisor
 
-# Edges that must not lose a picture hold 60: at 20 Hz a machine may stand still for 3 s.
+# Edges that must not lose a picture hold 60, so that at 20 Hz a machine may hang for 3 s.
 LOOP = """\
 nodes:
   ticker:
@@ -86,7 +86,7 @@ def plan_of(tmp_path: Path, text: str, **overlay: Any) -> Plan:
 
 
 def together(text: str, *nodes: str, group: str = "hand") -> str:
-    """The graph with these nodes in one process: for tests that others are about."""
+    """Return the graph with these nodes in one process, for tests of its other nodes."""
     for node in nodes:
         assert f"  {node}:\n" in text, f"no node {node}"
         text = text.replace(f"  {node}:\n", f"  {node}:\n    group: {group}\n")
@@ -94,7 +94,7 @@ def together(text: str, *nodes: str, group: str = "hand") -> str:
 
 
 def apart(text: str) -> str:
-    """The graph with a process for every node."""
+    """Return the graph with a process for every node."""
     return "".join(
         line for line in text.splitlines(keepends=True) if not line.startswith("    group:")
     )
@@ -118,12 +118,12 @@ def go(plan: Plan, frames: int, during: Callable[[Supervisor], None] | None = No
 
 
 def reasons(results: Sequence[Result]) -> list[str]:
-    """Why each order was refused, "" for one that was done."""
+    """Return why each order was refused, "" for an order that was carried out."""
     return [result.reason if isinstance(result, Refused) else "" for result in results]
 
 
 def swapped(result: Result) -> SwapResult:
-    """The result of a swap that was done."""
+    """Return the result of a swap that was carried out."""
     assert isinstance(result, SwapResult), result
     return result
 
@@ -142,21 +142,21 @@ def assert_accounts_add_up(report: Report) -> None:
 def wait_for(
     supervisor: Supervisor, condition: Callable[[], object], timeout_s: float = PATIENCE_S
 ) -> None:
-    """Look after the graph until the condition holds."""
+    """Supervise the graph until the condition holds."""
     deadline = time.monotonic() + timeout_s
     while not condition():
-        assert time.monotonic() < deadline, f"timed out; the run says: {supervisor.failure!r}"
+        assert time.monotonic() < deadline, f"timed out; failure of the run: {supervisor.failure!r}"
         supervisor.tick()
 
 
 def wait_for_progress(supervisor: Supervisor, node: str, frames: int = 5) -> None:
-    """Until a node has handled so many frames more."""
+    """Supervise the graph until a node has handled `frames` more frames."""
     before = handled(supervisor, node)
     wait_for(supervisor, lambda: handled(supervisor, node) > before + frames)
 
 
 def send_signal(supervisor: Supervisor, node: str, number: signal.Signals) -> int:
-    """Send a signal to the process of a node that runs; its process id."""
+    """Send a signal to the process of a running node; return its process id."""
     pid = supervisor.pid(supervisor.plan.node(node).process)
     assert pid > 0, f"{node}: expected a process, got none"  # 0 would be the tests themselves
     os.kill(pid, number)
@@ -164,7 +164,7 @@ def send_signal(supervisor: Supervisor, node: str, number: signal.Signals) -> in
 
 
 def beside(supervisor: Supervisor, act: Callable[[], Any]) -> Any:
-    """Have something done by another thread while the graph is looked after."""
+    """Call `act` in another thread while the graph is supervised; return its result."""
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(act)
         wait_for(supervisor, done.done)
@@ -176,7 +176,7 @@ def handled(supervisor: Supervisor, node: str) -> int:
 
 
 def account_of(supervisor: Supervisor, end: str) -> EdgeAccount:
-    """The account of the edge that ends there, as `node.input`."""
+    """Return the account of the edge that ends at `end`, written as `node.input`."""
     index = next(e.index for e in supervisor.plan.edges if e.end == end)
     return supervisor.ledger.edges[index]
 
@@ -189,7 +189,7 @@ def until(holds: Callable[[], object], patience_s: float = PATIENCE_S, what: str
 
 
 def ended(pid: int) -> bool:
-    """A killed process takes a moment, and nobody may have asked yet how it ended."""
+    """Return whether a process has ended; a zombie has, although its status was not read yet."""
     try:
         return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

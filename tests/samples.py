@@ -29,13 +29,13 @@ GEOMETRY = Geometry(width_px=64, height_px=48, roi_width_px=16, roi_height_px=12
 
 @dataclass(frozen=True, kw_only=True)
 class TickerSettings:
-    """A clock that shows pictures."""
+    """Rate, size and faults of a ticker."""
 
     rate_hz: float = 100.0
     side_px: int = 64
     length: int = 0
     fail_at: int = -1
-    jam_at: int = -1  # the command that breaks it
+    jam_at: int = -1  # the command at which it raises
 
     def __post_init__(self) -> None:
         if self.rate_hz <= 0:
@@ -75,7 +75,7 @@ class Ticker(Source[TickerSettings, Mapping[str, Message]]):
         if settings.length and self.seq >= settings.length:
             return None
         if self.realtime:
-            self.start_s = self.start_s or time.monotonic()  # of the first one
+            self.start_s = self.start_s or time.monotonic()  # of the first picture
             due_s = self.start_s + self.seq / settings.rate_hz
             time.sleep(max(0.0, due_s - time.monotonic()))
         seq, self.seq = self.seq, self.seq + 1
@@ -98,15 +98,15 @@ class Ticker(Source[TickerSettings, Mapping[str, Message]]):
 
 @dataclass(frozen=True, kw_only=True)
 class WorkSettings:
-    """How a sample misbehaves."""
+    """Delays and faults of a sample."""
 
     sleep_s: float = 0.0
     crash_at: int = -1
-    crash_after: int = 0  # pictures that an instance lives for
+    crash_after: int = 0  # pictures that an instance handles before it crashes
     hang_at: int = -1
-    every: int = 1  # answers nothing for the others
-    hold: int = 0  # keeps that many pictures
-    gain: int = 1  # of what a tally tells
+    every: int = 1  # only each nth picture is passed on
+    hold: int = 0  # number of pictures kept
+    gain: int = 1  # factor of the counts of a tally
 
     def __post_init__(self) -> None:
         if self.every < 1:
@@ -114,7 +114,7 @@ class WorkSettings:
 
 
 class Pass(Operator[WorkSettings, Frame]):
-    """The same picture again."""
+    """Passes pictures on."""
 
     live = ("every", "hold")
     commands = ("recall", "break_down")
@@ -126,7 +126,7 @@ class Pass(Operator[WorkSettings, Frame]):
         self.last: int | None = None
 
     def comes_to(self, seq: int, frame: int) -> bool:
-        """Whether this is that frame, or the next: a busy machine may leave one out."""
+        """Return whether `seq` is that frame, or the next one if a busy machine dropped it."""
         return seq == frame or (self.last is not None and self.last < frame <= seq)
 
     def on_settings(self, settings: WorkSettings) -> None:
@@ -163,13 +163,13 @@ class Pass(Operator[WorkSettings, Frame]):
 
 
 class PassEvery(Pass):
-    """Likewise, without losing one."""
+    """Passes pictures on and loses none."""
 
     frame = Input(Frame, keep="every")
 
 
 class Pair(Operator[WorkSettings, Percept]):
-    """Joins two pictures of one exposure and answers with what they hold."""
+    """Joins two pictures of one exposure and sends a value of each."""
 
     left = Input(Frame, keep="latest")
     right = Input(Frame, keep="latest")
@@ -194,14 +194,14 @@ class Pair(Operator[WorkSettings, Percept]):
 
 
 class PairEvery(Pair):
-    """Likewise, without losing one."""
+    """Joins pictures and loses none."""
 
     left = Input(Frame, keep="every")
     right = Input(Frame, keep="every")
 
 
 class Steer(Operator[WorkSettings, RoiSchedule]):
-    """A sensor command for every percept."""
+    """Sends a sensor command for every percept."""
 
     percept = Input(Percept, keep="every")
 
@@ -217,7 +217,7 @@ class Steer(Operator[WorkSettings, RoiSchedule]):
 
 
 class Count(Operator[WorkSettings, None]):
-    """Only looks, and remembers which pictures it saw and whether they were whole."""
+    """Sends nothing; records which pictures arrived and how many of them were torn."""
 
     frame = Input(Frame, keep="every")
 
@@ -237,14 +237,14 @@ class Count(Operator[WorkSettings, None]):
 
 @dataclass(frozen=True, kw_only=True)
 class TallyState:
-    """What a tally has counted."""
+    """The state of a tally."""
 
     count: int
     marks: NDArray[np.int32]  # (n,) the last numbers
 
 
 class Tally(Operator[WorkSettings, Percept]):
-    """Answers every picture with how many there were; its state outlives it."""
+    """Sends the number of pictures so far for every picture; a successor takes over its state."""
 
     frame = Input(Frame, keep="every")
 
@@ -274,7 +274,7 @@ class Tally(Operator[WorkSettings, Percept]):
 
 
 class Recall(Operator[WorkSettings, None]):
-    """Remembers what a tally said, by frame."""
+    """Records the counts of a tally by frame."""
 
     percept = Input(Percept, keep="every")
 
@@ -289,7 +289,7 @@ class Recall(Operator[WorkSettings, None]):
 
 
 class Stillborn(Count):
-    """Cannot be opened."""
+    """Fails to open."""
 
     def open(self) -> None:
         super().open()
@@ -297,19 +297,19 @@ class Stillborn(Count):
 
 
 class Nosy(Steer):
-    """What no box allows."""
+    """An operator that no host allows."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSettings:
-    """A file, now and another one later."""
+    """A file, and another one to change to."""
 
     weights: str = ""
     spare: str = ""
 
 
 class Model(Operator[ModelSettings, None]):
-    """Would look with its file."""
+    """Does nothing; tests change its file."""
 
     live = ("weights",)
     frame = Input(Frame, keep="latest")

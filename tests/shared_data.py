@@ -10,20 +10,20 @@ from pipeline.weights import pull
 
 @dataclass(frozen=True)
 class Footage:
-    """The shared folder. What it lacks skips the test that asks for it."""
+    """The shared folder; a test that needs a missing part of it is skipped."""
 
     folder: Path
 
     def data(self, part: str) -> Path:
-        """A recording or a folder of some."""
+        """Return a recording or a folder of recordings."""
         return self._there(self.folder / "data" / part)
 
     def mirror(self) -> Path:
-        """Where third-party weights are taken from in place of the network."""
+        """Return the folder that replaces the network as the origin of third-party weights."""
         return self._there(self.folder / "models")
 
     def weights(self, name: str) -> Path:
-        """Third-party weights by the name of the manifest, pulled into this test's cache."""
+        """Pull third-party weights by their name in the manifest into the cache of this test."""
         (path,) = pull([name], self.mirror())
         return path
 

@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Counted:
-    """How many."""
+    """A number of frames."""
 
     count: int
 
 
 class Forgetful(Operator[WorkSettings, Frame]):
-    """Counts, and tells nobody; its table never changes."""
+    """Counts frames without declaring a state; its table never changes."""
 
     frame = Input(Frame, keep="every")
 
@@ -34,7 +34,7 @@ class Forgetful(Operator[WorkSettings, Frame]):
 
 
 class Counter(Forgetful):
-    """Likewise, and says so."""
+    """Counts frames and declares its state."""
 
     def state(self) -> Counted:
         return Counted(count=self.seen)
@@ -44,42 +44,42 @@ class Counter(Forgetful):
 
 
 class Unnamed(Counter):
-    """Its state is of no named kind."""
+    """Declares a state without naming its type."""
 
     def state(self):  # type: ignore[no-untyped-def,override]
         return Counted(count=self.seen)
 
 
 class Unresolved(Counter):
-    """The name of its state is known to type checkers only."""
+    """Declares a state whose type only type checkers can resolve."""
 
     def state(self) -> "Elsewhere":  # type: ignore[override]
         return Counted(count=self.seen)  # type: ignore[return-value]
 
 
 class Unrestored(Forgetful):
-    """Declares a state and does not take it over."""
+    """Declares a state and has no `restore`."""
 
     def state(self) -> Counted:
         return Counted(count=self.seen)
 
 
 class Refusing(Counter):
-    """Fails over its own state."""
+    """Fails to restore its own state."""
 
     def restore(self, state: Counted) -> None:
         raise ValueError(f"{state.count} is too many" if state.count >= 0 else "")
 
 
 class Mistaken(Counter):
-    """Gives a state that is not of the kind it promises."""
+    """Returns a state that does not match its declared type."""
 
     def state(self) -> Counted:
         return Counted(count="many")  # type: ignore[arg-type]
 
 
 class Loose(Counter):
-    """Gives what is no dataclass."""
+    """Returns a state that is no dataclass."""
 
     def state(self) -> Any:
         return {"count": self.seen}

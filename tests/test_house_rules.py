@@ -1,4 +1,4 @@
-"""The rules of the house that a machine can check."""
+"""Rules for this repository that a test can check."""
 
 import ast
 import re
@@ -23,7 +23,7 @@ LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 
 
 def tracked(*suffixes: str) -> list[Path]:
-    """Files that git knows or would take up; without git or a repository, all in the rooms."""
+    """Return the files that git tracks or would add; without git, all in the top folders."""
     command = ["git", "ls-files", "-co", "--exclude-standard"]
     try:
         listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
@@ -46,13 +46,13 @@ def trees(*rooms: str) -> Iterator[tuple[Path, ast.Module]]:
 
 @cache
 def parsed(path: Path) -> ast.Module:
-    """The tree of a file, read once for all rules."""
+    """Return the tree of a file, parsed once for all rules."""
     return ast.parse(path.read_text())
 
 
 @cache
 def nodes(path: Path) -> tuple[ast.AST, ...]:
-    """What rules look at in a file: to walk through all trees takes a second."""
+    """Return the nodes that rules check, cached because walking all trees takes a second."""
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Import, ast.ImportFrom, ast.Call)
     return tuple(
         node
@@ -68,7 +68,7 @@ def test_the_top_level_is_fixed() -> None:
     assert {n for n in listed if not n.startswith(".")} <= {*ROOMS, *FILES}
 
 
-def test_no_file_is_a_drawer_for_everything() -> None:
+def test_no_file_has_a_catch_all_name() -> None:
     drawers = {"utils", "util", "helpers", "common", "misc"}
 
     assert [p for p in SOURCES if p.stem in drawers or set(p.parts[:-1]) & drawers] == []
@@ -110,7 +110,7 @@ def test_only_tests_of_footage_reach_the_folder_beside_the_repository() -> None:
     assert reaching == []
 
 
-def test_every_module_says_what_it_is_for() -> None:
+def test_every_module_has_a_docstring_of_sentences() -> None:
     mute = []
     for path, tree in trees(*ROOMS):
         first = (ast.get_docstring(tree) or "").split("\n")[0]
@@ -163,7 +163,7 @@ def test_no_path_of_one_machine_is_written_down() -> None:
     assert named in ([], ["test_house_rules.py"])
 
 
-def test_the_readme_leads_into_every_room() -> None:
+def test_the_readme_names_every_top_folder() -> None:
     readme = (ROOT / "README.md").read_text()
 
     assert [room for room in ROOMS if f"`{room}/`" not in readme] == []

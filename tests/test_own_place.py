@@ -1,4 +1,4 @@
-"""No test sees what this user has: neither home, nor variables, nor files beside the repository."""
+"""Tests have no access to the user's home and variables, nor to files beside the repository."""
 
 import os
 import pwd
@@ -29,7 +29,7 @@ def test_sockets_of_any_graph_have_room_for_their_paths() -> None:
     assert len(str(longest)) <= LONGEST_SOCKET
 
 
-def test_what_is_started_runs_this_code_in_80_columns(tmp_path: Path) -> None:
+def test_a_started_process_runs_this_code_in_80_columns(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", ASK], cwd=tmp_path, capture_output=True, text=True, check=True
     )

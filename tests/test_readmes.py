@@ -1,4 +1,4 @@
-"""What the pages of the project show is true: links, commands, graphs, operators, versions."""
+"""The pages of the project are correct: links, commands, graphs, operators, versions."""
 
 import contextlib
 import importlib
@@ -51,13 +51,13 @@ TORCH = find_spec("torch") is not None
 
 
 def fenced(first: str) -> list[Line]:
-    """Fenced command lines that begin so, wherever the program is said to be."""
+    """Return the fenced command lines of a program, whatever its folder."""
     return [line for line in fenced_lines() if Path(line.words[0]).name == first]
 
 
 @pytest.fixture
 def saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder with the Python files that a reader saved, where imports find them."""
+    """Yield a folder with the Python files that a reader saves, from which they can be imported."""
     for block in blocks("python"):
         key = (str(block.page.relative_to(ROOT)), block.index)
         if MODULES[key]:
@@ -174,7 +174,7 @@ def test_every_key_of_a_graph_is_described() -> None:
 
 
 @pytest.mark.parametrize("block", blocks("python"), ids=lambda b: b.name)
-def test_every_python_block_compiles_and_says_where_it_is_saved(block: Block) -> None:
+def test_every_python_block_compiles_and_its_file_is_named(block: Block) -> None:
     compile(block.text, block.name, "exec")
 
     name = MODULES[str(block.page.relative_to(ROOT)), block.index]
@@ -202,7 +202,7 @@ def test_every_yaml_block_is_a_graph_a_part_of_one_a_source_or_a_task(
         assert {node.name for node in load(path).nodes} >= set(document["nodes"])
 
 
-def test_the_operator_of_the_readme_does_what_it_says(saved: Path) -> None:
+def test_the_operator_of_the_readme_works_as_described(saved: Path) -> None:
     mine: Any = importlib.import_module("mine")
     frame = Frame(header=header(1), pixels=np.full((4, 6, 3), 100, np.uint8), window=(0, 0, 6, 4))
 
@@ -265,7 +265,7 @@ def test_ci_runs_what_contributors_run() -> None:
 
 
 def parse(command: click.Command, words: list[str]) -> None:
-    """Parse a command line as the command does, and carry nothing out."""
+    """Parse a command line as the command does, without running it."""
     while isinstance(command, click.Group):
         command, words = subcommand(command, words[0]), words[1:]
     with contextlib.suppress(click.exceptions.Exit):  # --help
@@ -273,7 +273,7 @@ def parse(command: click.Command, words: list[str]) -> None:
 
 
 def subcommand(group: click.Group, name: str) -> click.Command:
-    """A command of a group, which may load it only now."""
+    """Return a command of a group; load it if it is loaded on demand."""
     found = group.get_command(click.Context(group), name)
     assert found is not None, f"no command {name}: {', '.join(names_of(group))}"
     loaded: click.Command = getattr(found, "loaded", lambda: found)()
@@ -281,12 +281,12 @@ def subcommand(group: click.Group, name: str) -> click.Command:
 
 
 def names_of(group: click.Group) -> list[str]:
-    """The commands of a group."""
+    """Return the names of the commands of a group."""
     return group.list_commands(click.Context(group))
 
 
 def command_in(module: str) -> click.Command | None:
-    """The click command that a module runs; None for another kind of command line."""
+    """Return the click command that a module runs; None for another kind of command line."""
     found = importlib.import_module(module)
     own = [v for v in vars(found).values() if isinstance(v, click.Command)]
     main = getattr(found, "main", None)

@@ -1,4 +1,4 @@
-"""The commands of the pages, carried out: those of a minute, and a walk through a running graph."""
+"""Run the commands of the pages: those that end within a minute, and those for a running graph."""
 
 import subprocess
 import sys
@@ -14,7 +14,7 @@ from tests.documents import Line, blocks, fenced_lines
 pytestmark = pytest.mark.slow
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 PLACEHOLDERS = ("FILE", "FOLDER", "$USER")
-ALONE = ("check", "draw", "run")  # verbs that need no graph that runs
+ALONE = ("check", "draw", "run")  # verbs that need no running graph
 LONGEST_S = 600.0  # for a command on a busy machine
 UP_S = 600.0
 PYTHON = {"README.md": "mine", "operators/README.md": "smooth", "drivers/README.md": "noise"}
@@ -25,7 +25,7 @@ def page_of(line: Line) -> str:
 
 
 def ends_by_itself(line: Line) -> bool:
-    """Whether a command can be carried out as it stands, and is through in a minute."""
+    """Return whether a command can run as it is written and ends within a minute."""
     program, *words = line.words
     if any(place in word for word in words for place in PLACEHOLDERS):
         return False
@@ -36,7 +36,7 @@ def ends_by_itself(line: Line) -> bool:
 
 
 def walk() -> list[Line]:
-    """The commands of the pages that are given to a graph that runs, in order."""
+    """Return the commands of the pages for a running graph, in order."""
     pages = ("README.md", "operators/README.md")
     verbs = ("add", "hz", "echo", "schema", "set", "tell", "swap", "top", "rewire", "remove")
     return [
@@ -48,7 +48,7 @@ def walk() -> list[Line]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Where a reader works: the graphs of the project beside the files of the pages."""
+    """Return a folder like a reader's: the graphs of the project beside the files of the pages."""
     (tmp_path / "graphs").symlink_to(ROOT / "graphs")
     for page, name in PYTHON.items():
         (tmp_path / f"{name}.py").write_text(blocks("python", [ROOT / page])[0].text)
@@ -82,7 +82,7 @@ def test_every_command_that_ends_by_itself_works(line: Line, folder: Path) -> No
 
 @pytest.fixture
 def graph(folder: Path) -> Iterator[Path]:
-    """The folder, with the tracking graph running as the README says."""
+    """Yield the folder while the tracking graph runs as in the README."""
     with (folder / "run.log").open("w") as log:
         process = subprocess.Popen(
             [*FOVEA, "run", "graphs/tracking.yaml"], cwd=folder, stdout=log, stderr=log
@@ -99,7 +99,7 @@ def graph(folder: Path) -> Iterator[Path]:
         process.wait(60)
 
 
-def test_a_walk_through_the_pages_with_a_running_graph(graph: Path) -> None:
+def test_every_command_for_a_running_graph_works_in_the_order_of_the_pages(graph: Path) -> None:
     lines = walk()
     assert {line.words[1] for line in lines} >= {"add", "swap", "set", "tell", "rewire", "remove"}
 

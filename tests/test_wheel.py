@@ -1,4 +1,4 @@
-"""A wheel is whole: it is built from the source tree, unpacked elsewhere, and runs from there."""
+"""A wheel is complete: it is built from the source tree, unpacked elsewhere, and run from there."""
 
 import email
 import os
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(
 )
 ROOMS = ("pipeline", "operators", "drivers", "bench", "graphs")
 COPIED = (*ROOMS, "pyproject.toml", "README.md", "LICENSE")
-TAKEN = (".py", ".yaml", ".onnx", ".toml")  # of what is in the rooms, and in the wheel
+TAKEN = (".py", ".yaml", ".onnx", ".toml")  # files of the folders that belong in the wheel
 OWN = ("-c", "user.name=tester", "-c", "user.email=tester@localhost")
 
 
@@ -30,7 +30,7 @@ def git(folder: Path, *words: str) -> str:
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the source tree, under git, so that building leaves nothing in the original."""
+    """Copy the source tree and put it under git, so that building leaves the original as it is."""
     folder = tmp_path_factory.mktemp("source")
     junk = shutil.ignore_patterns("__pycache__", "*.egg-info")
     for name in COPIED:
@@ -46,7 +46,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """As `pip wheel` makes it, without its environment of its own, which needs a network."""
+    """Build a wheel as `pip wheel` does, without an isolated environment, which needs a network."""
     folder = tmp_path_factory.mktemp("dist")
     build = f"from setuptools.build_meta import build_wheel; build_wheel({str(folder)!r})"
     done = subprocess.run([sys.executable, "-c", build], cwd=source, capture_output=True, text=True)
@@ -64,14 +64,14 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 def fovea(installed: Path, cwd: Path, *words: str) -> "subprocess.CompletedProcess[str]":
-    """The command from what was unpacked, in a folder that has nothing to do with it."""
+    """Run the unpacked command in an unrelated folder."""
     return subprocess.run(
         [sys.executable, "-m", "pipeline.entry", *words], cwd=cwd, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": str(installed)}, check=False,
     )  # fmt: skip
 
 
-def test_the_wheel_holds_every_module_graph_network_and_mark_of_types(wheel: Path) -> None:
+def test_the_wheel_contains_every_module_graph_network_and_type_marker(wheel: Path) -> None:
     inside = set(zipfile.ZipFile(wheel).namelist())
     api = "pipeline/api/"
     wanted = {
@@ -88,7 +88,7 @@ def test_the_wheel_holds_every_module_graph_network_and_mark_of_types(wheel: Pat
     assert not [name for name in inside if name.startswith((api, "tests/", "build/"))]
 
 
-def test_the_wheel_asks_for_what_the_main_job_needs_and_for_the_rest_by_extras(
+def test_the_wheel_requires_what_running_a_graph_needs_and_has_extras_for_the_rest(
     wheel: Path,
 ) -> None:
     archive = zipfile.ZipFile(wheel)
@@ -101,7 +101,9 @@ def test_the_wheel_asks_for_what_the_main_job_needs_and_for_the_rest_by_extras(
     assert not always & set(extras)
 
 
-def test_the_wheel_knows_its_commit(source: Path, installed: Path, tmp_path: Path) -> None:
+def test_the_version_of_a_wheel_includes_its_commit(
+    source: Path, installed: Path, tmp_path: Path
+) -> None:
     commit = git(source, "rev-parse", "--short=12", "HEAD")
 
     said = fovea(installed, tmp_path, "--version").stdout
@@ -109,7 +111,7 @@ def test_the_wheel_knows_its_commit(source: Path, installed: Path, tmp_path: Pat
     assert said.endswith(f" (commit {commit})\n")
 
 
-def test_a_source_distribution_hands_the_commit_on_to_wheels_built_from_it(
+def test_a_source_distribution_contains_the_commit_for_wheels_built_from_it(
     source: Path, tmp_path: Path
 ) -> None:
     build = f"from setuptools.build_meta import build_sdist; build_sdist({str(tmp_path)!r})"

@@ -39,9 +39,9 @@ PART = """\
 
 
 def unruly_parts(folder: Path, kinds: Mapping[str, str]) -> str:
-    """A graph with several of them, by name, each in a process of its own and with a reader.
+    """Return a graph with an operator of each kind, in processes of their own, each with a reader.
 
-    The notes of each are in `note-NAME` in the folder.
+    Each operator writes its notes to `note-NAME` in the folder.
     """
     head = UNRULY[: UNRULY.index("  unruly:")]
     parts = (PART.format(name=name, kind=kind, folder=folder) for name, kind in kinds.items())
@@ -49,13 +49,13 @@ def unruly_parts(folder: Path, kinds: Mapping[str, str]) -> str:
 
 
 def unruly_plan(tmp_path: Path, *, text: str = UNRULY, clock: str = "", **settings: Any) -> Plan:
-    """The graph with an unruly part of these settings."""
+    """Load the graph with these settings of the unruly operator."""
     changes = tuple(f"unruly.{name}={value}" for name, value in settings.items())
     return plan_of(tmp_path, text, changes=changes, clock=clock)
 
 
 def unruly_file(tmp_path: Path, *, text: str = UNRULY, **settings: Any) -> Path:
-    """Likewise, as a file for the command line."""
+    """Write the same graph to a file for the command line; return its path."""
     if settings:
         words = ", ".join(f"{name}: {value}" for name, value in settings.items())
         operator = "    operator: tests.faulty_samples:Unruly\n"
@@ -66,12 +66,12 @@ def unruly_file(tmp_path: Path, *, text: str = UNRULY, **settings: Any) -> Path:
 
 
 def name_of(graph: Path) -> str:
-    """The name that a graph's file gives it."""
+    """Return the name of a graph from its file."""
     return graph.read_text().splitlines()[0].split()[1]
 
 
 def recovers(supervisor: Supervisor) -> None:
-    """The unruly part comes back once, and frames arrive behind it."""
+    """Wait until the unruly node was restarted once and frames arrive after it; then finish."""
     wait_for(supervisor, lambda: supervisor.restarts.get("unruly") == 1, 60)
     seen = handled(supervisor, "after")
     wait_for(supervisor, lambda: handled(supervisor, "after") > seen + 5, 60)
@@ -79,7 +79,7 @@ def recovers(supervisor: Supervisor) -> None:
 
 
 def all_recover(supervisor: Supervisor, names: Iterable[str]) -> None:
-    """Likewise each of several."""
+    """Wait until each of these nodes was restarted and frames arrive after it; then finish."""
     names = list(names)
     wait_for(supervisor, lambda: all(supervisor.restarts.get(name) for name in names))
     seen = {name: handled(supervisor, f"after_{name}") for name in names}

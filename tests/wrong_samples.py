@@ -29,7 +29,7 @@ def percept(header: Header) -> Percept:
 
 
 def wrong(answer: str, frame: Frame) -> Any:
-    """The answer of that name; the right one for any other name."""
+    """Return the wrong answer of that name; the correct one for any other name."""
     pixels = frame.pixels
     answers = {
         "a number": lambda: 42,
@@ -53,7 +53,7 @@ def wrong(answer: str, frame: Frame) -> Any:
 
 
 class Wrong(Operator[WrongSettings, Frame]):
-    """Answers wrongly."""
+    """Returns the answer that its settings name."""
 
     frame = Input(Frame, keep="every")
 
@@ -62,7 +62,7 @@ class Wrong(Operator[WrongSettings, Frame]):
 
 
 class Mute(Operator[WrongSettings, None]):
-    """Has no output, and answers all the same."""
+    """Has no output, but returns a value."""
 
     frame = Input(Frame, keep="every")
 
@@ -71,7 +71,7 @@ class Mute(Operator[WrongSettings, None]):
 
 
 class Beside(Operator[WrongSettings, None]):
-    """Answers where nothing is expected: beside the joined set."""
+    """Returns a value from the handler of an input that is not joined."""
 
     frame = Input(Frame, keep="every", join=False)
 
@@ -80,7 +80,7 @@ class Beside(Operator[WrongSettings, None]):
 
 
 class Named(Operator[WrongSettings, Mapping[str, Message]]):
-    """Answers for one of its named outputs with what belongs to another."""
+    """Returns for one of its named outputs a message of the type of another."""
 
     frame = Input(Frame, keep="every")
     picture = Output(Frame)
@@ -93,7 +93,7 @@ class Named(Operator[WrongSettings, Mapping[str, Message]]):
 
 
 class Misnamed(Operator[WrongSettings, Frame]):
-    """Its handler calls the input differently."""
+    """Its handler has another name for the input."""
 
     frame = Input(Frame, keep="every")
 
@@ -108,7 +108,7 @@ class Deaf(Operator[WrongSettings, Frame]):
 
 
 class Maker(Source[WrongSettings, Mapping[str, Message]]):
-    """Makes frames, wrong ones when it is told which."""
+    """Makes frames; the settings name a wrong answer."""
 
     left = Output(Frame)
     right = Output(Frame)

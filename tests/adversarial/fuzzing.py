@@ -1,4 +1,4 @@
-"""The fuzzers in a process with an own /tmp and /dev/shm, where the machine allows it.
+"""Run the fuzzers in a process with its own /tmp and /dev/shm, where the machine allows it.
 
 python -m tests.adversarial.fuzzing graphs|orders|wire COUNT SEED
 """
@@ -24,14 +24,14 @@ LONGEST_S = 4 * 3600.0  # of the long runs
 
 @dataclass
 class Fuzzed:
-    """What came of it, and what lies in the places that were empty before."""
+    """The tally of a run, and the files that it left in folders that were empty before."""
 
     tally: Tally
     left: list[str]
 
 
 def fuzzed(what: str, count: int, seed: int) -> Fuzzed:
-    """Fuzz so many cases beside this process; raises `AssertionError` when that breaks."""
+    """Fuzz `count` cases in another process; raises `AssertionError` when that process fails."""
     words = ("-m", "tests.adversarial.fuzzing", what, str(count), str(seed))
     if permitted():
         sizes = dict.fromkeys(own_places(), "512m")
@@ -47,7 +47,7 @@ def fuzzed(what: str, count: int, seed: int) -> Fuzzed:
 
 
 def own_places() -> list[str]:
-    """Those of the places that hold neither this code nor the interpreter."""
+    """Return the folders of `PLACES` that hold neither this code nor the interpreter."""
     needed = [ROOT, Path(sys.prefix), Path(sys.base_prefix)]
     return [p for p in PLACES if not any(n.is_relative_to(p) for n in needed)]
 
@@ -68,7 +68,7 @@ def run(what: str, count: int, seed: int) -> Tally:
 
 
 def left() -> list[str]:
-    """What lies in the places, but for the folder of graphs, which keeps their logs."""
+    """Return the files in these folders, except the folder of graphs, which keeps their logs."""
     own = f"fovea-{os.geteuid()}"
     return sorted(
         str(path) for place in own_places() for path in Path(place).iterdir() if path.name != own

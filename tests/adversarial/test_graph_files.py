@@ -1,4 +1,4 @@
-"""Generated malformed graph files: each is a plan or one sentence, in bounded time, and no more."""
+"""Generated graph files: each loads or is refused in one sentence, and nothing is written."""
 
 import pytest
 

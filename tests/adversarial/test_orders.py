@@ -1,4 +1,4 @@
-"""Generated orders and bytes: each is refused in one sentence or done, and the graph goes on."""
+"""Generated orders and bytes: each is refused in one sentence or done, and the graph runs on."""
 
 import pytest
 
@@ -9,7 +9,7 @@ SLOW = pytest.mark.slow
 
 
 @pytest.mark.parametrize("count", [120, pytest.param(10_000, marks=SLOW)])
-def test_no_order_breaks_a_graph_that_runs(count: int) -> None:
+def test_no_order_breaks_a_running_graph(count: int) -> None:
     found = fuzzed("orders", count, seed=2)
 
     assert found.tally.sound, "\n".join(found.tally.examples)
@@ -28,7 +28,7 @@ def test_no_bytes_break_a_decoder(count: int) -> None:
 
 
 @pytest.mark.parametrize("name", known())
-def test_what_is_spoilt_was_valid_before(name: str) -> None:
+def test_messages_are_valid_before_they_are_altered(name: str) -> None:
     data, read = known()[name]
 
     read(data)

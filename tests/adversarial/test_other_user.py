@@ -1,4 +1,4 @@
-"""Another user of the machine gets nothing of a graph that runs, and does nothing to it."""
+"""Another user of the machine can neither read nor affect a running graph."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from tests.pipeline.run.namespaces import with_small_mounts
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-def test_what_another_user_tries_comes_to_nothing(tmp_path: Path) -> None:
+def test_another_user_can_neither_read_nor_affect_a_running_graph(tmp_path: Path) -> None:
     told = tmp_path / "other_user.json"
     words = ("-m", "bench.other_user", "--minutes", "0.1", "--json", str(told))
 
@@ -23,4 +23,5 @@ def test_what_another_user_tries_comes_to_nothing(tmp_path: Path) -> None:
     assert (found["torn"], found["crashes"], found["left"]) == (0, 0, [])
     assert found["pictures"] > 0
     assert all(found["tried"][act] for act in ("_read", "precede", "proc", "signal"))
-    assert {"enter", "_read", "_alter"} <= set(found["decoys"])  # the acts work where they may
+    # the same acts succeed where nothing is protected
+    assert {"enter", "_read", "_alter"} <= set(found["decoys"])

@@ -1,7 +1,7 @@
-"""What every dual-stream sensor keeps, checked on a sensor that is not yet open.
+"""The contract of every dual-stream sensor, checked on sensors that are not open yet.
 
 A driver's tests call `check_sensor` with a function that makes one; its pictures must differ from
-frame to frame and it must have at least ten of them.
+frame to frame, and it must have at least ten of them.
 """
 
 from collections.abc import Callable
@@ -19,12 +19,12 @@ Make = Callable[[], DualStreamSensor]
 
 
 def memory(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """A loan that is always granted."""
+    """Grant every loan."""
     return np.empty(shape, dtype)
 
 
 def refuse(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """A loan that is never granted."""
+    """Refuse every loan."""
     raise PoolExhausted(f"no room for {shape} of {dtype}")
 
 
@@ -48,7 +48,7 @@ def command(
 
 
 def check_sensor(make: Make) -> None:
-    """All of it."""
+    """Check the whole contract."""
     check_frames_say_what_they_show(make)
     check_each_opening_is_a_new_stream(make)
     check_commands_shape_the_frames_they_name(make)

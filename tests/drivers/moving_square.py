@@ -1,4 +1,4 @@
-"""A small made-up source for tests: a white square crosses a textured field, truth included."""
+"""A small source with truth for tests: a white square crosses a textured field."""
 
 import threading
 import time
@@ -13,7 +13,7 @@ SPEED_PX = 5  # per frame
 
 
 class MovingSquare:
-    """Frame k shows the square k * SPEED_PX further right; `slow_s` makes pictures take time."""
+    """Frame k shows the square k * SPEED_PX further right; `slow_s` is the time a picture takes."""
 
     open_sources = 0
 
@@ -63,7 +63,7 @@ class MovingSquare:
 
 
 class Unreadable(MovingSquare):
-    """Frame 3 cannot be read."""
+    """A source whose frame 3 cannot be read."""
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         from pipeline.errors import DriverError
@@ -74,7 +74,7 @@ class Unreadable(MovingSquare):
 
 
 class EndsEarly(MovingSquare):
-    """Promises more frames than it has."""
+    """A source with fewer frames than its length."""
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         if index >= 5:

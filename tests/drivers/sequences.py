@@ -1,4 +1,4 @@
-"""Writes small sequence folders in the formats of MOT and SoccerNet, for tests."""
+"""Write small sequence folders in the formats of MOT and SoccerNet, for tests."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ SIZE_PX = (64, 48)
 
 
 def write_pictures(folder: Path, count: int, *, suffix: str = ".jpg", seed: int = 0) -> None:
-    """Smooth pictures 000001, 000002, … whose mean tells them apart."""
+    """Write plain pictures 000001, 000002, … with different means."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
     tint = rng.integers(0, 60, 3)
@@ -26,7 +26,7 @@ def write_sequence(
     frames: int = 3,
     info: str = "",
 ) -> Path:
-    """A sequence folder with `frames` pictures; `info` replaces seqinfo.ini."""
+    """Write a sequence folder with `frames` pictures; `info` replaces seqinfo.ini."""
     write_pictures(folder / "img1", frames)
     (folder / "seqinfo.ini").write_text(
         info

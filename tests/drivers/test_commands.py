@@ -1,4 +1,4 @@
-"""Which command shapes which frame."""
+"""The command table: the command that sets the window of a frame."""
 
 import numpy as np
 from hypothesis import given
@@ -25,7 +25,7 @@ def test_the_newest_command_wins_even_when_it_arrives_first() -> None:
     assert table.look_up(5, held=HELD).window == at(1)
 
 
-def test_where_the_newest_is_silent_the_next_newest_speaks() -> None:
+def test_frames_outside_the_newest_command_use_the_next_newest() -> None:
     table = CommandTable("s", GRID)
     table.accept(command("s", made_from=0, first=1, windows=[at(2)] * 8))
     table.accept(command("s", made_from=3, first=4, windows=[at(1)] * 2))
@@ -43,7 +43,7 @@ def test_a_correction_made_from_the_same_frame_replaces_the_first() -> None:
     assert table.look_up(1, held=HELD).window == at(2)
 
 
-def test_an_empty_schedule_says_nothing_and_is_not_counted() -> None:
+def test_an_empty_schedule_is_ignored_and_not_counted() -> None:
     table = CommandTable("s", GRID)
     schedule = command("s", made_from=0, first=1, windows=[])
     table.accept(schedule)
@@ -51,7 +51,7 @@ def test_an_empty_schedule_says_nothing_and_is_not_counted() -> None:
     assert (table.accepted, table.late, table.foreign) == (0, 0, 0)
 
 
-def test_a_command_the_latency_leaves_nothing_of_is_late() -> None:
+def test_a_command_that_ends_within_the_latency_is_late() -> None:
     table = CommandTable("s", GRID, latency_frames=3)
     table.accept(command("s", made_from=0, first=1, windows=[at(1)] * 3))
     table.accept(command("s", made_from=0, first=1, windows=[at(1)] * 4))
@@ -59,7 +59,7 @@ def test_a_command_the_latency_leaves_nothing_of_is_late() -> None:
     assert (table.accepted, table.late) == (1, 1)
 
 
-def test_what_is_over_is_forgotten_and_what_is_kept_is_bounded() -> None:
+def test_past_schedules_are_dropped_and_the_number_of_pending_ones_is_bounded() -> None:
     table = CommandTable("s", GRID)
     for seq in range(2 * MOST_SCHEDULES):
         table.accept(command("s", made_from=seq, first=10_000, windows=[at(1)]))
@@ -91,7 +91,7 @@ def test_any_window_ends_up_inside_the_field_aligned_and_of_the_right_size(
     step_px=st.integers(1, 16),
     size=st.tuples(st.integers(64, 16_320), st.integers(64, 9_184)),
 )
-def test_a_tour_never_leaves_the_field(seq: int, step_px: int, size: tuple[int, int]) -> None:
+def test_a_scan_never_leaves_the_field(seq: int, step_px: int, size: tuple[int, int]) -> None:
     grid = Geometry(
         width_px=size[0], height_px=size[1], roi_width_px=50, roi_height_px=30, step_px=step_px
     )

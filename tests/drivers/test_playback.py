@@ -1,4 +1,4 @@
-"""Pictures at their time: nothing late moves the timetable, nothing is stretched."""
+"""Playback: every picture at its time; late pictures do not shift the timetable."""
 
 import threading
 import time
@@ -13,7 +13,7 @@ from tests.sample_graphs import until
 
 
 def play(source: MovingSquare, timing: Timing, *, reader_s: float = 0.0) -> list[tuple[int, int]]:
-    """Seq and stamp of everything that was read."""
+    """Play a source to its end; return seq and stamp of every picture that was read."""
     played = Playback(source, timing)
     found = []
     while (taken := played.take()) is not None:
@@ -29,7 +29,7 @@ def play(source: MovingSquare, timing: Timing, *, reader_s: float = 0.0) -> list
 
 
 def assert_on_the_timetable(found: list[tuple[int, int]], rate_hz: float) -> None:
-    """No picture before its time, also behind those that were late."""
+    """Assert that no picture comes before its time, also after late ones."""
     first_seq, first_ns = found[0]
     for seq, stamp_ns in found:
         assert stamp_ns - first_ns >= (seq - first_seq) * 1e9 / rate_hz
@@ -46,13 +46,13 @@ def test_lockstep_does_not_wait() -> None:
     found = play(MovingSquare(length=100, rate_hz=0.01), Timing(rate_hz=0.01))
 
     assert [seq for seq, _ in found] == list(range(100))
-    assert time.monotonic() - began < 100  # the time of one picture of a hundred
+    assert time.monotonic() - began < 100  # one period of a hundred
 
 
 def test_a_slow_source_leaves_frames_out_and_keeps_time() -> None:
     found = play(MovingSquare(length=60, slow_s=0.025), Timing(rate_hz=100, realtime=True))
 
-    assert len(found) < 30  # each takes the time of two and a half
+    assert len(found) < 30  # each takes two and a half periods
     assert_on_the_timetable(found, 100)
 
 

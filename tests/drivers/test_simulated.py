@@ -138,7 +138,7 @@ def test_full_emits_everything_and_no_roi() -> None:
     assert subject.summary()["pixels"] == {"budget": 1.0, "used": 1.0}
 
 
-def test_temporal_leaves_frames_out_and_says_so() -> None:
+def test_temporal_leaves_frames_out_and_counts_them() -> None:
     subject = sensor(strategy="temporal", frames=24)
     exposures = play(subject)
 
@@ -163,7 +163,7 @@ def test_the_rate_falls_by_the_exposures_that_could_not_be_made() -> None:
     assert subject.summary()["rate"] == {"asked_hz": 40.0, "achieved_hz": 30.0}
 
 
-def test_the_share_inside_the_roi_is_a_sentence_or_said_to_be_unknown() -> None:
+def test_the_headline_states_the_share_inside_the_roi_where_it_is_known() -> None:
     seen, unread = sensor(strategy="oracle"), sensor(strategy="oracle")
     play(seen)
     whole = sensor(strategy="full", frames=3)
@@ -232,7 +232,7 @@ def test_a_command_within_the_latency_leaves_the_frame_stale() -> None:
     assert [f.command_seq for f in frames] == [-1, -1, 0, 0]
 
 
-def test_a_frame_lost_for_want_of_memory_is_counted_and_spends_no_pixels() -> None:
+def test_a_frame_lost_for_lack_of_memory_is_counted_and_uses_no_pixels() -> None:
     subject = started(sensor())
     for _ in range(3):
         read(subject)
@@ -249,7 +249,7 @@ def test_a_source_that_ends_before_its_length_ends_the_stream() -> None:
     assert len(play(sensor(scene=f"{HERE}:EndsEarly"))) == 5
 
 
-def test_a_loop_begins_again() -> None:
+def test_a_looped_source_begins_again() -> None:
     exposures = play(sensor(loop=True, frames=50, source=f"{HERE}:MovingSquare", scene=""))
 
     assert [e.header.seq for e in exposures] == list(range(50))
@@ -257,7 +257,7 @@ def test_a_loop_begins_again() -> None:
     assert not np.array_equal(exposures[2].context.pixels, exposures[3].context.pixels)
 
 
-def test_what_cannot_be_read_is_said_at_its_frame() -> None:
+def test_a_frame_that_cannot_be_read_raises_when_it_is_reached() -> None:
     subject = started(sensor(scene=f"{HERE}:Unreadable"))
     for _ in range(3):
         read(subject)
@@ -296,7 +296,7 @@ def test_configure_changes_pixel_format_and_rate() -> None:
         (Mode(rate_hz=1e9), "rate_hz: expected 0.01 to 10000, got"),
     ],
 )
-def test_configure_refuses_what_it_cannot(mode: Mode, named: str) -> None:
+def test_configure_refuses_unsupported_modes(mode: Mode, named: str) -> None:
     subject = sensor()
     subject.open(realtime=False)
 
@@ -344,7 +344,7 @@ def test_configure_refuses_what_it_cannot(mode: Mode, named: str) -> None:
         ),
     ],
 )
-def test_wrong_settings_are_one_clear_sentence(settings: dict[str, Any], named: str) -> None:
+def test_wrong_settings_are_refused_in_one_sentence(settings: dict[str, Any], named: str) -> None:
     with pytest.raises(SettingsError, match=named):
         sensor(**settings)
 

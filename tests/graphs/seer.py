@@ -13,7 +13,7 @@ HORIZON = 8
 
 @dataclass(frozen=True, kw_only=True)
 class SeerSettings:
-    """Whether it foresees the motion or takes everything to stand still."""
+    """Whether it predicts the motion or assumes that everything stands still."""
 
     foresees: bool = True
 

@@ -30,7 +30,7 @@ nodes:
 
 
 def run(tmp_path: Path, *changes: str) -> dict[str, Any]:
-    """Play the graph to its end and report."""
+    """Run the graph to its end; return its report."""
     path = tmp_path / "loop.yaml"
     path.write_text(GRAPH)
     with InlineRunner(load(path, Overlay(changes=changes))) as runner:
@@ -48,7 +48,7 @@ def test_the_roi_follows_what_the_context_shows(tmp_path: Path) -> None:
     assert report["pixels"] == {"budget": 0.125, "used": 0.125}
 
 
-def test_prediction_makes_up_for_the_sensors_latency(tmp_path: Path) -> None:
+def test_prediction_compensates_for_the_latency_of_the_sensor(tmp_path: Path) -> None:
     late = ("capture.latency_frames=6", "capture.roi_area=0.01")
 
     foreseen = run(tmp_path, *late)["roi_coverage"]["ball"]

@@ -1,8 +1,8 @@
-"""What the shipped networks keep in view and follow: means over several seeds, on any machine.
+"""The shipped networks keep their target in view and follow it: means over several seeds.
 
-The seeds are fixed, so what may differ from machine to machine is what noise and another order of
-sums change; a bar lies below the mean of the seeds by far more than three standard deviations of
-that. Nothing here needs footage or weights from elsewhere.
+The seeds are fixed, so machines differ only by noise and by the order of sums; each bound is below
+the mean of the seeds by far more than three standard deviations of that. No test here needs footage
+or third-party weights.
 """
 
 from collections.abc import Sequence
@@ -21,16 +21,17 @@ from pipeline.run.inline import InlineRunner
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
 FRAMES = 60
-CHANGED = 30  # the frame after which the policy is asked for the referee
+CHANGED = 30  # the frame after which the referee is the target
 SEEDS = (401, 404, 405)
 MORE_SEEDS = (*SEEDS, 402, 407, 409)
-# The mean over SEEDS; it moves by at most so much with two threads and noise of 1 or 1.4 levels.
+# Bounds of means over SEEDS. Behind each: the mean, and its largest change by two threads or by
+# noise of 1 or 1.4 levels.
 BALL = 0.95  # 1.000, .000
 REFEREE = 0.95  # 1.000, .000
-FOLLOWED = 0.5  # .680, .001. A seed that loses the object gives about .2: one may, two may not
-# Share of the ball inside the ROI in all 60 frames under pursuit, the mean over MORE_SEEDS
-PURSUED = 0.6  # .867, .000. One seed may lose the ball altogether, two may not
-ELSEWHERE = {  # what another machine may change: the order of sums, a grey level of a pixel
+FOLLOWED = 0.5  # .680, .001. One seed may lose the object and give about .2, two may not
+# Bound of the share of the ball inside the ROI in all 60 frames under pursuit, over MORE_SEEDS
+PURSUED = 0.6  # .867, .000. One seed may lose the ball, two may not
+ELSEWHERE = {  # differences between machines: the order of sums, a grey level of a pixel
     "two threads": tuple(f"{n}.threads=2" for n in ("saliency", "policy", "roi_features")),
     "noise": ("capture.noise=1.0",),
 }
@@ -38,7 +39,7 @@ ELSEWHERE = {  # what another machine may change: the order of sums, a grey leve
 
 @dataclass(frozen=True)
 class Shares:
-    """Of one run: means over frames; the ball before the change, the referee after it."""
+    """Means over the frames of one run: the ball before the change, the referee after it."""
 
     ball: float  # share of its box inside the ROI
     referee: float
@@ -46,7 +47,7 @@ class Shares:
 
 
 def run(seed: int, *changes: str) -> Shares:
-    """The shipped graph, in line: the ball is asked for, later the referee by a box."""
+    """Run the shipped graph in line; the target is the ball, later the referee by a box."""
     heard: dict[str, Any] = {}
     ball, referee, overlap = [], [], []
     plan = load(GRAPH, Overlay(changes=(f"capture.seed={seed}", *changes), clock="lockstep"))
@@ -70,7 +71,7 @@ def run(seed: int, *changes: str) -> Shares:
 
 
 def check(seeds: Sequence[int], *changes: str) -> None:
-    """The means over the seeds are above the bars."""
+    """Assert that the means over the seeds are above their bounds."""
     found = [run(seed, *changes) for seed in seeds]
 
     assert np.mean([shares.ball for shares in found]) > BALL

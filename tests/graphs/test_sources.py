@@ -1,4 +1,4 @@
-"""Every file of graphs/sources lays over a graph and shows what it names."""
+"""Every file of graphs/sources can be laid over a graph and plays the source that it names."""
 
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ def graph(tmp_path: Path) -> Path:
 
 
 def recording(kind: str, folder: Path) -> Path:
-    """A small recording of that kind; the path to set."""
+    """Write a small recording of that kind; return the path to set."""
     if kind == "images":
         write_pictures(folder, 3)
     elif kind == "video":
@@ -82,12 +82,12 @@ def test_a_recording_plays_from_the_path_set_on_the_command_line(kind: str, tmp_
 
 
 @pytest.mark.parametrize("kind", RECORDINGS)
-def test_a_missing_path_is_one_clear_sentence(kind: str, tmp_path: Path) -> None:
+def test_a_missing_path_is_refused_in_one_sentence(kind: str, tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"options\.path: required by drivers\.\w+:\w+, got no"):
         capture_of(graph(tmp_path), kind)
 
 
-def test_the_soccer_scene_lays_over_and_takes_a_seed(tmp_path: Path) -> None:
+def test_the_soccer_scene_can_be_laid_over_a_graph_with_a_seed(tmp_path: Path) -> None:
     settings = capture_of(graph(tmp_path), "soccer", "capture.seed=3", "capture.frames=1")
 
     assert settings["options"]["seed"] == 3

@@ -1,4 +1,4 @@
-"""No shipped operator loses anything by a swap: what changes while it runs, it declares."""
+"""No shipped operator loses state in a swap: it declares all that changes while it runs."""
 
 import pytest
 
@@ -13,7 +13,7 @@ EXAMPLES = [name for name in graph_names() if name.startswith("examples/")]
 
 
 def looks_at(runner: InlineRunner) -> dict[str, UndeclaredState]:
-    """At all but the source, which is stopped and started: everything of it begins anew."""
+    """Watch the state of all operators but the source, whose state a swap never carries over."""
     operators = {node.name: runner.operator(node.name) for node in runner.plan.nodes}
     return {n: UndeclaredState(o) for n, o in operators.items() if not isinstance(o, Source)}
 

@@ -1,4 +1,4 @@
-"""The tracking graph as it ships: it keeps the ball in view, in line and as processes alike."""
+"""The shipped tracking graph keeps the ball in view, in line and as processes."""
 
 import json
 import shutil
@@ -42,7 +42,7 @@ def test_in_line_and_as_processes_the_sensor_gets_the_same_commands(tmp_path: Pa
         assert edge["offered"] == edge["delivered"], edge
 
 
-def test_a_running_graph_tells_its_overlap_with_the_truth() -> None:
+def test_the_status_line_of_a_running_graph_shows_its_overlap_with_the_truth() -> None:
     with Supervisor(load(GRAPH)) as supervisor:
 
         def overlap() -> float:
@@ -57,7 +57,7 @@ def test_a_running_graph_tells_its_overlap_with_the_truth() -> None:
     assert headline in line
 
 
-def test_a_model_file_is_swapped_as_any_setting_and_a_missing_one_is_refused(
+def test_a_model_file_is_swapped_like_any_setting_and_a_missing_one_is_refused(
     tmp_path: Path,
 ) -> None:
     other = shutil.copy(ROOT / "operators" / "saliency" / "detector.onnx", tmp_path / "other.onnx")

@@ -1,4 +1,4 @@
-"""Tiny ONNX networks whose answers are known."""
+"""Write tiny ONNX networks whose outputs are known."""
 
 from pathlib import Path
 
@@ -18,14 +18,14 @@ def constant_network(
     features: NDArray[np.float32] | None = None,
     **metadata: str,
 ) -> str:
-    """A network that answers every picture with the same arrays."""
+    """Write a network with the same outputs for every picture; return its path."""
     width_px, height_px = size_px
     nodes, outputs, weights = [], [], []
     for name, array in {"output": output, "features": features}.items():
         if array is None:
             continue
         weights.append(numpy_helper.from_array(array, name + "_weights"))
-        # the output must hang on the input, or the run-time takes the input away
+        # the output must depend on the input, or ONNX Runtime removes the input
         nodes.append(helper.make_node("ReduceSum", ["images"], [name + "_sum"], keepdims=0))
         nodes.append(helper.make_node("Mul", [name + "_sum", "zero"], [name + "_none"]))
         nodes.append(helper.make_node("Add", [name + "_none", name + "_weights"], [name]))
@@ -40,7 +40,7 @@ def constant_network(
 
 
 def mean_encoder(path: Path, *, batch: int | str, side_px: int | str, as_map: bool) -> str:
-    """An encoder that answers each crop's mean red, green and blue: (n, 3) or (n, 3, 1, 1)."""
+    """Write an encoder of each crop's mean red, green and blue: (n, 3) or (n, 3, 1, 1)."""
     crops = helper.make_tensor_value_info("crops", TensorProto.FLOAT, (batch, 3, side_px, side_px))
     shape = (batch, 3, 1, 1) if as_map else (batch, 3)
     means = helper.make_tensor_value_info("means", TensorProto.FLOAT, shape)
@@ -52,7 +52,7 @@ def mean_encoder(path: Path, *, batch: int | str, side_px: int | str, as_map: bo
 
 
 def verifying_encoder(path: Path, *, names: str, classes: int) -> str:
-    """As `mean_encoder`, with logits of as many classes: the first has ten times the red."""
+    """Write a `mean_encoder` with logits of `classes`: ten times the red for the first, else 0."""
     crops = helper.make_tensor_value_info("crops", TensorProto.FLOAT, ("n", 3, 32, 32))
     outputs = [
         helper.make_tensor_value_info("features", TensorProto.FLOAT, ("n", 3)),

@@ -1,4 +1,4 @@
-"""Capture owns a sensor: settings, frames, commands, figures."""
+"""Capture of a sensor: settings, frames, commands, figures."""
 
 import threading
 from typing import Any
@@ -75,7 +75,7 @@ def test_a_command_from_another_thread_shapes_the_next_frame() -> None:
     subject.close()
 
 
-def test_want_of_memory_passes_on_and_the_next_exposure_follows() -> None:
+def test_a_lack_of_memory_is_raised_and_the_next_exposure_follows() -> None:
     subject = Capture(CaptureSettings(options={"scene": SCENE}), loan=refuse)
     subject.realtime = False
     subject.open()
@@ -123,14 +123,14 @@ def test_closing_and_asking_for_figures_is_safe_when_it_never_opened() -> None:
         ),
     ],
 )
-def test_wrong_settings_are_said_with_their_place_before_anything_runs(
+def test_wrong_settings_are_refused_with_their_place_before_anything_runs(
     values: dict[str, Any], named: str
 ) -> None:
     with pytest.raises(SettingsError, match=named):
         build(CaptureSettings, values, "capture")
 
 
-def test_a_source_that_knows_the_truth_tells_it_beside_the_pictures() -> None:
+def test_the_truth_of_a_source_is_sent_with_its_pictures() -> None:
     subject = capture()
     subject.open()
     frames = subject.produce()

@@ -1,4 +1,4 @@
-"""Dispatch: predicted boxes become windows, and what no box covers is filled by a stated rule."""
+"""Dispatch: predicted boxes become windows; a setting is the rule for frames without a box."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -44,7 +44,7 @@ def test_each_row_becomes_a_window_around_its_box() -> None:
     assert (got.first_seq, got.scanpath_seq, got.header) == (5, 4, path.header)
 
 
-def test_nothing_new_is_said_explicitly() -> None:
+def test_a_scanpath_without_boxes_sends_no_schedule() -> None:
     assert answers([scanpath(0, [])]) == [None]
 
 
@@ -104,7 +104,7 @@ def test_scan_tours_the_field_by_frame_number() -> None:
     assert got.windows[0].tolist() == [80, 0, 160, 48]  # frame 1
 
 
-def test_a_new_stream_forgets_the_plan() -> None:
+def test_a_new_stream_discards_the_plan() -> None:
     paths = [
         scanpath(100, [[0, 0, 9, 9]] * 16),
         scanpath(0, [NONE], stream="opened again"),
@@ -116,7 +116,7 @@ def test_a_new_stream_forgets_the_plan() -> None:
     assert got.windows.tolist() == [CENTRE]
 
 
-def test_a_successor_goes_on_with_the_plan_of_the_old_instance() -> None:
+def test_a_successor_continues_with_the_plan_of_its_predecessor() -> None:
     old, new = (Dispatch(DispatchSettings(replan_every=8)) for _ in range(2))
     old.open()
     new.open()

@@ -1,4 +1,4 @@
-"""Downsample: colour, size, and what passes untouched."""
+"""Downsample: colour, size, and pictures that pass unchanged."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ def frame(pixels: NDArray[Any], pixel_format: str = "rgb8") -> Frame:
 
 
 def smooth(height: int, width: int) -> NDArray[np.uint8]:
-    """A picture without detail that a mosaic could lose."""
+    """Return a picture without detail that a mosaic could lose."""
     rows, columns = np.mgrid[0:height, 0:width]
     channels = (rows * 100 / height, columns * 100 / width, 60 + columns * 50 / width)
     return np.stack(channels, -1).astype(np.uint8)
@@ -50,7 +50,7 @@ def test_a_block_becomes_its_mean_and_the_rest_of_the_frame_stays() -> None:
 
 
 @pytest.mark.parametrize("width_px", [0, 48, 64])
-def test_what_fits_passes_without_a_copy(width_px: int) -> None:
+def test_a_picture_that_fits_passes_without_a_copy(width_px: int) -> None:
     given_ = frame(picture(24, 48, seed=1))
 
     (got,) = drive(Downsample, [given_], {"width_px": width_px})
@@ -67,7 +67,7 @@ def test_an_empty_picture_passes() -> None:
     assert (got.pixels.shape, got.header) == ((0, 0, 3), given_.header)
 
 
-def test_a_mosaic_comes_back_as_the_picture_it_was_made_of() -> None:
+def test_a_mosaic_becomes_the_picture_it_was_made_of() -> None:
     image = smooth(40, 60)
 
     (got,) = drive(Downsample, [frame(mosaic_of(image), "bayer_rggb8")])

@@ -21,7 +21,7 @@ TOLERANCE = {"rtol": 1e-3, "atol": 1e-3}
 
 
 def fresh(seed: int) -> DetectorNet:
-    """A network as it is before training, with batch norms that are not the identity."""
+    """Return an untrained network with batch norms that are not the identity."""
     torch.manual_seed(seed)
     net = DetectorNet()
     for module in net.modules():
@@ -35,7 +35,7 @@ def fresh(seed: int) -> DetectorNet:
 
 
 def loaded(path: Path, module: torch.nn.Module) -> torch.nn.Module:
-    """The torch module with the weights of an ONNX file, every one of them, by name."""
+    """Return the torch module with all weights of an ONNX file, by name."""
     stored = {
         i.name: torch.from_numpy(onnx.numpy_helper.to_array(i).copy())
         for i in onnx.load(path).graph.initializer
@@ -46,12 +46,12 @@ def loaded(path: Path, module: torch.nn.Module) -> torch.nn.Module:
 
 
 def picture(seed: int, count: int, height_px: int, width_px: int) -> np.ndarray:
-    """Random pictures in 0..1."""
+    """Return random pictures in 0..1."""
     return np.random.default_rng(seed).random((count, 3, height_px, width_px), np.float32)
 
 
 def assert_same_output(got: np.ndarray, wanted: np.ndarray) -> None:
-    """All rows agree; of two neighbours of equal heat either may be the peak."""
+    """Assert that all rows agree; of two adjacent cells of equal heat either may be the peak."""
     ball = 4 + NAMES.index(BALL)
     np.testing.assert_allclose(got[:, :ball], wanted[:, :ball], **TOLERANCE)
     peaks = (got[:, ball] > 0) & (wanted[:, ball] > 0)
@@ -60,7 +60,7 @@ def assert_same_output(got: np.ndarray, wanted: np.ndarray) -> None:
     assert undecided.sum() < 0.01 * peaks.sum()
 
 
-def test_a_fresh_network_survives_its_export(tmp_path: Path) -> None:
+def test_an_exported_network_computes_what_torch_computes(tmp_path: Path) -> None:
     net = fresh(seed=3)
     export(net, tmp_path / "detector.onnx")
     images = picture(5, 1, 288, 480)

@@ -1,4 +1,4 @@
-"""Score: the overlap of what was followed with what is really there."""
+"""Score: the overlap of the followed object with the truth."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def percept(seq: int, box: tuple[float, ...] | None, object_id: int = 1) -> Perc
 
 
 def scanpath(seq: int, box: tuple[float, ...], choice: int = 4) -> Scanpath:
-    """What the policy shows in frame `seq`: an object, or a place (-1)."""
+    """Return a scanpath whose choice for frame `seq` is an object, or a place (-1)."""
     return Scanpath(
         header=header(seq - 1),
         ids=np.array([4], np.int32),
@@ -43,7 +43,7 @@ def scanpath(seq: int, box: tuple[float, ...], choice: int = 4) -> Scanpath:
 def watched(
     *frames: tuple[tuple[float, ...] | None, tuple[float, ...], int], **settings: object
 ) -> Score:
-    """Frames in which the consumer and the policy have these boxes; a choice of -1 is a place."""
+    """Score frames with these boxes of the consumer and the policy; a choice of -1 is a place."""
     subject = Score(ScoreSettings(**settings))  # type: ignore[arg-type]
     subject.open()
     for seq, (seen, shown, choice) in enumerate(frames):
@@ -60,7 +60,7 @@ def scored(*pairs: tuple[Percept, Truth], **settings: object) -> Score:
     return subject
 
 
-def test_it_compares_with_whoever_was_followed_first() -> None:
+def test_it_compares_with_the_object_that_was_followed_first() -> None:
     half = (110.0, 100.0, 130.0, 120.0)
     subject = scored((percept(0, BALL), truth(0)), (percept(1, half), truth(1)))
 
@@ -71,7 +71,7 @@ def test_it_compares_with_whoever_was_followed_first() -> None:
     }
 
 
-def test_it_tells_the_run_as_a_sentence() -> None:
+def test_the_headline_of_a_run_is_a_sentence() -> None:
     seen, lost = (percept(0, BALL), truth(0)), (percept(1, None), truth(1))
 
     assert scored(seen).summary()["headline"] == (
@@ -83,7 +83,7 @@ def test_it_tells_the_run_as_a_sentence() -> None:
     assert scored().summary() == {}
 
 
-def test_following_another_object_is_a_miss_unless_the_consumer_says_so() -> None:
+def test_following_another_object_is_a_miss_unless_the_id_changes() -> None:
     lost = scored((percept(0, BALL), truth(0)), (percept(1, REFEREE), truth(1)))
     anew = scored((percept(0, BALL), truth(0)), (percept(1, REFEREE, object_id=2), truth(1)))
 
@@ -91,13 +91,13 @@ def test_following_another_object_is_a_miss_unless_the_consumer_says_so() -> Non
     assert anew.summary()["iou"]["mean"] == 1.0
 
 
-def test_a_class_can_be_asked_for_whoever_is_followed() -> None:
+def test_a_label_selects_the_true_object_whichever_is_followed() -> None:
     subject = scored((percept(0, REFEREE), truth(0)), label="ball")
 
     assert subject.summary()["iou"] == {"mean": 0.0, "frames": 1, "answered": 1.0}
 
 
-def test_of_several_alike_the_one_that_is_followed_counts() -> None:
+def test_of_several_objects_with_the_label_the_followed_one_counts() -> None:
     both = Truth(
         header=header(0),
         boxes=np.array([BALL, REFEREE], np.float32),
@@ -109,32 +109,32 @@ def test_of_several_alike_the_one_that_is_followed_counts() -> None:
     assert scored((percept(0, REFEREE), both), label="referee").summary()["iou"]["mean"] == 1.0
 
 
-def test_frames_that_hide_the_object_or_come_before_anything_is_followed_do_not_count() -> None:
+def test_frames_with_the_object_hidden_or_before_any_is_followed_do_not_count() -> None:
     subject = scored((percept(0, None), truth(0)), (percept(1, BALL), truth(1, visible=0.1)))
 
     assert subject.summary() == {}
     assert subject.headline() == ""
 
 
-def test_saying_lost_counts_as_nothing_found_and_is_told_beside_the_mean() -> None:
+def test_a_lost_object_counts_as_zero_and_the_share_of_answers_is_reported() -> None:
     subject = scored(*((percept(k, BALL if k % 4 == 0 else None), truth(k)) for k in range(8)))
 
     assert subject.summary()["iou"] == {"mean": 0.25, "frames": 8, "answered": 0.25}
 
 
-def test_lost_while_the_object_cannot_be_seen_costs_nothing() -> None:
+def test_losing_a_hidden_object_does_not_lower_the_score() -> None:
     hidden = (percept(1, None), truth(1, visible=0.1))
 
     assert scored((percept(0, BALL), truth(0)), hidden).summary()["iou"]["mean"] == 1.0
 
 
-def test_what_the_policy_shows_counts_whatever_the_consumer_starts_on() -> None:
+def test_the_object_that_the_policy_shows_counts_whichever_is_followed() -> None:
     subject = watched(*[(REFEREE, BALL, 4)] * 5)
 
     assert subject.summary()["iou"] == {"mean": 0.0, "frames": 5, "answered": 1.0}
 
 
-def test_once_the_policy_shows_another_object_the_old_one_does_not_flatter_any_more() -> None:
+def test_once_the_policy_shows_another_object_the_old_one_does_not_count_any_more() -> None:
     subject = watched(*[(BALL, BALL, 4)] * 4, *[(BALL, REFEREE, 8)] * 6)
 
     assert subject.summary()["iou"]["mean"] == pytest.approx((4 + SETTLED - 1) / 10)
@@ -156,7 +156,7 @@ def test_a_policy_that_looks_at_a_place_or_at_nothing_still_has_its_target(choic
     assert subject.summary()["iou"] == {"mean": 0.25, "frames": 4, "answered": 0.25}
 
 
-def test_another_label_is_asked_for_while_it_runs() -> None:
+def test_the_label_can_be_changed_while_it_runs() -> None:
     subject = watched((BALL, BALL, 4), label="ball")
 
     subject.on_settings(ScoreSettings(label="main referee"))
@@ -165,11 +165,11 @@ def test_another_label_is_asked_for_while_it_runs() -> None:
     assert subject.summary()["iou"]["mean"] == 0.5
 
 
-def test_the_headline_tells_the_figure_of_now() -> None:
+def test_the_headline_in_the_status_line_is_the_recent_overlap() -> None:
     assert scored((percept(0, BALL), truth(0))).headline() == "IoU 1.00"
 
 
-def test_a_share_beyond_the_whole_is_refused() -> None:
+def test_a_share_above_one_is_refused() -> None:
     with pytest.raises(SettingsError, match=r"least_visible: must be within 0\.\.1, got 2"):
         ScoreSettings(least_visible=2)
 

@@ -1,7 +1,7 @@
 """Compare refusals with those of another commit: `python -m tests.refusals --against COMMIT`.
 
-With `--record` what that commit said becomes what the test demands; cases that it does not refuse
-need a word why (`new`), and are recorded as this source tree answers them.
+With `--record` the answers of that commit become those that the test expects; a case that it does
+not refuse needs a reason (`new`), and is recorded as this source tree answers it.
 """
 
 import argparse
@@ -17,10 +17,10 @@ from tests.refusals.catalogue import RECORDED, ROOT, cases, lost, play, recorded
 
 
 def main() -> None:
-    """Play all cases with both, print what differs, exit with 1 where something was lost."""
+    """Play all cases with both, print what was lost, and exit with 1 if anything was."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--against", metavar="COMMIT", default="", help="else what is recorded")
-    parser.add_argument("--record", action="store_true", help="write what the commit said")
+    parser.add_argument("--against", metavar="COMMIT", default="", help="default: what is recorded")
+    parser.add_argument("--record", action="store_true", help="write the answers of the commit")
     given = parser.parse_args()
     found = cases()
     now = play(found)
@@ -49,7 +49,7 @@ def main() -> None:
 
 @contextmanager
 def source_of(commit: str) -> Iterator[Path]:
-    """The source tree of a commit, in a folder of its own meanwhile."""
+    """Yield the source tree of a commit in a temporary folder."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "source"
         root.mkdir()

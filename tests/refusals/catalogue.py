@@ -1,8 +1,8 @@
-"""The catalogue of wrong inputs: its cases, what a commit answers to them, what got lost.
+"""The catalogue of wrong inputs: its cases, the answers of a commit, and what an answer lost.
 
-`cases/*.yaml` hold the inputs, `recorded.json` what the commit that they are measured against said.
-A refusal of today has to have the exit status and the essential words of that one; what differs on
-purpose is explained in the case: `renamed` maps words, `exits` says why the status is another.
+`cases/*.yaml` hold the inputs, `recorded.json` the answers of the commit to compare with. A refusal
+must have the exit status and the essential words of the recorded one; intended differences are
+explained in the case: `renamed` maps words, `exits` is the reason for another status.
 """
 
 import json
@@ -31,7 +31,7 @@ GRAPHS: Mapping[str, Any] = {  # that run while cases are played beside them
         "ready": [["up", "apart.yaml", "--hosts", "solo="]],
     },
 }
-PLAIN = frozenset({  # words that a sentence can do without
+PLAIN = frozenset({  # words that are not essential
     "a", "an", "the", "of", "is", "are", "was", "were", "it", "its", "to", "in", "on", "at", "by",
     "as", "and", "or", "that", "this", "these", "with", "for", "from", "be", "has", "have", "had",
     "which", "what", "who", "will", "so", "such", "than", "then", "there", "here", "one", "own",
@@ -45,7 +45,7 @@ from parts import WorkSettings
 
 class Part(Operator[WorkSettings, None]):
     """
-# words of the whole command line that have another name now: former -> present
+# words with another name in the whole command line: former -> present
 RENAMED: Mapping[str, str] = {
     "--papers": "--credentials", "papers": "credentials", "--box": "--host", "box": "host",
     "boxes": "hosts", "--person": "--user", "people": "users",
@@ -60,19 +60,19 @@ class Case:
     case: str
     fovea: Any = ()  # the command line, as words or as a text
     before: Any = ()  # the same in the words of the former command line
-    on: str = "graph.yaml"  # the file of the room that `change` is about
+    on: str = "graph.yaml"  # the file of the room that `change` edits
     change: Mapping[str, str] = field(default_factory=dict)
     write: Mapping[str, str] = field(default_factory=dict)
     before_write: Mapping[str, str] = field(default_factory=dict)
     beside: str = ""  # the graph that runs meanwhile
     decoder: str = ""
     hex: str = ""
-    new: str = ""  # why the former command line did not refuse it, or not so
+    new: str = ""  # why the former command line did not refuse it, or refused it otherwise
     renamed: Mapping[str, str] = field(default_factory=dict)  # former words -> present ones
-    exits: str = ""  # why the exit status is another one now
+    exits: str = ""  # why the exit status changed
 
     def played(self, root: Path, *, former: bool) -> dict[str, Any]:
-        """What `player.py` takes."""
+        """Return the case as `player.py` reads it."""
         written = self.before_write if former and self.before_write else self.write
         files = {} if self.beside else dict(_room())
         if self.change:
@@ -90,7 +90,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Refusal:
-    """What a command line answered."""
+    """The answer of a command line."""
 
     status: int
     sentence: str
@@ -99,13 +99,13 @@ class Refusal:
 
     @property
     def is_one(self) -> bool:
-        """Whether it is a refusal in a sentence: no success, no traceback, no signal."""
+        """Whether it is a refusal in one sentence: no success, no traceback, no signal."""
         lines = [line for line in self.whole.splitlines() if line.startswith(("fovea:", "Error:"))]
         return self.status in (1, 2) and len(lines) == 1 and "Traceback" not in self.whole
 
 
 def cases() -> list[Case]:
-    """All cases in the order of their files; raises `ValueError` for two of one name."""
+    """Return all cases in the order of their files; raises `ValueError` for two of one name."""
     found: list[Case] = []
     for path in sorted((HERE / "cases").glob("*.yaml")):
         found += [Case(**entry) for entry in YAML(typ="safe", pure=True).load(path)]
@@ -116,14 +116,14 @@ def cases() -> list[Case]:
 
 
 def ordered(words: list[str], node_first: bool) -> list[str]:
-    """A command line whose GRAPH, written in capitals, stands where its commit wants it.
+    """Return a command line with its GRAPH, written in capitals, where its commit expects it.
 
     >>> ordered(["logs", "LIVE", "work", "-n", "3"], True)
     ['logs', 'work', '-n', '3', '--graph', 'live']
     >>> ordered(["logs", "LIVE", "work"], False)
     ['logs', 'live', 'work']
 
-    So does NODE of `set`, which is written as before, once for every setting.
+    NODE of `set` is moved, too; it is written as before, once for every setting.
 
     >>> ordered(["set", "live", "work.gain=1", "work.words=[a]"], False)
     ['set', 'live', 'work', 'gain=1', 'words=[a]']
@@ -137,7 +137,7 @@ def ordered(words: list[str], node_first: bool) -> list[str]:
 
 
 def play(found: list[Case], root: Path = ROOT, *, former: bool = False) -> dict[str, Refusal]:
-    """What the command line of a source tree answers to these cases."""
+    """Return the answers of the command line of a source tree to these cases."""
     paths = [str(root), str(root / "pipeline" / "api")]
     environment = {"PATH": os.environ["PATH"], "PYTHONPATH": os.pathsep.join(paths)}
     with tempfile.TemporaryDirectory(prefix="r", dir="/tmp") as folder:
@@ -156,7 +156,7 @@ def play(found: list[Case], root: Path = ROOT, *, former: bool = False) -> dict[
 
 
 def words_of(sentence: str) -> set[str]:
-    """The essential words of a refusal: places, names, numbers, suggestions.
+    """Return the essential words of a refusal: places, names, numbers, suggestions.
 
     >>> sorted(words_of("fovea: graph.yaml:7: work.gian: no such setting, did you mean 'gain'?"))
     ['did', 'gain', 'graph.yaml:7', 'mean', 'no', 'setting', 'such', 'work.gian', 'you']
@@ -167,13 +167,13 @@ def words_of(sentence: str) -> set[str]:
 
 
 def recorded() -> dict[str, Any]:
-    """Exit status and sentence of every case, by its name."""
+    """Return exit status and sentence of every case, by its name."""
     document: dict[str, Any] = json.loads(RECORDED.read_text())
     return document
 
 
 def lost(case: Case, was: Mapping[str, Any], now: Refusal) -> Iterator[str]:
-    """What a refusal of today lacks beside the recorded one, as sentences."""
+    """Yield what a refusal lacks that the recorded one has, as sentences."""
     if not now.is_one:
         yield f"expected a refusal in one sentence, got status {now.status} and {now.whole!r}"
     if now.status != was["exit"] and not case.exits:
@@ -207,14 +207,14 @@ def _changed(text: str, change: Mapping[str, str]) -> str:
 
 
 def _text(text: str) -> str:
-    """A text of a case, what it abbreviates written out: `@part`, `@repeat` and `@digits`."""
+    """Expand the abbreviations `@part`, `@repeat` and `@digits` in a text of a case."""
     if text.startswith("@part "):
         return f"{PART}{text[6:]}\n"
     return _repeated(text).replace("@digits", "9" * 500)
 
 
 def _repeated(text: str) -> str:
-    """`@repeat COUNT HEAD|UNIT`: the head and the unit so many times, `{}` being its number."""
+    """Expand `@repeat COUNT HEAD|UNIT`: HEAD, then COUNT times UNIT, with its number for `{}`."""
     if not text.startswith("@repeat "):
         return text
     _, count, rest = text.split(" ", 2)

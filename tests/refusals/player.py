@@ -1,8 +1,8 @@
-"""Plays wrong inputs through the command `fovea`: cases as JSON in, exit codes and words out.
+"""Play wrong inputs through the command `fovea`: cases as JSON in, exit codes and words out.
 
-Runs alone, with the PYTHONPATH of any commit: it imports nothing of the tests. What a command needs
-is loaded once; every case is then a process of its own, forked, in a folder of its own or in that
-of a graph which runs meanwhile.
+This file runs alone, with the PYTHONPATH of any commit, and imports nothing of the tests. It loads
+what commands need once, then forks a process for every case, in a folder of its own or in that of a
+graph that runs meanwhile.
 """
 
 import contextlib
@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import Any
 
 TIMEOUT_S = 60.0
-TOGETHER = 4  # some only wait
-LOADED = (  # what most cases need; what a commit does not have is left out
+TOGETHER = 4  # processes at once; some only wait
+LOADED = (  # needed by most cases; modules that a commit does not have are skipped
     "pipeline.run.inline", "pipeline.run.supervisor", "pipeline.codec", "pipeline.bus.envelope",
     "pipeline.messages", "drivers.simulated", "operators.capture", "operators.dispatch",
     "operators.policy", "operators.tracker", "operators.saliency", "operators.score",
 )  # fmt: skip
-LEAVE = os._exit  # the command refuses it in its own process
+LEAVE = os._exit  # the command replaces it with a function that raises
 Case = dict[str, Any]
 Outcome = dict[str, Any]
 
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def at_once(lanes: dict[str, Callable[[], dict[str, Outcome]]], folder: Path) -> dict[str, Outcome]:
-    """The outcomes of all lanes, each of which has a process."""
+    """Run each lane in a process of its own; return the outcomes of all."""
     answers: dict[str, Outcome] = {}
     running = {}
     for name, act in lanes.items():
@@ -78,7 +78,7 @@ def play_beside(graph: Case, cases: list[Case], room: Path, said: Path) -> dict[
 
 
 def _tell(act: Callable[[], dict[str, Outcome]], path: Path) -> None:
-    """Play a lane in a home and a place for graphs of its own."""
+    """Play a lane with its own home and its own folder for graphs."""
     place = path.with_suffix("")
     for variable in ("HOME", "TMPDIR"):
         os.environ[variable] = str(place / variable[0].lower())
@@ -100,7 +100,7 @@ def load() -> None:
 
 
 def warm_up(room: Path, files: dict[str, str]) -> None:
-    """Load the graphs of the room once: every case begins with what is computed of its classes."""
+    """Load the graphs of the room once, so that no case has to inspect their classes."""
     from pipeline.graph.loader import load as load_graph
 
     write(room, files)
@@ -110,13 +110,13 @@ def warm_up(room: Path, files: dict[str, str]) -> None:
             load_graph(path)
     sys.path.remove(str(room))
     gc.collect()
-    gc.freeze()  # or every process would copy what its collector touches
+    gc.freeze()  # without it, garbage collection in every process would copy this memory
 
 
 def play(
     cases: list[Case], place: Callable[[int], Path], together: int = TOGETHER
 ) -> dict[str, Outcome]:
-    """The outcome of every case by name; so many run at once."""
+    """Play cases, up to `together` at once; return their outcomes by name."""
     answers: dict[str, Outcome] = {}
     waiting = list(enumerate(cases))
     busy: dict[int, tuple[str, Path, float]] = {}
@@ -144,7 +144,7 @@ def play(
 
 
 def perform(case: Case) -> None:
-    """What a case does: a command line, or bytes given to a decoder."""
+    """Carry out a case: run its command line, or decode its bytes."""
     if case["decoder"]:
         decode(case["decoder"], bytes.fromhex(case["hex"]))
         return
@@ -155,7 +155,7 @@ def perform(case: Case) -> None:
 
 
 def decode(decoder: str, data: bytes) -> None:
-    """Give bytes from the wire to what reads them; an error of the family is one sentence."""
+    """Decode bytes from the wire; a `FoveaError` is printed as one sentence."""
     from pipeline import codec, messages
     from pipeline.bus.envelope import Envelope
     from pipeline.errors import FoveaError
@@ -185,7 +185,7 @@ def write(room: Path, files: dict[str, str]) -> None:
 
 
 def start(act: Callable[[], None], room: Path, said: Path) -> int:
-    """Fork a process that acts in a folder, its standard error in a file; its id."""
+    """Fork a process that acts in a folder, with its standard error in a file; return its id."""
     sys.stdout.flush()
     pid = os.fork()
     if pid:
@@ -222,7 +222,7 @@ def _exit_code(act: Callable[[], None]) -> int:
 
 @contextlib.contextmanager
 def background(words: list[str], room: Path, said: Path) -> Iterator[None]:
-    """A command that runs meanwhile and is asked to end."""
+    """Run a command in the background; terminate it at the end."""
     pid = start(lambda: perform({"decoder": "", "fovea": words}), room, said)
     try:
         yield
@@ -236,7 +236,7 @@ def background(words: list[str], room: Path, said: Path) -> Iterator[None]:
 
 
 def wait_until(words: list[str], room: Path, said: Path) -> None:
-    """Until a command succeeds, which shows that what it asks runs."""
+    """Retry a command until it succeeds, which shows that the graph runs."""
     late_s = time.monotonic() + TIMEOUT_S
     case = {"case": "ready", "fovea": words, "decoder": "", "files": {}}
     while True:

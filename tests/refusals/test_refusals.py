@@ -1,4 +1,4 @@
-"""Every wrong input of the catalogue is refused today as it was before: status, words, one line."""
+"""Every wrong input of the catalogue is refused as recorded: status, words, one line."""
 
 from collections.abc import Mapping
 
@@ -12,12 +12,12 @@ RECORDED = recorded()
 
 @pytest.fixture(scope="module")
 def answers() -> Mapping[str, Refusal]:
-    """What the command line answers to all of them; two graphs run meanwhile."""
+    """Return the answers of the command line to all cases; two graphs run meanwhile."""
     return play(CASES)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.case)
-def test_a_wrong_input_is_refused_in_a_sentence_with_the_words_of_before(
+def test_a_wrong_input_is_refused_in_one_sentence_with_the_recorded_words(
     case: Case, answers: Mapping[str, Refusal]
 ) -> None:
     now = answers[case.case]
@@ -27,7 +27,7 @@ def test_a_wrong_input_is_refused_in_a_sentence_with_the_words_of_before(
     assert gone == [], f"before: {RECORDED[case.case]['said']}\nnow: {now.sentence}"
 
 
-def test_what_is_recorded_is_what_is_played_and_all_of_it_was_refused() -> None:
+def test_the_recorded_cases_are_those_of_the_catalogue_and_all_are_refusals() -> None:
     assert list(RECORDED) == [case.case for case in CASES]
     assert {was["exit"] for was in RECORDED.values()} <= {1, 2}
     assert all(was["said"] for was in RECORDED.values())
@@ -69,7 +69,7 @@ def test_words_of_a_sentence_are_its_names_numbers_and_suggestions() -> None:
     }  # fmt: skip
 
 
-def test_a_graph_in_capitals_stands_where_its_command_line_wants_it() -> None:
+def test_a_graph_in_capitals_is_put_where_its_command_line_expects_it() -> None:
     words = ["logs", "LIVE", "work", "-n", "3"]
 
     assert ordered(words, node_first=True) == ["logs", "work", "-n", "3", "--graph", "live"]

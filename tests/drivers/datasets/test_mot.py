@@ -1,4 +1,4 @@
-"""MOT Challenge sequences: what counts as truth, and the detections beside it."""
+"""MOT Challenge sequences: the rows that are truth, and the detections beside them."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What folders of numbered pictures have in common."""
+"""The setting `frames` of folders of numbered pictures."""
 
 import pytest
 

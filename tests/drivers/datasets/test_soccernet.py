@@ -1,4 +1,4 @@
-"""SoccerNet sequences: roles, boxes, and clear words about what is wrong with the files."""
+"""SoccerNet sequences: roles, boxes, and the errors for invalid files."""
 
 import contextlib
 from pathlib import Path
@@ -26,7 +26,7 @@ trackletID_4= goalkeepers team right;B
 GT = "1,2,10,20,5,6,1,-1,-1,-1\n3,2,12,20,5,6,1,-1,-1,-1\n1,1,0,0,9,20,1,-1,-1,-1\n"
 
 
-def test_truth_is_told_per_frame_by_role(tmp_path: Path) -> None:
+def test_truth_is_returned_per_frame_with_roles_as_labels(tmp_path: Path) -> None:
     sequence = SoccerNetSequence(path=str(write_sequence(tmp_path, gt=GT, gameinfo=GAME)))
 
     first, second = sequence.truth(0), sequence.truth(1)
@@ -70,7 +70,7 @@ def test_every_known_role_has_a_label(text: str, label: str, team: str, mark: st
 
 
 @given(st.text())
-def test_any_role_is_known_or_refused_in_words(text: str) -> None:
+def test_any_text_is_a_known_role_or_refused(text: str) -> None:
     known = {"ball", "player", "goalkeeper", "main referee", "assistant referee"}
 
     with contextlib.suppress(ValueError):
@@ -164,7 +164,7 @@ def test_rows_of_boxes_come_back_as_they_were_written(
         ),
     ],
 )
-def test_a_bad_seqinfo_is_one_clear_sentence(tmp_path: Path, info: str, named: str) -> None:
+def test_a_bad_seqinfo_is_refused_in_one_sentence(tmp_path: Path, info: str, named: str) -> None:
     folder = write_sequence(tmp_path, gameinfo=GAME, info=info)
 
     with pytest.raises(DriverError, match=r"seqinfo\.ini: " + named):

@@ -1,4 +1,4 @@
-"""Video files: sequential or not, the same pictures."""
+"""Video files: the same pictures in any order of access."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, SIZE_PX)
     for k in range(FRAMES):
         picture = np.zeros((SIZE_PX[1], SIZE_PX[0], 3), np.uint8)
-        picture[:, : 2 * k + 1, 1:] = 255  # a yellow bar's width tells the frame number
+        picture[:, : 2 * k + 1, 1:] = 255  # the width of a yellow bar encodes the frame number
         writer.write(picture)
     writer.release()
     return path
@@ -58,7 +58,7 @@ def test_colours_are_red_green_blue(film: Path) -> None:
     video.close()
 
 
-def test_what_is_no_video_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_no_video_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.mp4").write_bytes(b"not a film")
 
     with pytest.raises(DriverError, match=r"a\.mp4: expected a video"):

@@ -1,4 +1,4 @@
-"""Who is where when: the play behind the pictures."""
+"""The play behind the pictures: positions of people, ball and camera over time."""
 
 from itertools import pairwise
 
@@ -50,7 +50,7 @@ def test_the_ball_stays_near_the_pitch_and_above_the_ground(seed: int, chunk: in
 
 @settings(max_examples=8, deadline=None)
 @given(seed=SEEDS, chunk=CHUNKS)
-def test_paths_go_on_where_two_chunks_meet(seed: int, chunk: int) -> None:
+def test_paths_are_continuous_where_two_chunks_meet(seed: int, chunk: int) -> None:
     one, two = make_chunk(seed, chunk, 0.5), make_chunk(seed, chunk + 1, 0.5)
 
     np.testing.assert_allclose(one.ball[-1], two.ball[0], atol=1e-6)
@@ -60,14 +60,14 @@ def test_paths_go_on_where_two_chunks_meet(seed: int, chunk: int) -> None:
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-6)
 
 
-def test_people_run_as_fast_as_people_do() -> None:
+def test_people_run_at_realistic_speeds() -> None:
     speeds = np.concatenate([make_chunk(5, chunk, 0.5).speed for chunk in range(12)])
 
     assert 0.8 < np.median(speeds) < 3.5
     assert np.percentile(speeds, 99) < 12
 
 
-def test_whoever_carries_the_ball_is_at_it() -> None:
+def test_a_person_who_carries_the_ball_is_close_to_it() -> None:
     for seed in range(6):
         for leg in legs(seed, 2):
             if leg.kind == "carry" and leg.end_s - leg.start_s > 0.8:
@@ -139,7 +139,9 @@ def test_a_point_of_the_ground_is_found_again_from_its_angles(
 
 @settings(max_examples=60, deadline=None)
 @given(seed=SEEDS, x=st.floats(0, 105), y=st.floats(0, 68), tall=st.booleans())
-def test_the_camera_never_looks_past_the_world(seed: int, x: float, y: float, tall: bool) -> None:
+def test_the_picture_shows_only_directions_that_are_drawn(
+    seed: int, x: float, y: float, tall: bool
+) -> None:
     rng = np.random.default_rng(seed)
     station, style = draw_station(rng), draw_style(rng)
     size_px = (900, 1600) if tall else (1920, 1080)

@@ -95,7 +95,7 @@ def test_nobody_jumps_from_one_frame_to_the_next(scene: SoccerScene) -> None:
                 assert abs(box[3] - places[number][3]) < 12
 
 
-def test_the_ball_is_drawn_just_where_its_box_says() -> None:
+def test_the_ball_is_drawn_inside_its_box() -> None:
     found = 0
     with_ball = SoccerScene(size_px=(960, 540), seed=1)
     without = SoccerScene(size_px=(960, 540), seed=1, ball=False)
@@ -113,18 +113,18 @@ def test_the_ball_is_drawn_just_where_its_box_says() -> None:
         inside = changed[y0:y1, x0:x1]
         assert inside.mean() > 0.4
         changed[y0 - 2 : y1 + 2, x0 - 2 : x1 + 2] = False
-        assert changed.sum() <= inside.sum()  # what is left is its shadow
+        assert changed.sum() <= inside.sum()  # only its shadow is outside
         assert "ball" not in without.truth(index).labels
         found += 1
     assert found >= 4
 
 
-def test_an_endless_match_is_entered_anywhere_at_once(scene: SoccerScene) -> None:
+def test_any_frame_of_an_endless_match_is_drawn_without_those_before_it(scene: SoccerScene) -> None:
     begun_s = time.thread_time()
 
     scene.picture(100_000)
 
-    assert time.thread_time() - begun_s < 20  # to come there frame by frame takes an hour
+    assert time.thread_time() - begun_s < 20  # drawing all frames before it takes an hour
 
 
 def test_a_match_of_given_length_ends(scene: SoccerScene) -> None:
@@ -139,7 +139,7 @@ def test_a_match_of_given_length_ends(scene: SoccerScene) -> None:
 
 
 @pytest.mark.parametrize("size_px", [(320, 180), (641, 363), (500, 500), (2560, 1440)])
-def test_any_size_will_do(size_px: tuple[int, int]) -> None:
+def test_pictures_of_any_size_are_drawn(size_px: tuple[int, int]) -> None:
     scene = SoccerScene(size_px=size_px, seed=2)
 
     assert scene.picture(30).shape == (size_px[1], size_px[0], 3)
@@ -161,14 +161,14 @@ def test_impossible_settings_are_refused_by_name(wrong: dict[str, object], messa
         SoccerScene(**wrong)  # type: ignore[arg-type]
 
 
-def test_a_picture_is_fast() -> None:
+def test_a_picture_is_drawn_fast() -> None:
     scene = SoccerScene(seed=1)
     for index in range(5):
         scene.picture(index)
 
     times = []
     for index in range(5, 15):
-        begun = time.process_time()  # other work on the machine is not the scene's
+        begun = time.process_time()  # does not count other work on the machine
         scene.picture(index)
         times.append(time.process_time() - begun)
 

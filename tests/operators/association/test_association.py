@@ -1,4 +1,4 @@
-"""Detections -> Tracks: identity, gaps, prediction, births and deaths."""
+"""Detections -> Tracks: identity, gaps, prediction, beginning and end."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from pipeline.testing import drive, header
 
 
 def seen(seq: int, *objects: tuple[float, float, float, int], score: float = 0.9) -> Detections:
-    """Squares (centre x, centre y, side, label) seen in frame `seq`."""
+    """Return detections of squares (centre x, centre y, side, label) in frame `seq`."""
     rows = np.array(objects, np.float32).reshape(-1, 4)
     half = rows[:, 2:3] / 2
     return Detections(
@@ -21,7 +21,7 @@ def seen(seq: int, *objects: tuple[float, float, float, int], score: float = 0.9
         angles=np.zeros(len(rows), np.float32),
         scores=np.full(len(rows), score, np.float32),
         labels=rows[:, 3].astype(np.int32),
-        features=np.repeat(rows[:, :1], 3, axis=1),  # three channels that say where it was seen
+        features=np.repeat(rows[:, :1], 3, axis=1),  # three channels, each the centre's x
         names=("ball", "player"),
     )
 
@@ -84,7 +84,7 @@ def test_a_fast_ball_keeps_its_id_where_boxes_never_overlap():
     assert len(follow(*frames, small_reach=0.0)[-1].ids) == 0
 
 
-def test_an_object_ends_after_the_frames_it_may_be_missed():
+def test_an_object_ends_when_it_is_missed_in_more_frames_than_allowed():
     frames = [seen(k, (100, 100, 40, 1)) for k in range(3)] + [seen(k) for k in range(3, 9)]
 
     counts = [len(t.ids) for t in follow(*frames, max_missed=3)]
@@ -92,7 +92,7 @@ def test_an_object_ends_after_the_frames_it_may_be_missed():
     assert counts == [0, 1, 1, 1, 1, 1, 0, 0, 0]
 
 
-def test_a_long_silence_ends_everything_and_no_id_comes_back():
+def test_a_long_gap_ends_all_objects_and_no_id_is_reused():
     frames = [seen(k, (100, 100, 40, 1)) for k in (0, 1, 1000, 1001)]
 
     tracks = follow(*frames)
@@ -109,7 +109,7 @@ def test_an_unseen_object_that_left_the_field_ends_at_once():
     assert len(tracks[3].ids) == 0
 
 
-def test_one_sighting_across_classes_does_not_rename_an_object_three_do():
+def test_an_object_changes_its_class_after_three_detections_of_another_and_not_after_one():
     labels = [1, 1, 0, 1, 0, 0, 0]
 
     tracks = follow(*[seen(k, (100, 100, 60, label)) for k, label in enumerate(labels)])
@@ -132,7 +132,7 @@ def test_the_ball_is_not_pushed_out_by_many_players():
     assert (np.diff(last.ids) > 0).all()
 
 
-def test_a_new_stream_forgets_the_old_one():
+def test_a_new_stream_discards_the_objects_of_the_old_one():
     subject = Association(AssociationSettings())
     subject.open()
     subject.on_detections(seen(5, (100, 100, 40, 1)))
@@ -144,7 +144,7 @@ def test_a_new_stream_forgets_the_old_one():
     assert tracks.ids.tolist() == [1]
 
 
-def test_told_to_forget_it_begins_again_with_new_ids():
+def test_the_command_forget_discards_all_objects_and_their_ids_are_not_reused():
     operator = Association(AssociationSettings(confirm=1))
     operator.open()
     before = [operator.on_detections(seen(k, (100, 100, 20, 0))) for k in range(3)][-1]
@@ -156,7 +156,7 @@ def test_told_to_forget_it_begins_again_with_new_ids():
     assert len(after.ids) == 1
 
 
-def test_a_successor_with_the_state_goes_on_as_the_old_part_would_have():
+def test_a_successor_with_the_state_continues_as_its_predecessor_would():
     frames = [seen(k, (100 + 7 * k, 200, 30, 1), (900 - 9 * k, 400, 16, 0)) for k in range(12)]
     old, successor = Association(AssociationSettings()), Association(AssociationSettings())
     old.open()
@@ -188,7 +188,7 @@ object_ = st.tuples(
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(st.integers(1, 20), st.lists(object_, max_size=8)), max_size=8))
-def test_whatever_is_seen_the_report_is_finite_bounded_and_ordered(steps):
+def test_tracks_of_any_detections_are_finite_bounded_and_ordered(steps):
     seq, frames = -1, []
     for gap, objects in steps:
         seq += gap

@@ -1,4 +1,4 @@
-"""The batched filter against filterpy's, one object at a time."""
+"""The batched filter agrees with filterpy's filter of one object."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from operators.association.kalman import extrapolate, motion_model, predict, upd
 
 
 def reference(process_noise: float, measurement_noise: float, start: np.ndarray) -> KalmanFilter:
-    """The same model as filterpy writes it: state x, y, vx, vy."""
+    """Return filterpy's filter of the same model: state x, y, vx, vy."""
     model = motion_model(process_noise, measurement_noise)
     both = np.eye(2)
     kalman = KalmanFilter(dim_x=4, dim_z=2)
@@ -33,7 +33,7 @@ def test_the_batched_filter_is_filterpys_filter(process_noise, measurement_noise
         mean, covariance = predict(mean, covariance, model)
         for single in singles:
             single.predict()
-        if k % 4 != 2:  # one frame in four is not seen
+        if k % 4 != 2:  # one frame in four has no measurement
             mean, covariance = update(mean, covariance, measured, model)
             for single, z in zip(singles, measured, strict=True):
                 single.update(z)
@@ -43,7 +43,7 @@ def test_the_batched_filter_is_filterpys_filter(process_noise, measurement_noise
     np.testing.assert_allclose(covariance, blocks, rtol=1e-9, atol=1e-12)
 
 
-def test_a_steady_object_is_foreseen_where_it_will_be():
+def test_a_steady_object_is_predicted_where_it_will_be():
     model = motion_model(0.001, 0.01)
     mean, covariance = np.array([[10.0, 20, 0, 0]]), model.first[None]
 

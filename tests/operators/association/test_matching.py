@@ -1,4 +1,4 @@
-"""Which detection is which track."""
+"""Assignment of detections to tracks."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def boxes(*rows: tuple[float, float, float, float]) -> np.ndarray:
     return np.array(rows, np.float32).reshape(-1, 4)
 
 
-def test_the_same_class_goes_first_even_with_less_overlap():
+def test_the_same_class_is_matched_first_even_with_less_overlap():
     track = boxes((0, 0, 10, 10))
     found = boxes((0, 0, 10, 10), (4, 0, 14, 10))
 
@@ -25,7 +25,7 @@ def test_the_same_class_goes_first_even_with_less_overlap():
     assert pairs.tolist() == [[0, 1]]
 
 
-def test_what_is_left_is_matched_across_classes():
+def test_the_remaining_detections_are_matched_across_classes():
     tracks = boxes((0, 0, 10, 10), (50, 0, 60, 10))
     found = boxes((51, 0, 61, 10))
 
@@ -78,7 +78,7 @@ def test_nearness_is_one_at_the_centre_and_zero_at_the_reach():
 
 @pytest.mark.parametrize("side", [8.0, 100.0])
 @pytest.mark.parametrize(("times", "alike"), [(0.49, 0), (0.5, 1), (2.0, 1), (2.01, 0)])
-def test_nearness_is_for_what_is_at_most_twice_as_large_or_half(side, times, alike):
+def test_nearness_is_zero_for_more_than_twice_or_less_than_half_the_size(side, times, alike):
     tracks, middle, half = boxes((0, 0, side, side)), side / 2, side * times / 2
     found = boxes((middle - half, 0, middle + half, side))
 
@@ -87,7 +87,7 @@ def test_nearness_is_for_what_is_at_most_twice_as_large_or_half(side, times, ali
     assert value == pytest.approx(alike, abs=1e-6)
 
 
-def test_points_may_be_near_and_boxes_turned_over_never():
+def test_boxes_without_area_may_be_near_and_inverted_boxes_never_are():
     points, turned = boxes((5, 5, 5, 5)), boxes((6, 6, 4, 4))
     reach = np.array([10], np.float32)
 

@@ -1,4 +1,4 @@
-"""The examples do what they show: each graph runs, and each operator by hand."""
+"""The shipped examples: each graph runs, and each operator computes what it documents."""
 
 import secrets
 from pathlib import Path
@@ -75,7 +75,7 @@ def test_the_square_moves_and_the_stream_ends() -> None:
     assert seen == [0, 2, 4]
 
 
-def test_the_square_tells_its_rate_where_it_has_one() -> None:
+def test_the_square_reports_the_rate_asked_for_only_in_real_time() -> None:
     graph = fovea.load(
         "examples/moving_square", settings={"camera.length": 11, "camera.rate_hz": 100}
     )
@@ -87,7 +87,7 @@ def test_the_square_tells_its_rate_where_it_has_one() -> None:
     assert (inline["frames"], inline["asked_hz"]) == (11, None)
 
 
-def test_brighten_cuts_off_at_255_and_keeps_the_window() -> None:
+def test_brighten_clips_at_255_and_keeps_the_window() -> None:
     (bright,) = fovea.drive(Brighten, [frame(0, 200)], {"gain": 1.5})
 
     assert (bright.pixels == 255).all()
@@ -112,12 +112,12 @@ def test_examples_for_8_bit_pixels_refuse_others(
 
 
 @pytest.mark.parametrize("setting", ["step_px", "length"])
-def test_the_square_neither_moves_back_nor_ends_before_it_begins(setting: str) -> None:
+def test_a_negative_step_or_length_of_the_square_is_refused(setting: str) -> None:
     with pytest.raises(fovea.SettingsError, match=rf"{setting}: must be at least 0, got -1"):
         fovea.load("examples/moving_square", settings={f"camera.{setting}": -1})
 
 
-def test_motion_goes_on_with_what_another_instance_has_learned() -> None:
+def test_motion_continues_with_the_state_of_another_instance() -> None:
     first, second = (Motion(MotionSettings(rate=0.5)) for _ in range(2))
     first.open()
     for seq, value in enumerate((0, 100, 100)):
@@ -156,7 +156,7 @@ def test_the_limit_of_the_meter_changes_while_it_runs() -> None:
         assert runner.report()["brightness"] == {"frames": 10, "alarms": 9}
 
 
-def test_the_meter_does_what_it_is_told() -> None:
+def test_the_meter_carries_out_its_commands() -> None:
     meter = Meter(MeterSettings())
     meter.open()
     for seq, value in enumerate((5, 9, 7)):
@@ -172,7 +172,7 @@ def test_the_meter_does_what_it_is_told() -> None:
 
 
 def renamed(folder: Path, name: str, **overlay: Any) -> Plan:
-    """A shipped graph under a name that no other run of this user has."""
+    """Load a shipped graph under a name that no other run of this user has."""
     text = (FOLDER / f"{name}.yaml").read_text()
     own = f"name: e-{secrets.token_hex(3)}"
     lines = [own if line.startswith("name:") else line for line in text.splitlines()]

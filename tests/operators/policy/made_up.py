@@ -15,7 +15,7 @@ def tracks(
     unseen: tuple[int, ...] = (),
     channels: int = 0,
 ) -> Tracks:
-    """Objects (id, label, centre x, centre y, speed x) in frame `seq`; balls 16 px, players 40."""
+    """Return tracks (id, label, centre x, centre y, speed x) in `seq`; balls 16 px, players 40."""
     rows = np.array(objects, np.float32).reshape(-1, 5)
     labels = rows[:, 1].astype(np.int32)
     half = np.where(labels == 0, 8, 20).astype(np.float32)[:, None, None]
@@ -40,7 +40,7 @@ def tracks(
 
 
 def followed(spec: TargetSpec, *frames: Tracks, chosen: Choice | None = None) -> TargetState:
-    """What became of a target after these frames, for each of which the same was chosen."""
+    """Return the state of a target after these frames, with the same choice in each."""
     target = TargetState()
     for world in frames:
         target = follow(target, spec, world, chosen or Choice())

@@ -1,4 +1,4 @@
-"""A target moves with its carrier."""
+"""Carriers: a hidden target moves with the person who carries it."""
 
 from functools import reduce
 
@@ -21,7 +21,7 @@ from tests.operators.policy.made_up import tracks
 
 LOOKS = np.zeros((4, 5), np.float32)
 BALL = TargetSpec(box=(92, 92, 108, 108))
-SMALL = TargetSpec(box=(94, 94, 106, 106))  # too small to be taken for who holds it
+SMALL = TargetSpec(box=(94, 94, 106, 106))  # too small to be taken for its carrier
 CROWD = [(k, 1, 300.0 + 100 * k, 500.0, 0.0) for k in (12, 13, 14, 15)]
 
 
@@ -38,12 +38,12 @@ def after(*frames: Tracks, spec: TargetSpec = BALL) -> TargetState:
 
 
 def caught(frames: int, y: float = 105.0) -> list[Tracks]:
-    """Seen three times in front of somebody, then not any more."""
+    """Return frames in which the ball is seen three times in front of a person, then not again."""
     seen = [tracks(k, (1, 0, 100 + 5 * k, 100, 5), someone(k, y=y), *CROWD) for k in range(3)]
     return seen + [tracks(k, someone(k, y=y), *CROWD) for k in range(3, frames)]
 
 
-def test_what_is_in_the_upper_part_of_a_larger_person_is_in_their_hands() -> None:
+def test_a_box_in_the_upper_part_of_a_larger_person_is_carried_by_that_person() -> None:
     world = tracks(0, (7, 1, 100, 105, 0), (8, 1, 110, 85, 0), (9, 0, 100, 100, 0))
     could = can_carry(world, PEOPLE, "ball")
 
@@ -55,7 +55,7 @@ def test_what_is_in_the_upper_part_of_a_larger_person_is_in_their_hands() -> Non
     assert not can_carry(world, PEOPLE, "player").any()
 
 
-def test_the_place_goes_with_whoever_holds_the_target_for_as_long_as_they_are_there() -> None:
+def test_the_place_moves_with_the_carrier_as_long_as_it_is_tracked() -> None:
     frames = caught(90)
     target = after(*frames)
 
@@ -68,7 +68,7 @@ def test_the_place_goes_with_whoever_holds_the_target_for_as_long_as_they_are_th
     assert spot.path[0, :2].tolist() == [[542, 92, 558, 108], [547, 92, 563, 108]]
 
 
-def test_what_lies_at_somebodys_feet_stays_when_they_leave() -> None:
+def test_a_target_at_the_feet_of_a_person_stays_when_the_person_leaves() -> None:
     frames = caught(10, y=85)
     target = after(*frames)
 
@@ -76,7 +76,7 @@ def test_what_lies_at_somebodys_feet_stays_when_they_leave() -> None:
     assert target.box.tolist() == [102, 92, 118, 108]
 
 
-def test_one_look_is_not_enough_but_a_prompt_is() -> None:
+def test_one_detection_does_not_make_a_carrier_but_a_prompt_does() -> None:
     passing = [tracks(0, (1, 0, 100, 100, 5), *CROWD)]
     passing += [tracks(1, (1, 0, 105, 100, 5), someone(1), *CROWD)]
     passing += [tracks(2, someone(2), *CROWD)]
@@ -86,13 +86,13 @@ def test_one_look_is_not_enough_but_a_prompt_is() -> None:
     assert carrier_row(after(*prompted, spec=SMALL), prompted[-1]) == 0
 
 
-def test_nobody_holds_what_is_seen() -> None:
+def test_a_target_that_is_seen_has_no_carrier() -> None:
     world = tracks(9, (1, 0, 145, 100, 5), someone(9), *CROWD)
 
     assert carrier_row(after(*caught(9), world), world) == -1
 
 
-def test_nobody_holds_it_when_they_are_gone_and_who_is_back_holds_it_still() -> None:
+def test_a_carrier_that_is_gone_carries_nothing_until_it_is_back() -> None:
     gone, back = tracks(9, *CROWD), tracks(10, someone(10), *CROWD)
 
     assert carrier_row(after(*caught(9), gone), gone) == -1
@@ -100,7 +100,7 @@ def test_nobody_holds_it_when_they_are_gone_and_who_is_back_holds_it_still() -> 
     assert after(*caught(9), gone, back).box.tolist() == [142, 92, 158, 108]
 
 
-def test_the_place_is_with_them_whatever_frames_are_left_out() -> None:
+def test_the_place_is_with_the_carrier_also_when_frames_are_left_out() -> None:
     frames = caught(30)
     some = [*frames[:3], *frames[3::4]]
 
@@ -108,14 +108,14 @@ def test_the_place_is_with_them_whatever_frames_are_left_out() -> None:
     assert after(*some).at_seq == 27
 
 
-def test_hands_that_may_hold_it_are_given_up_at_last() -> None:
+def test_a_carrier_is_dropped_after_the_longest_time_allowed() -> None:
     frames = caught(CARRIED_AT_MOST + 5)
 
     assert carrier_row(after(*frames[:-3]), frames[-4]) == 0
     assert carrier_row(after(*frames), frames[-1]) == -1
 
 
-def test_what_was_foreseen_of_it_is_no_candidate_while_it_is_held() -> None:
+def test_an_unseen_track_of_the_target_is_no_candidate_while_it_is_carried() -> None:
     coasting = tracks(3, (1, 0, 195, 100, 30), someone(3), *CROWD, unseen=(1,))
     state = PolicyState(spec=BALL, target=after(*caught(3)))
 
@@ -124,14 +124,14 @@ def test_what_was_foreseen_of_it_is_no_candidate_while_it_is_held() -> None:
     assert candidates.ids.tolist() == [7, *(row[0] for row in CROWD), PLACE]
 
 
-def test_nobody_holds_it_when_no_class_may() -> None:
+def test_there_is_no_carrier_when_no_class_may_carry() -> None:
     spec = TargetSpec(box=BALL.box, carriers=())
     frames = caught(10)
 
     assert carrier_row(after(*frames, spec=spec), frames[-1]) == -1
 
 
-def test_a_track_that_is_only_foreseen_does_not_take_the_target_out_of_their_hands() -> None:
+def test_a_track_that_is_only_predicted_does_not_end_the_carrying() -> None:
     seen = caught(3)
     coasting = [
         tracks(k, (1, 0, 105 + 30 * k, 100, 30), someone(k), *CROWD, unseen=(1,))

@@ -25,7 +25,7 @@ CROWD = [(k, 1, 300.0 + 100 * k, 500.0, 3.0) for k in (2, 3, 4, 5)]
         (BALL, r"policy.prompt_box: expected a track at \(92, .*, none was there in frames 0 to 8"),
     ],
 )
-def test_a_prompt_that_nothing_answers_to_is_worth_a_word_after_some_frames(
+def test_a_prompt_without_a_matching_track_is_reported_after_some_frames(
     spec: TargetSpec, said: str
 ) -> None:
     frames = [tracks(k, *CROWD) for k in range(9)]
@@ -34,7 +34,7 @@ def test_a_prompt_that_nothing_answers_to_is_worth_a_word_after_some_frames(
     assert not unmet(followed(spec, *frames[:3]), spec, frames[2])
 
 
-def test_a_class_that_the_detector_does_not_know_is_worth_a_word() -> None:
+def test_a_class_that_the_detector_does_not_know_is_reported() -> None:
     world = tracks(0, *CROWD)
 
     said = "policy.target: expected one of ball, player, got dog"
@@ -42,7 +42,7 @@ def test_a_class_that_the_detector_does_not_know_is_worth_a_word() -> None:
     assert not unmet(TargetState(), TargetSpec(label="ball"), world)
 
 
-def test_the_condition_tells_features_place_class_and_what_is_known() -> None:
+def test_the_condition_encodes_features_place_class_and_which_of_them_are_known() -> None:
     world = tracks(0, (1, 0, 960, 540, 0), channels=CHANNELS)
     spec = TargetSpec(box=(952, 532, 968, 548))
 
@@ -55,7 +55,7 @@ def test_the_condition_tells_features_place_class_and_what_is_known() -> None:
     assert condition[-4:].tolist() == [1, 0, 1, 0]
 
 
-def test_the_place_is_offered_while_the_target_is_not_in_view_and_not_for_ever() -> None:
+def test_the_place_is_a_candidate_for_some_frames_after_the_target_is_lost() -> None:
     here, crowd = tracks(0, (1, 0, 100, 100, 0), *CROWD), [tracks(k, *CROWD) for k in range(9)]
     seen = followed(BALL, here)
     lost = follow(seen, BALL, crowd[1], Choice())
@@ -81,7 +81,7 @@ def test_a_class_has_a_place_once_one_of_it_was_seen() -> None:
     assert encode_place(follow(seen, spec, gone, sure), spec, gone, LOOKS, patience=3) is not None
 
 
-def test_no_prompt_no_place() -> None:
+def test_without_a_prompt_there_is_no_place_and_no_condition() -> None:
     world = tracks(0, *CROWD)
 
     assert (

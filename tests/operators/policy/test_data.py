@@ -1,4 +1,4 @@
-"""Recordings: kept while they are what would be recorded now, recorded anew otherwise."""
+"""Recordings: kept while graph, networks and code are the same, recorded anew otherwise."""
 
 import shutil
 from pathlib import Path
@@ -24,7 +24,7 @@ def test_a_clip_is_recorded_anew_when_the_graph_was_another(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_networks_count_by_content_wherever_they_lie(tmp_path: Path) -> None:
+def test_networks_are_compared_by_content_and_not_by_path(tmp_path: Path) -> None:
     same, other = tmp_path / "same.onnx", tmp_path / "other.onnx"
     shutil.copy(SHIPPED, same)
     other.write_bytes(b"another")
@@ -38,7 +38,7 @@ def test_networks_count_by_content_wherever_they_lie(tmp_path: Path) -> None:
     assert {name for name in plain if plain[name] != changed[name]} == {"saliency.weights"}
 
 
-def test_frames_and_code_count_and_threads_do_not() -> None:
+def test_a_recording_depends_on_frames_and_code_and_not_on_threads() -> None:
     assert made_with(2)["frames"] != made_with(3)["frames"]
     assert "code of operators.association:Association" in made_with(2)
     assert made_with(2) == made_with(2, ("saliency.threads=2",))
@@ -51,14 +51,14 @@ def test_frames_and_code_count_and_threads_do_not() -> None:
         ("saliency.weights=gone.onnx", WeightsError, "gone.onnx: no such file"),
     ],
 )
-def test_changes_that_fit_nothing_are_refused_though_nothing_is_to_be_recorded(
+def test_wrong_changes_are_refused_also_when_there_is_nothing_to_record(
     tmp_path: Path, change: str, kind: type[Exception], said: str
 ) -> None:
     with pytest.raises(kind, match=said):
         record([], 2, tmp_path, changes=(change,))
 
 
-def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "1.npz").write_bytes(b"")
 
     with pytest.raises(DriverError, match=r"1\.npz: expected arrays, got "):

@@ -1,4 +1,4 @@
-"""The learned policy: what a network is given, and what becomes of what it answers."""
+"""The learned policy: the inputs of its network, and the plan made of its outputs."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -54,7 +54,7 @@ def inputs(count: int, seed: int) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_order_of_the_objects_means_nothing(seed: int) -> None:
+def test_the_order_of_the_objects_does_not_matter(seed: int) -> None:
     given, order = inputs(7, seed), torch.randperm(7, generator=torch.Generator().manual_seed(seed))
     turned = {n: v if n == "condition" else v[:, order] for n, v in given.items()}
 
@@ -65,7 +65,7 @@ def test_the_order_of_the_objects_means_nothing(seed: int) -> None:
     assert not torch.allclose(straight, mixed, atol=1e-3)
 
 
-def test_what_is_masked_changes_nothing() -> None:
+def test_masked_objects_change_nothing() -> None:
     given = inputs(5, 4)
     padded = {
         n: v if n == "condition" else torch.cat([v, (9 * torch.ones_like(v[:, :3])).to(v.dtype)], 1)
@@ -88,7 +88,7 @@ def test_the_condition_changes_the_choice() -> None:
         assert not torch.allclose(*(net(1)(*(g[n] for n in INPUTS)) for g in (given, other)))
 
 
-def test_it_has_about_as_many_parameters_as_the_papers() -> None:
+def test_it_has_about_as_many_parameters_as_the_network_of_the_paper() -> None:
     count = sum(p.numel() for p in PolicyNet().parameters())
 
     assert 0.5e6 < count < 0.62e6
@@ -105,7 +105,7 @@ def test_onnx_runtime_computes_what_torch_computes(weights: Path, count: int) ->
     assert np.abs(answer - wanted.numpy()).max() < 1e-4
 
 
-def test_an_ablation_does_not_see_what_it_is_not_told() -> None:
+def test_an_ablation_ignores_the_inputs_that_it_leaves_out() -> None:
     blind, given = net(1, use=("global", "motion")), inputs(5, 2)
     other = given | {"roi": -given["roi"]}
 
@@ -113,7 +113,7 @@ def test_an_ablation_does_not_see_what_it_is_not_told() -> None:
         assert torch.equal(*(blind(*(g[n] for n in INPUTS)) for g in (given, other)))
 
 
-def test_moments_are_padded_to_the_longest_and_marked() -> None:
+def test_moments_are_padded_to_the_longest_and_masked() -> None:
     few, many = (encode_objects(world(0, n), np.ones((n, 4, ROI), np.float32)) for n in (2, 5))
 
     given = batched([few, many], [np.zeros(CONDITION, np.float32)] * 2)
@@ -124,7 +124,7 @@ def test_moments_are_padded_to_the_longest_and_marked() -> None:
     assert not given["boxes"][0, 2:].any()
 
 
-def test_the_best_are_told_when_there_are_too_many() -> None:
+def test_the_best_objects_are_encoded_when_there_are_too_many() -> None:
     crowd = [(k, 1, 40.0 * k, 500, 0) for k in range(1, 31)]
 
     kept = encode_objects(tracks(0, *crowd, channels=2), np.zeros((30, 4, ROI), np.float32))
@@ -132,7 +132,7 @@ def test_the_best_are_told_when_there_are_too_many() -> None:
     assert len(kept.ids) == MOST_OBJECTS
 
 
-def test_a_plan_names_tracks_with_their_chances(weights: Path) -> None:
+def test_a_plan_names_tracks_with_their_probabilities(weights: Path) -> None:
     (path,) = drive(LearnedPolicy, [world(3)], {"weights": str(weights)})
 
     assert path.first_seq == 4
@@ -144,7 +144,7 @@ def test_a_plan_names_tracks_with_their_chances(weights: Path) -> None:
     assert np.array_equal(path.boxes, world(3).predicted[rows, np.arange(16)])
 
 
-def test_what_is_left_of_the_chances_is_the_places(weights: Path) -> None:
+def test_the_rest_of_the_probability_is_that_of_the_place(weights: Path) -> None:
     values = {"weights": str(weights), "prompt_box": (1500, 900, 1520, 920)}
 
     (path,) = drive(LearnedPolicy, [world(0)], values)
@@ -155,7 +155,7 @@ def test_what_is_left_of_the_chances_is_the_places(weights: Path) -> None:
     assert (places[:, 0] >= 1500).all()
 
 
-def test_drawing_follows_the_chances_and_the_seed() -> None:
+def test_sampling_follows_the_probabilities_and_the_seed() -> None:
     chance = np.tile(np.array([[0.0], [0.25], [0.75]], np.float32), (1, 4000))
 
     drawn, again, other = (pick(chance, "sample", np.random.default_rng(s)) for s in (1, 1, 2))
@@ -165,7 +165,7 @@ def test_drawing_follows_the_chances_and_the_seed() -> None:
     assert not np.array_equal(drawn, other)
 
 
-def test_who_was_meant_stays_meant_unless_the_network_is_much_surer_of_another() -> None:
+def test_the_target_is_kept_unless_another_object_is_much_more_probable() -> None:
     world = tracks(0, (1, 1, 100, 100, 0), (2, 1, 300, 100, 0))
     candidates, target = (
         encode_objects(world, np.zeros((2, 4, 5), np.float32)),
@@ -181,7 +181,7 @@ def test_who_was_meant_stays_meant_unless_the_network_is_much_surer_of_another()
     assert [chosen(29), chosen(31), chosen(2, target_prior=1)] == [[1], [2], [2]]
 
 
-def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
+def test_a_target_that_is_bound_to_no_track_changes_no_probability() -> None:
     candidates = encode_objects(tracks(0, (1, 1, 100, 100, 0)), np.zeros((1, 4, 5), np.float32))
     believed = np.ones((1, 3), np.float32)
 
@@ -189,7 +189,7 @@ def test_a_prompt_that_follows_nobody_changes_no_chance() -> None:
         assert with_prior(believed, candidates, target, 30) is believed
 
 
-def test_what_two_looks_found_to_be_nothing_is_no_candidate(weights: Path) -> None:
+def test_a_track_that_two_looks_refute_is_no_candidate(weights: Path) -> None:
     subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
     subject.open()
     before = subject.on_tracks(world(0))
@@ -212,7 +212,7 @@ def look(seq: int, *ids: int, genuine: float = 1.0, channels: int = ROI) -> RoiF
     )
 
 
-def test_a_successor_goes_on_alike(weights: Path) -> None:
+def test_a_successor_continues_as_its_predecessor_would(weights: Path) -> None:
     values = LearnedPolicySettings(weights=str(weights), prompt_box=(390, 290, 420, 320))
     old, successor = LearnedPolicy(values), LearnedPolicy(values)
     old.open()
@@ -239,7 +239,7 @@ def test_another_target_takes_effect_with_the_next_plan(weights: Path) -> None:
     assert subject.state().target.bound_id == 4
 
 
-def test_what_is_no_other_target_leaves_the_prompt_where_it_is(weights: Path) -> None:
+def test_changes_of_other_settings_keep_the_target(weights: Path) -> None:
     settings = LearnedPolicySettings(weights=str(weights), prompt_box=(390, 290, 420, 320))
     subject = LearnedPolicy(settings)
     subject.open()
@@ -252,7 +252,7 @@ def test_what_is_no_other_target_leaves_the_prompt_where_it_is(weights: Path) ->
     assert subject.state().target is target
 
 
-def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None:
+def test_without_candidates_the_plan_stays_where_the_target_was(weights: Path) -> None:
     values = {"weights": str(weights), "place_patience": 1}
     prompted = values | {"prompt_box": (100, 100, 120, 120)}
 
@@ -263,7 +263,7 @@ def test_without_candidates_it_stays_where_the_target_was(weights: Path) -> None
 
 
 @pytest.mark.parametrize("field", ["features", "boxes", "predicted"])
-def test_tracks_that_are_no_numbers_leave_the_last_plan_in_force_and_are_told_once(
+def test_tracks_that_are_not_finite_leave_the_last_plan_in_force_and_are_logged_once(
     weights: Path, field: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     frames = [world(k) for k in range(4)]
@@ -276,7 +276,7 @@ def test_tracks_that_are_no_numbers_leave_the_last_plan_in_force_and_are_told_on
     assert caplog.messages == ["policy.tracks: expected finite numbers in frame 1, got others"]
 
 
-def test_looks_that_are_no_numbers_are_forgotten_and_told_once(
+def test_looks_that_are_not_finite_are_discarded_and_logged_once(
     weights: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
@@ -291,7 +291,7 @@ def test_looks_that_are_no_numbers_are_forgotten_and_told_once(
     assert caplog.messages == ["policy.features: expected finite numbers in frame 0, got others"]
 
 
-def test_a_prompt_that_nothing_answers_to_is_told_once(
+def test_a_prompt_without_a_matching_track_is_logged_once(
     weights: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     values = {"weights": str(weights), "target_id": 77}
@@ -303,7 +303,7 @@ def test_a_prompt_that_nothing_answers_to_is_told_once(
     ]
 
 
-def test_tracks_that_the_network_does_not_know_are_refused(weights: Path) -> None:
+def test_tracks_of_other_sizes_than_the_network_expects_are_refused(weights: Path) -> None:
     subject = LearnedPolicy(LearnedPolicySettings(weights=str(weights)))
     subject.open()
 
@@ -335,7 +335,7 @@ def test_weights_for_another_history_or_horizon_are_refused_before_the_first_fra
             drive(LearnedPolicy, [], {"weights": str(path), **settings})
 
 
-def test_without_weights_of_its_own_and_none_shipped_it_says_so() -> None:
+def test_missing_shipped_weights_are_named() -> None:
     if SHIPPED.exists():
         pytest.skip("there are shipped weights")
     with pytest.raises(WeightsError, match=r"policy\.weights: policy\.onnx is not there"):

@@ -1,4 +1,4 @@
-"""Memory: what the ROI showed lately, in its place in time, and what it was found to be."""
+"""Memory: the latest looks through the ROI by frame, and whether they refute a track."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def after(*looks: RoiFeatures) -> Memory:
     return memory
 
 
-def test_a_look_stands_in_the_column_of_its_frame() -> None:
+def test_a_look_is_in_the_column_of_its_frame() -> None:
     memory = after(look(5, t1=1, t9=9), look(6), look(7, t9=2))
 
     found = recall(memory, np.array([1, 4, 9], np.int32), seq=8, observed=4, channels=3)
@@ -48,7 +48,7 @@ def test_two_looks_are_needed_to_refute_and_later_ones_can_change_it() -> None:
     assert not refuted(remember(twice, look(3, genuine=0.9, t1=1), 4), ids, 0.2)[0]
 
 
-def test_looks_find_their_object_whatever_the_order_of_the_ids() -> None:
+def test_looks_are_recalled_by_id_in_any_order() -> None:
     found = recall(
         after(look(5, t1=1, t9=9)), np.array([9, 1], np.int32), seq=5, observed=4, channels=3
     )
@@ -57,7 +57,7 @@ def test_looks_find_their_object_whatever_the_order_of_the_ids() -> None:
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf")])
-def test_a_look_that_is_no_number_is_a_fault(wrong: float) -> None:
+def test_a_look_that_is_not_finite_is_a_fault(wrong: float) -> None:
     said = "policy.features: expected finite numbers in frame 3, got others"
 
     assert fault(look(3, t1=wrong)) == fault(look(3, genuine=wrong, t1=1)) == said

@@ -21,7 +21,7 @@ from pipeline.testing import drive, header
 from tests.operators.policy.made_up import tracks
 
 
-def test_a_plan_speaks_of_the_frames_after_the_tracks():
+def test_a_plan_is_for_the_frames_after_the_tracks():
     (path,) = drive(
         PursuitPolicy, [tracks(7, (3, 1, 500, 500, 0))], {"target": "player", "confirm": 1}
     )
@@ -39,7 +39,7 @@ def test_centred_looks_at_the_middle_and_at_no_object():
     assert not path.probability.any()
 
 
-def test_round_robin_gives_every_object_its_turn_where_it_will_be():
+def test_round_robin_shows_every_object_in_turn_where_it_will_be():
     world = tracks(0, (2, 1, 100, 100, 5), (5, 0, 700, 300, -10), (9, 1, 900, 800, 0))
 
     (path,) = drive(RoundRobinPolicy, [world], {"dwell": 3, "horizon": 10})
@@ -48,7 +48,7 @@ def test_round_robin_gives_every_object_its_turn_where_it_will_be():
     np.testing.assert_allclose(path.boxes[3], [700 - 40 - 8, 292, 700 - 40 + 8, 308])
 
 
-def test_round_robin_goes_on_while_objects_come_and_go():
+def test_round_robin_continues_while_objects_come_and_go():
     here = [(k, 1, 100.0 * k, 500, 0) for k in range(1, 6)]
     frames = [tracks(k, *(here[1:] if k == 3 else here)) for k in range(8)]
 
@@ -120,7 +120,7 @@ def test_a_class_that_no_track_has_is_refused_while_it_runs(cls):
     assert policy.settings.target == "player"
 
 
-def test_where_the_graph_names_no_class_that_is_there_a_box_may_be_told_all_the_same():
+def test_a_prompt_box_may_be_set_where_the_graph_names_an_unknown_class():
     policy = PursuitPolicy(PursuitPolicySettings(target="refree"))
     policy.open()
     policy.on_tracks(tracks(0, (1, 0, 50, 50, 0)))
@@ -159,7 +159,7 @@ def test_the_strategy_as_a_setting_is_refused_with_the_classes_to_name(policy):
         (CentredPolicy, {"target": "ball"}),
     ],
 )
-def test_settings_of_one_policy_are_none_of_another(policy, setting):
+def test_settings_of_one_policy_are_refused_by_another(policy, setting):
     with pytest.raises(SettingsError, match="no such setting"):
         drive(policy, [], setting)
 
@@ -196,7 +196,7 @@ TOURS = [(RoundRobinPolicy, aim) for aim in ({"target": "ball"}, {})]
     st.sampled_from([*PURSUITS, *TOURS]),
     st.lists(st.lists(object_, max_size=5), min_size=2, max_size=12),
 )
-def test_any_tracks_give_a_whole_plan_and_a_successor_goes_on_alike(policy, frames):
+def test_any_tracks_give_a_complete_plan_and_a_successor_gives_the_same(policy, frames):
     cls, values = policy
     old, successor = (cls(settings_of(cls)(**values)) for _ in range(2))
     old.open()

@@ -29,7 +29,7 @@ def test_a_candidate_is_followed_once_it_was_seen_in_three_frames():
     np.testing.assert_allclose(paths[2].boxes[4], [327, 292, 343, 308])
 
 
-def test_the_gaze_stays_with_its_object_though_another_is_a_little_better():
+def test_the_object_is_kept_when_another_is_only_a_little_better():
     frames = [tracks(k, (1, 0, 300, 300, 0), (2, 0, 900, 300, 0)) for k in range(8)]
     for frame in frames[1:]:
         frame.scores[1] = 0.6
@@ -70,7 +70,7 @@ def test_a_target_asked_for_by_box_is_the_track_that_overlaps_it_best():
     assert first_choices(paths) == [2, 2]
 
 
-def test_until_somebody_is_in_the_prompt_box_the_box_is_looked_at():
+def test_the_prompt_box_is_shown_until_a_track_is_in_it():
     (path,) = pursue(tracks(0, (1, 1, 900, 900, 0)), prompt_box=(10.0, 20.0, 50.0, 60.0))
 
     assert path.choice[0] == -1
@@ -87,7 +87,7 @@ def test_a_person_lost_is_found_again_near_by_not_far_away():
     assert first_choices(paths) == [1, 1, 1, -1, 7, 7, 7]
 
 
-def test_a_ball_lost_beside_somebody_is_looked_for_with_them():
+def test_a_ball_lost_beside_a_person_is_searched_for_at_that_person():
     seen = [tracks(k, (1, 0, 300, 300, 0), (2, 1, 320, 300, 0)) for k in range(3)]
     lost = tracks(3, (2, 1, 340, 310, 2))
 
@@ -97,7 +97,7 @@ def test_a_ball_lost_beside_somebody_is_looked_for_with_them():
     np.testing.assert_allclose(path.boxes[0], lost.predicted[0, 0])
 
 
-def test_a_ball_unseen_for_a_few_frames_is_believed_to_be_held():
+def test_a_ball_unseen_for_a_few_frames_is_believed_to_be_carried():
     frames = [tracks(k, (1, 0, 300, 300, 9), (2, 1, 320, 300, 0)) for k in range(3)]
     frames += [
         tracks(k, (1, 0, 300 + 9 * k, 300, 9), (2, 1, 320, 300, 0), unseen=(1,))
@@ -107,7 +107,7 @@ def test_a_ball_unseen_for_a_few_frames_is_believed_to_be_held():
     assert first_choices(pursue(*frames, **BALL)) == [1, 1, 1, 1, 1, 1, -1]
 
 
-def test_a_ball_lost_in_the_open_is_waited_for_with_growing_doubt_then_searched_for():
+def test_a_ball_lost_in_the_open_is_expected_in_a_growing_box_and_then_searched_for():
     seen = [tracks(k, (1, 0, 300, 300, 0)) for k in range(3)]
     lost = [tracks(k) for k in range(3, 40)]
 

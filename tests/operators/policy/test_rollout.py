@@ -1,4 +1,4 @@
-"""Roll-outs: the loop without pictures, on clips that hold what does not depend on the ROI."""
+"""Roll-outs: the closed loop without pictures, on clips of all that the ROI does not change."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ ROI = 6
 
 
 def world(seq: int) -> Tracks:
-    """A ball that flies right over four people who stand."""
+    """Return a ball that moves to the right, and three people who stand."""
     people = [(k, 1, 400.0 * k, 700.0, 0.0) for k in (2, 3, 4)]
     made = tracks(seq, (1, 0, 200 + 20.0 * seq, 500, 20), *people, channels=64)
     return altered(made, header=altered(made.header, geometry=FIELD), names=NAMES)
@@ -49,7 +49,7 @@ def recording(folder: Path, frames: int = 40) -> Recording:
     return Recording(folder / "5.npz")
 
 
-def test_a_recording_gives_back_what_was_heard(tmp_path: Path) -> None:
+def test_a_recording_returns_the_messages_it_was_made_of(tmp_path: Path) -> None:
     clip = recording(tmp_path)
     moment, wanted = clip.moment(7), world(7)
 
@@ -65,14 +65,14 @@ def test_a_recording_gives_back_what_was_heard(tmp_path: Path) -> None:
     assert visible.all()
 
 
-def test_the_roi_reveals_only_what_it_shows(tmp_path: Path) -> None:
+def test_only_objects_inside_the_roi_have_features(tmp_path: Path) -> None:
     moment = recording(tmp_path).moment(0)
     window = roi_window(centres(moment.tracks.boxes[2, -1]), FIELD)
 
     assert within(moment.seen, moment.tracks, window).ids.tolist() == [3]
 
 
-def test_a_teacher_who_knows_keeps_the_ball_in_view(tmp_path: Path) -> None:
+def test_a_teacher_that_knows_the_truth_keeps_the_ball_in_view(tmp_path: Path) -> None:
     clip = recording(tmp_path)
     episode = Episode(clip, Task(clip=0, start=2, target=101), Rules(roi_channels=ROI))
     rng = np.random.default_rng(0)
@@ -86,7 +86,7 @@ def test_a_teacher_who_knows_keeps_the_ball_in_view(tmp_path: Path) -> None:
     assert samples[5].candidates.roi[0, :, 0].tolist() == [1, 1, 1, 0]
 
 
-def test_a_late_plan_and_a_rare_one_lose_what_is_fast(tmp_path: Path) -> None:
+def test_late_and_rare_plans_lose_a_fast_object(tmp_path: Path) -> None:
     clip = recording(tmp_path)
     rng = np.random.default_rng(0)
 
@@ -95,7 +95,7 @@ def test_a_late_plan_and_a_rare_one_lose_what_is_fast(tmp_path: Path) -> None:
         roll([episode], teacher([episode], 0.0, rng), frames=30, how="argmax", rng=rng)
         return float(np.mean(episode.shown))
 
-    assert shown(delay=2) == 1  # foreseen well enough
+    assert shown(delay=2) == 1  # predicted well enough
     assert shown(delay=14, replan=16) < 1
 
 
@@ -110,7 +110,7 @@ def test_the_worth_is_that_of_the_windows_ahead(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_tasks_follow_whom_they_can_see_and_are_the_same_for_the_same_seed(
+def test_tasks_follow_visible_objects_and_are_the_same_for_the_same_seed(
     tmp_path: Path, seed: int
 ) -> None:
     clips = [recording(tmp_path)]
@@ -127,5 +127,5 @@ def test_tasks_follow_whom_they_can_see_and_are_the_same_for_the_same_seed(
     assert {(t.prompt, t.replan, t.delay) for t in plain} == {("box", 1, 0)}
 
 
-def test_headers_tell_the_frame(tmp_path: Path) -> None:
+def test_headers_have_the_number_of_the_frame(tmp_path: Path) -> None:
     assert recording(tmp_path).header(3).seq == header(3).seq

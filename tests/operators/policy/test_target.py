@@ -1,4 +1,4 @@
-"""A target: who is meant, and where they are believed to be."""
+"""A target: the track that it is bound to, and where it is believed to be."""
 
 import pytest
 
@@ -10,7 +10,7 @@ BALL = TargetSpec(box=(92, 92, 108, 108))
 CROWD = [(k, 1, 300.0 + 100 * k, 500.0, 3.0) for k in (2, 3, 4, 5)]
 
 
-def test_a_box_binds_to_the_track_it_overlaps_and_goes_with_it() -> None:
+def test_a_box_binds_to_the_track_it_overlaps_and_moves_with_it() -> None:
     target = followed(BALL, *(tracks(k, (1, 0, 100 + 4 * k, 100, 4), *CROWD) for k in range(5)))
 
     assert (target.bound_id, target.label, target.seen_seq) == (1, "ball", 4)
@@ -75,7 +75,7 @@ def test_a_box_that_was_never_bound_is_not_bound_to_a_choice_of_another_size() -
     assert bound_to(8) == 8
 
 
-def test_a_class_is_whoever_of_it_the_policy_is_sure_of() -> None:
+def test_a_class_binds_to_the_object_of_it_that_the_policy_is_sure_of() -> None:
     world = tracks(1, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0), (3, 0, 900, 100, 0))
     spec = TargetSpec(label="ball")
 
@@ -86,14 +86,14 @@ def test_a_class_is_whoever_of_it_the_policy_is_sure_of() -> None:
     assert follow(TargetState(), spec, world, Choice(object_id=2, probability=0.8)).bound_id == -1
 
 
-def test_an_id_is_that_track() -> None:
+def test_an_id_binds_to_the_track_with_that_id() -> None:
     world = tracks(0, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0))
 
     assert followed(TargetSpec(object_id=2), world).bound_id == 2
     assert followed(TargetSpec(object_id=5), world).bound_id == -1
 
 
-def test_an_id_goes_before_a_box_and_without_its_track_nothing_else_is_taken_for_it() -> None:
+def test_an_id_has_priority_over_a_box_and_without_its_track_nothing_is_bound() -> None:
     world = tracks(0, (1, 0, 100, 100, 0), (2, 1, 500, 100, 0))
     spec = TargetSpec(object_id=5, box=BALL.box)
 
@@ -103,7 +103,7 @@ def test_an_id_goes_before_a_box_and_without_its_track_nothing_else_is_taken_for
     assert not target.placed
 
 
-def test_who_stands_where_a_track_ended_is_who_it_was() -> None:
+def test_a_track_that_begins_where_the_bound_one_ended_is_bound_instead() -> None:
     bound = [tracks(k, (1, 1, 100, 100, 0), *CROWD) for k in range(2)]
     spec = TargetSpec(box=(80, 80, 120, 120))
 
@@ -114,4 +114,4 @@ def test_who_stands_where_a_track_ended_is_who_it_was() -> None:
     assert bound_to((1, 1, 100, 100, 0), (8, 1, 100, 100, 0)) == 1  # it has not ended
     assert bound_to((8, 1, 135, 100, 0)) == 1  # too far
     assert bound_to((8, 0, 100, 100, 0)) == 1  # another class
-    assert bound_to((8, 1, 110, 100, 0), unseen=(8,)) == 1  # only foreseen
+    assert bound_to((8, 1, 110, 100, 0), unseen=(8,)) == 1  # only predicted

@@ -44,7 +44,7 @@ def settings(tmp_path: Path, **given: object) -> TrainSettings:
 
 @pytest.fixture
 def clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
-    """Made-up recordings in place of the scene's, which take seconds each."""
+    """Replace the recordings of the scene, which take seconds each, by made-up ones."""
     found = [recording(tmp_path)]
 
     def recorded(given: TrainSettings, _: object) -> tuple[Clips, Clips]:
@@ -56,7 +56,7 @@ def clips(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
     return found
 
 
-def test_the_loss_prefers_whoever_is_worth_more() -> None:
+def test_the_loss_is_lower_for_the_object_that_is_worth_more() -> None:
     worth = torch.tensor([[[1.0], [0.0], [0.0]]])
     mask = torch.ones(1, 3, dtype=torch.bool)
     given = settings(Path())
@@ -70,7 +70,7 @@ def test_the_loss_prefers_whoever_is_worth_more() -> None:
     assert wrong[1] < 0.05
 
 
-def test_steps_in_which_nothing_can_be_gained_teach_nothing() -> None:
+def test_steps_without_any_gain_have_no_gradient() -> None:
     logits = torch.randn(2, 3, 5, generator=torch.Generator().manual_seed(1), requires_grad=True)
     worth = torch.zeros(2, 3, 5)
     worth[0, 1, 2] = 1
@@ -84,7 +84,7 @@ def test_steps_in_which_nothing_can_be_gained_teach_nothing() -> None:
 
 
 @pytest.mark.usefixtures("clips")
-def test_it_learns_and_writes_what_it_learned(tmp_path: Path) -> None:
+def test_training_increases_the_utility_and_writes_log_plot_and_weights(tmp_path: Path) -> None:
     said: list[str] = []
 
     net = train(settings(tmp_path, iterations=60), say=said.append)
@@ -98,7 +98,7 @@ def test_it_learns_and_writes_what_it_learned(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("clips")
-def test_an_interrupted_training_ends_as_one_that_was_not(tmp_path: Path) -> None:
+def test_an_interrupted_training_ends_like_an_uninterrupted_one(tmp_path: Path) -> None:
     whole = train(settings(tmp_path, out=tmp_path / "whole", iterations=24), say=lambda _: None)
     first = settings(tmp_path, out=tmp_path / "parts", iterations=24)
     calls = 0
@@ -148,7 +148,7 @@ def test_another_training_in_the_same_folder_is_refused_before_it_records(
 
 
 @pytest.mark.usefixtures("clips")
-def test_where_it_computes_and_how_it_is_told_may_change(tmp_path: Path) -> None:
+def test_data_folder_threads_and_device_may_change_on_resuming(tmp_path: Path) -> None:
     Run(settings(tmp_path, out=tmp_path), PolicyNet(roi_channels=ROI)).save()
     given = settings(tmp_path / "moved", out=tmp_path, threads=2, device="auto")
 
@@ -179,15 +179,15 @@ def test_settings_out_of_range_are_refused(
 @pytest.mark.parametrize(
     "given", [{"delays": ()}, {"delays": (-1,)}, {"replans": ()}, {"replans": (4, 0)}]
 )
-def test_plans_that_come_never_or_too_early_are_refused(given: dict[str, tuple[int, ...]]) -> None:
+def test_delays_and_intervals_that_are_empty_or_too_short_are_refused(
+    given: dict[str, tuple[int, ...]],
+) -> None:
     with pytest.raises(SettingsError, match=r"expected frames from [01] on, got"):
         Late(**given)
 
 
 @pytest.mark.parametrize(("delay", "horizon"), [(16, 16), (60, 20)])
-def test_plans_that_come_when_they_are_over_are_refused(
-    tmp_path: Path, delay: int, horizon: int
-) -> None:
+def test_delays_beyond_the_horizon_are_refused(tmp_path: Path, delay: int, horizon: int) -> None:
     given = settings(
         tmp_path, late=Late(delays=(1, delay)), changes=(f"association.horizon={horizon}",)
     )
@@ -197,7 +197,7 @@ def test_plans_that_come_when_they_are_over_are_refused(
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_an_episode_that_ends_before_a_choice_is_seen_is_not_judged(tmp_path: Path) -> None:
+def test_an_episode_that_ends_before_a_choice_takes_effect_is_not_scored(tmp_path: Path) -> None:
     short = [recording(tmp_path, frames=2)]
     able = Clips(
         recordings=short, rules=training.Rules(roi_channels=ROI), settings=settings(tmp_path)
@@ -206,7 +206,7 @@ def test_an_episode_that_ends_before_a_choice_is_seen_is_not_judged(tmp_path: Pa
     assert training.coverage(PolicyNet(roi_channels=ROI), able, count=4, seed=1) == {}
 
 
-def test_a_round_in_which_nothing_can_be_learned_is_refused(
+def test_a_round_without_samples_is_refused(
     tmp_path: Path, clips: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = Run(settings(tmp_path), PolicyNet(roi_channels=ROI))
@@ -217,7 +217,9 @@ def test_a_round_in_which_nothing_can_be_learned_is_refused(
         round_of(run, able, 1)
 
 
-def test_a_round_is_the_same_for_the_same_roller(tmp_path: Path, clips: list[Recording]) -> None:
+def test_a_round_is_the_same_for_the_same_number_and_policy(
+    tmp_path: Path, clips: list[Recording]
+) -> None:
     given = settings(tmp_path)
     torch.manual_seed(1)
     run = Run(given, PolicyNet(roi_channels=ROI))
@@ -231,7 +233,7 @@ def test_a_round_is_the_same_for_the_same_roller(tmp_path: Path, clips: list[Rec
 
 
 @pytest.mark.parametrize("room", [True, False])
-def test_a_round_elsewhere_is_the_round_here_and_mixes_no_devices(
+def test_a_round_on_another_device_gives_the_same_and_mixes_no_devices(
     tmp_path: Path, clips: list[Recording], monkeypatch: pytest.MonkeyPatch, room: bool
 ) -> None:
     given = settings(tmp_path)
@@ -255,7 +257,7 @@ def test_a_round_elsewhere_is_the_round_here_and_mixes_no_devices(
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 @pytest.mark.usefixtures("clips")
-def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
+def test_a_training_on_a_gpu_resumes_without_one(tmp_path: Path) -> None:
     export(train(settings(tmp_path, device="cuda"), say=lambda _: None), tmp_path / "policy.onnx")
 
     net = train(settings(tmp_path, iterations=18), say=lambda _: None)
@@ -277,9 +279,7 @@ def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
         ("--replans", "0", "--replans: expected frames such as 1,2,4, got '0'"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(
-    tmp_path: Path, option: str, value: str, said: str
-) -> None:
+def test_wrong_options_are_refused(tmp_path: Path, option: str, value: str, said: str) -> None:
     words = ["--data", str(tmp_path), "--out", str(tmp_path), option, value]
 
     result = CliRunner().invoke(command, words)

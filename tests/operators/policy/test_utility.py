@@ -31,14 +31,14 @@ def test_a_neighbour_whose_window_shows_the_target_is_worth_nearly_as_much() -> 
     assert worth[2] == 0
 
 
-def test_what_is_shown_in_part_is_worth_at_most_its_part() -> None:
+def test_a_window_that_shows_part_of_the_target_is_worth_at_most_that_part() -> None:
     ball = np.array([[900, 500, 916, 516]], np.float32)
     beside = ball + np.array([240, 0, 240, 0], np.float32)  # its window begins at the ball's middle
 
     assert gains(beside[None], ball, FIELD)[0, 0] == pytest.approx((1 - CENTRING) / 2, abs=0.01)
 
 
-def test_of_a_person_larger_than_the_roi_the_window_itself_is_wanted() -> None:
+def test_the_window_centred_on_a_person_larger_than_the_roi_is_worth_most() -> None:
     person = np.array([[900, 400, 1000, 700]], np.float32)
 
     worth = gains(np.stack([person, person + 40]), person, FIELD)[:, 0]

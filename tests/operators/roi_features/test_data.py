@@ -1,4 +1,4 @@
-"""What the encoder learns from: true objects, and false candidates that really are false."""
+"""Training data of the encoder: true objects, and false candidates that show no whole object."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ SIZE_PX = (960, 540)
 
 
 def truth_of(*objects: tuple[str, float, tuple[float, float, float, float]]) -> Annotations:
-    """Objects 1, 2, …: label, visible share, box."""
+    """Return objects 1, 2, …, each given as label, visible share and box."""
     return Annotations(
         boxes=np.array([o[2] for o in objects], np.float32).reshape(-1, 4),
         ids=np.arange(1, len(objects) + 1, dtype=np.int32),
@@ -39,7 +39,7 @@ def truth_of(*objects: tuple[str, float, tuple[float, float, float, float]]) -> 
 
 
 def grass(seed: int) -> np.ndarray:
-    """A pitch without lines."""
+    """Return a picture of a pitch without lines."""
     rng = np.random.default_rng(seed)
     return rng.integers((60, 110, 40), (80, 140, 60), (540, 960, 3)).astype(np.uint8)
 
@@ -54,7 +54,7 @@ def test_no_false_candidate_shows_a_ball_or_a_whole_person(seed: int) -> None:
     assert iou(truth.boxes[1:], found).max() < 0.2
 
 
-def test_false_candidates_seek_what_is_small_and_white() -> None:
+def test_false_candidates_are_placed_on_small_white_spots() -> None:
     picture = grass(3)
     picture[400:408, 700:708] = 240
 
@@ -63,7 +63,7 @@ def test_false_candidates_seek_what_is_small_and_white() -> None:
     assert (abs(places - (704, 404)) < 5).all()
 
 
-def test_of_a_person_the_bright_parts_are_taken_most_often() -> None:
+def test_bright_parts_of_a_person_are_chosen_most_often() -> None:
     picture = np.zeros((540, 960, 3), np.uint8)
     picture[210:240, 200:240] = 250  # a tenth of the body
     rng = np.random.default_rng(3)
@@ -75,11 +75,11 @@ def test_of_a_person_the_bright_parts_are_taken_most_often() -> None:
     assert 0.2 < (places[:, 1] == 392).mean() < 0.4  # boots
 
 
-def test_a_plain_picture_has_no_place_that_stands_out_and_any_is_taken() -> None:
+def test_any_place_is_chosen_in_a_picture_without_bright_spots() -> None:
     assert outstanding(grass(4), np.random.default_rng(4)).std(0).min() > 50
 
 
-def test_of_people_officials_come_first_and_the_hidden_not_at_all() -> None:
+def test_officials_are_chosen_before_players_and_hidden_people_never() -> None:
     box = (0.0, 0.0, 40.0, 100.0)
     truth = truth_of(
         ("player", 1.0, box), ("player", 0.1, box), ("main referee", 1.0, box), ("ball", 0.1, box)

@@ -1,4 +1,4 @@
-"""How an encoder is scored."""
+"""Scores of an encoder."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from operators.roi_features.model import CLASSES
 
 
 def look(persons: list[int], features: list[list[float]], teams: list[int] | None = None) -> Look:
-    """People and what the encoder says of them."""
+    """Return people with the features that an encoder gives them."""
     count = len(persons)
     return Look(
         features=np.array(features, np.float32),
@@ -22,7 +22,7 @@ def look(persons: list[int], features: list[list[float]], teams: list[int] | Non
 
 
 def judged(kinds: list[int], likely: list[int]) -> dict[str, float]:
-    """Figures where the encoder is sure of the given classes."""
+    """Return the scores of an encoder that is sure of the classes in `likely`."""
     return told_apart(
         [
             Look(
@@ -47,11 +47,11 @@ def test_precision_and_recall_of_a_class_are_against_false_candidates() -> None:
     assert "referee_recall" not in figures
 
 
-def test_an_encoder_that_names_no_classes_has_no_figures_of_them() -> None:
+def test_an_encoder_without_classes_has_no_scores_for_them() -> None:
     assert told_apart([look([1], [[1.0]])], [], 0.5) == {}
 
 
-def test_a_person_is_found_again_where_nobody_is_more_like_them() -> None:
+def test_a_person_is_found_again_when_no_other_has_more_similar_features() -> None:
     earlier = look([1, 2, 3], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
     later = look([1, 2, NOBODY], [[5, 1, 0, 0], [0, 1, 2, 0], [1, 0, 0, 0]])
 
@@ -61,7 +61,7 @@ def test_a_person_is_found_again_where_nobody_is_more_like_them() -> None:
     assert figures["again_all_chance"] == pytest.approx(1 / 3)
 
 
-def test_among_team_mates_others_do_not_count_nor_do_those_who_left() -> None:
+def test_the_score_within_a_team_ignores_other_teams_and_people_who_left() -> None:
     earlier = look([1, 2, 3], [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], teams=[0, 0, 1])
     later = look([1, 3, 9], [[1, 0, 5, 0], [0, 0, 1, 0], [1, 0, 0, 0]], teams=[0, 1, 0])
 
@@ -72,7 +72,7 @@ def test_among_team_mates_others_do_not_count_nor_do_those_who_left() -> None:
     assert figures["again_team_chance"] == 0.5
 
 
-def test_those_who_wear_the_same_in_a_scene_are_a_team() -> None:
+def test_people_of_a_scene_with_the_same_clothes_are_a_team() -> None:
     assert team_in_scene(1) == team_in_scene(10) != team_in_scene(11)
     assert len({team_in_scene(person) for person in (10, 20, 21, 22, 23)}) == 5
     assert team_in_scene(23) == team_in_scene(25)

@@ -1,4 +1,4 @@
-"""The network is MobileNetV3-Small, computes in ONNX what it does in torch, and takes weights."""
+"""The network is MobileNetV3-Small, gives the same in ONNX and torch, and loads its weights."""
 
 from collections import OrderedDict
 from pathlib import Path
@@ -26,7 +26,7 @@ from pipeline.inference import Network
 
 
 def fresh(seed: int) -> EncoderNet:
-    """A network before training, with batch norms that are not the identity."""
+    """Return an untrained network with batch norms that are not the identity."""
     torch.manual_seed(seed)
     net = EncoderNet()
     for module in net.modules():
@@ -37,7 +37,7 @@ def fresh(seed: int) -> EncoderNet:
 
 
 def as_published(net: EncoderNet) -> OrderedDict[str, Tensor]:
-    """Its state dict as torchvision writes it, with the head for ImageNet's classes."""
+    """Return its state dict as torchvision writes it, with the head for ImageNet's classes."""
     state = OrderedDict((f"features.{n}", v) for n, v in net.features.state_dict().items())
     state["classifier.0.weight"] = torch.zeros(1024, FEATURES)
     state["classifier.3.weight"] = torch.zeros(1000, 1024)
@@ -52,7 +52,7 @@ def test_with_its_imagenet_head_it_has_the_published_number_of_parameters() -> N
     assert trunk + head == 2_542_856  # torchvision's count of mobilenet_v3_small
 
 
-def test_features_have_one_scale_whatever_is_shown() -> None:
+def test_features_have_the_same_scale_for_any_crop() -> None:
     crops = torch.rand(3, 3, 96, 96, generator=torch.Generator().manual_seed(4))
     crops[1] *= 0.1
 
@@ -78,7 +78,7 @@ def test_onnx_computes_what_torch_computes(tmp_path: Path, count: int) -> None:
     np.testing.assert_allclose(got["classes"], classes.numpy(), rtol=1e-3, atol=1e-3)
 
 
-def test_the_shipped_network_names_its_classes_and_is_one_of_these() -> None:
+def test_the_shipped_network_names_its_classes_and_has_these_outputs() -> None:
     shipped = Network(SHIPPED)
 
     assert shipped.metadata["classes"].split() == list(CLASSES)
@@ -86,7 +86,7 @@ def test_the_shipped_network_names_its_classes_and_is_one_of_these() -> None:
     assert shipped({"crops": np.zeros((2, 3, 96, 96), np.float32)})["features"].shape == (2, 576)
 
 
-def test_weights_of_torchvision_load_and_take_plain_pictures(tmp_path: Path) -> None:
+def test_weights_of_torchvision_load_and_include_the_normalisation(tmp_path: Path) -> None:
     given, net = fresh(1), fresh(2)
     torch.save(as_published(given), tmp_path / "w.pth")
 
@@ -114,7 +114,7 @@ def test_weights_under_other_names_load_in_their_order(tmp_path: Path) -> None:
     assert torch.equal(net.features[1:](seen), given.features[1:](seen))
 
 
-def test_weights_of_another_network_are_refused_by_the_first_that_differs(tmp_path: Path) -> None:
+def test_weights_of_another_network_are_refused_with_the_first_that_differs(tmp_path: Path) -> None:
     state = as_published(fresh(1))
     state["features.1.block.0.0.weight"] = torch.zeros(16, 1, 5, 5)
     torch.save(state, tmp_path / "w.pth")
@@ -134,7 +134,7 @@ def test_weights_that_end_early_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", ["text", "tensor", "nothing"])
-def test_what_is_no_state_dict_is_refused(tmp_path: Path, content: str) -> None:
+def test_a_file_that_is_no_state_dict_is_refused(tmp_path: Path, content: str) -> None:
     path = tmp_path / "w.pth"
     if content == "text":
         path.write_text("not a network")

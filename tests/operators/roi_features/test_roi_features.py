@@ -1,4 +1,4 @@
-"""The encoder over a network that tells the mean colour of each crop."""
+"""The encoder with a network that returns the mean colour of each crop."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +22,7 @@ WINDOW = (480, 270, 960, 540)
 
 
 def roi_with(*patches: tuple[int, int, int, int, int]) -> Frame:
-    """A grey ROI with red patches: left, top, right, bottom in its pixels, and brightness."""
+    """Return a grey ROI with patches (left, top, right, bottom, red) in its pixels."""
     pixels = np.full((270, 480, 3), FILL, np.uint8)
     for left, top, right, bottom, red in patches:
         pixels[top:bottom, left:right] = (red, 0, 0)
@@ -30,7 +30,7 @@ def roi_with(*patches: tuple[int, int, int, int, int]) -> Frame:
 
 
 def tracks_at(*boxes: tuple[float, float, float, float]) -> Tracks:
-    """Tracks 10, 11, … whose newest boxes are given, in sensor pixels; scores rise."""
+    """Return tracks 10, 11, … with these newest boxes, in sensor pixels; scores increase."""
     n = len(boxes)
     newest = np.array(boxes, np.float32).reshape(n, 1, 4)
     return Tracks(
@@ -46,14 +46,14 @@ def tracks_at(*boxes: tuple[float, float, float, float]) -> Tracks:
 
 
 def encoded(weights: str, roi: Frame, tracks: Tracks, **settings: object) -> RoiFeatures:
-    """The operator's answer to one exposure."""
+    """Return the operator's output for one exposure."""
     (answer,) = drive(RoiEncoder, [{"roi": roi, "tracks": tracks}], {"weights": weights} | settings)
     assert isinstance(answer, RoiFeatures)
     return answer
 
 
 @pytest.mark.parametrize(("batch", "as_map"), [("n", False), (1, True), (4, False)])
-def test_each_object_inside_is_described_whatever_the_batch(
+def test_each_object_inside_is_encoded_for_any_size_of_batch(
     tmp_path: Path, batch: int | str, as_map: bool
 ) -> None:
     weights = mean_encoder(tmp_path / "e.onnx", batch=batch, side_px=32, as_map=as_map)
@@ -81,7 +81,9 @@ def test_a_binned_roi_is_read_at_its_own_scale(tmp_path: Path) -> None:
     assert answer.features == pytest.approx(np.array([[200 / 255, 0, 0]]), abs=1e-5)
 
 
-def test_a_candidate_is_genuine_where_the_network_sees_what_its_label_says(tmp_path: Path) -> None:
+def test_a_candidate_is_genuine_where_the_network_finds_the_class_of_its_label(
+    tmp_path: Path,
+) -> None:
     weights = verifying_encoder(tmp_path / "e.onnx", names="ball background", classes=2)
     roi = roi_with((20, 20, 120, 120, 200), (220, 120, 320, 220, 0))
     tracks = tracks_at((500, 290, 600, 390), (700, 390, 800, 490))
@@ -95,21 +97,21 @@ def test_a_candidate_is_genuine_where_the_network_sees_what_its_label_says(tmp_p
     assert unknown.genuine.tolist() == unlabelled.genuine.tolist() == [1.0, 1.0]
 
 
-def test_a_network_that_tells_no_classes_doubts_nobody(tmp_path: Path) -> None:
+def test_every_candidate_is_genuine_for_a_network_without_classes(tmp_path: Path) -> None:
     weights = mean_encoder(tmp_path / "e.onnx", batch="n", side_px=32, as_map=False)
     tracks = replace(tracks_at((500, 290, 600, 390)), names=("ball",))
 
     assert encoded(weights, roi_with(), tracks).genuine.tolist() == [1.0]
 
 
-def test_a_network_must_name_the_classes_it_tells(tmp_path: Path) -> None:
+def test_a_network_must_name_its_classes(tmp_path: Path) -> None:
     weights = verifying_encoder(tmp_path / "e.onnx", names="ball", classes=2)
 
     with pytest.raises(WeightsError, match="expected names of 2 classes in its metadata, got 1"):
         encoded(weights, roi_with(), tracks_at())
 
 
-def test_nobody_inside_and_no_roi_give_empty_arrays(tmp_path: Path) -> None:
+def test_no_object_inside_and_no_roi_give_empty_arrays(tmp_path: Path) -> None:
     weights = mean_encoder(tmp_path / "e.onnx", batch="n", side_px=32, as_map=False)
     nothing = Frame(header=header(3), pixels=np.zeros((0, 0, 3), np.uint8))
 

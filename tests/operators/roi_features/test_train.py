@@ -1,4 +1,4 @@
-"""The encoder's training: its objectives, and that it goes on where it stopped."""
+"""The encoder's training: its objectives, and resuming where it stopped."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from tests.operators.training.elsewhere import PLACE, pretended
 
 
 def crops_of(scenes: int, seed: int) -> Crops:
-    """Scenes of four people seen twice, a ball and nine false candidates."""
+    """Return scenes of four people seen twice, two crops of a ball and nine false candidates."""
     kinds = [0] * 6 + [1] * 2 + [2] * 2 + [3] * 9
     persons = [1, 1, 2, 2, 3, 3, 4, 4] + [NOBODY] * 11
     count = len(kinds)
@@ -34,17 +34,17 @@ def crops_of(scenes: int, seed: int) -> Crops:
 
 
 def settings_in(folder: Path, **more: object) -> TrainSettings:
-    """A training of few and small steps."""
+    """Return the settings of a training with few and small steps."""
     return replace(TrainSettings(data=folder, out=folder, batch=48, steps=10, device="cpu"), **more)  # type: ignore[arg-type]
 
 
 def vectors(*angles_deg: float) -> torch.Tensor:
-    """Directions in a plane."""
+    """Return unit vectors in a plane."""
     turned = torch.deg2rad(torch.tensor(angles_deg))
     return torch.stack([turned.cos(), turned.sin()], 1)
 
 
-def test_identity_is_cheap_where_each_is_next_to_themselves() -> None:
+def test_the_identity_loss_is_low_where_features_of_a_person_are_alike() -> None:
     persons, scenes = torch.tensor([1, 1, 2, 2]), torch.zeros(4)
 
     right = identity_loss(vectors(0, 5, 90, 95), persons, scenes)
@@ -53,7 +53,7 @@ def test_identity_is_cheap_where_each_is_next_to_themselves() -> None:
     assert right < 0.01 < 1 < wrong
 
 
-def test_identity_knows_neither_false_candidates_nor_people_of_other_scenes() -> None:
+def test_the_identity_loss_ignores_false_candidates_and_people_of_other_scenes() -> None:
     persons = torch.tensor([1, 1, 2, 2, NOBODY, 1])
     scenes = torch.tensor([0, 0, 0, 0, 0, 1])
 
@@ -99,7 +99,7 @@ def test_crops_of_one_scene_are_relit_alike() -> None:
     assert abs(middle(5, 1) - middle(6, 1)).max() > 4
 
 
-def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
+def test_a_stopped_training_resumes_as_if_it_had_not_stopped(tmp_path: Path) -> None:
     crops = crops_of(scenes=4, seed=5)
     whole = Run(settings_in(tmp_path))
     advance(whole, crops)
@@ -113,7 +113,7 @@ def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
     assert advance(resumed, crops) == pytest.approx(expected, rel=1e-3)
 
 
-def test_a_step_elsewhere_is_the_step_here_and_mixes_no_devices(
+def test_a_step_on_another_device_gives_the_same_and_mixes_no_devices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     crops = crops_of(scenes=4, seed=7)
@@ -131,7 +131,7 @@ def test_a_step_elsewhere_is_the_step_here_and_mixes_no_devices(
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
+def test_a_training_on_a_gpu_resumes_without_one(tmp_path: Path) -> None:
     crops = crops_of(scenes=4, seed=8)
     there = Run(settings_in(tmp_path, device="cuda"))
     there.prepare()
@@ -171,7 +171,9 @@ def test_a_new_head_leaves_the_features_as_they_are(tmp_path: Path) -> None:
         ({"device": "gpu"}, "device: expected auto, cpu, cuda, cuda:N or mps, got gpu"),
     ],
 )
-def test_a_training_that_cannot_be_is_refused(settings: dict[str, object], message: str) -> None:
+def test_wrong_settings_of_a_training_are_refused(
+    settings: dict[str, object], message: str
+) -> None:
     with pytest.raises(SettingsError, match=message):
         settings_in(Path(), **settings)
 

@@ -1,4 +1,4 @@
-"""What a detector knows is told, and a warning where it is shown something else."""
+"""Advice names the classes of a detector, and warns where the source shows something else."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ SOCCER = {"domain": "soccer", "trained_on": "soccer matches"}
 
 @dataclass(frozen=True)
 class Shown:
-    """A capture's settings, as far as advice asks for them."""
+    """The settings of a capture that `advice` reads."""
 
     shows: str
     source: str = "walk.mp4"
@@ -26,7 +26,7 @@ def told(metadata: dict[str, str], shown: Shown | None) -> list[str]:
     return list(advice(["player", "ball"], metadata, shown))
 
 
-def test_classes_and_training_are_told() -> None:
+def test_classes_and_training_data_are_named() -> None:
     assert told(SOCCER, Shown("soccer")) == [
         "the detector finds player, ball; it was trained on soccer matches"
     ]
@@ -41,14 +41,14 @@ def test_a_source_of_another_kind_is_warned_of(shows: str, said: str) -> None:
     assert warning.startswith(f"warning: the detector is for soccer, and walk.mp4 {said}: ")
 
 
-def test_a_detector_that_says_nothing_is_told_of_and_fits_everything() -> None:
+def test_a_detector_without_metadata_is_reported_and_fits_every_source() -> None:
     assert told({}, Shown("street")) == [
         "the detector finds player, ball; its file does not say what it was trained on"
     ]
     assert len(told(SOCCER, None)) == 1
 
 
-def test_the_shipped_detector_says_what_it_is_for() -> None:
+def test_the_shipped_detector_names_its_classes_and_domain() -> None:
     scene = CaptureSettings(options={"scene": "soccer"})
     video = CaptureSettings(options={"source": "drivers.datasets:VideoFile", "path": "walk.mp4"})
 
@@ -70,13 +70,13 @@ def test_the_shipped_detector_says_what_it_is_for() -> None:
         ("drivers.datasets:ImageFolder", ""),
     ],
 )
-def test_sources_say_what_they_show(source: str, shows: str) -> None:
+def test_sources_declare_what_they_show(source: str, shows: str) -> None:
     settings = CaptureSettings(options={"source": source, "path": "somewhere"})
 
     assert (settings.shows, settings.source) == (shows, "somewhere")
 
 
-def test_renamed_classes_are_told_by_their_new_names() -> None:
+def test_renamed_classes_are_listed_by_their_new_names() -> None:
     settings = SaliencySettings(names={"player": "person", "referee": "person"})
 
     (first,) = Saliency.advise(settings, {})

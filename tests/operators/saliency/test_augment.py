@@ -1,4 +1,4 @@
-"""Changed training pictures still tell the truth."""
+"""Augmented training pictures keep correct boxes and labels."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from operators.saliency.example import BALL, NAMES, Example
 
 
 def grass_with_player(seed: int) -> Example:
-    """A noisy green picture with one bright red rectangle, which is the player."""
+    """Return a noisy green picture with one bright red rectangle, which is the player."""
     rng = np.random.default_rng(seed)
     picture = rng.integers(40, 60, (270, 480, 3), np.uint8)
     left, top = int(rng.integers(40, 400)), int(rng.integers(40, 180))
@@ -45,7 +45,7 @@ def test_pasted_balls_are_labelled_where_the_picture_changed(seed: int) -> None:
         assert 1.0 < right - left < 40
 
 
-def test_the_same_seed_gives_the_same_picture_and_another_another() -> None:
+def test_the_same_seed_gives_the_same_picture_and_another_seed_a_different_one() -> None:
     first, again, other = (
         augment(grass_with_player(1), np.random.default_rng(seed)) for seed in (5, 5, 6)
     )
@@ -66,7 +66,7 @@ def test_boxes_stay_inside_the_picture_and_keep_their_order(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_clutter_spares_everybody_and_leaves_no_picture_as_it_was(seed: int) -> None:
+def test_clutter_changes_every_picture_except_where_a_person_is(seed: int) -> None:
     example = grass_with_player(seed)
     left, top, right, bottom = np.round(example.boxes[0]).astype(int)
     person = np.s_[top:bottom, left:right]

@@ -19,7 +19,7 @@ SHARES = st.floats(0, 1, width=32)
 
 
 def candidates(boxes: np.ndarray, classes: np.ndarray, angle: float = 0.0) -> Candidates:
-    """Candidates in order of falling score."""
+    """Return candidates in order of falling score."""
     n = len(boxes)
     return Candidates(
         boxes=boxes.astype(np.float32),
@@ -87,7 +87,7 @@ def test_survivors_of_one_class_never_overlap_more_than_the_limit(
     assert not (np.triu(overlap, 1)[same] > limit).any()
 
 
-def test_turned_boxes_are_compared_as_they_lie() -> None:
+def test_turned_boxes_are_compared_at_their_angles() -> None:
     # side by side along their own direction: the upright boxes would not meet at all
     boxes = np.array([[0, 40, 100, 60], [30, 10, 130, 30]], np.float32)
     upright = candidates(boxes, np.zeros(2))

@@ -1,4 +1,4 @@
-"""How detections are judged."""
+"""Scores of detections."""
 
 import numpy as np
 import pytest
@@ -21,17 +21,17 @@ PERSON = [10.0, 10.0, 20.0, 40.0]
 
 
 def boxes(*rows: list[float]) -> np.ndarray:
-    """Boxes (n, 4)."""
+    """Return boxes (n, 4)."""
     return np.array(rows, np.float32).reshape(-1, 4)
 
 
 def flags(*values: bool) -> np.ndarray:
-    """Booleans (n,)."""
+    """Return booleans (n,)."""
     return np.array(values, np.bool_)
 
 
 def tally(*rows: tuple[float, bool], present: int) -> Tally:
-    """Detections with their confidence and whether they hit."""
+    """Return a tally of detections, each given as confidence and whether it is a hit."""
     scores, hits = zip(*rows, strict=True)
     return Tally(scores=np.array(scores, np.float32), hits=flags(*hits), present=present)
 
@@ -49,7 +49,7 @@ def test_a_box_that_overlaps_too_little_is_no_hit() -> None:
     assert hits.tolist() == [False]
 
 
-def test_what_only_fits_a_hidden_object_does_not_count() -> None:
+def test_a_detection_that_only_fits_a_hidden_object_does_not_count() -> None:
     hits, counts = find_hits(boxes(PERSON), boxes(PERSON), flags(True))
 
     assert hits.tolist() == [False]
@@ -72,7 +72,7 @@ def test_a_ball_may_be_judged_by_its_centre() -> None:
     assert find_hits(boxes(far), ball, flags(False), by_centre=True)[0].tolist() == [False]
 
 
-def test_nothing_to_find_and_nothing_found_are_judged() -> None:
+def test_frames_without_objects_and_without_detections_are_scored() -> None:
     assert find_hits(boxes(), boxes(PERSON), flags(False))[0].shape == (0,)
     assert find_hits(boxes(PERSON), boxes(), flags())[0].tolist() == [False]
 

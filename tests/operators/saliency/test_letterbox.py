@@ -1,4 +1,4 @@
-"""Where pictures of any size end up in a network's input."""
+"""The place of pictures of any size in a network's input."""
 
 import numpy as np
 from hypothesis import given
@@ -29,7 +29,7 @@ def test_pixels_are_scaled_and_the_rest_is_filled() -> None:
     assert np.allclose(box.tensor[0, :, 8, :], 114 / 255)
 
 
-def test_channels_turn_round_for_networks_that_expect_blue_first() -> None:
+def test_channels_are_reversed_for_networks_that_expect_blue_first() -> None:
     box = Letterbox(416, 416, scale=1, bgr=True, corner=True)
     picture = np.zeros((100, 100, 3), np.uint8)
     picture[..., 0] = 200

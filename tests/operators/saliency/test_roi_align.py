@@ -1,4 +1,4 @@
-"""RoIAlign against what can be said of it without it."""
+"""RoIAlign on maps whose result is known."""
 
 import numpy as np
 import pytest

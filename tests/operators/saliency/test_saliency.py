@@ -1,4 +1,4 @@
-"""The operator over tiny networks of known output, and over YOLOX-nano where it is at hand."""
+"""The operator with tiny networks of known output, and with YOLOX-nano if it is available."""
 
 from pathlib import Path
 
@@ -15,25 +15,25 @@ from tests.shared_data import Footage
 
 
 def yolo_output(*rows: tuple[float, ...], anchors: int = 64) -> NDArray[np.float32]:
-    """(1, len(row), anchors) with one column per row given, the others empty."""
+    """Return an output (1, len(row), anchors): one column for each row, the others zero."""
     output = np.zeros((1, len(rows[0]), anchors), np.float32)
     output[0, :, : len(rows)] = np.array(rows, np.float32).T
     return output
 
 
 def context(seq: int = 0) -> Frame:
-    """A quarter-size picture of a full-HD sensor."""
+    """Return a quarter-size picture of a full-HD sensor."""
     return Frame(header=header(seq), pixels=picture(270, 480, seed=1), window=(0, 0, 1920, 1080))
 
 
 def seen(weights: str, frame: Frame | None = None, **settings: object) -> Detections:
-    """What the operator answers to one frame."""
+    """Return the operator's output for one frame."""
     (answer,) = drive(Saliency, [frame or context()], {"weights": weights, **settings})
     assert isinstance(answer, Detections)
     return answer
 
 
-def test_a_box_of_the_input_is_told_in_sensor_pixels(tmp_path: Path) -> None:
+def test_a_box_of_the_input_is_returned_in_sensor_pixels(tmp_path: Path) -> None:
     # 9 rows of padding above the 270 rows of the picture
     output = yolo_output((100, 59, 20, 40, 0.9, 0.1))
     weights = constant_network(tmp_path / "n.onnx", output, names="{0: 'player', 1: 'ball'}")
@@ -46,7 +46,7 @@ def test_a_box_of_the_input_is_told_in_sensor_pixels(tmp_path: Path) -> None:
     assert found.features.shape == (1, 0)
 
 
-def test_a_window_that_does_not_start_at_the_corner_is_added(tmp_path: Path) -> None:
+def test_the_corner_of_the_window_is_added_to_boxes(tmp_path: Path) -> None:
     weights = constant_network(tmp_path / "n.onnx", yolo_output((100, 59, 20, 40, 0.9)))
     frame = Frame(header=header(), pixels=picture(270, 480, seed=1), window=(1000, 500, 1480, 770))
 
@@ -69,7 +69,7 @@ def test_the_weaker_of_two_boxes_in_one_place_is_suppressed(tmp_path: Path) -> N
     assert len(seen(weights, class_agnostic=False).scores) == 2
 
 
-def test_thresholds_come_from_settings_before_the_metadata(tmp_path: Path) -> None:
+def test_thresholds_in_settings_override_those_in_the_metadata(tmp_path: Path) -> None:
     output = yolo_output((100, 99, 20, 40, 0.45, 0), (300, 99, 9, 9, 0, 0.35))
     weights = constant_network(
         tmp_path / "n.onnx",
@@ -103,7 +103,9 @@ def test_features_are_aligned_from_the_stride_8_map(tmp_path: Path) -> None:
     assert seen(weights).features == pytest.approx(np.full((1, 2), 100 / 8 - 0.5))
 
 
-def test_turned_boxes_keep_their_angle_and_their_neighbours(tmp_path: Path) -> None:
+def test_turned_boxes_keep_their_angle_and_do_not_suppress_boxes_across_them(
+    tmp_path: Path,
+) -> None:
     # two long boxes crossing at a right angle share little; a third lies on the first
     output = yolo_output(
         (200, 99, 100, 10, 0.9, 0.0), (200, 99, 100, 10, 0.8, 1.57), (200, 99, 100, 10, 0.7, 0.02)

@@ -1,4 +1,4 @@
-"""The detector that fovea ships, on procedural scenes it never saw."""
+"""The shipped detector on procedural scenes that it was not trained on."""
 
 from collections.abc import Sequence
 
@@ -23,7 +23,7 @@ Answer = tuple[Detections, Annotations]
 
 
 def looked(seed: int, *, threads: int = 1, noise: int = 0) -> list[Answer]:
-    """Detections and truth of a few well-spaced frames, with up to `noise` grey levels added."""
+    """Return detections and truth of widely spaced frames, with up to `noise` grey levels added."""
     scene, rng = SoccerScene(size_px=(1920, 1080), seed=seed), np.random.default_rng(seed)
     frames, truths = [], []
     for index in MOMENTS:
@@ -37,7 +37,7 @@ def looked(seed: int, *, threads: int = 1, noise: int = 0) -> list[Answer]:
 
 
 def recall(answers: Sequence[Answer]) -> float:
-    """Share of the players that are found."""
+    """Return the share of the players that are found."""
     found, present = 0, 0
     for detections, truth in answers:
         players = truth.boxes[[label in ("player", "goalkeeper") for label in truth.labels]]
@@ -65,7 +65,7 @@ def test_threads_and_a_grey_level_of_noise_change_little(threads: int, noise: in
     assert np.mean(found) > LEAST_RECALL
 
 
-def test_features_come_along_for_every_object(answers: list[list[Answer]]) -> None:
+def test_every_detected_object_has_features(answers: list[list[Answer]]) -> None:
     for detections, _ in (answer for each in answers for answer in each):
         assert detections.names == ("player", "referee", "ball")
         assert detections.features.shape == (len(detections.scores), 64)

@@ -1,4 +1,4 @@
-"""The detector's training: its steps are the same on every device, and it goes on elsewhere."""
+"""The detector's training: steps are the same on every device, and a training resumes."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -26,7 +26,7 @@ def settings_in(folder: Path, device: str = "cpu") -> TrainSettings:
 
 
 def batch() -> Batch:
-    """Two pictures of noise with a person, a ball, and one of each that is too hidden to count."""
+    """Return two pictures of noise with people and balls, some too hidden to count."""
     width, height = INPUT_PX
     made = torch.Generator().manual_seed(1)
     boxes = torch.tensor([[40.0, 60, 60, 110], [200, 100, 206, 106], [300, 90, 330, 150], [9] * 4])
@@ -46,10 +46,10 @@ def steps(run: Run, count: int = 1) -> list[float]:
     return [float(part) for parts in found for part in parts.values()]
 
 
-def test_a_step_elsewhere_is_the_step_here_and_mixes_no_devices(
+def test_a_step_on_another_device_gives_the_same_and_mixes_no_devices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # no autocast for a device that is not there
+    # torch has no autocast for the fake device
     monkeypatch.setattr(torch, "autocast", lambda *_: nullcontext())
     wanted = steps(Run(settings_in(tmp_path)), 2)
     monkeypatch.setattr(training, "device_of", lambda _: PLACE)
@@ -62,7 +62,7 @@ def test_a_step_elsewhere_is_the_step_here_and_mixes_no_devices(
     assert found == pytest.approx(wanted, rel=1e-3)
 
 
-def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
+def test_a_stopped_training_resumes_as_if_it_had_not_stopped(tmp_path: Path) -> None:
     whole = Run(settings_in(tmp_path))
     steps(whole)
     whole.save()
@@ -75,7 +75,7 @@ def test_training_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
+def test_a_training_on_a_gpu_resumes_without_one(tmp_path: Path) -> None:
     there = Run(settings_in(tmp_path, "cuda"))
     steps(there)
     there.save()
@@ -87,7 +87,7 @@ def test_what_was_trained_on_a_gpu_goes_on_without_one(tmp_path: Path) -> None:
     assert steps(here) == pytest.approx(steps(there), rel=0.1)  # bfloat16
 
 
-def test_the_command_line_trains_what_the_settings_say() -> None:
+def test_options_of_the_command_line_become_settings() -> None:
     settings, target = asked(["--data", "a", "b", "--out", "c"])
 
     assert settings == TrainSettings(data=(Path("a"), Path("b")), out=Path("c"))
@@ -105,7 +105,7 @@ def test_another_training_in_the_same_folder_is_refused(tmp_path: Path, step: in
 
 
 def footage(folder: Path, light: int) -> Path:
-    """A folder with one grey picture and nobody in it."""
+    """Make a folder with one grey picture and nobody in it."""
     folder.mkdir()
     np.save(folder / "1.npy", np.full((1, 270, 480, 3), light, np.uint8))
     nobody = {"boxes": np.zeros((0, 4), np.float32), "labels": np.zeros(0, np.int64)}
@@ -125,21 +125,21 @@ def test_a_training_on_other_footage_is_refused(tmp_path: Path) -> None:
             Run(replace(settings, data=other)).resume()
 
 
-def test_of_what_lies_beside_the_drawn_scenes_nothing_is_learned(tmp_path: Path) -> None:
+def test_files_beside_those_of_the_drawn_scenes_are_ignored(tmp_path: Path) -> None:
     settings = replace(settings_in(tmp_path), scenes=2)
     (tmp_path / "10399.npz").touch()
 
     assert [path.name for path in drawn(settings)] == ["10000.npz", "10001.npz"]
 
 
-def test_a_training_that_its_minutes_ended_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_training_that_has_reached_its_time_limit_does_not_continue(tmp_path: Path) -> None:
     data = (footage(tmp_path / "data", 90),)
     settings = replace(settings_in(tmp_path), data=data, scenes=0, batch=1, minutes=1e-6)
 
     assert [train(settings).step for _ in range(2)] == [1, 1]
 
 
-def test_weights_are_exported_whatever_they_were_trained_with(tmp_path: Path) -> None:
+def test_weights_of_any_training_are_exported(tmp_path: Path) -> None:
     Run(settings_in(tmp_path)).save()
 
     main(["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path)])
@@ -147,7 +147,7 @@ def test_weights_are_exported_whatever_they_were_trained_with(tmp_path: Path) ->
     assert (tmp_path / "detector.onnx").is_file()
 
 
-def test_where_nothing_was_trained_nothing_is_exported(
+def test_without_a_checkpoint_exporting_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["--data", str(tmp_path), "--out", str(tmp_path), "--export", str(tmp_path)]
@@ -159,7 +159,7 @@ def test_where_nothing_was_trained_nothing_is_exported(
 
 
 @pytest.mark.parametrize("lost", ["5.npz", "5.npy"])
-def test_pictures_that_are_damaged_are_refused(tmp_path: Path, lost: str) -> None:
+def test_damaged_pictures_are_refused(tmp_path: Path, lost: str) -> None:
     np.save(tmp_path / "5.npy", np.zeros((1, 270, 480, 3), np.uint8))
     np.savez(tmp_path / "5.npz", first=np.zeros(2, int))
     (tmp_path / lost).write_bytes(b"")
@@ -168,11 +168,11 @@ def test_pictures_that_are_damaged_are_refused(tmp_path: Path, lost: str) -> Non
         Rendered(rendered_in(tmp_path), seed=1)
 
 
-def test_without_pictures_nothing_is_trained(tmp_path: Path) -> None:
+def test_a_folder_without_pictures_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DriverError, match="data: expected rendered scenes, got none"):
         Rendered(rendered_in(tmp_path), seed=1)
 
 
-def test_a_device_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_device_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match=r"device: expected auto, cpu, .* got gpu"):
         settings_in(tmp_path, "gpu")

@@ -56,7 +56,7 @@ class World:
         hidden: bool = False,
         at: NDArray[np.float32] | None = None,
     ) -> dict[str, Frame]:
-        """Context at a quarter and a ROI around the object or `at`, or one without a ROI."""
+        """Return context at a quarter and ROI, around the object or `at`; empty without `roi`."""
         whole = self.picture(seq, hidden=hidden)
         small = cv2.resize(whole, (480, 270), interpolation=cv2.INTER_AREA)
         told = header(seq)
@@ -71,7 +71,7 @@ class World:
     def scanpath(
         self, seq: int, *, object_id: int, box: NDArray[np.float32] | None = None
     ) -> dict[str, Scanpath]:
-        """A plan for the four frames after `seq`: to the object, or to `box` all the time."""
+        """Return a plan for the four frames after `seq`: the object's boxes, or always `box`."""
         choice = np.full(4, object_id, np.int32)
         ids = np.array([max(object_id, 0)], np.int32)
         boxes = [self.box(seq + 1 + k) if box is None else box for k in range(4)]

@@ -1,4 +1,4 @@
-"""The tracker without weights: its arithmetic."""
+"""The arithmetic of the tracker without weights."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_a_picture_without_structure_is_not_the_object():
     assert np.isfinite(found).all()
 
 
-def test_a_template_taken_beside_the_object_is_aligned_with_where_it_is_foreseen():
+def test_a_template_taken_beside_the_object_is_aligned_with_its_predicted_box():
     world = World(seed=3)
     streams, true = Streams(**world.frames(0)), world.box(0)
     box = true + np.float32(10)

@@ -1,4 +1,4 @@
-"""When a consumer lets go of an object: what the policy shows against what the method finds."""
+"""When a tracker drops its object: the boxes of the policy against those of the method."""
 
 from collections.abc import Callable
 
@@ -19,7 +19,8 @@ WORLD = World(seed=11)
 OTHER = WORLD.other_box()
 SWITCH, DRIFT, HIDDEN = 3, 6, 4
 RULES = {"switch_after": SWITCH, "drift_after": DRIFT, "hidden_after": HIDDEN}
-Show = tuple[int, NDArray[np.float32] | None] | None  # id and box (None: the object's), or silence
+# id and box (None: the object's) of a scanpath; None: no scanpath
+Show = tuple[int, NDArray[np.float32] | None] | None
 
 
 def play(
@@ -29,7 +30,7 @@ def play(
     looks: Callable[[int], NDArray[np.float32] | None] = lambda k: None,
     hidden: Callable[[int], bool] = lambda k: False,
 ) -> list[Percept]:
-    """Frames with the scanpath made before each; the ROI is on the object unless `looks` says."""
+    """Play frames, a scanpath before each; the ROI is on the object unless `looks` has a place."""
     messages: list[dict[str, object]] = []
     for k in range(frames):
         if (shown := shows(k)) is not None:
@@ -76,7 +77,7 @@ def test_another_id_for_the_same_object_is_taken_over_without_starting_again() -
     assert sum(p.scores[0] == 1 for p in percepts) == 1
 
 
-def test_drifted_beside_the_object_it_is_brought_back() -> None:
+def test_a_tracker_that_drifted_beside_the_object_is_brought_back() -> None:
     percepts = play(lambda k: (3, OTHER) if k == 0 else (3, None), 14, looks=lambda k: (
         centres(OTHER) if k == 0 else None
     ))  # fmt: skip
@@ -97,7 +98,7 @@ def test_an_object_out_of_sight_is_lost_and_not_guessed_and_found_again_when_it_
     assert all(on_object(p) for p in percepts[16:])
 
 
-def test_what_the_roi_does_not_show_while_the_policy_looks_at_a_place_is_lost() -> None:
+def test_an_object_outside_the_roi_is_lost_while_the_policy_shows_a_place() -> None:
     percepts = play(
         lambda k: (3, None) if k < 6 else (-1, np.array([1480, 880, 1520, 920], np.float32)),
         16,
@@ -108,26 +109,26 @@ def test_what_the_roi_does_not_show_while_the_policy_looks_at_a_place_is_lost() 
     assert all(len(p.boxes) == 0 for p in percepts[6 + HIDDEN - 1 :])
 
 
-def test_what_the_roi_still_shows_is_followed_while_the_policy_looks_at_a_place() -> None:
+def test_an_object_inside_the_roi_is_followed_while_the_policy_shows_a_place() -> None:
     percepts = play(lambda k: (3, None) if k < 6 else (-1, WORLD.box(k)), 30)
 
     assert all(on_object(p) for p in percepts)
 
 
-def test_while_the_scanpath_is_silent_the_object_is_followed() -> None:
+def test_without_new_scanpaths_the_object_is_followed() -> None:
     percepts = play(lambda k: (3, None) if k < 3 else None, 40)
 
     assert all(on_object(p) for p in percepts)
 
 
-def test_nothing_is_started_before_the_roi_shows_it() -> None:
+def test_an_object_is_not_followed_before_the_roi_shows_it() -> None:
     percepts = play(lambda k: (3, None), 10, looks=lambda k: AWAY if k < 5 else None)
 
     assert [len(p.boxes) for p in percepts] == [0] * 5 + [1] * 5
 
 
 @pytest.mark.parametrize("choice", [-1, 3])
-def test_a_place_and_a_scanpath_that_has_run_out_start_nothing(choice: int) -> None:
+def test_a_place_and_a_scanpath_that_has_ended_start_no_following(choice: int) -> None:
     messages = [WORLD.scanpath(0, object_id=choice), WORLD.frames(1 if choice < 0 else 5)]
 
     percepts = drive(CorrelationTracker, messages)
@@ -135,7 +136,7 @@ def test_a_place_and_a_scanpath_that_has_run_out_start_nothing(choice: int) -> N
     assert len(percepts[-1].boxes) == 0
 
 
-def test_a_successor_goes_on_counting_where_the_predecessor_stopped() -> None:
+def test_a_successor_continues_the_counts_of_its_predecessor() -> None:
     old, successor = (CorrelationTracker(CorrelationSettings(**RULES)) for _ in range(2))
     for subject in (old, successor):
         subject.open()
@@ -162,7 +163,7 @@ def test_a_successor_goes_on_counting_where_the_predecessor_stopped() -> None:
         max_size=4,
     )
 )
-def test_whatever_a_scanpath_holds_the_answer_is_one_box_or_none(
+def test_for_any_scanpath_the_answer_is_one_box_or_none(
     rows: list[tuple[int, list[float]]],
 ) -> None:
     subject = CorrelationTracker(CorrelationSettings(drift_after=1, switch_after=1))

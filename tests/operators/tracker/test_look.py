@@ -1,4 +1,4 @@
-"""Looking at a square of the sensor through both streams."""
+"""Looks at a square of the sensor through both streams."""
 
 import cv2
 import numpy as np
@@ -17,13 +17,13 @@ NO_CONTEXT = Frame(header=header(), pixels=np.zeros((0, 0, 3), np.uint8))
 
 
 def ramp() -> np.ndarray:
-    """A field whose red is x / 8 and whose green is y / 8."""
+    """Return a field whose red is x / 8 and whose green is y / 8."""
     y, x = np.mgrid[0:1080, 0:1920]
     return np.stack([x / 8, y / 8, 0 * x], -1).astype(np.uint8)
 
 
 def centre_of(picture: np.ndarray) -> list[float]:
-    """Sensor x and y that the middle of a look at `ramp` shows."""
+    """Return the sensor x and y in the middle of a look at `ramp`."""
     half = len(picture) // 2
     return (picture[half - 1 : half + 1, half - 1 : half + 1, :2].mean((0, 1)) * 8).tolist()
 
@@ -63,7 +63,7 @@ def test_a_look_inside_the_roi_is_what_resizing_the_cut_gives():
     assert np.abs(seen[inner].astype(int) - expected[inner]).max() <= 2
 
 
-def test_the_roi_is_used_as_far_as_it_goes_and_the_context_beyond():
+def test_the_roi_is_used_where_it_is_and_the_context_elsewhere():
     context = Frame(header=header(), pixels=np.full((270, 480, 3), 50, np.uint8), window=FIELD)
     roi = Frame(
         header=header(), pixels=np.full((270, 480, 3), 200, np.uint8), window=(0, 0, 480, 270)
@@ -98,7 +98,7 @@ def test_a_mosaic_is_seen_in_colour(depth):
     assert green == blue == 0
 
 
-def test_a_format_nobody_knows_is_refused():
+def test_an_unknown_pixel_format_is_refused():
     frame = Frame(
         header=header(), pixels=np.zeros((9, 9), np.uint8), window=FIELD, pixel_format="yuv"
     )

@@ -1,4 +1,4 @@
-"""The network tracker of the paper, by networks whose answers are known."""
+"""The network tracker of the paper, with networks whose outputs are known."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ VOTES = np.array([[0.5, 0.5, 0.2, 0.2], [0.6, 0.5, 0.2, 0.4]], np.float32)  # cx
 
 
 def network(path: Path, *, names: tuple[str, ...] = mixformer.INPUTS, side: int = 32) -> Path:
-    """Answers `VOTES`, and as its score the mean of the second template."""
+    """Write a network that returns `VOTES`, and the mean of the second template as score."""
     inputs = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, (1, 3, px, px))
         for name, px in zip(names, (side, side, 2 * side), strict=True)
@@ -41,7 +41,7 @@ def network(path: Path, *, names: tuple[str, ...] = mixformer.INPUTS, side: int 
         helper.make_node("ReduceMean", [name], [mean], keepdims=0)
         for name, mean in zip(names, means, strict=True)
     ]
-    nodes += [  # every input must count for something, or the run-time takes it away
+    nodes += [  # every input must be used, or ONNX Runtime removes it
         helper.make_node("Sum", means, ["sum"]),
         helper.make_node("Mul", ["sum", "zero"], ["nothing"]),
         helper.make_node("Add", ["nothing", "votes"], ["pred_boxes"]),
@@ -61,7 +61,7 @@ def grey(level: int) -> Streams:
     return Streams(context=frame, roi=frame)
 
 
-def test_the_mean_of_its_boxes_is_told_in_sensor_pixels(tmp_path: Path) -> None:
+def test_the_mean_of_the_boxes_is_returned_in_sensor_pixels(tmp_path: Path) -> None:
     subject = MixFormer(network(tmp_path / "m.onnx"))
     box = np.array([380, 280, 420, 320], np.float32)
     subject.start(grey(128), box)
@@ -74,7 +74,9 @@ def test_the_mean_of_its_boxes_is_told_in_sensor_pixels(tmp_path: Path) -> None:
     assert 0 < score < 1
 
 
-def test_the_surest_look_becomes_the_second_template_in_time(tmp_path: Path) -> None:
+def test_the_look_with_the_best_score_becomes_the_second_template_after_some_frames(
+    tmp_path: Path,
+) -> None:
     subject = MixFormer(network(tmp_path / "m.onnx"), renew_every=3)
     box = np.array([380, 280, 420, 320], np.float32)
     subject.start(grey(150), box)
@@ -86,7 +88,9 @@ def test_the_surest_look_becomes_the_second_template_in_time(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("frames", [0, 2])
-def test_a_successor_goes_on_with_both_templates_and_their_age(tmp_path: Path, frames: int) -> None:
+def test_a_successor_continues_with_both_templates_and_their_age(
+    tmp_path: Path, frames: int
+) -> None:
     weights, box = network(tmp_path / "m.onnx"), np.array([380, 280, 420, 320], np.float32)
     first, second = (MixFormer(weights, renew_every=3) for _ in range(2))
     first.start(grey(150), box)
@@ -126,14 +130,16 @@ def test_networks_of_another_kind_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("weights", ["", "nowhere.onnx"])
-def test_missing_weights_are_told_when_the_graph_is_checked_and_when_it_opens(weights: str) -> None:
+def test_missing_weights_are_refused_when_the_graph_is_checked_and_when_it_opens(
+    weights: str,
+) -> None:
     with pytest.raises(WeightsError, match="expected MixFormerV2 as an ONNX file, got n"):
         drive(MixFormerTracker, [], {"weights": weights})
     with pytest.raises(WeightsError, match="expected MixFormerV2 as an ONNX file, got n"):
         MixFormerTracker.advise(MixFormerTrackerSettings(weights=weights), {})
 
 
-def test_the_settings_of_one_tracker_are_not_those_of_another() -> None:
+def test_the_settings_of_one_tracker_are_refused_by_another() -> None:
     with pytest.raises(SettingsError, match=r"tracker\.weights: required"):
         build(MixFormerTrackerSettings, {}, "tracker")
     with pytest.raises(SettingsError, match=r"tracker\.renew_every: no such setting"):

@@ -1,4 +1,4 @@
-"""Context, ROI, Scanpath -> Percept: starting, following, losing and handing over."""
+"""Context, ROI, Scanpath -> Percept: starting, following, losing an object, and handover."""
 
 from dataclasses import replace
 from typing import Any
@@ -58,7 +58,7 @@ def test_without_anything_to_follow_the_answer_is_empty():
     assert len(percept.ids) == len(percept.scores) == 0
 
 
-def test_following_starts_where_the_scanpath_foresees_its_object():
+def test_following_starts_where_the_scanpath_predicts_its_object():
     messages = [WORLD.frames(0), WORLD.scanpath(0, object_id=6), WORLD.frames(1), WORLD.frames(2)]
 
     percepts = [p for p in drive(CorrelationTracker, messages) if p]
@@ -68,7 +68,7 @@ def test_following_starts_where_the_scanpath_foresees_its_object():
     assert overlap(percepts[2]) > 0.8
 
 
-def test_a_box_that_was_told_is_kept_until_it_is_lost_and_then_the_policys_object_is_followed():
+def test_the_box_of_the_settings_is_followed_until_lost_and_then_the_object_of_the_policy():
     messages: list[Any] = [WORLD.frames(k) for k in range(5)]
     messages += [WORLD.frames(k, hidden=True) for k in range(5, 8)]
     messages += [WORLD.scanpath(7, object_id=9), WORLD.frames(8, hidden=True), WORLD.frames(9)]
@@ -81,7 +81,7 @@ def test_a_box_that_was_told_is_kept_until_it_is_lost_and_then_the_policys_objec
     assert percepts[7].scores[0] < 0.8
 
 
-def test_a_successor_with_the_state_goes_on_as_the_predecessor_would():
+def test_a_successor_with_the_state_continues_as_its_predecessor_would():
     old, successor = opened(**START), opened(**START)
     for k in range(10):
         old.on_context_roi(**WORLD.frames(k))
@@ -94,7 +94,7 @@ def test_a_successor_with_the_state_goes_on_as_the_predecessor_would():
         np.testing.assert_array_equal(ours.boxes, theirs.boxes)
 
 
-def test_a_successor_by_another_method_learns_the_object_where_the_state_says_it_is():
+def test_a_successor_with_another_method_starts_on_the_box_of_the_state():
     old, successor = opened(**START), opened()
     for k in range(10):
         old.on_context_roi(**WORLD.frames(k))
@@ -115,7 +115,7 @@ def test_a_new_stream_starts_again_on_the_box_that_was_set():
     assert percept.boxes.tolist() == [list(START["init_box"])]
 
 
-def test_told_to_follow_a_box_it_does_so_whatever_the_policy_shows():
+def test_a_box_of_the_command_follow_has_priority_over_the_policy():
     subject, percepts = opened(), []
     for k in range(30):
         subject.on_scanpath(**WORLD.scanpath(k - 1, object_id=3, box=WORLD.other_box()))
@@ -128,7 +128,7 @@ def test_told_to_follow_a_box_it_does_so_whatever_the_policy_shows():
     assert percepts[-1].ids.tolist() == [-1]
 
 
-def test_reset_lets_go_and_starts_again_on_what_the_policy_shows():
+def test_reset_drops_the_object_and_starts_again_on_that_of_the_policy():
     subject = opened(**START)
     subject.on_context_roi(**WORLD.frames(0))
     subject.on_scanpath(**WORLD.scanpath(0, object_id=3, box=WORLD.other_box()))
@@ -142,7 +142,7 @@ def test_reset_lets_go_and_starts_again_on_what_the_policy_shows():
 
 
 @pytest.mark.parametrize("box", [[5, 5, 5, 9], [5, 5, 1, 9], [0, 0, 0, 0], [0, 0, 9, 1e30]])
-def test_what_is_no_box_is_refused_and_changes_nothing(box):
+def test_an_invalid_box_is_refused_and_changes_nothing(box):
     subject = opened(**START)
     subject.on_context_roi(**WORLD.frames(0))
 
@@ -152,7 +152,7 @@ def test_what_is_no_box_is_refused_and_changes_nothing(box):
     assert overlap(subject.on_context_roi(**WORLD.frames(1))) > 0.8
 
 
-def test_a_start_that_is_no_box_is_refused():
+def test_an_invalid_initial_box_is_refused():
     with pytest.raises(SettingsError, match="init_box: expected left, top, right, bottom"):
         CorrelationSettings(init_box=(5.0, 5.0, 5.0, 9.0))
 
@@ -173,7 +173,7 @@ def test_thresholds_change_while_it_runs():
     assert len(percept.boxes) == 0
 
 
-def test_lost_is_told_in_the_status_line_and_counted_in_the_report():
+def test_a_lost_object_is_shown_in_the_status_line_and_counted_in_the_report():
     subject = opened(**START)
     before = subject.headline()
     for k in range(10):
@@ -187,7 +187,7 @@ def test_lost_is_told_in_the_status_line_and_counted_in_the_report():
     assert figures["let_go"]["missed"] == 1
 
 
-def test_same_frames_same_boxes():
+def test_the_same_frames_give_the_same_boxes():
     frames = [WORLD.frames(k) for k in range(6)]
 
     first, second = (drive(CorrelationTracker, frames, START) for _ in range(2))

@@ -1,4 +1,4 @@
-"""The network tracker against OpenCV's, with the same weights on the same footage."""
+"""The network tracker agrees with OpenCV's, with the same weights on the same footage."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from tests.shared_data import Footage
 NOTHING = Frame(header=header(), pixels=np.zeros((0, 0, 3), np.uint8))
 
 
-def test_the_best_cell_and_its_maps_make_the_box():
+def test_the_box_is_decoded_from_the_maps_at_the_best_cell():
     confidence = np.zeros((1, 1, 16, 16), np.float32)
     confidence[0, 0, 4, 8] = 0.9
     sides = np.full((1, 2, 16, 16), 0.25, np.float32)
@@ -31,10 +31,11 @@ def test_the_best_cell_and_its_maps_make_the_box():
 
 
 def opencv(weights: str) -> cv2.TrackerVit:
-    """OpenCV's tracker, given deviations for which its scale comes out as 1 / deviation.
+    """Return OpenCV's tracker with deviations that make its scale 1 / deviation.
 
-    It computes 1.0 / Scalar, which in OpenCV is the inverse of a quaternion: of the usual values
-    it makes other numbers, two of them negative. The inverse of the inverse is the right one.
+    It computes 1.0 / Scalar, which in OpenCV is the inverse of a quaternion and not of each value:
+    the usual deviations give other scales, two of them negative. The deviations set here are the
+    quaternion whose inverse is the wanted scale.
     """
     scale = 1 / np.array([0.229, 0.224, 0.225])
     parameters = cv2.TrackerVit_Params()
@@ -89,7 +90,7 @@ def test_a_file_that_is_not_there_is_named_with_the_command_that_gets_one(bare_h
 
 
 @pytest.mark.footage
-def test_a_successor_goes_on_with_the_template_it_is_given(footage: Footage):
+def test_a_successor_continues_with_the_template_of_its_predecessor(footage: Footage):
     weights = footage.weights("vittrack")
     world = World(seed=11)
     first, second = (VitTrack(weights, threads=1) for _ in range(2))

@@ -1,7 +1,7 @@
 """A fake device: tensors that claim another device and are computed on the CPU.
 
-What a GPU would refuse, an operation on tensors of both places, is refused without one. The device
-must be one that torch knows and nobody is on: `meta`, whose tensors otherwise hold no numbers.
+An operation on tensors of both devices raises, as it would with a GPU. The device must be one that
+torch knows and that is otherwise unused: `meta`, whose tensors otherwise hold no numbers.
 """
 
 # mypy: disallow-subclassing-any=False
@@ -18,7 +18,7 @@ MOVES = {torch.ops.aten._to_copy.default, torch.ops.aten.copy_.default}
 
 
 class Elsewhere(Tensor):
-    """A tensor that is there; `held` is what it holds."""
+    """A tensor on the fake device; `held` has its values on the CPU."""
 
     @staticmethod
     def __new__(cls, held: Tensor) -> "Elsewhere":
@@ -35,7 +35,7 @@ class Elsewhere(Tensor):
         self.held = held
 
     def tolist(self) -> Any:
-        """Torch's own knows no tensors of other classes."""
+        """Return the values; torch's own method does not support subclasses."""
         return self.held.tolist()
 
     @classmethod
@@ -50,7 +50,7 @@ class Elsewhere(Tensor):
 
 
 class pretended(TorchDispatchMode):  # noqa: N801 - used as a context
-    """While it lasts, what is made on or moved to `PLACE` holds numbers."""
+    """A context in which tensors made on or moved to `PLACE` hold numbers."""
 
     def __torch_dispatch__(
         self,
@@ -63,10 +63,10 @@ class pretended(TorchDispatchMode):  # noqa: N801 - used as a context
 
 
 def computed(operation: Any, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
-    """Do it here with what is held; raises where tensors of both places meet."""
+    """Run an operation on the held values; raises `RuntimeError` for tensors of both devices."""
     tensors = [each for each in tree_leaves((args, dict(kwargs))) if isinstance(each, Tensor)]
     there = {id(each.held): each for each in tensors if isinstance(each, Elsewhere)}
-    # a single number from here may be used anywhere, as with CUDA
+    # a single number on the CPU may be used with any device, as with CUDA
     here = [each for each in tensors if not isinstance(each, Elsewhere) and each.ndim]
     if there and here and operation not in MOVES:
         raise RuntimeError(f"{operation}: some tensors are here, others elsewhere")

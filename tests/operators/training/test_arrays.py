@@ -1,4 +1,4 @@
-"""Files of arrays: what was made with something else, or is damaged, is made anew."""
+"""Files of arrays: those made with other settings, or damaged, are made anew."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def kept(folder: Path, **made: str) -> Path:
     return path
 
 
-def test_what_is_kept_is_read_back_and_nothing_else_lies_there(tmp_path: Path) -> None:
+def test_a_written_file_is_read_back_and_is_the_only_one(tmp_path: Path) -> None:
     path = kept(tmp_path)
 
     assert outdated([path], MADE, pytest.fail) == []
@@ -25,7 +25,7 @@ def test_what_is_kept_is_read_back_and_nothing_else_lies_there(tmp_path: Path) -
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_was_made_with_something_else_is_named(tmp_path: Path) -> None:
+def test_the_settings_that_differ_are_named(tmp_path: Path) -> None:
     path, said = kept(tmp_path, frames="2", more="1"), list[str]()
 
     assert outdated([path, tmp_path / "8.npz"], MADE, said.append) == [path, tmp_path / "8.npz"]
@@ -48,7 +48,7 @@ def damaged(path: Path, how: str) -> None:
 
 
 @pytest.mark.parametrize("how", ["empty", "cut", "bent", "text", "one array"])
-def test_what_is_damaged_is_made_anew_or_refused(tmp_path: Path, how: str) -> None:
+def test_a_damaged_file_is_made_anew_or_refused(tmp_path: Path, how: str) -> None:
     path, said = kept(tmp_path), list[str]()
     damaged(path, how)
 
@@ -58,7 +58,7 @@ def test_what_is_damaged_is_made_anew_or_refused(tmp_path: Path, how: str) -> No
         read(path)
 
 
-def test_arrays_of_another_hand_are_made_anew(tmp_path: Path) -> None:
+def test_a_file_of_an_earlier_version_is_made_anew(tmp_path: Path) -> None:
     path, said = tmp_path / "7.npz", list[str]()
     np.savez(path, other=np.zeros(3))
 

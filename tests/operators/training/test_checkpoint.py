@@ -17,7 +17,7 @@ TOLD = {"seed": "1", "rate": "0.001"}
 
 
 def progress(folder: Path, told: Mapping[str, str] = TOLD, sides: int = 2) -> Progress:
-    """A network after one step, and its optimiser."""
+    """Return the progress of a network and its optimiser after one step."""
     net = nn.Linear(sides, 1)
     optimiser = torch.optim.AdamW(net.parameters())
     net(torch.ones(1, sides)).sum().backward()
@@ -25,7 +25,7 @@ def progress(folder: Path, told: Mapping[str, str] = TOLD, sides: int = 2) -> Pr
     return Progress(folder, {"net": net, "optimiser": optimiser}, told)
 
 
-def test_a_training_gets_back_what_it_saved(tmp_path: Path) -> None:
+def test_a_training_restores_what_it_saved(tmp_path: Path) -> None:
     first, second = progress(tmp_path), progress(tmp_path)
     first.step, first.elapsed_s = 7, 1.5
 
@@ -37,7 +37,7 @@ def test_a_training_gets_back_what_it_saved(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.pt"]
 
 
-def test_where_nothing_was_saved_it_begins(tmp_path: Path) -> None:
+def test_without_a_checkpoint_a_training_starts_at_step_0(tmp_path: Path) -> None:
     first = progress(tmp_path)
 
     first.resume()
@@ -71,7 +71,7 @@ def test_another_training_is_refused_by_name(tmp_path: Path) -> None:
     )
 
 
-def test_one_that_does_not_tell_its_settings_is_refused(tmp_path: Path) -> None:
+def test_a_checkpoint_without_settings_is_refused(tmp_path: Path) -> None:
     torch.save({"net": {}, "step": 3}, tmp_path / "checkpoint.pt")
 
     with pytest.raises(WeightsError, match=r"checkpoint\.pt: .* earlier version; use "):
@@ -86,7 +86,7 @@ def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("state", [{}, {"net": 3}, {"net": {"weight": 3, "bias": 4}}])
-def test_parts_that_are_not_there_are_refused(tmp_path: Path, state: dict[str, object]) -> None:
+def test_missing_parts_are_refused(tmp_path: Path, state: dict[str, object]) -> None:
     told = {"step": 1, "elapsed_s": 0.0, "settings": TOLD}
     torch.save(state | told, tmp_path / "checkpoint.pt")
 
@@ -95,7 +95,7 @@ def test_parts_that_are_not_there_are_refused(tmp_path: Path, state: dict[str, o
 
 
 @pytest.mark.parametrize(("left", "got"), [(900, "PytorchStreamReader"), (0, "nothing|Ran out")])
-def test_what_is_no_checkpoint_is_refused(tmp_path: Path, left: int, got: str) -> None:
+def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path, left: int, got: str) -> None:
     progress(tmp_path).save()
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(path.read_bytes()[:left])

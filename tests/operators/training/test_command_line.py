@@ -1,4 +1,4 @@
-"""What goes wrong is said in one sentence, and a signal ends a command and its jobs at once."""
+"""Errors are printed in one sentence, and a signal ends a command and its jobs at once."""
 
 import argparse
 import os
@@ -26,7 +26,7 @@ def job():
     time.sleep(1000)
 
 if __name__ == "__main__":
-    # as at a terminal: whoever starts the tests in the background has it ignored
+    # as at a terminal; a process that is started in the background ignores it
     signal.signal(signal.SIGINT, signal.default_int_handler)
     with in_a_sentence(GOES_ON), pool_of(1) as pool:
         pool.submit(job).result()
@@ -42,7 +42,7 @@ if __name__ == "__main__":
         (OSError(28, "No space left on device"), "[Errno 28] No space left on device"),
     ],
 )
-def test_what_may_go_wrong_is_said_in_a_sentence(
+def test_expected_errors_are_printed_in_a_sentence(
     error: Exception, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as refused, in_a_sentence():
@@ -52,12 +52,12 @@ def test_what_may_go_wrong_is_said_in_a_sentence(
     assert capsys.readouterr().err == f"fovea: {said}\n"
 
 
-def test_what_nobody_expects_keeps_its_trace() -> None:
+def test_unexpected_errors_keep_their_traceback() -> None:
     with pytest.raises(ZeroDivisionError), in_a_sentence():
         raise ZeroDivisionError
 
 
-def test_afterwards_signals_are_what_they_were() -> None:
+def test_signal_handlers_are_restored_afterwards() -> None:
     before = signal.getsignal(signal.SIGTERM)
 
     with in_a_sentence():
@@ -97,7 +97,7 @@ def test_a_count_begins_at_one() -> None:
 
 
 def main_of(module: str) -> Callable[[list[str]], None]:
-    """The command line of a module, where what it needs is there."""
+    """Return the command line of a module; skip the test if its packages are missing."""
     for needed in ("torch", "onnx"):
         pytest.importorskip(needed, reason="needs the train extra")
     main: Callable[[list[str]], None] = import_module(module).main
@@ -107,7 +107,7 @@ def main_of(module: str) -> Callable[[list[str]], None]:
 def refused(
     main: Callable[[list[str]], None], words: Sequence[object], capsys: pytest.CaptureFixture[str]
 ) -> str:
-    """What a command line says before it ends with 2."""
+    """Run a command line that must end with 2; return the last line of its errors."""
     with pytest.raises(SystemExit) as ended:
         main([str(word) for word in words])
     assert ended.value.code == 2
@@ -115,7 +115,7 @@ def refused(
 
 
 @pytest.mark.parametrize("room", ["saliency", "roi_features"])
-def test_a_training_of_nothing_is_refused(
+def test_wrong_options_of_a_training_are_refused(
     room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main = main_of(f"operators.{room}.train")
@@ -137,7 +137,7 @@ def test_a_training_of_nothing_is_refused(
 
 
 @pytest.mark.parametrize("room", ["saliency", "roi_features"])
-def test_an_evaluation_of_nothing_is_refused(
+def test_wrong_options_of_an_evaluation_are_refused(
     room: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main = main_of(f"operators.{room}.evaluate")

@@ -1,4 +1,4 @@
-"""A device is named or refused in a sentence; tensors get there, or stay."""
+"""Devices: names that are accepted or refused in a sentence, and tensors that are moved."""
 
 import pytest
 
@@ -33,14 +33,14 @@ def test_auto_is_a_gpu_where_there_is_one() -> None:
     assert device_of("auto").type == ("cuda" if torch.cuda.is_available() else "cpu")
 
 
-def test_nothing_is_copied_on_the_processor() -> None:
+def test_nothing_is_copied_on_the_cpu() -> None:
     values = torch.arange(3)
 
     assert moved(values, CPU) is values
     assert not has_room(CPU, 1)
 
 
-def test_devices_that_meet_are_caught_without_a_gpu() -> None:
+def test_an_operation_on_both_devices_is_an_error_without_a_gpu() -> None:
     with pretended():
         there = torch.ones(3).to(PLACE) + torch.ones(3, device=PLACE)
 
@@ -51,7 +51,7 @@ def test_devices_that_meet_are_caught_without_a_gpu() -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_a_gpu_holds_what_it_has_room_for() -> None:
+def test_tensors_that_fit_are_moved_to_a_gpu() -> None:
     device = device_of("cuda")
 
     there = moved(torch.arange(3), device)

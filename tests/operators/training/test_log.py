@@ -8,7 +8,7 @@ from operators.training.log import note, shorten
 from operators.training.schedule import warmed_cosine
 
 
-def test_what_came_after_the_checkpoint_is_forgotten(tmp_path: Path) -> None:
+def test_lines_after_the_checkpoint_are_removed(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     for step in (20, 40, 60):
         note(log, step, step / 10, {"loss": 0.5, "utility": 1 / 3})
@@ -21,7 +21,7 @@ def test_what_came_after_the_checkpoint_is_forgotten(tmp_path: Path) -> None:
 
 def test_a_training_that_begins_anew_begins_its_log_anew(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
-    log.write_text("step,elap")  # torn
+    log.write_text("step,elap")  # incomplete
 
     shorten(log, 0)
     note(log, 20, 2.0, {"loss": 0.5})
@@ -29,7 +29,7 @@ def test_a_training_that_begins_anew_begins_its_log_anew(tmp_path: Path) -> None
     assert log.read_text() == "step,elapsed_s,loss\n20,2,0.5000\n"
 
 
-def test_a_line_that_was_torn_is_forgotten(tmp_path: Path) -> None:
+def test_an_incomplete_line_is_removed(tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     log.write_text("step,elapsed_s,loss\n20,2,0.5000\n\x00\x00")
 
@@ -38,7 +38,7 @@ def test_a_line_that_was_torn_is_forgotten(tmp_path: Path) -> None:
     assert log.read_text() == "step,elapsed_s,loss\n20,2,0.5000\n"
 
 
-def test_without_a_log_there_is_nothing_to_forget(tmp_path: Path) -> None:
+def test_a_missing_log_is_not_created(tmp_path: Path) -> None:
     shorten(tmp_path / "log.csv", 40)
 
     assert not (tmp_path / "log.csv").exists()

@@ -1,4 +1,4 @@
-"""A training says which of its phases it is in, with a bar in a terminal and a line in a pipe."""
+"""A training shows its current phase: a bar in a terminal, a line in a pipe."""
 
 import subprocess
 import sys
@@ -10,7 +10,7 @@ from operators.training.progress import Phases, bar, each_of, tracked
 PHASES = Phases("record clips", "train", "score")
 
 
-def test_a_phase_is_announced_by_its_place() -> None:
+def test_a_phase_is_announced_with_its_number() -> None:
     assert [PHASES[name] for name in PHASES.names] == [
         "phase 1 of 3: record clips", "phase 2 of 3: train", "phase 3 of 3: score",
     ]  # fmt: skip
@@ -30,7 +30,7 @@ def test_in_a_pipe_each_phase_is_a_line_on_standard_error(
     assert err.splitlines() == ["phase 1 of 3: record clips", "read", "phase 2 of 3: train"]
 
 
-def test_where_there_is_nothing_to_do_nothing_is_announced(
+def test_a_phase_without_work_is_not_announced(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert list(tracked([], PHASES["record clips"])) == []

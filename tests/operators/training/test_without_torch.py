@@ -1,4 +1,4 @@
-"""A training tells its options without torch, and in one sentence that it needs it."""
+"""Without torch, a training prints its options, and refuses to run in one sentence."""
 
 import subprocess
 import sys
@@ -26,7 +26,7 @@ def without_torch(*words: str) -> "subprocess.CompletedProcess[str]":
 
 
 @pytest.mark.parametrize("words", [[module] for module in MODULES] + [["pipeline.cli"]])
-def test_the_options_are_told_without_torch(words: list[str]) -> None:
+def test_the_options_are_printed_without_torch(words: list[str]) -> None:
     task = ["train", "tracking"] if words == ["pipeline.cli"] else []
 
     done = without_torch(*words, *task, "--help")

@@ -1,4 +1,4 @@
-"""Jobs beside a process end with it."""
+"""Jobs of a pool end with the process that started it."""
 
 import subprocess
 import sys
@@ -40,7 +40,7 @@ def wait_for(seen: Callable[[], object], timeout_s: float = 60.0) -> None:
         time.sleep(0.02)
 
 
-def test_after_an_error_what_has_not_begun_never_does() -> None:
+def test_after_an_error_no_further_job_begins() -> None:
     with pytest.raises(KeyError), pool_of(1) as pool:  # noqa: PT012
         jobs = [pool.submit(time.sleep, 0.05) for _ in range(100)]
         jobs[0].result()
@@ -50,7 +50,7 @@ def test_after_an_error_what_has_not_begun_never_does() -> None:
     assert sum(job.cancelled() or job.exception() is not None for job in jobs) > 80
 
 
-def test_after_an_error_what_runs_is_not_waited_for() -> None:
+def test_after_an_error_running_jobs_are_not_awaited() -> None:
     with pytest.raises(TypeError), pool_of(2) as pool:  # noqa: PT012
         pool.submit(time.sleep, 1000)
         failing = pool.submit(time.sleep, "soon")
@@ -60,14 +60,14 @@ def test_after_an_error_what_runs_is_not_waited_for() -> None:
     assert time.monotonic() - began < 500
 
 
-def test_every_job_is_done_where_nothing_goes_wrong() -> None:
+def test_without_an_error_every_job_is_done() -> None:
     with pool_of(2) as pool:
         jobs = [pool.submit(divmod, number, 3) for number in range(10)]
 
     assert [job.result() for job in jobs] == [divmod(number, 3) for number in range(10)]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the kernel of Linux tells of a parent's end")
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux sends a signal at a parent's end")
 def test_jobs_of_a_killed_process_end_with_it(tmp_path: Path) -> None:
     told = tmp_path / "pid"
     script = tmp_path / "parent.py"

@@ -33,7 +33,7 @@ HALF = np.full(1, 0.5, np.float32)
 
 
 def traced(seq: int, stage: str) -> Header:
-    """A header that passed capture and one more stage."""
+    """Return a header that passed capture and one more stage."""
     told = header(seq)
     ready = told.stamp_ns
     spans = [
@@ -50,7 +50,7 @@ def traced(seq: int, stage: str) -> Header:
 
 
 def exposure(seq: int) -> list[dict[str, Message]]:
-    """One message for every input."""
+    """Return one message for every input."""
     frame = Frame(header=traced(seq, "capture"), pixels=picture(27, 48, seed=seq))
     tracks = Tracks(
         header=traced(seq, "association"),
@@ -88,7 +88,7 @@ def recorded(tmp_path: Path, frames: range, **values: object) -> list[Chunk]:
 
 
 def rows(chunks: list[Chunk], path: str, column: str) -> list[object]:
-    """Everything logged under a path in a column whose name ends so, in order."""
+    """Return all that was logged under a path, in the columns whose names end with `column`."""
     found = []
     for chunk in chunks:
         batch = chunk.to_record_batch()
@@ -99,7 +99,7 @@ def rows(chunks: list[Chunk], path: str, column: str) -> list[object]:
     return found
 
 
-def test_every_message_leaves_its_mark(tmp_path):
+def test_every_message_is_recorded(tmp_path):
     chunks = recorded(tmp_path, range(3))
 
     paths = {chunk.entity_path for chunk in chunks}
@@ -123,7 +123,7 @@ def test_every_message_leaves_its_mark(tmp_path):
     }
 
 
-def test_a_consumer_that_has_lost_its_object_leaves_no_box_standing(tmp_path):
+def test_the_box_of_a_lost_object_is_removed(tmp_path):
     path = tmp_path / "seen.rrd"
     none = np.zeros(0, np.float32)
     seen = Percept(header=header(0), boxes=BOX, ids=ONE, scores=HALF)
@@ -135,7 +135,7 @@ def test_a_consumer_that_has_lost_its_object_leaves_no_box_standing(tmp_path):
     assert [len(b) for b in boxes] == [1, 0]
 
 
-def test_times_are_the_frames_own(tmp_path):
+def test_times_are_those_of_the_frames(tmp_path):
     chunks = recorded(tmp_path, range(3))
 
     timelines = {n for c in chunks if c.entity_path == "/sensor/tracks" for n in c.timeline_names}
@@ -151,7 +151,7 @@ def test_boxes_and_names_can_be_read_back(tmp_path):
     assert rows(chunks, "/latency/association/age_ms", "scalars") == [[3.5]]
 
 
-def test_the_roi_lies_where_the_sensor_read_it(tmp_path):
+def test_the_roi_is_placed_where_the_sensor_read_it(tmp_path):
     chunks = recorded(tmp_path, range(1))
 
     assert rows(chunks, "/sensor/roi", "translation") == [[[96, 54, 0]]]
@@ -201,22 +201,22 @@ def test_every_pixel_format_becomes_a_picture_of_its_colour(pixel_format):
     np.testing.assert_allclose(seen[4:-4, 4:-4].mean((0, 1)), expected, atol=4)
 
 
-def test_a_pixel_format_nobody_knows_is_refused():
+def test_an_unknown_pixel_format_is_refused():
     with pytest.raises(MessageError, match="got yuv"):
         jpeg(Frame(header=header(), pixels=np.zeros((8, 8), np.uint8), pixel_format="yuv"), 80)
 
 
-def test_without_a_trace_no_latency_is_told_and_ages_only_on_one_clock():
+def test_latencies_need_a_trace_and_ages_need_a_common_clock():
     assert latencies(header()) == {}
     assert "capture/age_ms" not in latencies(replace(traced(0, "capture"), clock="edge-box"))
 
 
-def test_where_to_is_required():
+def test_a_destination_is_required():
     with pytest.raises(SettingsError, match="expected save, connect or serve, got none"):
         drive(Visualise, [])
 
 
-def test_a_folder_that_is_not_there_is_named(tmp_path):
+def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(RunError, match=r"expected a folder .*/nowhere, got none"):
         drive(Visualise, [], {"save": str(tmp_path / "nowhere" / "seen.rrd")})
 

@@ -1,4 +1,4 @@
-"""Operators of a user, as small as they can be: they lie beside the graph files of the cases."""
+"""Minimal operators of a user, beside the graph files of the cases."""
 
 import time
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from pipeline import (
 
 @dataclass(frozen=True, kw_only=True)
 class EyeSettings:
-    """How often."""
+    """Rate and size of the pictures."""
 
     rate_hz: float = 50.0
     side_px: int = 16
@@ -34,7 +34,7 @@ class EyeSettings:
 
 
 class Eye(Source[EyeSettings, Mapping[str, Message]]):
-    """Grey pictures in two streams."""
+    """Sends grey pictures in two streams."""
 
     live = ("rate_hz",)
     context = Output(Frame)
@@ -60,7 +60,7 @@ class Eye(Source[EyeSettings, Mapping[str, Message]]):
 
 @dataclass(frozen=True, kw_only=True)
 class WorkSettings:
-    """What it does with a picture."""
+    """One setting with a range, and two without."""
 
     gain: int = 1
     words: tuple[str, ...] = ()
@@ -72,7 +72,7 @@ class WorkSettings:
 
 
 class Work(Operator[WorkSettings, Frame]):
-    """The same picture again."""
+    """Passes pictures on."""
 
     live = ("gain",)
     commands = ("recall", "break_down")
@@ -98,14 +98,14 @@ class Work(Operator[WorkSettings, Frame]):
 
 
 class Unopened(Work):
-    """Cannot be opened."""
+    """Fails to open."""
 
     def open(self) -> None:
         raise OSError(5, "the device is gone")
 
 
 class Wrong(Work):
-    """Answers what it may not."""
+    """Returns a value of the wrong type."""
 
     def on_frame(self, frame: Frame) -> Frame:
         return 42  # type: ignore[return-value]
@@ -127,7 +127,7 @@ class Pair(Operator[WorkSettings, Percept]):
 
 
 class Steer(Operator[WorkSettings, RoiSchedule]):
-    """A sensor command for every percept."""
+    """Sends a sensor command for every percept."""
 
     percept = Input(Percept)
 
@@ -137,7 +137,7 @@ class Steer(Operator[WorkSettings, RoiSchedule]):
 
 
 class Look(Operator[WorkSettings, None]):
-    """Only looks."""
+    """Sends nothing."""
 
     frame = Input(Frame)
 
@@ -146,13 +146,13 @@ class Look(Operator[WorkSettings, None]):
 
 
 class NoHandler(Operator[WorkSettings, None]):
-    """Has an input and nothing that takes it."""
+    """Has an input without a handler."""
 
     frame = Input(Frame)
 
 
 class Idle(Operator[WorkSettings, None]):
-    """Waits for what may come."""
+    """Has only an optional input."""
 
     frame = Input(Frame, optional=True)
 
