@@ -49,7 +49,7 @@ def test_a_file_written_outside_the_folder_is_noticed(tmp_path: Path) -> None:
     assert watch.touched == {f"os.mkdir {outside}", f"open {tmp_path / 'b'}"}
 
 
-def test_what_is_made_where_a_graph_works_or_at_home_is_noticed(tmp_path: Path) -> None:
+def test_a_file_made_in_the_working_folder_or_at_home_is_noticed(tmp_path: Path) -> None:
     before = Path.cwd()
 
     with alone(tmp_path) as made:
