@@ -2,9 +2,9 @@
 
 `python -m bench.bus [--json FILE] [--count N] [--rate-hz R] [--sizes N,N] [--peers] [--side-env F]`
 
-Every contestant is a script of `bench.peers` and is measured by `bench.peers.ruler`. They take
-turns, round by round and in a shuffled order, so that a noisy machine is noisy for all of them.
-The peers' libraries live in an environment of their own, which `--peers` makes where it is absent.
+Every contestant is a script of `bench.peers`, measured by `bench.peers.ruler`. In each round all
+contestants run once per size, in shuffled order, so that other load on the machine affects all of
+them. The peers' libraries have an environment of their own, which `--peers` makes if it is absent.
 """
 
 import json
@@ -29,8 +29,8 @@ from bench.options import JSON
 ROOT = Path(__file__).resolve().parent.parent
 SIZES = (65_536, 2_341_920, 9_367_680, 18_735_360)  # 2040x1148, 4080x2296, the same in 16 bit
 REQUIREMENTS = ("iceoryx2==0.10.*", "ezmsg==3.9.*", "dora-rs==1.1.*", "dora-rs-cli==1.1.*", "numpy")
-FAREWELL_S = 2.0  # what a contestant started has that long to end after it
-LIMIT_S = 120.0  # of one turn, beyond what its messages take
+FAREWELL_S = 2.0  # time for the descendants of a contestant to end after it
+LIMIT_S = 120.0  # of one turn, in addition to the time of its messages
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ def read_sizes(words: str) -> list[int]:
 
 
 def schedule(modules: list[str], sizes: list[int], rounds: int, seed: int) -> list[tuple[str, int]]:
-    """Turns (contestant, bytes): in each round and size every contestant once, in any order."""
+    """Return turns (contestant, bytes): each round has every contestant once per size, shuffled."""
     rng = random.Random(seed)
     turns = []
     for _ in range(rounds):
@@ -139,7 +139,7 @@ def take_turns(
 
 
 def run_one(module: str, nbytes: int, count: int, rate_hz: float, side: Path) -> Result:
-    """One turn of one contestant in its environment; its last line is the result."""
+    """Run one turn of a contestant in its environment; return the result, its last line."""
     words = [
         str(interpreter(module, side)), "-m", f"bench.peers.{module}", f"--nbytes={nbytes}",
         f"--count={count}", f"--rate-hz={rate_hz}",
@@ -150,7 +150,7 @@ def run_one(module: str, nbytes: int, count: int, rate_hz: float, side: Path) ->
 
 
 def run_to_end(words: list[str], limit_s: float) -> str:
-    """Return the output of a program, and end its descendants with it, also after a timeout."""
+    """Run a program and return its output; end its descendants with it, also after a timeout."""
     with subprocess.Popen(
         words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,
@@ -162,15 +162,15 @@ def run_to_end(words: list[str], limit_s: float) -> str:
         finally:
             end_group(child.pid, timeout_s)
     if child.returncode or not output.strip():
-        last = (errors.strip().splitlines() or ["it said nothing"])[-1]
+        last = (errors.strip().splitlines() or ["no error message"])[-1]
         raise subprocess.SubprocessError(f"ended with {child.returncode}: {last}")
     return output
 
 
 def end_group(group: int, timeout_s: float) -> None:
-    """Wait for the processes of a group to be gone, then kill those that are not.
+    """Wait until the processes of a group have ended; after the timeout, kill the others.
 
-    Python's own resource tracker outlives its master for a moment, to remove semaphores.
+    Python's resource tracker outlives its parent for a moment, to remove semaphores.
     """
     deadline = time.monotonic() + timeout_s
     with suppress(ProcessLookupError):
@@ -181,13 +181,13 @@ def end_group(group: int, timeout_s: float) -> None:
 
 
 def interpreter(module: str, side: Path) -> Path:
-    """The Python a contestant runs in."""
+    """Return the Python interpreter of a contestant."""
     ours = {c.module for c in CONTESTANTS if c.ours}
     return Path(sys.executable) if module in ours else side / "bin" / "python"
 
 
 def is_installed(contestant: Contestant, side: Path) -> bool:
-    """Whether its library can be imported in its environment."""
+    """Whether a contestant's library can be imported in its environment."""
     if contestant.ours:
         return True
     python = interpreter(contestant.module, side)
@@ -196,7 +196,7 @@ def is_installed(contestant: Contestant, side: Path) -> bool:
 
 
 def make_environment(side: Path, console: Console) -> None:
-    """A virtual environment with the peers' libraries; made once."""
+    """Make a virtual environment with the peers' libraries, unless it exists."""
     if (side / ".installed").exists():
         return
     with console.status(f"{side}: installing {', '.join(REQUIREMENTS)} (about 0.5 GB)"):

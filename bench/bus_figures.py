@@ -18,10 +18,10 @@ COLUMNS_SHOWN = (
 
 
 def summarise(results: Iterable[Result]) -> list[dict[str, Any]]:
-    """Figures per contestant and size over all rounds, in milliseconds.
+    """Return figures per contestant and size over all rounds, in milliseconds.
 
-    `beyond_ms`: borrowing memory and handing over, without writing and reading; `p50_rounds` are
-    the medians of the single rounds, least and most.
+    `beyond_ms` is the time for borrowing memory and handing over, without writing and reading;
+    `p50_rounds` holds the least and the greatest median of a single round.
     """
     grouped: dict[tuple[str, int], list[Result]] = {}
     for result in results:
@@ -30,7 +30,7 @@ def summarise(results: Iterable[Result]) -> list[dict[str, Any]]:
 
 
 def figures_of(group: list[Result]) -> dict[str, Any]:
-    """One row: a contestant at one size."""
+    """Return one row: a contestant at one size."""
     rounds = [beyond_ms(r) for r in group if r["samples"]]
     every = np.concatenate([*rounds, np.zeros(0)])
     sent = sum(r["sent"] for r in group)
@@ -55,12 +55,12 @@ def figures_of(group: list[Result]) -> dict[str, Any]:
 
 
 def rows(result: Result) -> NDArray[np.int64]:
-    """(n, 6) clocks in nanoseconds, columns as in `ruler.COLUMNS`."""
+    """Return the clocks (n, 6) in nanoseconds, columns as in `ruler.COLUMNS`."""
     return np.array(result["samples"], np.int64).reshape(-1, len(COLUMNS))
 
 
 def beyond_ms(result: Result) -> NDArray[np.float64]:
-    """(n,) time a message took beyond writing and reading it.
+    """Return the time (n,) that each message took beyond writing and reading it.
 
     >>> clocks = [0, 1_000_000, 1_250_000, 4_000_000, 4_500_000, 9_000_000]
     >>> beyond_ms({"samples": [clocks]}).tolist()
@@ -72,7 +72,7 @@ def beyond_ms(result: Result) -> NDArray[np.float64]:
 
 
 def quantiles(values_ms: NDArray[np.float64]) -> dict[str, float]:
-    """Least, median and 99th percentile; empty without values."""
+    """Return least, median and 99th percentile; empty without values."""
     if not len(values_ms):
         return {}
     p50, p99 = np.percentile(values_ms, [50, 99])
@@ -81,7 +81,7 @@ def quantiles(values_ms: NDArray[np.float64]) -> dict[str, float]:
 
 
 def table(figures: list[dict[str, Any]], nbytes: int, labels: Mapping[str, str]) -> Table:
-    """One size: milliseconds beyond writing and reading, with the ratio of medians to fovea's."""
+    """Return a table of one size: ms beyond writing and reading, with ratios to fovea's median."""
     shown = Table(
         Column("contestant", no_wrap=True),
         *(Column(name, justify="right", min_width=5) for name in COLUMNS_SHOWN),
@@ -98,13 +98,13 @@ def table(figures: list[dict[str, Any]], nbytes: int, labels: Mapping[str, str])
 
 
 def median_of_ours(here: list[dict[str, Any]]) -> float:
-    """fovea's median among the rows of one size, NaN without it."""
+    """Return fovea's median among the rows of one size, NaN without it."""
     ours = [row["beyond_ms"] for row in here if row["contestant"] == "fovea_bus"]
     return float(ours[0]["p50"]) if ours and ours[0] else NAN
 
 
 def cells(row: Mapping[str, Any], labels: Mapping[str, str], ours_ms: float) -> list[str]:
-    """One line of the table."""
+    """Return the cells of one line of the table."""
     beyond = row["beyond_ms"] or dict.fromkeys(("min", "p50", "p99"), NAN)
     spans = [row[name].get("p50", NAN) for name in ("write_ms", "read_ms")]
     return [

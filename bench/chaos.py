@@ -1,10 +1,10 @@
 """Random faults in a graph: `python -m bench.chaos [GRAPH] --minutes 60 --seed 1 [--json FILE]`.
 
-Runs a graph of processes in real time and does harm to one process after another, chosen by a seed:
-kills it, kills two at once, stops it for good, stops it for a moment; of a graph over several hosts
-it also pulls a cable. For every fault: the time until every victim has handled a frame again, how
-much of it was loading (where that is known), and the longest silence in the sensor's commands. At
-the end: accounts, orphans, and what was left behind.
+Runs a graph of processes in real time and injects faults chosen by a seed: it kills a process,
+kills two at once, stops one for good or for a moment, and in a graph over several hosts also
+disconnects a host. It reports for every fault the time until every victim has handled a frame
+again, how much of that was loading (where known), and the longest gap in the sensor's commands; at
+the end unbalanced accounts, orphaned processes and leftover files.
 """
 
 import json
@@ -35,7 +35,7 @@ from pipeline.graph.plan import Plan
 WARM_S = 3.0
 SETTLE_S = (2.0, 12.0)  # between a recovery and the next fault
 NAP_S = (0.1, 2.0)
-CUT_S = (0.2, 6.0)  # a cable's absence
+CUT_S = (0.2, 6.0)  # without a network link
 TIMEOUT_S = 60.0
 
 
@@ -46,9 +46,9 @@ class Fault:
     kind: str
     victims: tuple[str, ...]
     at_s: float
-    recovered_s: float  # from the blow (a nap: from its end) to the first frames of all victims
-    load_s: float  # of it, opening models and devices; the slowest victim's
-    silence_s: float  # longest time without a new sensor command, from the blow on
+    recovered_s: float  # from the fault (a nap: from its end) to the first frames of all victims
+    load_s: float  # of it, for opening models and devices; of the slowest victim
+    silence_s: float  # longest time without a new sensor command, from the fault on
     restarts: int
 
 
@@ -109,18 +109,21 @@ class _Watch:
         self.silence_s = 0.0
 
     def until(self, seconds: float) -> None:
-        """Monitor for a time."""
+        """Monitor for so many seconds."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self._look()
         self._marks = [(a, epoch, a.handled) for a, epoch, _ in self._marks]
 
     def recovered_s(self, what: str) -> float:
-        """Watch until all are back, and for as long again as commands need to flow."""
+        """Return the time until all victims handle frames again; then wait for the next command.
+
+        Raises `Stuck`.
+        """
         began = time.monotonic()
         while not all(a.epoch >= epoch and a.handled > h + 1 for a, epoch, h in self._marks):
             if time.monotonic() - began > TIMEOUT_S or self._ground.failure:
-                raise Stuck(f"{what}: {self._ground.failure or f'nothing for {TIMEOUT_S:.0f} s'}")
+                raise Stuck(f"{what}: {self._ground.failure or f'no frame for {TIMEOUT_S:.0f} s'}")
             self._look()
         back_s = time.monotonic() - began
         commands = self._ground.commands.total
@@ -176,7 +179,7 @@ def _ground(plan: Plan, graph: Path, folder: Path) -> OneHost | ThreeHosts:
 
 
 def summary(faults: Sequence[Fault]) -> dict[str, float]:
-    """Seconds over all faults of a kind; nothing but the count when there was none.
+    """Return statistics over all faults of a kind, in seconds; only the count without faults.
 
     >>> fault = Fault(kind="kill", victims=("a",), at_s=0, recovered_s=2, load_s=1.5,
     ...               silence_s=0.5, restarts=1)
@@ -200,10 +203,10 @@ def summary(faults: Sequence[Fault]) -> dict[str, float]:
 
 
 def _strike_for(ground: Ground, seconds: float, seed: int, faults: list[Fault]) -> str:
-    """Return why it ended early, or an empty string."""
+    """Inject faults for so many seconds; return why that ended early, or an empty string."""
     chaos, began = Chaos(ground, seed), time.monotonic()
     with Progress() as progress:
-        task = progress.add_task("bad luck", total=seconds)
+        task = progress.add_task("faults", total=seconds)
         while (elapsed_s := time.monotonic() - began) < seconds:
             try:
                 faults.append(chaos.strike())

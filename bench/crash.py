@@ -1,9 +1,9 @@
 """Measure recovery from SIGKILL: `python -m bench.crash [GRAPH] --count 20 [--json FILE]`.
 
-Runs a graph of processes in real time and kills each operator in turn, again and again. For every
-kill: the time until the operator has handled a frame again, and how much of it was loading its
-model; for every operator: by how much any other process has grown meanwhile. At the end: the edges'
-accounts and what is left in shared memory.
+Runs a graph of processes in real time and kills each operator several times. It reports for every
+kill the time until the operator has handled a frame again, and how much of that was loading its
+model; for every operator the largest memory growth of another process meanwhile; at the end the
+edges' accounts and what is left in shared memory.
 """
 
 import json
@@ -30,7 +30,7 @@ from pipeline.run.report import compose
 from pipeline.run.supervisor import Supervisor
 
 ASKED_S = 1.0  # plus the time to load the model
-SETTLE_S = 3.0  # failures do not come in volleys; the spare process needs a moment
+SETTLE_S = 3.0  # between two kills, in which the spare process can start
 TIMEOUT_S = 30.0
 
 
@@ -80,14 +80,14 @@ def _kill(supervisor: Supervisor, node: Node) -> dict[str, float]:
     os.kill(supervisor.pid(node.process), signal.SIGKILL)
     while not (account.epoch > epoch and account.handled > handled + 1):
         if time.monotonic() - began > TIMEOUT_S or supervisor.failure:
-            raise click.ClickException(f"{node.name} did not come back: {supervisor.failure}")
+            raise click.ClickException(f"{node.name} did not recover: {supervisor.failure}")
         supervisor.tick()
     recovered_s = time.monotonic() - began
     return {"recovered_s": recovered_s, "load_s": supervisor.load_s(node.process)}
 
 
 def _memory(supervisor: Supervisor) -> dict[str, float]:
-    """Resident megabytes by process."""
+    """Return resident megabytes by process."""
     return {
         process: psutil.Process(supervisor.pid(process)).memory_info().rss / 1e6
         for process in supervisor.plan.processes()

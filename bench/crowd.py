@@ -18,9 +18,9 @@ from pipeline.graph.plan import Plan
 from pipeline.messages import Header, altered
 
 ADDED = Path(__file__).with_name("crowd.yaml")
-FIRST_COPY = 1 << 24  # ids of copies: no run gives so many of its own
-WHOLE = 0.999  # share of a box in the ROI from which it stays where it is
-SPREAD = (0.7549, 0.5698)  # multiples of it, modulo 1, fill a square evenly
+FIRST_COPY = 1 << 24  # first id of copies, above all ids that a run assigns
+WHOLE = 0.999  # a box with at least this share inside the ROI stays in place
+SPREAD = (0.7549, 0.5698)  # multiples of this step, modulo 1, fill a square evenly
 ROWS = ("labels", "scores", "boxes", "visible", "features", "predicted")  # of `Tracks`
 
 
@@ -43,7 +43,7 @@ class Crowd(Operator[CrowdSettings, Tracks]):
     roi = Input(Frame, keep="latest")
 
     def on_tracks_roi(self, tracks: Tracks, roi: Frame) -> Tracks:
-        """Apart: copies stand where their originals are, most of them outside the ROI."""
+        """Add copies: at the places of their originals or, if `together`, inside the ROI."""
         if not len(tracks.ids):
             return tracks
         if not self.settings.together:
@@ -52,7 +52,7 @@ class Crowd(Operator[CrowdSettings, Tracks]):
 
 
 def crowded(tracks: Tracks, count: int) -> Tracks:
-    """`count` tracks: the first of these, then copies of them, in turn, with ids of their own."""
+    """Return `count` tracks: the first of these, then copies of them in turn, with new ids."""
     true = min(count, len(tracks.ids))
     copies = FIRST_COPY + np.arange(count - true, dtype=np.int32)
     rows = np.arange(count) % len(tracks.ids)
@@ -64,7 +64,7 @@ def crowded(tracks: Tracks, count: int) -> Tracks:
 
 
 def gathered(tracks: Tracks, count: int, window: NDArray[np.float32]) -> Tracks:
-    """`count` tracks inside a window (4,): those that are there, then copies, moved into it."""
+    """Return `count` tracks inside a window (4,): those in it already, then moved copies."""
     there = covered(tracks.boxes[:, -1], window) >= WHOLE
     order = np.argsort(~there, kind="stable")
     named = {name: getattr(tracks, name)[order] for name in ("ids", *ROWS)}
@@ -83,13 +83,13 @@ def gathered(tracks: Tracks, count: int, window: NDArray[np.float32]) -> Tracks:
 def _moved(
     boxes: NDArray[np.float32], by: NDArray[np.float32], window: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Boxes (n, t, 4) elsewhere, `by` (n, 2); none larger than the window."""
+    """Return boxes (n, t, 4) shifted by `by` (n, 2), none larger than the window."""
     sizes = np.minimum(boxes[..., 2:] - boxes[..., :2], window[2:] - window[:2])
     return from_centres(centres(boxes) + by[:, None], sizes)
 
 
 def shown(roi: Frame) -> NDArray[np.float32]:
-    """What an ROI frame shows (4,), in sensor pixels; the middle of the field if it is empty."""
+    """Return the window (4,) of an ROI frame, in sensor pixels; in the middle if it is empty."""
     field = roi.header.geometry
     middle = np.array([field.width_px / 2, field.height_px / 2], np.float32)
     window = roi.window if roi.pixels.size else roi_window(middle, field)
@@ -108,32 +108,32 @@ class Witness(Operator[WitnessSettings, None]):
     scanpath = Input(Scanpath, keep="every", depth=64, join=False)
 
     def open(self) -> None:
-        """Nothing seen yet."""
+        """Start with empty records."""
         self._encoder: dict[str, list[int]] = {"frames": [], "objects": [], "handler_ns": []}
         self._policy: dict[str, list[int]] = {"frames": [], "objects": [], "handler_ns": []}
 
     def on_features(self, features: RoiFeatures) -> None:
-        """What the encoder had to do."""
+        """Record the encoder's objects and processing time."""
         _note(self._encoder, features.header, len(features.ids))
 
     def on_scanpath(self, scanpath: Scanpath) -> None:
-        """What the policy had to do."""
+        """Record the policy's objects and processing time."""
         _note(self._policy, scanpath.header, len(scanpath.ids))
 
     def summary(self) -> Mapping[str, Any]:
-        """One entry a message."""
+        """Return the records, with one entry per message."""
         return {"witness": {"encoder": self._encoder, "policy": self._policy}}
 
 
 def _note(told: dict[str, list[int]], header: Header, objects: int) -> None:
-    """The stage that sent this message is the last in its trace."""
+    """Record a message; its sender's span is the last one of the trace."""
     told["frames"].append(header.seq)
     told["objects"].append(objects)
     told["handler_ns"].append(header.trace[-1].handler_ns)
 
 
 def with_crowd(plan: Plan, settings: CrowdSettings) -> Plan:
-    """A tracking graph whose tracks pass a `Crowd`; raises `GraphError` where it is none."""
+    """Return a tracking graph with a `Crowd` on its tracks; raises `GraphError` for others."""
     found = with_nodes(plan, ADDED)
     for edge in plan.readers("association", "out"):
         found = rewired(found, f"{edge.end}=crowd")

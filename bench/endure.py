@@ -1,9 +1,9 @@
 """Check that a supervisor does not grow with kills and swaps: `python -m bench.endure --kills 300`.
 
-Runs a small graph of sample operators in real time, kills one of its nodes while it swaps another,
-again and again, and records the supervisor's memory, open files and threads, and the files of the
-run, every 50 events. With `--json FILE` the figures are written with machine and commit, again
-after every look. The samples of the processes' memory fill for the first twelve minutes.
+Runs a small graph of sample operators in real time and repeatedly kills one of its nodes while it
+swaps another. Every 50 events it records the supervisor's memory, open files and threads, and the
+files of the run. With `--json FILE` it writes the figures after every record. The supervisor's
+memory grows for the first twelve minutes, until its samples of the processes are complete.
 """
 
 import json
@@ -76,7 +76,7 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
         _until(supervisor, lambda: _handled(supervisor, LAST) > 50)
         looks.append(look(supervisor, traces, 0))
         count = 0
-        for together in track(events, "enduring"):
+        for together in track(events, "kills and swaps"):
             count += len(together)
             if sentence := _endure(supervisor, together):
                 refused.append(sentence)
@@ -96,7 +96,7 @@ def main(kills: int, swaps: int, path: Path | None) -> None:
 
 
 def sample_plan() -> Plan:
-    """A graph of four samples under a name of its own."""
+    """Return a plan of four sample operators with a unique name."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "graph.yaml"
         file.write_text(GRAPH.format(token=secrets.token_hex(3)))
@@ -104,7 +104,7 @@ def sample_plan() -> Plan:
 
 
 def schedule(kills: int, swaps: int) -> list[tuple[str, ...]]:
-    """Kills and swaps, spread evenly over the run; a kill and a swap fall together where both can.
+    """Return kills and swaps, spread evenly over the run; where possible both happen at once.
 
     >>> schedule(2, 1), schedule(0, 2)
     ([('kill',), ('kill', 'swap')], [('swap',), ('swap',)])
@@ -131,7 +131,7 @@ def look(supervisor: Supervisor, traces: Traces, events: int) -> dict[str, float
             "rss_mb": round(memory.rss / 1e6, 3),
             "own_mb": round((memory.rss - memory.shared) / 1e6, 3),
             "open_files": own.num_fds(),
-            "threads": own.num_threads(),  # with those of Zenoh's pool, which come with work
+            "threads": own.num_threads(),  # with those of Zenoh's pool, which grows with work
             "run_files": sum(1 for _ in traces.folder.rglob("*")),
             "memory_files": len(list(path_of(traces.run_id).iterdir())),
             "children": len(own.children(recursive=True)),
@@ -139,7 +139,7 @@ def look(supervisor: Supervisor, traces: Traces, events: int) -> dict[str, float
 
 
 def growth_kb(looks: list[dict[str, float]]) -> float:
-    """Slope of the supervisor's own memory over the later half of the events.
+    """Return the slope of the supervisor's own memory over the later half of the events.
 
     >>> growth_kb([{"events": n, "own_mb": max(50, 50 + (n - 50) / 1000)} for n in range(100)])
     1.0
@@ -175,7 +175,7 @@ def _until(supervisor: Supervisor, holds: Callable[[], bool]) -> None:
     late_s = time.monotonic() + TIMEOUT_S
     while not holds():
         if supervisor.failure or time.monotonic() > late_s:
-            raise click.ClickException(supervisor.failure or "it did not come back")
+            raise click.ClickException(supervisor.failure or "no progress in time")
         supervisor.tick()
 
 

@@ -1,10 +1,10 @@
 """Measure how long the consumer follows its target: `python -m bench.follow --out FILE.json`.
 
-Runs the tracking graph as processes in real time and asks for another class every minute, as
-`fovea set` does. Prints and writes, minute by minute, the IoU with the true box of what is asked
-for (0 in frames without an answer), the share of that box inside the ROI, and the share of frames
-with an answer; the first ten minutes against the last ten. The file is written after every minute:
-what is interrupted keeps what it has.
+Runs the tracking graph as processes in real time and sets another target class every minute, as
+`fovea set` does. Prints and writes for every minute the IoU with the target's true box (0 in frames
+without an answer), the share of that box inside the ROI, and the share of frames with an answer,
+and compares the first ten minutes with the last ten. The file is written after every minute, so
+that an interrupted run keeps its results.
 """
 
 import json
@@ -27,7 +27,7 @@ from pipeline.graph.overlay import Overlay
 from pipeline.run.supervisor import Supervisor
 from pipeline.whole_file import write_whole
 
-LAST_WORDS_S = 3.0  # until the watcher has told of the last frames of a span
+LAST_WORDS_S = 3.0  # until the watcher has reported the last frames of a span
 
 
 @click.command(cls=Bench)
@@ -41,7 +41,7 @@ def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], minutes: float,
     change_every_s: float, targets: str, out: Path, picture: Path | None,
 ) -> None:  # fmt: skip
-    """Ask for one class after the other, for long."""
+    """Run the graph for long and change its target regularly."""
     if picture:
         need("matplotlib", "--plot")
     names = targets.split(",")
@@ -86,7 +86,7 @@ def write(
     told: dict[str, Any], rows: list[dict[str, Any]], restarts: dict[str, int], out: Path,
     picture: Path | None,
 ) -> None:  # fmt: skip
-    """Everything known so far, in one step."""
+    """Write all results so far in one step, and their plot if there is a path for it."""
     found = {**told, "restarts": restarts, "ends": ends(rows), "rows": rows}
     write_whole(out, json.dumps(found, indent=1) + "\n")
     if picture and rows:
@@ -94,7 +94,7 @@ def write(
 
 
 def table(rows: list[dict[str, Any]]) -> Table:
-    """The first ten minutes and the last ten, for a terminal."""
+    """Return the first ten minutes and the last ten as a table."""
     shown = Table(title="first ten minutes -> last ten: IoU, share in the ROI, share answered")
     for column in ("target", *FIGURES):
         shown.add_column(column)

@@ -1,6 +1,6 @@
 """Targets of `bench.chaos`: a graph on this host, or one over three hosts.
 
-Both provide what a check of recovery needs, and after the end the leftovers.
+Both provide what a check of recovery needs and, after the end, the leftovers.
 """
 
 import json
@@ -22,60 +22,60 @@ from pipeline.run.memory_folder import MEMORY, path_of
 from pipeline.run.report import compose
 from pipeline.run.supervisor import Supervisor
 
-SETTLE_S = 5.0  # after the last fault, before accounts are looked at
+SETTLE_S = 5.0  # after the last fault, before accounts are checked
 LOOK_S = 0.005
 
 
 class Ground(ABC):
-    """A running graph. Use it as a context."""
+    """A running graph, used as a context manager."""
 
-    kinds: Mapping[str, float]  # of faults -> their shares
+    kinds: Mapping[str, float]  # kind of fault -> share
     names: tuple[str, ...]  # of its processes
-    hosts: tuple[str, ...] = ()  # whose cables can be pulled
+    hosts: tuple[str, ...] = ()  # that can be disconnected
     failure = ""
 
     @property
     @abstractmethod
     def commands(self) -> Histogram:
-        """What counts the commands that the sensor accepts."""
+        """The histogram that counts the commands which the sensor accepts."""
 
     @abstractmethod
     def accounts(self, victim: str) -> list[NodeAccount]:
-        """Of the nodes of a process, or of all on a host."""
+        """Return the accounts of the nodes of a process, or of all nodes on a host."""
 
     @abstractmethod
     def pid(self, name: str) -> int:
-        """Of a process; 0 while it has none."""
+        """Return the id of a process, 0 while it does not run."""
 
     @abstractmethod
     def restarts(self) -> int:
-        """Of all processes."""
+        """Return the number of restarts of all processes."""
 
     def load_s(self, name: str) -> float:
-        """How long a process took to open models and devices; 0 where nobody tells."""
+        """Return how long a process took to open models and devices; 0 where it is not known."""
         return 0.0
 
     def link(self, host: str, *, up: bool) -> None:
-        """Pull a host's cable, or put it back."""
+        """Disconnect a host, or connect it again."""
         raise NotImplementedError
 
     @abstractmethod
     def look(self) -> None:
-        """Let it go on for a moment."""
+        """Let the graph run for a moment."""
 
     def run_for(self, seconds: float) -> None:
-        """Likewise, for longer."""
+        """Let the graph run for so many seconds."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.look()
 
     @abstractmethod
     def end(self) -> dict[str, Any]:
-        """Stop it: what does not add up, who lives, what is left."""
+        """Stop the graph; return its figures, unbalanced edges, orphans and leftover files."""
 
 
 class OneHost(Ground):
-    """A graph under a supervisor of this process."""
+    """A graph under a supervisor in this process."""
 
     kinds = {"kill": 0.4, "volley": 0.1, "freeze": 0.25, "nap": 0.25}
 
@@ -98,34 +98,34 @@ class OneHost(Ground):
 
     @property
     def commands(self) -> Histogram:
-        """Of the source."""
+        """The histogram of the source."""
         source = next(sources(self._plan))
         return self._supervisor.ledger.nodes[source.index].histograms["loop"]
 
     def accounts(self, victim: str) -> list[NodeAccount]:
-        """Of the nodes of a process."""
+        """Return the accounts of the nodes of a process."""
         nodes = self._plan.processes()[victim]
         return [self._supervisor.ledger.nodes[n.index] for n in nodes]
 
     def pid(self, name: str) -> int:
-        """As the supervisor knows it."""
+        """Return the process id that the supervisor knows."""
         return self._supervisor.pid(name)
 
     def restarts(self) -> int:
-        """As the supervisor counted them."""
+        """Return the restarts that the supervisor counted."""
         return sum(self._supervisor.restarts.values())
 
     def load_s(self, name: str) -> float:
-        """As its process told."""
+        """Return the loading time that the process reported."""
         return self._supervisor.load_s(name)
 
     def look(self) -> None:
-        """One tick of the supervisor."""
+        """Run one tick of the supervisor."""
         self._supervisor.tick()
         self.failure = self._supervisor.failure
 
     def end(self) -> dict[str, Any]:
-        """Drain and stop."""
+        """Drain and stop the graph; return its checks and figures."""
         run_for(self._supervisor, SETTLE_S)
         duration_s = time.monotonic() - self._supervisor.started_s
         self._supervisor.finish()
@@ -139,7 +139,7 @@ class OneHost(Ground):
 
 
 class ThreeHosts(Ground):
-    """A graph over network namespaces, an agent on each; what they note is read from outside."""
+    """A graph over network namespaces with an agent on each; its state is read from their files."""
 
     kinds = {"kill": 0.35, "volley": 0.1, "freeze": 0.2, "nap": 0.15, "partition": 0.2}
 
@@ -175,42 +175,42 @@ class ThreeHosts(Ground):
 
     @property
     def commands(self) -> Histogram:
-        """Of the source, as its host counts."""
+        """The histogram of the source, on its host."""
         source = next(sources(self._plan))
         return self._ledgers[source.host].nodes[source.index].histograms["loop"]
 
     def accounts(self, victim: str) -> list[NodeAccount]:
-        """Of the nodes of `host/process`, or of a host."""
+        """Return the accounts of the nodes of `host/process`, or of a host."""
         host, _, process = victim.partition("/")
         nodes = [n for n in self._plan.nodes if n.host == host and process in ("", n.process)]
         return [self._ledgers[host].nodes[n.index] for n in nodes]
 
     def pid(self, name: str) -> int:
-        """As its host notes it."""
+        """Return the process id in the host's run file, 0 while there is none."""
         host, _, process = name.partition("/")
         return int(self._noted(host)["pids"].get(process, 0))
 
     def restarts(self) -> int:
-        """Every instance has an epoch of its own."""
+        """Return the sum of all epochs, which rises with every new instance."""
         return sum(self._ledgers[n.host].nodes[n.index].epoch for n in self._plan.nodes)
 
     def link(self, host: str, *, up: bool) -> None:
-        """Of the namespace."""
+        """Set the link of the host's namespace."""
         self._world.link(host, up=up)
 
     def look(self) -> None:
-        """The agents look after it."""
+        """Wait for a moment; the agents supervise the graph."""
         time.sleep(LOOK_S)
         ended = [host for host, agent in self._world.agents.items() if agent.poll() is not None]
         self.failure = f"the agent of {ended[0]} ended" if ended else ""
 
     def end(self) -> dict[str, Any]:
-        """Look at the accounts, take it down, end the agents."""
+        """Check the accounts, take the graph down and end the agents."""
         time.sleep(SETTLE_S)
         edges = [self._report(edge.index) for edge in self._plan.edges]
         loop = {"latency_ms": self.commands.summary()}
         self._world.fovea("down", self._plan.name)
-        left = [name for host in self.hosts for name in self._memory(host)]  # goes with the agent
+        left = [name for host in self.hosts for name in self._memory(host)]  # gone with the agent
         self.__exit__()
         left += [name for host in self.hosts for name in leftover_files(self._world.home(host))]
         listed = [(p.pid, p.info["cmdline"] or []) for p in psutil.process_iter(["cmdline"])]
@@ -227,7 +227,7 @@ class ThreeHosts(Ground):
         return {"from": edge.origin, "to": edge.end, "depth": edge.depth, **account.report()}
 
     def _unsettled(self, edges: Sequence[Mapping[str, Any]]) -> list[str]:
-        """It runs on while accounts are looked at: what is under way has to be little."""
+        """Return the unbalanced edges of a running graph; few messages may be in flight."""
         fair = [min(e["in_flight"], e["depth"] + 1) for e in edges]
         return unbalanced(
             [
@@ -237,7 +237,7 @@ class ThreeHosts(Ground):
         )
 
     def _memory_folder(self, host: str) -> Path:
-        """Every host has one of its own, which is seen through its agent."""
+        """Return the host's own folder of shared memory, as its agent sees it."""
         root = Path(f"/proc/{self._world.agents[host].pid}/root")
         return root / MEMORY.relative_to("/")
 

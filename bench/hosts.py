@@ -1,8 +1,8 @@
-"""A graph over three hosts: `python -m bench.hosts [GRAPH] --seconds 30 [--json FILE]`.
+"""Measure a graph over three hosts: `python -m bench.hosts [GRAPH] --seconds 30 [--json FILE]`.
 
 Hosts are network namespaces of this machine with shared memory of their own, an agent on each, TLS
-between them. Told are the latency of every hop and the error of the clocks, what a cable carries
-against the bytes that the graph needs there, and how soon a host whose cable is pulled is missed.
+between them. It reports the latency of every hop and the error of the clocks, the bytes that each
+host sends and those that the graph needs, and how soon the loss of a disconnected host is reported.
 """
 
 import json
@@ -33,11 +33,11 @@ from pipeline.run.inline import InlineRunner
 
 DESK = "desk"  # the host that deploys
 USER = "tester"
-SAMPLES = 5  # exposures by which the size of messages is told
+SAMPLES = 5  # exposures by which the size of messages is measured
 
 
 class World(Hosts):
-    """A graph's hosts with their agents, and a desk to deploy from. Use it as a context."""
+    """A graph's hosts with their agents, and a host to deploy from; use it as a context manager."""
 
     def __init__(self, folder: Path, graph: Path, **ahead_s: int) -> None:
         self.graph, self.plan, self.folder = graph, load(graph), folder
@@ -66,18 +66,18 @@ class World(Hosts):
             log.close()
 
     def begin(self, label: str) -> None:
-        """Start a host's agent, as its boot would."""
+        """Start a host's agent, as at boot."""
         self._logs.append(self.log(label).open("a"))
         config = str(self.authority / f"host.{label}" / "agent.yaml")
         words = ("-m", "pipeline.cli", "agent", "--config", config)
         self.agents[label] = self.start(label, *words, log=self._logs[-1])
 
     def log(self, label: str) -> Path:
-        """What a host's agent says."""
+        """Return the log file of a host's agent."""
         return self.folder / f"{label}.log"
 
     def fovea(self, *words: str, timeout_s: float = 180) -> str:
-        """A command at the desk; raises `RunError` with what it said when it failed."""
+        """Run a command on the deploying host; raises `RunError` with its output when it fails."""
         done = self.run(DESK, "-m", "pipeline.cli", *words, timeout_s=timeout_s)
         if done.returncode:
             raise RunError((done.stderr or done.stdout).strip())
@@ -89,17 +89,17 @@ class World(Hosts):
         return self.fovea("up", str(self.graph), "--credentials", credentials, *more)
 
     def states(self) -> dict[str, Any]:
-        """What every host says of the graph, or why it says nothing."""
+        """Return the graph's state on every host, or why a host does not answer."""
         told = json.loads(self.fovea("ps", "--json"))
         found: dict[str, Any] = told[self.plan.name]["hosts"]
         return found
 
     def heard(self, label: str, words: str, since: int = 0, timeout_s: float = 60) -> float:
-        """Wait until a host's agent says that; how long it took. Raises `RunError`."""
+        """Wait for some words in a host's log; return how long that took. Raises `RunError`."""
         began_s = time.monotonic()
         while words not in " ".join(self.log(label).read_text()[since:].split()):
             if time.monotonic() - began_s > timeout_s:
-                raise RunError(f"{label}: did not say {words!r} within {timeout_s:.0f} s")
+                raise RunError(f"{label}: no {words!r} in its log within {timeout_s:.0f} s")
             time.sleep(0.02)
         return time.monotonic() - began_s
 
@@ -143,7 +143,7 @@ def main(
 
 
 def message_bytes(plan: Plan) -> dict[str, int]:
-    """The mean size of each output's messages, from some exposures in line."""
+    """Return the mean size of each output's messages, from some exposures in line."""
     seen: Counter[str] = Counter()
     count: Counter[str] = Counter()
 
@@ -158,7 +158,7 @@ def message_bytes(plan: Plan) -> dict[str, int]:
 
 
 def hops(states: dict[str, Any]) -> list[dict[str, Any]]:
-    """Per edge: from which host to which, and how old a message's exposure and last stage are."""
+    """Return for each edge the host that reads it, the hop's latency and the age of messages."""
     found = []
     for label, (state,) in states.items():
         nodes = {node["name"]: node for node in state["nodes"]}
@@ -177,7 +177,7 @@ def hops(states: dict[str, Any]) -> list[dict[str, Any]]:
 def needed(
     plan: Plan, sizes: dict[str, int], before: dict[str, Any], after: dict[str, Any]
 ) -> dict[str, int]:
-    """What every host has to send: each output once to every other that reads it, as it came."""
+    """Return the bytes per second that hosts must send: an output once to each reading host."""
     found: Counter[str] = Counter()
     rates: dict[tuple[str, str], float] = {}
     for label, (state,) in after.items():
@@ -194,7 +194,7 @@ def needed(
 
 
 def _pull(world: World) -> dict[str, float]:
-    """How soon the others miss the last host, and see it again."""
+    """Return how soon the first host reports the loss of the last one, and its return."""
     label, seer = world.plan.hosts[-1], world.plan.hosts[0]
     since = len(world.log(seer).read_text())
     world.link(label, up=False)

@@ -1,8 +1,8 @@
 """Prediction error of the motion model for several interpretations of the paper's noise values.
 
 `python -m bench.kalman [--data FOLDER] [--seed 7]`: FOLDER is a SoccerNet sequence (the folder with
-gt/ and gameinfo.ini); without it, and beside it, made-up tracks. Prints JSON: mean distance in
-pixels between the foreseen and the true centre at 1, 4, 8 and 13 frames, and the associator's time.
+gt/ and gameinfo.ini); made-up tracks are measured in any case. Prints JSON: mean distance in pixels
+between the predicted and the true centre at 1, 4, 8 and 13 frames, and the associator's time.
 """
 
 import argparse
@@ -31,7 +31,7 @@ Reading = tuple[Array, float, Array, float]  # process (2, 2), measurement, firs
 
 
 def readings() -> dict[str, Reading]:
-    """What "process noise 0.001, measurement noise 0.01" may mean; lengths in box sizes."""
+    """Return readings of "process noise 0.001, measurement noise 0.01"; lengths in box sizes."""
     one, q, r, tick = np.eye(2), 1e-3, 1e-2, 1 / RATE_HZ
     first = np.diag([r, 1.0])
     return {
@@ -50,13 +50,16 @@ def readings() -> dict[str, Reading]:
 
 
 def white(step: float, variance: float) -> Array:
-    """filterpy's discrete white noise on the acceleration, one axis."""
+    """Return filterpy's discrete white noise on the acceleration, for one axis."""
     block = [[0.25 * step**4, 0.5 * step**3], [0.5 * step**3, step**2]]
     return np.array(block) * variance
 
 
 def errors(paths: list[Path2D], reading: Reading | None, noise: float, seed: int) -> list[float]:
-    """Mean error at each of AHEAD, measuring with `noise` box sizes; None: the last place holds."""
+    """Return the mean error at each of AHEAD with measurement noise of `noise` box sizes.
+
+    Without a reading the last measured place is the prediction.
+    """
     rng = np.random.default_rng(seed)
     off: dict[int, list[Array]] = {h: [] for h in AHEAD}
     for centres, sizes in paths:
@@ -69,7 +72,7 @@ def errors(paths: list[Path2D], reading: Reading | None, noise: float, seed: int
 
 
 def foreseen(measured: Array, reading: Reading, ahead: int) -> Array:
-    """Where the filter puts each frame's object `ahead` frames later: (k, 2) -> (k, 2)."""
+    """Return the filter's prediction `ahead` frames after each frame: (k, 2) -> (k, 2)."""
     process, noise, covariance, step = reading
     transition = np.array([[1, step], [0, 1]])
     state, out = np.stack([measured[0], np.zeros(2)]), [measured[0]]
@@ -83,7 +86,7 @@ def foreseen(measured: Array, reading: Reading, ahead: int) -> Array:
 
 
 def made_up(seed: int, count: int = 40, frames: int = 200) -> list[Path2D]:
-    """Objects that run straight for a while, then turn or stop, as players do."""
+    """Return objects that run straight for a while, then turn or stop, as players do."""
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(count):
@@ -94,7 +97,10 @@ def made_up(seed: int, count: int = 40, frames: int = 200) -> list[Path2D]:
 
 
 def footage(folder: Path) -> Iterator[tuple[str, Path2D]]:
-    """Role and unbroken pieces of at least 20 frames of every tracklet; raises `DriverError`."""
+    """Yield role and path of every unbroken piece of a tracklet of at least 20 frames.
+
+    Raises `DriverError`.
+    """
     tracklets = read_tracklets(folder / "gameinfo.ini")
     found = [(r.id, r.index, *r.box) for r in read_rows(folder / "gt" / "gt.txt", columns=6)]
     rows = np.array(found, np.float64).reshape(-1, 6)
@@ -108,7 +114,7 @@ def footage(folder: Path) -> Iterator[tuple[str, Path2D]]:
 
 
 def associator_ms(objects: int, seed: int, frames: int = 200) -> dict[str, float]:
-    """Time of one frame of the whole operator with `objects` players of 40x90 px in view."""
+    """Return the time per frame of the whole operator with `objects` players of 40x90 px."""
     rng = np.random.default_rng(seed)
     at = rng.uniform((50, 50), (1870, 1030), (objects, 2))
     pace = rng.normal(size=(objects, 2)) * 3

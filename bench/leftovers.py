@@ -14,30 +14,30 @@ from pipeline.run.supervisor import Supervisor
 
 @dataclass(frozen=True)
 class Traces:
-    """What a run may leave behind, known while it runs."""
+    """Where a run may leave files and processes, recorded while it runs."""
 
     folder: Path
     run_id: str
 
     @staticmethod
     def of(graph: str) -> "Traces":
-        """Of a graph that runs now."""
+        """Return the traces of a running graph."""
         return Traces(folder_of(graph), str(running()[graph]["run"]))
 
     def files(self) -> list[str]:
-        """Shared memory and sockets; to be asked for after the end. Logs are meant to stay."""
+        """Return leftover shared memory and sockets, after the run's end; logs are to stay."""
         memory = path_of(self.run_id)
         return sorted(
             [*map(str, memory.glob("*") if memory.exists() else ()), *leftover_files(self.folder)]
         )
 
     def orphans(self) -> list[int]:
-        """Processes that live after the end."""
+        """Return the ids of processes that run after the run's end."""
         return [process.pid for process, run_id in node_processes() if run_id == self.run_id]
 
 
 def leftover_files(folder: Path) -> list[str]:
-    """Files below a folder, whatever they are called, but for what is meant to stay there."""
+    """Return the names of all files below a folder, except logs and locks, which are to stay."""
     return sorted(
         path.name
         for path in folder.rglob("*")
@@ -46,7 +46,7 @@ def leftover_files(folder: Path) -> list[str]:
 
 
 def unbalanced(edges: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Edges whose account does not add up to what was offered.
+    """Return edges whose account does not add up to what was offered.
 
     >>> edge = {"from": "a", "to": "b", "offered": 5, "delivered": 3, "dropped": {"gap": 1},
     ...         "in_flight": 0, "lost_in_crash": 1}
@@ -63,7 +63,7 @@ def unbalanced(edges: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def run_for(supervisor: Supervisor, seconds: float) -> None:
-    """Let the graph run for so long."""
+    """Let the graph run for so many seconds."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         supervisor.tick()

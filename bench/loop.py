@@ -1,4 +1,4 @@
-"""How fast the loop closes: `python -m bench.loop [GRAPH] [--source …] [--json FILE]`.
+"""Measure the latency of the loop: `python -m bench.loop [GRAPH] [--source …] [--json FILE]`.
 
 Runs a graph of processes in real time, several rounds; prints picture ready -> command accepted,
 each stage's share, what remains beyond the handlers' own time, drops, memory and processor time.
@@ -21,7 +21,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.run.report import Report
 
-FRAME_BUDGET_MS = (33.0, 66.0)  # p50, p99 asked of the loop: one and two frames at 30 fps
+FRAME_BUDGET_MS = (33.0, 66.0)  # limits of the loop's p50 and p99: one and two frames at 30 fps
 OVERHEAD_MS = 3.0
 
 
@@ -50,7 +50,7 @@ def main(
 
 
 def summarise(reports: list[Report], path: Collection[str]) -> dict[str, Any]:
-    """Median over the rounds, with the least and the most beside it."""
+    """Return each figure's median over the rounds, with the least and the greatest value."""
     loop = {
         f"{name}_{share}": spread([r["loop"][name][share] for r in reports])
         for name in ("latency_ms", "overhead_ms", "scheduling_delay_ms")
@@ -72,7 +72,7 @@ def summarise(reports: list[Report], path: Collection[str]) -> dict[str, Any]:
 
 
 def spread(values: list[float]) -> dict[str, float]:
-    """Median, least and most.
+    """Return median, least and greatest value.
 
     >>> spread([3.0, 1.0, 2.0])
     {'median': 2.0, 'min': 1.0, 'max': 3.0}
@@ -81,7 +81,7 @@ def spread(values: list[float]) -> dict[str, float]:
 
 
 def table(summary: dict[str, Any]) -> Table:
-    """The figures for a terminal, with what is asked beside them."""
+    """Return the figures as a table, with their limits."""
     shown = Table(title="loop: picture ready -> command accepted by the sensor")
     for column in ("figure", "median", "min .. max", "asked"):
         shown.add_column(column)
@@ -113,7 +113,7 @@ def _figure(stage: dict[str, Any], key: str) -> float:
 
 
 def _handlers(report: Report, path: Collection[str]) -> float:
-    """Median handler times of the stages between picture and command, added up."""
+    """Return the sum of the median handler times of the stages between picture and command."""
     return float(sum(s["latency_ms"]["p50"] for s in report["stages"] if s["node"] in path))
 
 

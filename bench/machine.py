@@ -13,7 +13,7 @@ LIBRARIES = ("eclipse-zenoh", "numpy", "onnxruntime", "opencv-python-headless", 
 
 
 def facts(libraries: tuple[str, ...] = LIBRARIES) -> dict[str, Any]:
-    """What a result file says of its origin; JSON-ready. Absent libraries are left out."""
+    """Return the origin for a result file, JSON-ready; absent libraries are left out."""
     commit, changed = revision()
     return {
         "machine": {
@@ -31,7 +31,7 @@ def facts(libraries: tuple[str, ...] = LIBRARIES) -> dict[str, Any]:
 
 
 def cpu_name(listing: Path = Path("/proc/cpuinfo")) -> str:
-    """The processor's name as Linux tells it, else its architecture."""
+    """Return the processor's name from Linux's listing, else its architecture."""
     if listing.is_file():
         for line in listing.read_text(errors="replace").splitlines():
             if line.startswith("model name"):
@@ -40,7 +40,7 @@ def cpu_name(listing: Path = Path("/proc/cpuinfo")) -> str:
 
 
 def versions(libraries: tuple[str, ...]) -> dict[str, str]:
-    """Installed versions by distribution name."""
+    """Return installed versions by distribution name."""
     found = {}
     for name in libraries:
         try:

@@ -1,7 +1,7 @@
 """Hosts on one machine: network namespaces on one bridge, each with shared memory of its own.
 
-Needs root and `ip` and `unshare`; `permitted` tells. The kernel's clock is the same in all of them
-unless a host is given another one.
+Needs root, `ip` and `unshare` (see `permitted`). All hosts have the kernel's clock unless a host is
+given an offset.
 """
 
 import os
@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @lru_cache(maxsize=1)
 def permitted() -> bool:
-    """Whether namespaces may be made here."""
+    """Whether this process may make network namespaces."""
     if os.getuid() != 0 or not shutil.which("ip") or not shutil.which("unshare"):
         return False
     words = [
@@ -39,7 +39,7 @@ def permitted() -> bool:
 
 
 class Hosts:
-    """Hosts by name, 10.77.0.1 and up. Use it as a context: leaving it ends what runs there."""
+    """Hosts by name, from 10.77.0.1 on; a context manager that ends their processes at its exit."""
 
     def __init__(self, folder: Path, *names: str, ahead_s: Mapping[str, int] | None = None) -> None:
         self._stem, self._folder = f"fv{os.getpid()}", folder
@@ -50,7 +50,7 @@ class Hosts:
     def __enter__(self) -> "Hosts":
         try:
             self._make()
-        except BaseException:  # nobody leaves what was never entered
+        except BaseException:  # without entering there is no exit
             self._remove()
             raise
         return self
@@ -89,11 +89,11 @@ class Hosts:
         self._remove()
 
     def home(self, name: str) -> Path:
-        """The host's folder for what would lie in /tmp."""
+        """Return the folder that replaces the home and /tmp on a host."""
         return self._folder / f"home-{name}"
 
     def start(self, name: str, *words: str, log: IO[str] | None = None) -> "subprocess.Popen[str]":
-        """Python with `words` on a host."""
+        """Start Python with `words` on a host."""
         popen = subprocess.Popen(
             self._command(name, words), text=True, cwd=ROOT, env=self._env(name),
             stdout=log or subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -104,18 +104,18 @@ class Hosts:
     def run(
         self, name: str, *words: str, timeout_s: float = 120
     ) -> "subprocess.CompletedProcess[str]":
-        """Likewise, until it ends."""
+        """Run Python with `words` on a host until it ends."""
         return subprocess.run(
             self._command(name, words), text=True, cwd=ROOT, env=self._env(name),
             capture_output=True, timeout=timeout_s, check=False,
         )  # fmt: skip
 
     def link(self, name: str, *, up: bool) -> None:
-        """Pull a host's network cable, or put it back."""
+        """Disconnect a host from the network, or connect it again."""
         _ip("-n", f"{self._stem}-{name}", "link", "set", "eth0", "up" if up else "down")
 
     def traffic(self, name: str) -> tuple[int, int]:
-        """Bytes that a host has received and sent over its cable."""
+        """Return the bytes that a host has received and sent over its link."""
         command = ["ip", "netns", "exec", f"{self._stem}-{name}", "cat", "/proc/net/dev"]
         shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
         fields = next(line for line in shown.splitlines() if "eth0:" in line).split(":")[1].split()

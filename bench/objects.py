@@ -1,10 +1,10 @@
 """Cost of objects in a running graph: `python -m bench.objects [GRAPH] [--together] [--json …]`.
 
 Runs a tracking graph of processes in real time with 1 to 25 objects (`bench/crowd.py`), several
-rounds in shuffled order. Printed by the number of objects: how many of them the ROI encoder
-described, its handler's time, the policy's, what the policy takes to note the looks, all three
-together; the processor's time of both processes for a frame, which tells a busy machine from a slow
-part; picture ready -> command accepted, overhead and drops.
+rounds in shuffled order. Prints for each number of objects: how many of them the ROI encoder
+described; the handler times of encoder and policy, the time in which the policy notes the encoder's
+features, and the sum of the three; the processor time of both processes per frame, which tells a
+busy machine from a slow stage; picture ready -> command accepted, overhead and drops.
 """
 
 import json
@@ -32,7 +32,7 @@ from pipeline.graph.plan import Plan
 from pipeline.run.report import Report, compose
 from pipeline.run.supervisor import Supervisor
 
-# else the policy leaves out copies that do not look like what their original is
+# else the policy leaves out copies that do not look like their originals
 EVERYBODY = "policy.least_genuine=0"
 COLUMNS = {
     "encoded": "encoded", "encoder_ms": "encoder ms", "policy_ms": "policy ms",
@@ -43,8 +43,8 @@ COLUMNS = {
 @click.command(cls=Bench)
 @on_graph
 @click.option("--objects", "counts", multiple=True, type=click.IntRange(1, 25),
-              help="How many; again for more. [default: 1, 5, 10, 15, 20, 25]")  # fmt: skip
-@click.option("--together", is_flag=True, help="All inside the ROI; else where the real ones are.")
+              help="Number of objects; repeatable. [default: 1, 5, 10, 15, 20, 25]")  # fmt: skip
+@click.option("--together", is_flag=True, help="All inside the ROI, else at the real ones.")
 @click.option("--frames", default=250, show_default=True, type=click.IntRange(10))
 @click.option("--rounds", default=3, show_default=True, type=click.IntRange(1))
 @click.option("--seed", default=0, show_default=True, help="Of the order.")
@@ -79,7 +79,7 @@ def main(
 
 
 def run(plan: Plan, frames: int) -> Report:
-    """The report of one run, with what the policy took to note each look."""
+    """Run a plan; return its report with the times in which the policy noted features."""
     with Supervisor(plan, frames=frames) as supervisor:
         supervisor.start()
         while not supervisor.finished:
@@ -100,7 +100,7 @@ def run(plan: Plan, frames: int) -> Report:
 
 
 def counted(durations_ns: Iterable[int]) -> Histogram:
-    """Durations in the ledger's buckets."""
+    """Return a histogram of durations in the ledger's buckets."""
     histogram = Histogram(np.zeros(BUCKETS, np.uint32))
     for duration_ns in durations_ns:
         histogram.add(duration_ns)
@@ -108,9 +108,9 @@ def counted(durations_ns: Iterable[int]) -> Histogram:
 
 
 def summarise(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Runs with equally many objects: handlers over all their frames, the loop by rounds.
+    """Summarise runs with the same number of objects: handlers over all frames, the loop by rounds.
 
-    Only frames count in which all objects were there: tracks need two sightings to begin.
+    Only frames with all objects count, because a track begins with its second sighting.
     """
     rows = [row for one in runs for row in frames_of(one["witness"], one["objects"])]
     encoded, encoder_ns, policy_ns = np.array(rows, np.int64).reshape(-1, 3).T
@@ -127,7 +127,7 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "encoder_ms": _percentiles(encoder_ns),
         "policy_ms": _percentiles(policy_ns),
         "noting_ms": noting,
-        # the looks are noted at another moment: the two percentiles are added
+        # features are noted in another call: the two percentiles are added
         "together_ms": {share: round(both[share] + noting[share], 3) for share in both},
         "processor_ms": round(median(map(processor_ms, runs)), 3),
         "loop": loop,
@@ -136,14 +136,14 @@ def summarise(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def processor_ms(one: Mapping[str, Any]) -> float:
-    """What encoder and policy take of a core for a frame, bus and bookkeeping included."""
+    """Return the processor time of encoder and policy per frame, bus and bookkeeping included."""
     each_s: float = one["duration_s"] / max(1, max(edge["offered"] for edge in one["edges"]))
     shares = (s["cpu_percent"] for s in one["stages"] if s["node"] in ("roi_features", "policy"))
     return sum(float(share) for share in shares) / 100 * each_s * 1000
 
 
 def frames_of(witness: Mapping[str, Any], count: int) -> list[tuple[int, int, int]]:
-    """Objects encoded, encoder's and policy's nanoseconds of each frame with `count` objects."""
+    """Return encoded objects and the nanoseconds of both stages for frames with `count` objects."""
     encoder, policy = ({f: (o, ns) for f, o, ns in zip(*w.values(), strict=True)}
                        for w in (witness["encoder"], witness["policy"]))  # fmt: skip
     return [
@@ -154,7 +154,7 @@ def frames_of(witness: Mapping[str, Any], count: int) -> list[tuple[int, int, in
 
 
 def table(summary: Mapping[str, Mapping[str, Any]], *, together: bool) -> Table:
-    """The figures for a terminal: p50 / p99."""
+    """Return the figures as a table: p50 / p99."""
     where = "all inside the ROI" if together else "where the real ones are"
     shown = Table(title=f"encoder and policy in the loop, objects {where}; p50 / p99")
     for column in ("objects", *COLUMNS.values(), "loop ms", "overhead ms", "drops"):

@@ -10,14 +10,14 @@ from pipeline.errors import FoveaError
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 
 ROOT = Path(__file__).resolve().parents[1]
-JSON = click.option("--json", "path", type=click.Path(path_type=Path), help="Write figures, facts.")
+JSON = click.option("--json", "path", type=click.Path(path_type=Path), help="Write the figures.")
 
 
 class Bench(click.Command):
-    """A command that prints what fovea refuses as one sentence, and ends with 1."""
+    """A command that prints a `FoveaError` as one sentence and exits with status 1."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run it."""
+        """Run the command."""
         try:
             return super().invoke(ctx)
         except FoveaError as error:
@@ -35,11 +35,11 @@ def file_name(path: Path) -> str:
 
 
 def on_graph(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The graph to run (`graph`), and what is laid over it (`source`, `changes`)."""
+    """Add options for the graph to run (`graph`) and what is laid over it (`source`, `changes`)."""
     for decorate in (
         click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE"),
         click.option(
-            "--source", type=SOURCE_FILE, help="What makes frames: a shipped source or a file."
+            "--source", type=SOURCE_FILE, help="Source of frames: a shipped one or a file."
         ),
         click.argument("graph", default="tracking", type=GRAPH_FILE),
     ):

@@ -1,10 +1,9 @@
 """Attacks by another local user: `python -m bench.other_user --minutes 10 --json FILE`.
 
-A graph runs and starts anew again and again, and its nodes are killed, so that there is always
-something to make first. Beside it another user tries everything that
-`bench.other_user_attempts` knows. Every picture is compared byte by byte. Decoys, a folder and a
-file open to everybody, show that the acts would succeed where they can. Needs root, to become two
-users.
+A graph is started repeatedly and its nodes are killed, so that it makes new files all the time.
+Meanwhile another user runs the attacks of `bench.other_user_attempts`. Every picture is compared
+byte by byte. Decoys (a folder and a file open to everybody) show that the attacks succeed where
+permissions allow them. Needs root, to run as two users.
 """
 
 import contextlib
@@ -34,7 +33,7 @@ from pipeline.run.report import compose
 from pipeline.run.supervisor import Supervisor
 
 NOBODY = 65534
-ROUND_S = 6.0  # one life of the graph
+ROUND_S = 6.0  # one run of the graph
 KILL_S = 2.0
 GRAPH = """\
 name: other_user-{token}
@@ -62,15 +61,15 @@ def main(minutes: float, path: Path | None) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(result, indent=1))
     if result["achieved"] or result["torn"] or result["crashes"] or result["left"]:
-        raise click.ClickException("another user got something")
+        raise click.ClickException("an attack of another user succeeded")
 
 
 def measure(minutes: float, progress: Progress) -> dict[str, Any]:
-    """What the other user tried and got, and what became of the graph meanwhile."""
+    """Return what the other user tried and achieved, and how the graph ran meanwhile."""
     if os.geteuid() != 0:
         raise RunError("expected to run as root, which can become another user")
     found: dict[str, Any] = {"runs": 0, "pictures": 0, "torn": 0, "crashes": 0, "left": []}
-    task = progress.add_task("another user tries", total=minutes * 60)
+    task = progress.add_task("attacks", total=minutes * 60)
     with _decoys(), _other_user(minutes * 60) as other_user:
         began_s = time.monotonic()
         while (elapsed_s := time.monotonic() - began_s) < minutes * 60:
@@ -81,7 +80,7 @@ def measure(minutes: float, progress: Progress) -> dict[str, Any]:
 
 
 def _one_life(found: dict[str, Any]) -> None:
-    """Start the graph, kill a node now and then, end it, look at what it saw."""
+    """Run the graph once, kill nodes meanwhile, and add its figures to `found`."""
     path = Path(os.path.realpath(MEMORY)) / f"graph-{secrets.token_hex(4)}.yaml"
     path.write_text(GRAPH.format(token=secrets.token_hex(3)))
     try:
@@ -113,7 +112,7 @@ def _one_life(found: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def _other_user(seconds: float) -> Iterator["subprocess.Popen[str]"]:
-    """The other user; it gives up root's rights before it does anything."""
+    """Run the attacks in a process that first drops root's rights."""
     words = [str(NOBODY), str(os.geteuid()), str(seconds)]
     process = subprocess.Popen(
         [sys.executable, "-m", "bench.other_user_attempts", *words],
@@ -131,7 +130,7 @@ def _other_user(seconds: float) -> Iterator["subprocess.Popen[str]"]:
 
 @contextlib.contextmanager
 def _decoys() -> Iterator[None]:
-    """A folder and a file that anybody may enter, read and alter."""
+    """Make a folder and a file that all users may enter, read and alter; remove them at exit."""
     folder = MEMORY / f"fovea-{DECOY}-{secrets.token_hex(4)}"
     folder.mkdir()
     folder.chmod(0o777)

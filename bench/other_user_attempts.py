@@ -1,8 +1,8 @@
 """The attacks of another user: `python -m bench.other_user_attempts UID VICTIM_UID SECONDS`.
 
-Started by root, it becomes the user UID before it does anything, and then tries again and again to
-enter, read, alter, replace, connect to, stop and precede whatever user VICTIM_UID has of fovea. It
-prints what it achieved as JSON at the end. Only the standard library is used.
+Started by root, the process first becomes the user UID. Then it repeatedly tries to enter, read,
+alter, replace, connect to and stop what user VICTIM_UID has of fovea, and to make its files first.
+At the end it prints its successes as JSON. Only the standard library is used.
 """
 
 import contextlib
@@ -21,15 +21,15 @@ from pathlib import Path
 
 ROOTS = (Path("/dev/shm"), Path(tempfile.gettempdir()))
 NODE_MODULE = b"pipeline.node.process"
-DECOY = "decoy"  # in the names of what is left open on purpose: that these acts can succeed
-GUESSES = 20  # folders made in every round, in the hope that a run takes one
+DECOY = "decoy"  # in the names of what is open on purpose, to show that attacks can succeed
+GUESSES = 20  # folders made in every round, which a run might use
 PTRACE_ATTACH, PTRACE_DETACH = 16, 17
 LISTENING = "0A"  # the state of a TCP socket as the kernel lists it
 libc = ctypes.CDLL(None, use_errno=True)
 
 
 class OtherUser:
-    """One user's attempts against another one."""
+    """Attempts of one user against another one."""
 
     def __init__(self, victim: int) -> None:
         self._victim = victim
@@ -37,7 +37,7 @@ class OtherUser:
         self.achieved: Counter[str] = Counter()
         self.decoys: Counter[str] = Counter()
         self._made: list[Path] = []
-        self.ports: set[int] = set()  # on which the victim listens, whatever for
+        self.ports: set[int] = set()  # on which the victim listens
 
     def round(self) -> None:
         """Try everything once."""
@@ -51,7 +51,7 @@ class OtherUser:
         self._gather()
 
     def told(self) -> dict[str, object]:
-        """How often each act was tried and succeeded, on fovea's things and on decoys."""
+        """Return how often each act was tried and succeeded, on fovea's files and on decoys."""
         return {
             "tried": self.tried, "achieved": self.achieved, "decoys": self.decoys,
             "ports": sorted(self.ports),
@@ -61,7 +61,7 @@ class OtherUser:
         (self.decoys if DECOY in str(where) else self.achieved)[act] += 1
 
     def _found(self) -> Iterator[Path]:
-        """Everything with fovea in its name below the roots, as deep as one can look."""
+        """Yield every path with fovea in its name below the roots, and what its folder shows."""
         for root in ROOTS:
             with contextlib.suppress(OSError):
                 for entry in os.scandir(root):
@@ -77,7 +77,7 @@ class OtherUser:
             yield from (folder / name for name in names)
 
     def _touch(self, path: Path) -> None:
-        """Read it, alter it, shorten it, take it away, put something beside it."""
+        """Try to read, alter, truncate, rename and connect to a path, and to put a file into it."""
         for act in (self._read, self._alter, self._rename, self._connect, self._put_beside):
             self.tried[act.__name__] += 1
             with contextlib.suppress(OSError):
@@ -119,7 +119,7 @@ class OtherUser:
         return True
 
     def _nodes(self) -> tuple[list[int], set[str]]:
-        """Processes of the victim's graphs, and the ids of its runs: anybody may see both."""
+        """Return the victim's node processes and run ids, both of which all users may see."""
         pids, runs = [], set()
         for folder in Path("/proc").iterdir():
             if not folder.name.isdigit():
@@ -132,7 +132,7 @@ class OtherUser:
         return pids, runs
 
     def _precede(self, runs: set[str]) -> None:
-        """Make what a run might make next, before it does."""
+        """Make folders that a run might make next."""
         stem = f"fovea-{self._victim}-"
         names = [f"{stem}{run}" for run in runs]
         names += [f"{stem}{secrets.token_hex(8)}" for _ in range(GUESSES)]
@@ -145,7 +145,7 @@ class OtherUser:
                     self._made.append(root / name)
 
     def _gather(self) -> None:
-        """Whether the victim has put anything into what was made for it; then remove it."""
+        """Count the folders made by `_precede` that the victim has used, and remove them."""
         for folder in self._made:
             with contextlib.suppress(OSError):
                 if any(p.stat().st_uid == self._victim for p in folder.iterdir()):
@@ -154,7 +154,7 @@ class OtherUser:
         self._made.clear()
 
     def _look_into(self, pid: int) -> None:
-        """Through the process itself: its files, its memory, signals, a debugger."""
+        """Try to reach a process by its files in /proc, by a signal and by a debugger."""
         for name in ("mem", "maps", "environ"):
             self.tried["proc"] += 1
             with contextlib.suppress(OSError):
@@ -175,7 +175,7 @@ class OtherUser:
             libc.ptrace(PTRACE_DETACH, pid, None, None)
 
     def _knock(self) -> None:
-        """Every socket of the machine with fovea in its name, every port that the victim opened."""
+        """Try to connect to each socket with fovea in its name; note the victim's open ports."""
         for line in Path("/proc/net/unix").read_text().splitlines()[1:]:
             path = line.split()[-1]
             if "fovea" in path:
@@ -192,14 +192,14 @@ class OtherUser:
 
 
 def become(user: int) -> None:
-    """Give up every right that this process had."""
+    """Drop all rights of this process by becoming another user."""
     os.setgroups([])
     os.setresgid(user, user, user)
     os.setresuid(user, user, user)
 
 
 def main(words: list[str]) -> None:
-    """Try for so many seconds."""
+    """Repeat the attempts for so many seconds."""
     user, victim, seconds = int(words[0]), int(words[1]), float(words[2])
     if os.geteuid() == 0:
         become(user)

@@ -1,7 +1,7 @@
 """IoU and ROI share of a running graph by time span: `Watcher`, and `Spans` to read it.
 
-`overlap.yaml` holds the node. The watcher is told when a span begins and which class is asked for,
-so that every frame is counted where it belongs.
+`overlap.yaml` contains the node. Live settings give the watcher the current span and target class,
+so that every frame is counted in its span.
 """
 
 import json
@@ -31,7 +31,7 @@ TEN = 10  # spans at the beginning and at the end that are compared
 
 @dataclass(frozen=True, kw_only=True)
 class WatcherSettings:
-    """What is asked for now; `span` is a number that goes up."""
+    """The current target and span; the number of the span increases."""
 
     target: str = "ball"  # a class, as policy.target has it
     span: int = 0
@@ -39,7 +39,7 @@ class WatcherSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Sums:
-    """Over the frames of a span in which an object of the class could be seen."""
+    """Sums over the frames of a span in which an object of the class is visible."""
 
     target: str
     frames: int = 0
@@ -49,7 +49,7 @@ class Sums:
 
 
 class Watcher(Operator[WatcherSettings, None]):
-    """Compares with any object of the class: the one overlapped most, else the one shown most."""
+    """Compares with the object of the class that it overlaps most, else the one shown most."""
 
     percept = Input(Percept, keep="latest")
     truth = Input(Truth, keep="latest")
@@ -57,23 +57,23 @@ class Watcher(Operator[WatcherSettings, None]):
     live: ClassVar[tuple[str, ...]] = ("target", "span")
 
     def open(self) -> None:
-        """Nothing counted."""
+        """Start without counts."""
         self._spans: dict[int, Sums] = {}
 
     def on_percept_truth_roi(self, percept: Percept, truth: Truth, roi: Frame) -> None:
         """Count a frame."""
         s = self.settings
         sums = counted(self._spans.get(s.span, Sums(target=s.target)), percept, truth, roi)
-        newest = sorted({*self._spans, s.span})[-2:]  # the one before is read once more
+        newest = sorted({*self._spans, s.span})[-2:]  # the previous one is read once more
         self._spans = {n: sums if n == s.span else self._spans[n] for n in newest}
 
     def headline(self) -> str:
-        """The last two spans; a supervisor keeps no more than a line of it."""
+        """Return the last two spans; a supervisor keeps no more than a line."""
         return written(self._spans)
 
 
 def written(spans: Mapping[int, Sums]) -> str:
-    """Spans on one short line, which `read` understands.
+    """Return spans as one short line, which `read` parses.
 
     >>> written({7: Sums(target="ball", frames=30, answered=28, iou=15.25, shown=30.0)})
     '[[7,"ball",30,28,15.25,30.0]]'
@@ -86,7 +86,7 @@ def written(spans: Mapping[int, Sums]) -> str:
 
 
 def read(line: str) -> dict[int, Sums]:
-    """The spans that `written` wrote.
+    """Return the spans of a line of `written`.
 
     >>> read('[[7,"ball",30,28,15.25,30.0]]')[7].answered
     28
@@ -98,7 +98,7 @@ def read(line: str) -> dict[int, Sums]:
 
 
 def counted(sums: Sums, percept: Percept, truth: Truth, roi: Frame) -> Sums:
-    """The sums with one more frame; the same where no object of the class can be seen."""
+    """Return the sums with one more frame; the same if no object of the class is visible."""
     own = [CLASS_OF_ROLE.get(label, label) == sums.target for label in truth.labels]
     rows = np.flatnonzero(np.array(own, np.bool_) & (truth.visibility >= LEAST_VISIBLE))
     if not len(rows):
@@ -117,7 +117,7 @@ def counted(sums: Sums, percept: Percept, truth: Truth, roi: Frame) -> Sums:
 
 
 def watched(plan: Plan) -> Plan:
-    """The plan with the watcher; raises `RunError` for a graph that tracks nothing."""
+    """Return the plan with the watcher; raises `RunError` for a graph that tracks nothing."""
     names = {node.name for node in plan.nodes}
     if missing := [name for name in NEEDED if name not in names]:
         raise RunError(f"{plan.name}: expected a node {missing[0]} to watch, got none")
@@ -125,33 +125,33 @@ def watched(plan: Plan) -> Plan:
 
 
 class Spans:
-    """The spans of one run, as far as the watcher has told."""
+    """The spans of one run that the watcher has reported."""
 
     def __init__(self, supervisor: Supervisor) -> None:
         self._supervisor, self._heard = supervisor, ""
         self._sums: dict[int, Sums] = {}
 
     def begin(self, span: int, target: str) -> None:
-        """From now on this class is asked for, and counted in this span."""
+        """Begin a span: the watcher counts frames in it, for this class."""
         self._set(NODE, {"span": span, "target": target})
 
     def ask_for(self, target: str) -> None:
-        """Have the policy look for another class, as `fovea set` does."""
+        """Set the policy's target class, as `fovea set` does."""
         self._set("policy", {"target": target})
 
     def read(self) -> None:
-        """Take in what the watcher has told since."""
+        """Read what the watcher has reported since the last call."""
         words = self._supervisor.reports.headlines.get(NODE, "")
         if words != self._heard:
             self._heard = words
             self._sums |= read(words)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Means of every span in which something could be seen."""
+        """Return the means of every span with a visible object."""
         return [row(n, sums) for n, sums in sorted(self._sums.items()) if sums.frames]
 
     def _set(self, node: str, values: Mapping[str, Any]) -> None:
-        """Change live settings while the supervisor goes on looking after its processes."""
+        """Change live settings while the supervisor continues to tick."""
         with ThreadPoolExecutor(1) as pool:
             asked = pool.submit(find(self._supervisor.plan.name).configure, node, values)
             while not asked.done():
@@ -160,7 +160,7 @@ class Spans:
 
 
 def row(span: int, sums: Sums) -> dict[str, Any]:
-    """The means of a span.
+    """Return the means of a span.
 
     >>> row(3, Sums(target="ball", frames=4, answered=2, iou=1.0, shown=4.0))
     {'span': 3, 'target': 'ball', 'frames': 4, 'iou': 0.25, 'shown': 1.0, 'answered': 0.5}
@@ -173,7 +173,7 @@ FIGURES = ("iou", "shown", "answered")
 
 
 def mean(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Means over the frames of several spans; empty without any."""
+    """Return means over the frames of several spans; empty without any."""
     frames = sum(r["frames"] for r in rows)
     if not frames:
         return {}
@@ -181,7 +181,7 @@ def mean(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def ends(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The first ten spans against the last ten, all targets together and each by itself."""
+    """Return means of the first and the last ten spans, for all targets together and for each."""
     found: dict[str, Any] = {}
     for target in ("", *sorted({r["target"] for r in rows})):
         first, last = (
@@ -194,7 +194,7 @@ def ends(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def plot(rows: Sequence[Mapping[str, Any]], path: Path, title: str) -> None:
-    """IoU, ROI share and share of answers over the spans; the target is the colour below."""
+    """Plot IoU, ROI share and share of answers over the spans; the colours below are targets."""
     import matplotlib
 
     matplotlib.use("Agg")

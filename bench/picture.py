@@ -1,8 +1,8 @@
-"""One frame of a graph as a picture: `python -m bench.picture [GRAPH] [--source …] [--out FILE]`.
+"""Draw one frame of a graph: `python -m bench.picture [GRAPH] [--source …] [--out FILE]`.
 
 Runs the graph in line and draws its last frame: left the context with the tracks (white), the ROI
 (yellow) and the tracker's answer (red); right the ROI's window as the context shows it, and as the
-ROI does. Same graph, same settings: the same picture.
+ROI does. The same graph with the same settings gives the same picture.
 """
 
 from pathlib import Path
@@ -80,7 +80,7 @@ def draw(last: dict[str, Message]) -> Picture:
 
 
 def _cut(frame: Frame, window: tuple[int, int, int, int]) -> Picture:
-    """The part of a frame's pixels that shows a window of the sensor."""
+    """Return the part of a frame's pixels that shows a window of the sensor."""
     height, width = frame.pixels.shape[:2]
     by = np.divide((width, height), _size(frame.window))
     x0, y0 = np.multiply(np.subtract(window[:2], frame.window[:2]), by).astype(int)
@@ -93,7 +93,7 @@ def _size(window: tuple[int, int, int, int]) -> tuple[int, int]:
 
 
 def _enlarged(pixels: NDArray[np.uint8] | NDArray[np.uint16], size_px: tuple[int, int]) -> Picture:
-    """The pixels at another size, not smoothed when that is greater."""
+    """Return the pixels at another size, not smoothed when enlarged."""
     finer = size_px[0] > pixels.shape[1]
     how = cv2.INTER_NEAREST if finer else cv2.INTER_AREA
     return np.asarray(cv2.resize(pixels, size_px, interpolation=how), np.uint8)

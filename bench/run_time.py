@@ -38,10 +38,10 @@ Figures = dict[str, dict[str, float]]
 def run_time(
     changes: Sequence[str], frames: int = FRAMES, *, tracker: str = "", policy: str = ""
 ) -> Figures:
-    """Milliseconds per call of each part on one thread: p50 and p99; and how many objects.
+    """Return milliseconds per call of each part on one thread, and numbers of objects: p50 and p99.
 
-    `TOTAL`: of the parts that the paper counts, frame by frame.
-    The encoder is given the whole picture, so that it describes every object, not the few in a ROI.
+    `TOTAL` is the sum over the parts that the paper counts, frame by frame. The encoder gets the
+    whole picture, so that it describes every object, not only the few in a ROI.
     """
     clip = read(ClipName(seed=HELD_OUT), (1, frames))
     camera = Camera(clip, acquisition("foveated", Fraction(1, 8), clip.size_px))
@@ -76,10 +76,10 @@ def run_time(
 
 
 def by_objects(changes: Sequence[str], frames: int = FRAMES, *, policy: str = "") -> Figures:
-    """Milliseconds of encoder and policy together by the number of objects.
+    """Return milliseconds of encoder and policy together by the number of objects.
 
-    p50 and p99 of the operators, cutting and packing included, and the p50 of the networks alone.
-    All objects are inside what the encoder is given; in the loop only those inside the ROI are.
+    These are p50 and p99 of the operators, cutting and packing included, and the p50 of the
+    networks alone. The encoder gets all objects; in the loop it gets only those inside the ROI.
     """
     clip = read(ClipName(seed=HELD_OUT), (1, 2))
     camera = Camera(clip, acquisition("full", Fraction(1), clip.size_px))
@@ -109,7 +109,7 @@ def by_objects(changes: Sequence[str], frames: int = FRAMES, *, policy: str = ""
 
 
 def networks_of(stages: Stages) -> list[Path]:
-    """The files of encoder and policy; of a policy that is none, the encoder's alone."""
+    """Return the files of encoder and policy; only the encoder's if the policy has no network."""
     encoder, policy = stages.settings("roi_features"), stages.settings("policy")
     files = [weights_file(encoder.weights, SHIPPED_ENCODER)]
     if isinstance(policy, LearnedPolicySettings):
@@ -118,7 +118,7 @@ def networks_of(stages: Stages) -> list[Path]:
 
 
 def _alone_ms(networks: Sequence[Network], count: int) -> float:
-    """One call of the encoder for `count` crops, and one of the policy for as many objects."""
+    """Return the time of one encoder call and one policy call for `count` crops and objects."""
     fed = [_sides(network, 1, count) for network in networks]
     fed[0] = _sides(networks[0], count, CROP_PX)
     began_ns = time.perf_counter_ns()
@@ -128,7 +128,7 @@ def _alone_ms(networks: Sequence[Network], count: int) -> float:
 
 
 def _sides(network: Network, first: int, others: int) -> dict[str, NDArray[np.generic]]:
-    """Ones for every input, its open sides as long as said."""
+    """Return ones for every input of a network, with these lengths of its open sides."""
     found: dict[str, NDArray[np.generic]] = {}
     for name, shape in network.inputs.items():
         sides = [first if isinstance(shape[0], str) or shape[0] is None else shape[0]]
@@ -152,7 +152,7 @@ def _spread(values: list[float]) -> dict[str, float]:
 
 
 def markdown(table: Mapping[str, Mapping[str, float]]) -> str:
-    """The run-time table, the paper's figure beside ours."""
+    """Return the run-time table, with the paper's figures."""
     lines = ["| part | ms p50 | ms p99 | the paper, i7-7700HQ |", "|---|---|---|---|"]
     for name, figures in table.items():
         paper = PAPER_MS.get(name, "")
@@ -161,7 +161,7 @@ def markdown(table: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def by_objects_markdown(table: Mapping[str, Mapping[str, float]]) -> str:
-    """Encoder and policy together by the number of objects."""
+    """Return a table of encoder and policy together by the number of objects."""
     lines = ["| objects | encoder and policy, ms p50 | ms p99 | networks alone, ms p50 |"]
     lines.append("|---|---|---|---|")
     for count, figures in table.items():

@@ -13,7 +13,7 @@ from pipeline import Frame, Header, Input, Message, Operator, SettingsError, Sou
 
 @dataclass(frozen=True, kw_only=True)
 class MetronomeSettings:
-    """How often, and how big."""
+    """The rate and the size of the pictures."""
 
     rate_hz: float = 50.0
     side_px: int = 64
@@ -24,7 +24,7 @@ class MetronomeSettings:
 
 
 class Metronome(Source[MetronomeSettings, Frame]):
-    """Grey pictures at a steady rate."""
+    """Sends grey pictures at a steady rate."""
 
     def open(self) -> None:
         self.stream, self.seq, self.start_s = uuid4().hex, 0, time.monotonic()
@@ -45,11 +45,11 @@ class Metronome(Source[MetronomeSettings, Frame]):
 
 @dataclass(frozen=True, kw_only=True)
 class NoSettings:
-    """Nothing may be set."""
+    """There is nothing to set."""
 
 
 class Forward(Operator[NoSettings, Frame]):
-    """The same picture again."""
+    """Sends every picture again."""
 
     frame = Input(Frame, keep="every")
 
@@ -58,7 +58,7 @@ class Forward(Operator[NoSettings, Frame]):
 
 
 class Sink(Operator[NoSettings, None]):
-    """Takes pictures and answers nothing."""
+    """Receives pictures and sends nothing."""
 
     frame = Input(Frame, keep="every")
 
@@ -67,7 +67,7 @@ class Sink(Operator[NoSettings, None]):
 
 
 class Inspector(Operator[NoSettings, None]):
-    """Compares every byte of a metronome's pictures with what it has to be."""
+    """Compares every byte of a metronome's pictures with its expected value."""
 
     frame = Input(Frame, keep="every")
 

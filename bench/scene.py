@@ -20,13 +20,13 @@ from drivers.source import Annotations, FrameSource
 from pipeline.errors import FoveaError
 
 RATE_HZ = 25.0
-PICTURE_EVERY = 10  # frames between two whose pixels are looked at
+PICTURE_EVERY = 10  # frames between two whose pixels are measured
 RING = 1.8  # side of the ball's surroundings, in box sides
 Samples = dict[str, list[float]]
 
 
 def measure(source: FrameSource, frames: int) -> Samples:
-    """Everything countable in the first frames of a source, by name."""
+    """Return all measured quantities of the first frames of a source, by name."""
     found: Samples = defaultdict(list)
     last: NDArray[np.float32] | None = None
     for index in range(frames):
@@ -49,7 +49,7 @@ def measure(source: FrameSource, frames: int) -> Samples:
 
 
 def ball_box(truth: Annotations) -> NDArray[np.float32] | None:
-    """The box (4,) of the ball; None where it is not seen at all."""
+    """Return the box (4,) of the ball; None where it is hidden or absent."""
     for box, label, seen in zip(truth.boxes, truth.labels, truth.visibility, strict=True):
         if label == "ball" and seen > 0.3:
             return np.asarray(box)
@@ -91,7 +91,7 @@ def _measure_pixels(
 
 
 def table(columns: dict[str, Samples]) -> str:
-    """p5 / median / mean / p95 / max of every quantity, one column a source."""
+    """Return p5 / median / mean / p95 / max of every quantity, with a column for each source."""
     names = list(dict.fromkeys(name for samples in columns.values() for name in samples))
     lines = ["| p5 / p50 / mean / p95 / max | " + " | ".join(columns) + " |"]
     lines.append("|---" * (len(columns) + 1) + "|")
@@ -102,7 +102,7 @@ def table(columns: dict[str, Samples]) -> str:
 
 
 def summary(values: list[float]) -> str:
-    """The quantiles of one quantity.
+    """Return the statistics of one quantity.
 
     >>> summary([1, 2, 3])
     '1.1 / 2.0 / 2.0 / 2.9 / 3.0'

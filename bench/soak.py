@@ -1,9 +1,9 @@
 """Check for memory growth and degrading tracking: `python -m bench.soak [GRAPH] [--minutes 30]`.
 
 Runs a graph of processes in real time and compares every process's resident memory in the first
-and the last minute; prints frame rate, drops and the loop's latency beside it. Of a tracking graph
-it also tells, minute by minute, the IoU with the true box of the policy's target and the share of
-that box inside the ROI, and compares the first ten minutes with the last ten.
+and the last minute; also prints frame rate, drops and the loop's latency. For a tracking graph it
+reports for every minute the IoU with the true box of the policy's target and the share of that box
+inside the ROI, and compares the first ten minutes with the last ten.
 """
 
 import json
@@ -38,7 +38,7 @@ WARM_S = 10.0  # buffers and caches fill at first
 def main(
     graph: Path, source: Path | None, changes: tuple[str, ...], minutes: float, path: Path | None
 ) -> None:
-    """Let a graph run for long."""
+    """Run a graph for long; compare memory and tracking at its beginning and end."""
     plan = load(graph, Overlay(source=source, changes=changes, clock="realtime"))
     tracks = {node.name for node in plan.nodes}.issuperset(NEEDED)
     plan = watched(plan) if tracks else plan
@@ -83,7 +83,7 @@ class Minutes(Spans):
         self.begin(0, self._target)
 
     def attend(self, elapsed_s: float) -> None:
-        """Read what is new, and begin the next minute when it is time."""
+        """Read new reports, and begin the next minute when it is due."""
         self.read()
         if elapsed_s >= (self._minute + 1) * WINDOW_S:
             self._minute += 1
@@ -91,7 +91,7 @@ class Minutes(Spans):
 
 
 def faded(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What became of IoU and ROI share, in a line each; none without a truth."""
+    """Return a line on the change of each figure; none without a truth."""
     told = ends(rows)["all"]
     if not told["grown"]:
         return []
@@ -103,7 +103,7 @@ def faded(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def growth(samples: list[Sample]) -> dict[str, float]:
-    """Mean resident megabytes in the first and in the last minute.
+    """Return mean resident megabytes in the first and in the last minute, and the growth.
 
     >>> growth([Sample(t, 0, 50 + t / 1000) for t in (0, 20, 40, 2000)])
     {'first_mb': 50.0, 'last_mb': 52.0, 'grown_mb': 2.0}

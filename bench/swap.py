@@ -1,9 +1,9 @@
 """Measure swaps: `python -m bench.swap [GRAPH] --count 1000 [--json FILE]`.
 
-Runs a graph of processes in real time and swaps its parts again and again, each for the same part
-in a new process, while the stream of sensor commands is watched from outside. Printed: frames lost
-and doubled on lossless edges, drops on the others, how long a part stood still, the longest time
-between two sensor commands (beside the longest without a swap), and by how much the others grew.
+Runs a graph of processes in real time and repeatedly swaps its nodes, each for the same operator in
+a new process, while a tap receives the sensor commands. Prints frames lost and doubled on lossless
+edges, drops on the others, how long a node paused, the longest time between two sensor commands
+(with swaps and without), and the memory growth of the other processes.
 """
 
 import json
@@ -43,7 +43,7 @@ MEMORY_EVERY = 50  # swaps
 
 
 class Commands:
-    """When each sensor command left, as a tap on its output hears it."""
+    """Number and time of each sensor command that a tap receives."""
 
     def __init__(self, plan: Plan) -> None:
         edge = next(e for e in plan.edges if e.command)
@@ -63,19 +63,19 @@ class Commands:
             self.seqs.append(arrival.header.seq)
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self._stop()
         self._session.close()
 
     def gaps_ms(self, first: int = 0) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Times between successive commands from the one numbered `first` on."""
+        """Return the times between successive commands, from the one numbered `first` on."""
         return np.diff(np.array(self.times_s[first:])) * 1000
 
 
 @click.command(cls=Bench)
 @on_graph
 @click.option("--node", "nodes", multiple=True, default=("saliency", "policy"), show_default=True)
-@click.option("--count", default=20, show_default=True, type=click.IntRange(1), help="Of each.")
+@click.option("--count", default=20, show_default=True, type=click.IntRange(1), help="Per node.")
 @click.option("--probation", default=5, show_default=True, type=click.IntRange(1), help="Frames.")
 @click.option(
     "--warm-s",
@@ -85,7 +85,7 @@ class Commands:
     help="Without a swap: the baseline. The procedural scene fills its cache for five minutes.",
 )
 @click.option(
-    "--pause-s", default=0.0, show_default=True, type=click.FloatRange(0), help="Between two."
+    "--pause-s", default=0.0, show_default=True, type=click.FloatRange(0), help="After each swap."
 )
 @JSON
 def main(
@@ -160,12 +160,12 @@ def _swap(supervisor: Supervisor, order: SwapOrder) -> dict[str, Any]:
 
 
 def _exposed(supervisor: Supervisor) -> int:
-    """Frames that the source has sent."""
+    """Return the number of frames that the source has sent."""
     return max(edge.sent for edge in supervisor.ledger.edges)
 
 
 def _dropped(supervisor: Supervisor) -> int:
-    """Messages that came to nothing on all edges where the latest counts."""
+    """Return the number of messages dropped or lost on edges that keep the latest."""
     found = 0
     for edge in supervisor.plan.edges:
         if edge.keep == "latest":
@@ -175,17 +175,17 @@ def _dropped(supervisor: Supervisor) -> int:
 
 
 def _left_out(swap: dict[str, Any]) -> int:
-    """Messages left out on one input, at most; a part that was stopped and started tells none."""
+    """Return the most messages left out on one input; a swap with a stop reports none."""
     return max(swap.get("left_out", {}).values(), default=0)
 
 
 def _counted(values: list[int]) -> dict[str, int]:
-    """How many swaps left out that many messages on one input."""
+    """Return how many swaps left out each number of messages on one input."""
     return {str(value): values.count(value) for value in sorted(set(values))}
 
 
 def _memory(supervisor: Supervisor) -> dict[str, dict[str, float]]:
-    """Resident and locked megabytes and open files by process."""
+    """Return resident and locked megabytes and open files by process."""
     found = {}
     for process in supervisor.plan.processes():
         pid = supervisor.pid(process)
@@ -201,7 +201,7 @@ def _memory(supervisor: Supervisor) -> dict[str, dict[str, float]]:
 
 
 def _losses(edges: list[dict[str, Any]], seqs: list[int]) -> dict[str, int]:
-    """Over the whole run; its reader refuses a doubled message as unmatched."""
+    """Return losses over the whole run; a reader refuses a doubled message as unmatched."""
     lossless = [e for e in edges if e["keep"] == "every"]
     return {
         "frames": max(e["offered"] for e in edges),
@@ -225,7 +225,7 @@ def _tables(result: dict[str, Any]) -> tuple[Table, Table]:
     times = Table(title=f"{result['count']} swaps of each of {', '.join(result['nodes'])}")
     for column in ("", "p50 ms", "p99 ms", "longest ms"):
         times.add_column(column, justify="right")
-    rows = {f"{node} stood still": spread for node, spread in result["gap_ms"].items()}
+    rows = {f"{node} paused": spread for node, spread in result["gap_ms"].items()}
     rows |= {f"commands, {k}": spread for k, spread in result["command_gap_ms"].items()}
     for name, spread in rows.items():
         times.add_row(name, *(f"{spread[k]:.1f}" for k in ("p50", "p99", "max")))
@@ -233,7 +233,7 @@ def _tables(result: dict[str, Any]) -> tuple[Table, Table]:
         f"{len(result['refused'])} refused; {result['frames']} frames; "
         f"lossless edges: {result['lost']} lost; "
         f"{result['doubled_commands']} commands doubled; {result['dropped_on_latest']} dropped "
-        f"where the latest counts; left out between the old instance's last output and the "
+        f"on edges that keep the latest; left out between the old instance's last output and the "
         f"new one's first, on one input (messages: swaps) {result['left_out']}; "
         f"{result['fps']:.1f} fps; restarts {sum(result['restarts'].values())}"
     )

@@ -1,13 +1,13 @@
 """Reproduce the paper's tables for object tracking: `python -m bench.tables --out FOLDER`.
 
-Studies, each written by itself and gone on with where it stopped: all strategies at all budgets on
-held-out procedural clips and, with --soccernet, on real footage that nothing was trained on, eight
-players of it by themselves; late and rare plans, with and without prediction; the loop with one
-part after the other replaced by the truth; with --ablation NAME=FILE, policies that were not told
-everything; with --far FILE, a policy that was trained for plans 60 frames late; the time each part
-takes. What cannot be measured is refused before the first study.
-`tables.md` and `tables.json` hold all studies that lie in the folder, each also beside them with a
-plot of its own. `--quick` tries everything on little: its figures say nothing.
+The studies are: all strategies at all budgets on held-out procedural clips and, with --soccernet,
+on real footage that no network was trained on, with eight players as a separate study; late and
+rare plans, with and without prediction; the loop with one part at a time replaced by the truth;
+with --ablation NAME=FILE, policies without some of their inputs; with --far FILE, a policy that was
+trained for plans 60 frames late; the time of each part. A study that cannot be measured is refused
+before the first one begins, and an interrupted study continues.
+Each study is written to files of its own with a plot; `tables.md` and `tables.json` hold all
+studies of the folder. `--quick` tries everything on little data: its figures mean nothing.
 """
 
 import json
@@ -25,7 +25,7 @@ from bench.tracking.replaced import PARTS
 from operators.policy.network import SHIPPED
 from pipeline.errors import FoveaError
 
-TOGETHER = ("detections+association",)  # what the policy would know from perfect eyes
+TOGETHER = ("detections+association",)  # the policy's inputs with perfect perception
 NAMES = {
     "budgets": "Strategies at equal pixel budgets, held-out procedural clips",
     "soccernet": "The same, zero-shot on real footage",
@@ -49,7 +49,7 @@ BOTH = ("--sees", "each")  # a row with the context and one with the ROI alone, 
 LATE = ("--strategies", "foveated", "--sees", "both", "--replan", "1,4,8")
 CROWD = ("--players", "8", "--every", "24")
 HOLD = ("--budgets", "1/8", "--prediction", "hold")
-FAR = (  # the paper's long horizon, and episodes that such a plan can be late for
+FAR = (  # the paper's long horizon, and episodes that are long enough for plans so late
     *("--delay", "0,60", "--replan", "1,4,8,180", "--longest", "240"),
     *("--set", "association.observed=10", "--set", "association.horizon=200"),
     *("--set", "policy.observed=10", "--set", "policy.horizon=200"),
@@ -65,7 +65,7 @@ def studies(
     far: str = "",
     quick: bool = False,
 ) -> dict[str, list[str]]:
-    """Options of `fovea eval tracking` by study."""
+    """Return the options of `fovea eval tracking` for each study."""
     own = _policy(policies)
     short = ["--frames", "1-24"] if quick else []
     many = [*_drawn(1 if quick else clips), *short]
@@ -93,7 +93,7 @@ def studies(
 def _late(
     clips: int, soccernet: str, own: list[str], far: str, short: list[str]
 ) -> dict[str, list[str]]:
-    """Of fewer clips and starts: every delay with every Ta is followed anew."""
+    """Return studies of late plans, on fewer clips and starts, as each delay and Ta runs anew."""
     found: dict[str, list[str]] = {}
     real = {"-soccernet": ["--data", soccernet]} if soccernet else {}
     drawn = {"": _drawn(1 if short else max(1, clips // 5))}
@@ -117,7 +117,7 @@ def _policy(given: Sequence[str]) -> list[str]:
 
 
 def check(planned: Mapping[str, Sequence[str]]) -> None:
-    """Refuse a study that cannot be measured now, not hours later when its turn comes."""
+    """Raise `click.UsageError` for a study that cannot be measured, before any of them begins."""
     opened: set[tuple[tuple[str, ...], str, str]] = set()
     for name, words in planned.items():
         try:
@@ -131,7 +131,7 @@ def check(planned: Mapping[str, Sequence[str]]) -> None:
 
 
 def together(out: Path) -> None:
-    """Write tables.md and tables.json of every study that lies in the folder."""
+    """Write tables.md and tables.json of every study in the folder."""
     known = [name for name in NAMES if (out / f"{name}.json").exists()]
     whole = {name: json.loads((out / f"{name}.json").read_text()) for name in known}
     (out / "tables.json").write_text(json.dumps(whole, indent=1) + "\n")
@@ -143,12 +143,12 @@ def together(out: Path) -> None:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="a folder")
 @click.option("--clips", default=30, show_default=True, help="held-out procedural clips")
 @click.option("--soccernet", default="", help="a sequence's folder, or a folder of them")
-@click.option("--policy", multiple=True, help="as fovea eval tracking has it; the graph's own")
+@click.option("--policy", multiple=True, help="as for fovea eval tracking; else the graph's own")
 @click.option("--ablation", multiple=True, help="NAME=FILE.onnx of operators.policy.train --use")
 @click.option("--far", default="", help="FILE.onnx of a policy that was trained for late plans")
-@click.option("--tracker", default="", help="as fovea eval tracking has it; the graph's own")
+@click.option("--tracker", default="", help="as for fovea eval tracking; else the graph's own")
 @click.option("--only", multiple=True, type=click.Choice(list(NAMES)))
-@click.option("--quick", is_flag=True, help="one short clip: whether everything works")
+@click.option("--quick", is_flag=True, help="one short clip, to try whether everything works")
 @click.option("--jobs", default=2, show_default=True)
 def main(
     out: Path,

@@ -1,4 +1,4 @@
-"""Figures of fuzzing: cases, refusals, and failures, of which there should be none.
+"""The command of the fuzzers: it counts cases, refusals, and failures (none are expected).
 
 python -m bench.fuzz graphs --count 10000; python -m bench.fuzz orders --count 10000;
 python -m bench.fuzz wire --count 1000000
@@ -31,7 +31,7 @@ def fuzz() -> None:
 
 
 def options(count: int) -> Callable[..., Any]:
-    """How many cases, drawn from which seed, written where."""
+    """Add the options for the number of cases, the seed and the output file."""
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         command = click.option("--seed", default=0, show_default=True)(command)
@@ -67,7 +67,7 @@ def wire(count: int, seed: int, path: Path | None) -> None:
 
 
 def tell(what: str, tally: Tally, seed: int, path: Path | None) -> None:
-    """Print the figures, write them with their origin, and exit with 1 when something broke."""
+    """Print the figures, write them with their origin, and exit with status 1 after a failure."""
     figures = asdict(tally)
     examples = figures.pop("examples")
     click.echo(json.dumps({what: figures}, indent=1))

@@ -1,4 +1,4 @@
-"""Malformed graph files against the loader: each is refused in one sentence, or is a plan."""
+"""Load malformed graph files: each is refused in one sentence, or gives a plan."""
 
 import random
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ CHANGES = ("capture.seed=3", "dispatch.mode=hold", "policy.target=[1", "a", "cap
 def fuzz_graphs(
     seeds: Sequence[Path], count: int, folder: Path, *, seed: int = 0, no_import: bool = False
 ) -> Tally:
-    """Load so many spoilt versions of valid graph files from an empty folder of their own."""
+    """Load `count` malformed versions of valid graph files from an empty folder."""
     rng, tally, watch = random.Random(seed), Tally(), Watch(folder)
     texts = [path.read_bytes() for path in seeds]
     documents = [plain(YamlFile(path).document) for path in seeds]

@@ -28,13 +28,13 @@ RAW = (  # YAML that JSON cannot write
 
 
 class Raw(str):
-    """Stands in a document for text that is written into the file as it is."""
+    """Text in a document that is written into the file verbatim."""
 
     __slots__ = ()
 
 
 def value(rng: random.Random, depth: int = 0) -> Any:
-    """Something that is hardly ever meant."""
+    """Return a random value that is hardly ever valid."""
     kind = rng.randrange(7 if depth < 3 else 4)
     if kind == 0:
         return rng.choice(TEXTS)
@@ -55,7 +55,7 @@ def value(rng: random.Random, depth: int = 0) -> Any:
 
 
 def spoilt(document: Any, rng: random.Random, changes: int) -> Any:
-    """A copy of a document of mappings and lists with some of its places changed."""
+    """Return a copy of a document of mappings and lists with some of its keys or values changed."""
     document = copy.deepcopy(document)
     for _ in range(changes):
         places = list(_places(document))
@@ -78,7 +78,7 @@ def spoilt(document: Any, rng: random.Random, changes: int) -> Any:
 
 
 def flipped(data: bytes, rng: random.Random) -> bytes:
-    """Bytes with some changed, cut out, doubled or put in."""
+    """Return the data with some bytes changed, removed, repeated or inserted."""
     work = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 4, 16))):
         at = rng.randrange(len(work) + 1)
@@ -97,7 +97,7 @@ def flipped(data: bytes, rng: random.Random) -> bytes:
 
 
 def written(document: Any) -> str:
-    """A document as YAML in flow style, its raw places as they are."""
+    """Return a document as YAML in flow style, with its `Raw` texts verbatim."""
     if isinstance(document, Raw):
         return str(document)
     if isinstance(document, dict):

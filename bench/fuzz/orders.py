@@ -1,7 +1,7 @@
 """Malformed orders to a running graph: each gets one reply, and the graph keeps running.
 
-Orders to the supervisor go to the control server of a small running graph; those to a node go to an
-operator in this process, as its host would pass them on.
+Orders to the supervisor go to the control server of a small running graph. Orders to a node go to
+an operator in this process, in the same way as in a node's process.
 """
 
 import os
@@ -24,7 +24,7 @@ from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
 from pipeline.node.answers import Q, respond
 from pipeline.node.live import Live
-from pipeline.protocol.codec import MARKER, TAG, VERSION, ControlMessage, Kind, decode
+from pipeline.protocol.codec import FAILED, MARKER, TAG, VERSION, ControlMessage, Kind, decode
 from pipeline.protocol.orders import RESULT, Refused
 from pipeline.protocol.questions import Command, ConfigQuestion, NodeSettings, Outcome
 from pipeline.run.memory_folder import MEMORY
@@ -65,15 +65,15 @@ class Tunable(Operator[TunableSettings, None]):
     frame = Input(Frame)
 
     def on_frame(self, frame: Frame) -> None:
-        """Look."""
+        """Ignore the frame."""
 
     def do_recall(self, last: int = 1, words: tuple[str, ...] = ()) -> dict[str, Any]:
-        """Count what it was told."""
+        """Return `last` and the number of words."""
         return {"last": last, "words": len(words)}
 
 
 def fuzz_orders(count: int, folder: Path, *, seed: int = 0) -> Tally:
-    """Give so many orders, half of them to the supervisor and half to a node."""
+    """Send `count` malformed orders, half of them to the supervisor and half to a node."""
     rng, tally = random.Random(seed), Tally()
     watch = Watch(folder, base(), begins=f"{MEMORY}/fovea-{os.geteuid()}-")
     path, home = folder.resolve() / "graph.yaml", folder.resolve() / "home"
@@ -125,12 +125,12 @@ def _to_graph(plan: Plan, count: int, rng: random.Random, tally: Tally) -> None:
         for _ in range(count):
             order = _order(supervisor, plan, rng)
             tally.check(order, partial(_asked, supervisor, order))
-        tally.check("the graph goes on", partial(_goes_on, supervisor))
+        tally.check("the graph keeps running", partial(_goes_on, supervisor))
 
 
 def _order(supervisor: Supervisor, plan: Plan, rng: random.Random) -> bytes:
     running = msgspec.to_builtins(supervisor.plan)
-    wanted = msgspec.to_builtins(plan)  # what was taken away comes back
+    wanted = msgspec.to_builtins(plan)  # restores what was removed
     document: Mapping[str, Any] = SWAP
     if rng.random() < 0.6:
         what = running if rng.random() < 0.8 else wanted
@@ -155,7 +155,7 @@ def _asked(supervisor: Supervisor, order: bytes) -> None:
     if supervisor.failure:
         raise AssertionError(f"the run failed: {supervisor.failure}")
     result = decode(RESULT, replies[0])
-    if isinstance(result, Refused) and "it broke" in result.reason:
+    if isinstance(result, Refused) and result.reason.startswith(FAILED):
         raise AssertionError(result.reason)
     if isinstance(result, Refused):
         raise GraphError(result.reason)
@@ -168,11 +168,11 @@ def _goes_on(supervisor: Supervisor) -> None:
     while supervisor.ledger.nodes[node.index].last_seq <= before + 5:
         supervisor.tick()
         if time.monotonic() > late_s or supervisor.failure:
-            raise AssertionError(f"it stands still {supervisor.failure}")
+            raise AssertionError(f"the source makes no progress {supervisor.failure}")
 
 
 def _packed(document: Mapping[str, Any], rng: random.Random, most: int = 2) -> bytes:
-    """A document as a message, mostly spoilt: a few of its places, or its bytes."""
+    """Return a document as a message, mostly malformed: some of its values, or its bytes."""
     kind = rng.random()
     if kind < 0.1:
         return _framed(document)
@@ -181,7 +181,7 @@ def _packed(document: Mapping[str, Any], rng: random.Random, most: int = 2) -> b
         try:
             return _framed(spoilt)
         except (OverflowError, TypeError, ValueError, RecursionError):
-            pass  # what no sender can write; flipped bytes instead
+            pass  # cannot be encoded: change bytes instead
     if kind < 0.95:
         return nasty.flipped(_framed(document), rng)
     return rng.randbytes(rng.randrange(60))

@@ -16,7 +16,7 @@ from pipeline.errors import FoveaError
 
 LONGEST_S = 60.0  # a case that takes longer hangs
 MOST_SENTENCE = 2000  # characters
-KEPT = 20  # examples of what broke
+KEPT = 20  # examples of failures
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 CHANGES = ("os.mkdir", "os.remove", "os.rename", "os.rmdir", "os.link", "os.symlink")
 
@@ -43,7 +43,7 @@ class Tally:
     def check(
         self, case: object, act: Callable[[], Any], sentence: Callable[[str], bool] = bool
     ) -> None:
-        """Do one case, and note what came of it; `sentence` says whether a refusal is a good one.
+        """Run one case and count its outcome; `sentence`: whether a refusal's text is valid.
 
         >>> tally = Tally()
         >>> tally.check("1", lambda: 1)
@@ -73,14 +73,14 @@ class Tally:
         self.slowest_ms = max(self.slowest_ms, 1000 * (time.perf_counter() - began_s))
 
     def with_touched(self, files: set[str]) -> "Tally":
-        """The same, with the files that were touched and should not be."""
+        """Return this tally with the files that should not have been touched."""
         self.files_touched = len(files)
         self.examples += sorted(files)[:5]
         return self
 
     @property
     def sound(self) -> bool:
-        """Whether nothing broke."""
+        """Whether there were cases and no failures."""
         wrong = self.tracebacks + self.hangs + self.bad_sentences + self.files_touched
         return self.cases > 0 and wrong == 0
 
@@ -91,7 +91,7 @@ class Tally:
 
 @contextmanager
 def bounded(seconds: float) -> Iterator[None]:
-    """Raise `TooSlow` in the main thread after so long."""
+    """Raise `TooSlow` in the main thread after so many seconds."""
 
     def stop(_number: int, _frame: object) -> None:
         raise TooSlow
@@ -106,20 +106,20 @@ def bounded(seconds: float) -> Iterator[None]:
 
 
 class Watch:
-    """Notes which files outside some folders this process opens for writing, makes or removes.
+    """Records which files outside some folders this process opens for writing, makes or removes.
 
-    The interpreter does not tell which open folder a relative path belongs to: those are not looked
-    at. What is made in the working folder is found there, see `alone`. Programs that are started
-    count, but for this Python.
+    Relative paths are ignored, because the interpreter does not report which open folder they
+    belong to; `alone` finds the files made in the working folder. Programs that are started count,
+    except this Python.
     """
 
     def __init__(self, *folders: Path, begins: str = "") -> None:
-        """`begins`: how the paths of folders begin that have random names."""
+        """`begins`: the beginning of paths of folders with random names."""
         self._folders = tuple(f"{folder.resolve()}{os.sep}" for folder in folders)
         self._folders += (begins,) if begins else ()
         self.on = False
         self.touched: set[str] = set()
-        sys.addaudithook(self._hear)  # it stays for good, and is switched off
+        sys.addaudithook(self._hear)  # a hook cannot be removed: `on` disables it
 
     def _hear(self, event: str, arguments: tuple[Any, ...]) -> None:
         if not self.on:
@@ -142,9 +142,9 @@ class Watch:
 
 @contextmanager
 def alone(folder: Path) -> Iterator[set[str]]:
-    """Work in an empty folder that is the home, too; what is made there is in the set afterwards.
+    """Work in an empty folder that is also the home; the set then holds what was made there.
 
-    The processes that are started meanwhile have it as theirs.
+    Processes that are started meanwhile inherit both.
     """
     before, home, made = Path.cwd(), os.environ.get("HOME"), set[str]()
     os.environ["HOME"] = str(folder)

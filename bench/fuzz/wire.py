@@ -1,4 +1,4 @@
-"""Malformed byte strings against every decoder: it decodes them or raises a `FoveaError`."""
+"""Decode malformed byte strings: every decoder returns a value or raises a `FoveaError`."""
 
 import random
 from collections.abc import Callable, Mapping
@@ -35,7 +35,7 @@ HEADER = Header(stream="fuzz", seq=7, stamp_ns=1)
 
 
 def fuzz_wire(count: int, *, seed: int = 0) -> Tally:
-    """Read so many spoilt byte strings with the decoders they are meant for, or with any other."""
+    """Decode `count` malformed byte strings, each with its own decoder or with another one."""
     rng, tally, cases = random.Random(seed), Tally(), list(known().values())
     watch = Watch()
     for _ in range(count):
@@ -47,7 +47,7 @@ def fuzz_wire(count: int, *, seed: int = 0) -> Tally:
 
 
 def known() -> Mapping[str, Case]:
-    """Valid bytes of every kind that is read, by name."""
+    """Return valid bytes of every kind of message with its decoder, by name."""
     found: dict[str, Case] = {}
     for message in messages():
         cls = type(message)
@@ -67,7 +67,7 @@ def known() -> Mapping[str, Case]:
 
 
 def control_messages() -> tuple[tuple[ControlMessage, Kind[Any] | type[Any]], ...]:
-    """One of each kind that clients, nodes and supervisors exchange, and what reads it."""
+    """Return one message of each kind between clients, nodes and supervisors, with its decoder."""
     health = Health(
         node="work", process="work", host="", pid=7, epoch=1, state="idle", problem="",
         handled=3, last_seq=2, busy_s=0.0, silent_s=0.1, own_mb=9.5, words="", waiting={"frame": 1},
@@ -105,7 +105,7 @@ def control_messages() -> tuple[tuple[ControlMessage, Kind[Any] | type[Any]], ..
 
 
 def messages() -> tuple[Message, ...]:
-    """One of each kind that has arrays, ids, texts or windows."""
+    """Return one message of each kind that has arrays, ids, texts or windows."""
     boxes, ids = np.ones((2, 4), np.float32), np.arange(2, dtype=np.int32)
     scores = np.ones(2, np.float32)
     return (

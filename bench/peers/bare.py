@@ -19,12 +19,12 @@ PAGE_BYTES = 4096
 
 
 def receive(task: Task) -> None:
-    """The receiving side."""
+    """Run the receiving side."""
     meter = Meter(task)
     path = task.folder / "bell"
     os.mkfifo(path)
     slots = mapped(task)
-    bell = os.open(path, os.O_RDWR)  # also for writing: no end of file before the sender comes
+    bell = os.open(path, os.O_RDWR)  # also for writing: no end of file before a sender opens it
     meter.ready()
     while not meter.finished:
         if select.select([bell], [], [], POLL_S)[0]:
@@ -34,10 +34,10 @@ def receive(task: Task) -> None:
 
 
 def send(task: Task) -> None:
-    """The sending side."""
+    """Run the sending side."""
     writer = Writer(task)
     slots = mapped(task)
-    memory_file(task).unlink()  # the receiver has it by now
+    memory_file(task).unlink()  # the receiver has mapped it
     bell = os.open(task.folder / "bell", os.O_WRONLY)
     for number in writer.paced():
         writer.write(slots[number % SLOTS], number)
@@ -46,7 +46,7 @@ def send(task: Task) -> None:
 
 
 def mapped(task: Task) -> list[Bytes]:
-    """The slots, the same memory in both processes."""
+    """Return the slots, which are the same memory in both processes."""
     stride = -(-task.nbytes // PAGE_BYTES) * PAGE_BYTES
     handle = os.open(memory_file(task), os.O_RDWR | os.O_CREAT, 0o600)
     os.ftruncate(handle, stride * SLOTS)
@@ -56,7 +56,7 @@ def mapped(task: Task) -> list[Bytes]:
 
 
 def memory_file(task: Task) -> Path:
-    """In memory: a disk's pages would be written back, and made read-only, meanwhile."""
+    """Return a file in memory: a disk's pages are written back and made read-only meanwhile."""
     return Path("/dev/shm", task.folder.name)
 
 

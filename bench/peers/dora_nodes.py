@@ -9,11 +9,11 @@ import numpy as np
 
 from bench.peers.ruler import ROOT, START_S, Meter, Task, Writer, contestant
 
-POOL_BYTES = 256 << 20  # the default of 8 MiB holds not even one region of interest
+POOL_BYTES = 256 << 20  # the default of 8 MiB is too small for one region of interest
 
 
 def receive(task: Task) -> None:
-    """The receiving side."""
+    """Run the receiving side."""
     from dora import Node  # type: ignore[import-not-found, unused-ignore]
 
     meter = Meter(task)
@@ -22,11 +22,11 @@ def receive(task: Task) -> None:
     for event in node:
         if event["type"] == "INPUT":
             meter.take(event["value"].to_numpy())
-    meter.save()  # the sender has left, and everything it sent came before that
+    meter.save()  # the sender has ended, and all its messages have arrived
 
 
 def send(task: Task) -> None:
-    """The sending side."""
+    """Run the sending side."""
     from dora import Node
 
     node = Node()
@@ -35,12 +35,12 @@ def send(task: Task) -> None:
         with node.send_output_raw("picture", task.nbytes) as memory:
             view = np.asarray(memory, dtype=np.uint8)
             writer.write(view, number)
-            del view  # it is sent when nobody holds it
+            del view  # it is sent when the last reference is gone
     writer.save()
 
 
 def launch(task: Task) -> None:
-    """Describe the two nodes, let dora run them without a daemon that stays."""
+    """Describe the two nodes and run them with dora, without a permanent daemon."""
     words = ["-m", "bench.peers.dora_nodes", *task.words()]
     common = {"path": sys.executable, "env": _environment()}
     picture = {"source": "sender/picture", "queue_size": task.total}

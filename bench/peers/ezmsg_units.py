@@ -18,7 +18,7 @@ class Picture:
 
 
 class SideSettings(ez.Settings):  # type: ignore[misc, unused-ignore]
-    """Both sides have the same."""
+    """The settings of both sides."""
 
     task: Task
 
@@ -31,7 +31,7 @@ class Sender(ez.Unit):  # type: ignore[misc, unused-ignore]
 
     @ez.publisher(OUT)  # type: ignore[untyped-decorator, unused-ignore]
     async def send(self) -> AsyncIterator[tuple[object, Picture]]:
-        """Keep the rate without blocking the loop that carries acknowledgements."""
+        """Send at the rate, without blocking the loop that carries acknowledgements."""
         task = self.SETTINGS.task
         writer = Writer(task)
         pixels = np.zeros(task.nbytes, np.uint8)
@@ -53,17 +53,17 @@ class Receiver(ez.Unit):  # type: ignore[misc, unused-ignore]
     IN = ez.InputStream(Picture)
 
     async def initialize(self) -> None:
-        """Called in the receiver's own process."""
+        """Make the meter in the receiver's own process."""
         self.meter = Meter(self.SETTINGS.task)
 
     @ez.subscriber(IN, zero_copy=True)  # type: ignore[untyped-decorator, unused-ignore]
     async def on_picture(self, picture: Picture) -> None:
-        """Read one."""
+        """Read one picture."""
         self.meter.take(picture.pixels)
 
     @ez.task  # type: ignore[untyped-decorator, unused-ignore]
     async def watch(self) -> None:
-        """Begin once units are connected, report when all is in."""
+        """Begin when the units are connected; report when all messages have arrived."""
         await asyncio.sleep(0.5)
         self.meter.ready()
         while not self.meter.finished:
@@ -72,28 +72,28 @@ class Receiver(ez.Unit):  # type: ignore[misc, unused-ignore]
 
 
 class Pair(ez.Collection):  # type: ignore[misc, unused-ignore]
-    """One of each, connected, in two processes."""
+    """Both units, connected, in two processes."""
 
     SETTINGS = SideSettings
     SENDER = Sender()
     RECEIVER = Receiver()
 
     def configure(self) -> None:
-        """Hand the task on."""
+        """Pass the task to both units."""
         self.SENDER.apply_settings(self.SETTINGS)
         self.RECEIVER.apply_settings(self.SETTINGS)
 
     def network(self) -> tuple[tuple[object, object], ...]:
-        """The one edge."""
+        """Return the only edge."""
         return ((self.SENDER.OUT, self.RECEIVER.IN),)
 
     def process_components(self) -> tuple[object, ...]:
-        """Each in a process of its own."""
+        """Return the units that have processes of their own."""
         return (self.SENDER, self.RECEIVER)
 
 
 def launch(task: Task) -> None:
-    """Both sides."""
+    """Run both sides."""
     ez.run(PAIR=Pair(SideSettings(task)))
 
 

@@ -28,7 +28,7 @@ class TaskSettings:
     folder: str
 
     def task(self) -> Task:
-        """The same as the ruler takes it."""
+        """Return the task of the ruler."""
         return Task(**{**asdict(self), "folder": Path(self.folder)})
 
 
@@ -60,16 +60,16 @@ class Receiver(Operator[TaskSettings, None]):
     frame = Input(Frame, keep="every")
 
     def open(self) -> None:
-        """Let the sender begin."""
+        """Report ready, so that the sender begins."""
         self._meter = Meter(self.settings.task())
         self._meter.ready()
 
     def on_frame(self, frame: Frame) -> None:
-        """Read one."""
+        """Read one picture."""
         self._meter.take(frame.pixels[0])
 
     def close(self) -> None:
-        """Report."""
+        """Write the report."""
         self._meter.save()
 
 

@@ -12,7 +12,7 @@ WAIT_MS = 100
 
 
 def services(task: Task) -> tuple[Any, Any]:
-    """Publish-subscribe and event service of this run."""
+    """Return the publish-subscribe and the event service of this run."""
     iox.set_log_level(iox.LogLevel.Error)
     node = iox.NodeBuilder.new().create(iox.ServiceType.Ipc)
     name = iox.ServiceName.new(task.folder.name)
@@ -24,13 +24,13 @@ def services(task: Task) -> tuple[Any, Any]:
 
 
 def as_array(payload: Any, nbytes: int) -> Bytes:
-    """The payload's memory."""
+    """Return the payload's memory as an array (nbytes,)."""
     pointer = ctypes.cast(payload.as_ptr(), ctypes.POINTER(ctypes.c_uint8))
     return np.ctypeslib.as_array(pointer, (nbytes,))
 
 
 def receive(task: Task) -> None:
-    """The receiving side."""
+    """Run the receiving side."""
     meter = Meter(task)
     pictures, events = services(task)
     subscriber = pictures.subscriber_builder().create()
@@ -45,7 +45,7 @@ def receive(task: Task) -> None:
 
 
 def send(task: Task) -> None:
-    """The sending side."""
+    """Run the sending side."""
     writer = Writer(task)
     pictures, events = services(task)
     publisher = pictures.publisher_builder().initial_max_slice_len(task.nbytes).create()

@@ -28,8 +28,8 @@ HEAD_BYTES = 64
 WARM_UP = 10  # messages sent first and not counted
 BARE_ROUNDS = 20
 START_S = 20.0  # for a receiver to get ready
-FAREWELL_S = 5.0  # a sender stays that long for a receiver that reports nothing
-IDLE_S = 1.0  # after the sender's end: what has not come by then is lost
+FAREWELL_S = 5.0  # a sender waits that long for a receiver without a report
+IDLE_S = 1.0  # after the sender's end: messages that have not arrived by then are lost
 COLUMNS = ("number", "asked", "writing", "written", "received", "read")
 
 Bytes = NDArray[np.uint8]  # (nbytes,)
@@ -50,7 +50,7 @@ class Task:
         return self.count + WARM_UP
 
     def words(self) -> list[str]:
-        """The command line that says the same."""
+        """Return the task as options of a command line."""
         return [
             f"--nbytes={self.nbytes}", f"--count={self.count}", f"--rate-hz={self.rate_hz}",
             f"--folder={self.folder}",
@@ -63,7 +63,7 @@ def fill(view: Bytes, number: int) -> None:
 
 
 def is_whole(view: Bytes, number: int) -> bool:
-    """Read every byte behind the head and tell whether it is the one `fill` wrote."""
+    """Read every byte behind the head; return whether each is the one that `fill` wrote."""
     value = value_of(number)
     words = view[HEAD_BYTES : view.size // 8 * 8].view(np.uint64)
     expected = value * 0x0101_0101_0101_0101 * words.size % 2**64
@@ -71,7 +71,7 @@ def is_whole(view: Bytes, number: int) -> bool:
 
 
 def value_of(number: int) -> int:
-    """Neighbours differ, and no message looks like fresh memory.
+    """Return a message's byte: successive ones differ, and none is 0 like fresh memory.
 
     >>> [value_of(n) for n in (0, 1, 250, 251)]
     [1, 2, 251, 1]
@@ -89,26 +89,26 @@ class Writer:
         self._wait_ready()
 
     def paced(self) -> Iterator[int]:
-        """Numbers of messages, each when it is due."""
+        """Yield the numbers of messages, each when it is due."""
         for number in range(self.task.total):
             time.sleep(self.due_in_s(number))
             self.begin(number)
             yield number
 
     def due_in_s(self, number: int) -> float:
-        """How long to wait for a message's turn, zero when it is late."""
+        """Return the time until a message is due, zero when it is late."""
         self._start_ns = self._start_ns or time.monotonic_ns()
         due_ns = self._start_ns + int(number / self.task.rate_hz * 1e9)
         return max(0.0, (due_ns - time.monotonic_ns()) / 1e9)
 
     def begin(self, number: int) -> None:
-        """Take the clock, just before memory is asked for."""
+        """Take the clock, just before memory is borrowed."""
         if number == WARM_UP:
             self._cpu_ns = time.process_time_ns()
         self._asked_ns = time.monotonic_ns()
 
     def write(self, view: Bytes, number: int) -> None:
-        """Write the whole message into (nbytes,) memory; what follows is the transport's."""
+        """Write the whole message into (nbytes,) memory; call it just before handing over."""
         writing_ns = time.monotonic_ns()
         fill(view, number)
         head = view[:HEAD_BYTES].view(np.int64)
@@ -116,13 +116,13 @@ class Writer:
         head[3] = time.monotonic_ns()
 
     def save(self) -> None:
-        """Report; to be called after the last message was sent."""
+        """Write the sender's report; call it after the last message was sent."""
         cpu_ns = time.process_time_ns() - self._cpu_ns
         report = {"sender_cpu_ns": cpu_ns, "bare_write_ns": self._bare_ns}
         _put(self.task.folder / "sender.json", report)
 
     def wait_read(self) -> None:
-        """Stay until the receiver has reported: some transports take their memory with them."""
+        """Wait for the receiver's report: some transports release their memory when they end."""
         deadline = time.monotonic() + FAREWELL_S
         while not (self.task.folder / "receiver.json").exists() and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -136,7 +136,7 @@ class Writer:
 
 
 class Meter:
-    """The receiving side: takes the clocks, reads, notes. Call `ready` when subscribed."""
+    """The receiving side: takes the clocks, reads, records. Call `ready` when subscribed."""
 
     def __init__(self, task: Task) -> None:
         self.task = task
@@ -148,7 +148,7 @@ class Meter:
         self._idle_since_s = time.monotonic()
 
     def ready(self) -> None:
-        """Let the sender begin."""
+        """Report ready, so that the sender begins."""
         (self.task.folder / "ready").touch()
         self._idle_since_s = time.monotonic()
 
@@ -169,14 +169,14 @@ class Meter:
 
     @property
     def finished(self) -> bool:
-        """The last message was read, or the sender is done and nothing more comes."""
+        """Whether the last message was read, or the sender has ended and nothing more arrives."""
         if self._last == self.task.total - 1:
             return True
         idle_s = time.monotonic() - self._idle_since_s
         return idle_s > IDLE_S and (self.task.folder / "sender.json").exists()
 
     def save(self) -> None:
-        """Report."""
+        """Write the receiver's report."""
         report = {
             "receiver_cpu_ns": self._cpu_end_ns - self._cpu_ns,
             "bare_read_ns": self._bare_ns,
@@ -187,18 +187,18 @@ class Meter:
 
 
 def bare(act: Callable[[Bytes], object], nbytes: int, view: Bytes | None = None) -> list[int]:
-    """How long it takes in plain memory of this process, in nanoseconds, a few times."""
+    """Return the durations of a few calls on plain memory of this process, in nanoseconds."""
     memory = np.zeros(nbytes, np.uint8) if view is None else view
     times = []
     for _ in range(BARE_ROUNDS + 1):
         begun = time.monotonic_ns()
         act(memory)
         times.append(time.monotonic_ns() - begun)
-    return times[1:]  # the first one meets fresh pages
+    return times[1:]  # the first one touches fresh pages
 
 
 def collect(task: Task, contestant: str, library: str) -> dict[str, Any]:
-    """Both sides' reports as one, JSON-ready; `samples` are rows of COLUMNS, in nanoseconds."""
+    """Return both sides' reports as one, JSON-ready; `samples`: rows of COLUMNS, in nanoseconds."""
     sides = [json.loads((task.folder / f"{s}.json").read_text()) for s in ("sender", "receiver")]
     return {
         "contestant": contestant, "version": version(library), "nbytes": task.nbytes,
@@ -210,7 +210,7 @@ def contestant(
     module: str, library: str, launch: Callable[[Task], None],
     roles: dict[str, Callable[[Task], None]] | None = None,
 ) -> None:  # fmt: skip
-    """The command line of a contestant: `launch` runs both sides, a role only one of them."""
+    """Run a contestant's command line: `launch` runs both sides, a role only one of them."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--nbytes", type=int, required=True)
     parser.add_argument("--count", type=int, default=200)
@@ -231,7 +231,7 @@ def contestant(
 
 
 def two_processes(module: str) -> Callable[[Task], None]:
-    """Launch a contestant's two roles, `receive` and `send`, each in a process of its own."""
+    """Return what launches a contestant's roles, `receive` and `send`, as two processes."""
 
     def launch(task: Task) -> None:
         words = [sys.executable, "-m", f"bench.peers.{module}", *task.words()]
@@ -253,4 +253,4 @@ def two_processes(module: str) -> Callable[[Task], None]:
 
 
 def _put(path: Path, report: dict[str, Any]) -> None:
-    write_whole(path, json.dumps(report))  # the other side looks for it while it is written
+    write_whole(path, json.dumps(report))  # in one step, because the other side polls for it

@@ -14,7 +14,7 @@ POLL_S = 0.01
 
 
 def receive(task: Task) -> None:
-    """The receiving side: in the transport's own thread, which saves a hop."""
+    """Run the receiving side in the transport's own thread, which saves a hop."""
     meter = Meter(task)
 
     def on_sample(sample: zenoh.Sample) -> None:
@@ -29,7 +29,7 @@ def receive(task: Task) -> None:
 
 
 def send(task: Task) -> None:
-    """The sending side."""
+    """Run the sending side."""
     writer = Writer(task)
     payload = bytearray(task.nbytes)
     view = np.frombuffer(payload, np.uint8)

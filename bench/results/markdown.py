@@ -27,7 +27,7 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def lines(facts: Mapping[str, str]) -> str:
-    """Return what is known as a list, one fact a line.
+    """Return facts as a list, one per line, without the empty ones.
 
     >>> lines({"Seed": "7", "Data": ""})
     '- Seed: 7'

@@ -1,6 +1,6 @@
-"""`bench/RESULTS.md` from the JSON files of `bench/results/`: `python -m bench.results`.
+"""Make `bench/RESULTS.md` from the JSON files of `bench/results/`: `python -m bench.results`.
 
-`--check` compares and writes nothing: it exits with 1 when the page is not what the files give.
+`--check` compares and writes nothing; it exits with status 1 when the page is out of date.
 """
 
 import json
@@ -28,7 +28,7 @@ bench itself wrote. Where nothing is said of the machine, it is the one under Co
 
 
 def page(folder: Path) -> str:
-    """Return the text of the page; raises `ResultError` for a file that is none."""
+    """Return the text of the page; raises `ResultError` for an invalid file."""
     entries: list[tuple[int, int, str, str]] = []
     reports: dict[str, list[Report]] = defaultdict(list)
     for path in sorted(folder.glob("*.json")):

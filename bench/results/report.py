@@ -26,7 +26,7 @@ class Machine(msgspec.Struct, frozen=True):
 
 
 class Origin(msgspec.Struct, frozen=True):
-    """What every report says of itself."""
+    """The origin that every report contains."""
 
     machine: Machine
     commit: str
@@ -39,7 +39,7 @@ class Origin(msgspec.Struct, frozen=True):
 
 
 class Ends(msgspec.Struct, frozen=True):
-    """What `bench.follow` sums up: target, then first, last or grown, then figure."""
+    """The summary of `bench.follow`: target -> first, last or grown -> figure."""
 
     ends: dict[str, dict[str, dict[str, float]]] = {}
 
@@ -56,7 +56,7 @@ class Report:
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """Where a bench's report stands in the page."""
+    """The place of a bench's report in the page."""
 
     section: str
     order: int
@@ -70,7 +70,7 @@ PLACES = {
     "crash": Place(section="Faults, swaps and long runs", order=1, title="SIGKILL under load"),
     "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
     "swap": Place(section="Faults, swaps and long runs", order=5, title="Swaps"),
-    "endure": Place(section="Faults, swaps and long runs", order=6, title="A graph worn for long"),
+    "endure": Place(section="Faults, swaps and long runs", order=6, title="Many kills and swaps"),
     "soak": Place(section="Faults, swaps and long runs", order=7, title="Memory"),
     "follow": Place(
         section="Faults, swaps and long runs", order=8,
@@ -107,7 +107,7 @@ def _convert(path: Path, values: Any, kind: type[T]) -> T:
 
 
 def place_of(report: Report) -> Place:
-    """Return where the report stands."""
+    """Return the report's place in the page."""
     found = PLACES.get(report.bench, ELSEWHERE)
     return found if found.title else Place(
         section=found.section, order=found.order, title=report.path.stem
@@ -149,7 +149,7 @@ def _fuzz(reports: Sequence[Report]) -> str:
 
 
 def _follow(report: Report) -> list[str]:
-    """Means of the first ten spans and the last ten, and every span."""
+    """Return Markdown of means of the first ten spans and the last ten, and of every span."""
     parts = ("first", "last", "grown")
     rows = [
         [target, figure, *(cell(ends.get(part, {}).get(figure)) for part in parts)]
@@ -163,7 +163,7 @@ def _follow(report: Report) -> list[str]:
 
 
 def _values(report: Report) -> list[str]:
-    """Any report: its single figures in one table, each list of rows in one of its own."""
+    """Return Markdown of any report: a table of its single figures, and one per list of rows."""
     flat = [[name, cell(value)] for name, value in _scalars(report.values)]
     return [table(["figure", "value"], flat), *_tables(report.values)]
 

@@ -1,7 +1,7 @@
 """A table as a result file: where its figures come from, its columns and rows, its notes.
 
-Benches write reports of their own (`bench.results.report`); this format is for what was put
-together by hand or transcribed from an earlier text, and says so in `source`.
+Benches write reports of their own (`bench.results.report`); this format is for figures that were
+put together by hand or transcribed from an earlier text. `source` names their origin.
 """
 
 from pathlib import Path
@@ -26,7 +26,7 @@ SECTIONS = (
 
 
 class ResultError(FoveaError):
-    """A result file is not what it has to be."""
+    """A result file is invalid."""
 
 
 class ResultTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,8 +45,8 @@ class ResultTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     seed: int | None = None
     n: str = ""  # sample size
     spread: str = ""  # what a range or an interval in the rows means
-    asked: str = ""  # the bar that was asked for
-    reference: str = ""  # the paper's figure or a peer's, and where it stands
+    asked: str = ""  # the required value
+    reference: str = ""  # the paper's figure or a peer's, and its source
     columns: list[str]
     rows: list[list[str | int | float | None]]
     notes: list[str] = []  # paragraphs

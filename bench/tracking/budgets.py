@@ -41,12 +41,12 @@ class Acquisition:
         return self.strategy in WITH_ROI
 
     def met_by(self, share: float) -> bool:
-        """Whether such a share of the pixels is the budget, within `TOLERANCE`."""
+        """Whether a share of the pixels equals the budget, within `TOLERANCE`."""
         return abs(share / float(self.budget) - 1) <= TOLERANCE
 
 
 def acquisition(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Acquisition:
-    """What is read; raises `SettingsError` when the budget cannot be met within `TOLERANCE`."""
+    """Return what is read; raises `SettingsError` if that is not the budget within `TOLERANCE`."""
     if strategy not in STRATEGIES:
         raise SettingsError(f"strategies: expected {', '.join(STRATEGIES)}, got {strategy}")
     if strategy == "full":
@@ -75,7 +75,7 @@ def acquisition(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Ac
 
 
 def parsed(text: str) -> tuple[Fraction, ...]:
-    """Budgets as they are typed; raises `SettingsError`.
+    """Parse budgets; raises `SettingsError`.
 
     >>> parsed("1/4,1/8")
     (Fraction(1, 4), Fraction(1, 8))

@@ -17,7 +17,7 @@ class Case:
 
     strategy: str
     budget: str  # a fraction
-    name: str  # as the table calls it
+    name: str  # in the table
     rules: Rules
     replaced: tuple[str, ...] = ()
     changes: tuple[str, ...] = ()  # of the graph, as --set takes them
@@ -43,7 +43,7 @@ class Protocol:
 
 
 def cases(options: Options) -> list[Case]:
-    """Every row that is asked for; what does not plan has one row a budget, `full` one in all."""
+    """Return a case for each row asked for; without a plan one per budget, of `full` one in all."""
     rules = rules_of(options)
     found: list[Case] = []
     for strategy, budget in product(options.strategies, options.budgets):
@@ -56,7 +56,7 @@ def cases(options: Options) -> list[Case]:
 
 
 def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case]:
-    """Of the policy: a row for each of its files, rules and parts known from the truth."""
+    """Return the policy's cases: one for each file, rule and set of parts known from the truth."""
     late = len({(rule.delay, rule.replan) for rule in rules}) > 1
     found = []
     for (label, path), rule, parts in product(
@@ -80,7 +80,7 @@ def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case
 def _plain(
     strategy: str, budget: str, rules: Sequence[Rules], changes: tuple[str, ...]
 ) -> list[Case]:
-    """Of a strategy that no policy plans for: a row for each thing that its tracker sees."""
+    """Return cases of a strategy without a policy: one for each choice of what its tracker sees."""
     sees = {rule.context for rule in rules} if strategy in WITH_ROI else {True}
     policy = "round_robin" if strategy == "round_robin" else "pursuit"  # they need no network
     return [
@@ -100,7 +100,7 @@ def _plain(
 
 
 def rules_of(options: Options) -> list[Rules]:
-    """Every delay with every replanning interval, prediction or none, context or none."""
+    """Return all combinations of delay, replanning interval, prediction and context."""
     sees = {"both": (True,), "roi": (False,), "each": (True, False)}[options.sees]
     foreseen = {"kalman": (True,), "hold": (False,), "both": (True, False)}[options.prediction]
     return [
@@ -110,7 +110,7 @@ def rules_of(options: Options) -> list[Rules]:
 
 
 def suffix(rule: Rules, *, late: bool) -> str:
-    """What a row is called, after its strategy."""
+    """Return the end of a row's name, after its strategy."""
     name = ""
     if late or rule.delay or rule.replan != 1:
         name = f", delay {rule.delay}, Ta {rule.replan}"

@@ -1,8 +1,8 @@
 """The classes that are measured: `--tracker` and `--policy` -> the plan of a graph with them in it.
 
-A class is the one that the graph names unless another is asked for; nothing that lies on the
-machine decides it. A tracker that is asked for begins with its own settings. A policy that is asked
-for keeps those settings of the graph's that both classes have.
+The graph's own class is used unless another is asked for, whatever files the machine has. A tracker
+that is asked for begins with its own settings. A policy that is asked for keeps the settings of the
+graph that both classes have.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ POLICIES = {
 
 
 def planned(graph: Path, changes: Sequence[str], tracker: str = "", policy: str = "") -> Plan:
-    """The plan, in lockstep, with the graph's own classes where nothing is asked for.
+    """Return the plan, in lockstep, with the graph's own classes where no other is asked for.
 
     `tracker` is NAME or NAME=FILE.onnx, `policy` one of `POLICIES` or FILE.onnx.
     """
@@ -60,7 +60,7 @@ def planned(graph: Path, changes: Sequence[str], tracker: str = "", policy: str 
 
 
 def with_class(plan: Plan, name: str, operator: str, settings: Mapping[str, Any]) -> Plan:
-    """The plan with another class at a node."""
+    """Return the plan with another class at a node."""
     nodes = [
         replace(node, operator=operator, settings=dict(settings)) if node.name == name else node
         for node in plan.nodes
@@ -96,7 +96,7 @@ def _values(changes: Sequence[str], node: str) -> dict[str, Any]:
 def _shared(
     before: str, after: str, settings: Mapping[str, Any], changes: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Settings for the class `after`; without those that the class `before` alone has."""
+    """Return settings for the class `after`, without those that only the class `before` has."""
     alone = _names(before) - _names(after)
     left_out = {name: value for name, value in changes.items() if name in alone}
     checked.build(settings_of(load_operator(before)), {**settings, **left_out}, POLICY)

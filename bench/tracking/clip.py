@@ -25,7 +25,7 @@ class ClipName:
     folder: str = ""
 
     def __str__(self) -> str:
-        # resolved, for `.` has no name
+        # resolved, because `.` has no name
         return Path(self.folder).resolve().name if self.folder else f"procedural-{self.seed}"
 
 
@@ -40,9 +40,10 @@ class Clip:
 
 
 def names(data: str, count: int) -> list[ClipName]:
-    """What `--data` means: `procedural[:FIRST]`, a sequence's folder, or a folder of such folders.
+    """Return the clips of `--data`.
 
-    Raises `SettingsError` or `DriverError` where it is none of these.
+    It is `procedural[:FIRST]`, a sequence's folder, or a folder of such folders; raises
+    `SettingsError` or `DriverError` for anything else.
     """
     if data == "procedural" or data.startswith("procedural:"):
         _, _, first = data.partition(":")
@@ -66,14 +67,15 @@ def names(data: str, count: int) -> list[ClipName]:
 
 
 def size_of(name: ClipName) -> tuple[int, int]:
-    """Width and height of a clip's pictures."""
+    """Return width and height of a clip's pictures."""
     return read_info(Path(name.folder)).size_px if name.folder else FULL_PX
 
 
 def frames_of(name: ClipName, frames: tuple[int, int]) -> range:
-    """Indices of frames A-B of a clip, counted from 1 as SoccerNet's files are; B 0: to the end.
+    """Return indices of frames A-B of a clip, counted from 1 as in SoccerNet's files.
 
-    A scene is endless: of it B must be given. Raises `SettingsError` for frames it does not have.
+    B 0 means the end of the clip; a scene is endless and needs another B. Raises `SettingsError`
+    for frames that the clip does not have.
     """
     length = SoccerNetSequence(path=name.folder).length if name.folder else None
     first, last = frames[0], frames[1] or length or 0
@@ -85,7 +87,7 @@ def frames_of(name: ClipName, frames: tuple[int, int]) -> range:
 
 
 def read(name: ClipName, frames: tuple[int, int]) -> Clip:
-    """Frames A-B of a clip, as `frames_of` takes them."""
+    """Read frames A-B of a clip, as `frames_of` takes them."""
     indices = frames_of(name, frames)
     source: FrameSource = (
         SoccerNetSequence(path=name.folder)

@@ -1,8 +1,8 @@
 """Conclusions of an evaluation as sentences: paired differences of the policy to the others.
 
-Of one clip no interval is claimed: its frames show one another's content, and from one clip nothing
-can be redrawn. Over few clips an interval is too narrow: of simulated "95 %" intervals .81 held the
-truth with 4 clips, .85 with 6, .94 with 30.
+One clip has no interval, because its frames depend on one another and nothing can be redrawn from
+one clip. Over few clips an interval is too narrow: of simulated "95 %" intervals .81 contained the
+true value with 4 clips, .85 with 6, .94 with 30.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ ALONE = "Nothing is compared: that takes foveated and another strategy on the sa
 
 
 def sentences(report: Mapping[str, Any]) -> list[str]:
-    """One for each target, budget and row of the policy, then what the intervals are worth."""
+    """Return one for each target, budget and row of the policy, then one on the intervals."""
     groups: dict[tuple[str, str, str], list[Mapping[str, Any]]] = {}
     for row in report["paired"]:
         if is_asked(row, report) and row["difference"] is not None:
@@ -36,7 +36,7 @@ def _sentence(target: str, budget: str, strategy: str, pairs: Sequence[Mapping[s
 
 
 def _difference(row: Mapping[str, Any]) -> str:
-    """One difference, and whether it may be none.
+    """Return one difference, and whether its interval includes zero.
 
     >>> _difference({"difference": 0.0131, "against": "spatial", "ci95": None})
     '+0.013 over spatial'
@@ -55,7 +55,7 @@ def _difference(row: Mapping[str, Any]) -> str:
 
 
 def _signed(value: float) -> str:
-    """A difference; what is none after rounding has one sign only.
+    """Return a difference with its sign; zero after rounding is always +0.000.
 
     >>> _signed(-0.0002), _signed(-0.02)
     ('+0.000', '-0.020')

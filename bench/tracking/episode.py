@@ -1,4 +1,4 @@
-"""One start of the tracker: followed for at most so many frames through what a strategy reads."""
+"""Run one start of the tracker for a limited number of frames, on what a strategy reads."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from drivers.simulated.readout import Window
 from pipeline.boxes import centres, covered, iou, roi_window
 from pipeline.messages import Frame, Percept, RoiSchedule, Tracks, altered
 
-NEVER = 1_000_000  # the frozen tracker is not helped: lost, it keeps looking where it was
+NEVER = 1_000_000  # frames: a tracker that has lost its target keeps searching at the last place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,47 +25,47 @@ class Rules:
     longest: int = 64  # frames after the start
     delay: int = 0  # frames by which a plan comes late
     replan: int = 1  # Ta
-    prediction: bool = True  # False: boxes are foreseen where they are
+    prediction: bool = True  # False: predicted boxes stay where they are
     context: bool = True  # False: the tracker sees the ROI alone
     aimed: bool = True  # the first ROI is on the target; False: in the middle
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Loop:
-    """What an episode runs in: a sensor over a clip, the graph's parts, and what is known of it."""
+    """The surroundings of an episode: a sensor over a clip, the graph's stages, parts replaced."""
 
     camera: Camera
     stages: Stages
-    tracks: Sequence[Tracks] = ()  # of each frame, where a strategy plans by them
+    tracks: Sequence[Tracks] = ()  # of each frame, if the strategy plans by them
     rules: Rules
     replaced: Replaced = field(default_factory=Replaced)
 
 
 @dataclass(kw_only=True, eq=False)
 class Outcome:
-    """What became of one start, frame by frame after it: n frames."""
+    """The result of one start, for each of the n frames after it."""
 
     start: int
-    iou: list[float] = field(default_factory=list)  # NaN where the truth does not know the target
+    iou: list[float] = field(default_factory=list)  # NaN where the target is not in the truth
     kept: list[bool] = field(default_factory=list)  # whether the strategy exposed this frame
     # share of the target's box inside the ROI; NaN without ROI or truth
     shown: list[float] = field(default_factory=list)
     windows: list[Window] = field(default_factory=list)
     read_px: int = 0  # as the sensor counts them
-    full_px: int = 0  # what full resolution would have taken meanwhile
+    full_px: int = 0  # at full resolution, in the same time
 
 
 def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -> Outcome:
     """Initialise the tracker from the truth in frame `start` and follow.
 
-    `looked`: where the ROI was in each exposure, when that is known: it does not depend on what the
-    tracker sees. Raises `RunError` where more or less is read than the budget has.
+    `looked`: the ROI of each exposure, if known from an earlier run; it does not depend on what the
+    tracker sees. Raises `RunError` if the number of pixels read is not that of the budget.
     """
     camera, rules, how = loop.camera, loop.rules, loop.camera.how
     step = how.sampling.interval
     last = min(start + rules.longest, len(target.visible) - 1)
     exposed = list(range(start, last + 1, step))
-    if how.sampling.averaged:  # an exposure is told by its last frame
+    if how.sampling.averaged:  # an exposure has the number of its last frame
         exposed = [frame + step - 1 for frame in exposed if frame + step - 1 <= last]
     found = Outcome(start=start)
     if not exposed:
@@ -106,7 +106,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
 
 
 class RoiPath:
-    """Where the ROI is in each frame of an episode, by strategy."""
+    """The ROI of each frame of an episode, by strategy."""
 
     def __init__(self, loop: Loop, target: Target, start: int) -> None:
         self._loop, self._target, self._rules = loop, target, loop.rules
@@ -126,7 +126,7 @@ class RoiPath:
             loop.stages.begin(header, "roi_features", "policy", "dispatch", policy=policy)
 
     def window(self, frame: int) -> Window:
-        """Where it looks in a frame; frames are asked for in order."""
+        """Return the window of a frame; call it in the order of frames."""
         if self._strategy == "centred":
             return self._middle
         if self._strategy == "oracle" and self._target.visible[frame] > 0:
@@ -135,7 +135,7 @@ class RoiPath:
         return self._held
 
     def after(self, frame: int, roi: Frame) -> None:
-        """Let the graph plan, now that the frame is there: as in the loop, tracks before looks."""
+        """Let the graph plan from a frame: as in the loop, tracks before features."""
         if not self._planned_by_graph:
             return
         stages, replaced = self._loop.stages, self._loop.replaced
@@ -160,20 +160,20 @@ class RoiPath:
 
 
 class RecordedRoiPath:
-    """Where the ROI was in each frame of an episode that has been run before."""
+    """The ROI of each frame of an episode, from an earlier run."""
 
     def __init__(self, looked: Sequence[Window], start: int) -> None:
         self._looked, self._start = looked, start
 
     def window(self, frame: int) -> Window:
-        """As it was then."""
+        """Return the window of the earlier run."""
         return self._looked[frame - self._start]
 
     def after(self, frame: int, roi: Frame) -> None:
-        """Nothing is planned."""
+        """Do nothing: the path is known."""
 
 
 def still(tracks: Tracks) -> Tracks:
-    """The same objects, foreseen where they are now: what prediction is worth is told by it."""
+    """Return tracks whose predicted boxes stay where they are, to measure the use of prediction."""
     here = np.broadcast_to(tracks.boxes[:, -1:], tracks.predicted.shape).astype(np.float32)
     return altered(tracks, predicted=here)

@@ -1,13 +1,13 @@
 """`fovea eval tracking`: strategies of acquisition at equal pixel budgets, by a frozen tracker.
 
-Every few frames in which the target can be seen a tracker is started on the truth and followed for
-at most 64 frames; a figure is the mean IoU over all frames of all starts in which the truth knows
-the target. Of a strategy that leaves frames out, the frames it kept count, as in the paper; what
-all frames would give stands beside it (the last box holds). A strategy with a ROI begins with the
-ROI on the target and the target's box as prompt; the middle is the middle. Its tracker sees the
-context where the ROI shows nothing, as the shipped loop has it; with `--sees each` a second row is
-of a tracker that sees the ROI alone, which is what the paper's figures suggest (its oracle beats
-full resolution, and a window in the middle is worth 1.7 % of it).
+A tracker is started on the truth every few frames in which the target is visible, and followed for
+at most 64 frames; a figure is the mean IoU over all frames of all starts in which the target is in
+the truth. For a strategy that leaves frames out, the frames that it keeps count, as in the paper;
+the mean over all frames, in which the last box is kept, is in another column. A strategy with a ROI
+begins with the ROI on the target and the target's box as prompt; `centred` stays in the middle. Its
+tracker sees the context where the ROI shows nothing, as in the shipped loop; with `--sees each` a
+second row is of a tracker that sees the ROI alone, which is what the paper's figures suggest (its
+oracle beats full resolution, and a window in the middle is worth 1.7 % of it).
 """
 
 import json
@@ -74,7 +74,7 @@ SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi
 @click.option("--report", type=Path, help="JSON")
 @click.option("--markdown", type=Path, help="the table as Markdown; - prints it")
 @click.option("--plot", type=Path, help="IoU over budget: PNG, PDF or SVG")
-@click.option("--work", type=Path, help="folder for what is finished; beside the report")
+@click.option("--work", type=Path, help="folder for finished units; else beside the report")
 def command(**given: Any) -> None:
     """See the module."""
     try:
@@ -125,7 +125,7 @@ def evaluate(options: Options) -> None:
 
 
 def tell(found: Mapping[str, Any], target: Path | None) -> None:
-    """Print the table and what follows from it; Markdown goes to a file or instead of the table."""
+    """Print the table and conclusions; write Markdown to a file, or print it instead of both."""
     text = markdown(found) if target else ""
     if target == STANDARD_OUTPUT:
         click.echo(text)
@@ -139,16 +139,16 @@ def tell(found: Mapping[str, Any], target: Path | None) -> None:
 
 
 def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
-    """What the options mean; raises `FoveaError` before anything is measured."""
+    """Return cases, protocol and clips; raises `FoveaError` before anything is measured."""
     clips = names(options.data, options.clips)
     if options.frames == WHOLE and not clips[0].folder:
         options = replace(options, frames=(1, SCENE_FRAMES))
     for clip in clips:
-        frames_of(clip, options.frames)  # refuses what a clip does not have
+        frames_of(clip, options.frames)  # raises for frames that a clip does not have
     sizes_px = {size_of(clip) for clip in clips}
     for strategy, budget, size_px in product(options.strategies, options.budgets, sizes_px):
-        acquisition(strategy, budget, size_px)  # refuses what cannot be read
-    planned(Path(options.graph), options.changes, options.tracker)  # refuses no tracker
+        acquisition(strategy, budget, size_px)  # raises for a budget that cannot be met
+    planned(Path(options.graph), options.changes, options.tracker)  # raises without one
     wanted = cases(options)
     for parts in {case.parts for case in wanted if case.strategy == "foveated"}:
         check_prompted(planned(Path(options.graph), *parts))
@@ -168,17 +168,14 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
 
 
 def try_out(wanted: Sequence[Case], protocol: Protocol) -> None:
-    """Open every graph that is asked for: a network that does not fit is told of now, not later.
-
-    Raises `FoveaError`.
-    """
+    """Open every graph that is asked for; raises `FoveaError` for a network that does not fit."""
     for parts in dict.fromkeys(case.parts for case in wanted):
         with Stages(Path(protocol.graph), *parts):
             pass
 
 
 def tracker_of(protocol: Protocol, options: Options) -> str:
-    """The class that measured, and its weights where they were named."""
+    """Return the class of the tracker, and its weights if they were named."""
     node = planned(Path(protocol.graph), options.changes, options.tracker).node(TRACKER)
     weights = node.settings.get("weights", "")
     return f"{node.operator} {weights}".strip()

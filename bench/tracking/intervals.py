@@ -1,7 +1,7 @@
 """Means with intervals: episodes of many clips -> IoU, 95 % by block bootstrap, paired differences.
 
-Frames of one start, and starts of one clip, are not independent: whole clips are drawn, each of
-them a block. Of one clip there is a mean and no interval.
+Frames of one start, and starts of one clip, are not independent; therefore whole clips are drawn,
+each of them a block. One clip has a mean and no interval.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ DRAWS = 2000
 
 @dataclass(frozen=True, kw_only=True)
 class Block:
-    """What one block adds: the sum of IoU over its frames, how many, and how many starts."""
+    """The share of one block: the sum of IoU over its frames, their number, and that of starts."""
 
     total: float
     frames: int
@@ -24,7 +24,7 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True)
 class Mean:
-    """A mean over all frames of all blocks, and where 95 % of the redrawn ones lie."""
+    """A mean over all frames of all blocks, and the range of 95 % of the redrawn means."""
 
     iou: float
     low: float
@@ -34,7 +34,7 @@ class Mean:
 
 
 def mean(blocks: Mapping[str, Block], *, seed: int) -> Mean:
-    """NaN where no frame counts."""
+    """Return the mean over blocks and its interval; NaN where no frame counts."""
     names = sorted(blocks)
     totals, frames = _columns(blocks, names)
     drawn = ratios(totals, frames, draws(len(names), seed))
@@ -50,7 +50,7 @@ def mean(blocks: Mapping[str, Block], *, seed: int) -> Mean:
 def difference(
     a: Mapping[str, Block], b: Mapping[str, Block], *, seed: int
 ) -> tuple[float, float, float]:
-    """Mean of a minus mean of b over the blocks both have, and its interval; paired."""
+    """Return mean of a minus mean of b over the blocks of both, and its interval; paired."""
     names = sorted(a.keys() & b.keys())
     first, second = _columns(a, names), _columns(b, names)
     rows = draws(len(names), seed)
@@ -61,7 +61,7 @@ def difference(
 
 
 def draws(count: int, seed: int) -> NDArray[np.int64]:
-    """Blocks drawn with replacement: (DRAWS, count)."""
+    """Return blocks drawn with replacement: (DRAWS, count)."""
     rng = np.random.default_rng([seed, count])
     return np.asarray(rng.integers(0, max(count, 1), (DRAWS, count)), np.int64)
 
@@ -69,7 +69,7 @@ def draws(count: int, seed: int) -> NDArray[np.int64]:
 def ratios(
     totals: NDArray[np.float64], frames: NDArray[np.float64], rows: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Mean of each draw; NaN where it holds no frame."""
+    """Return the mean of each draw; NaN where it has no frame."""
     counted = frames[rows].sum(1)
     return np.asarray(
         np.where(counted > 0, totals[rows].sum(1) / np.maximum(counted, 1), np.nan), np.float64
@@ -77,7 +77,7 @@ def ratios(
 
 
 def add(blocks: dict[str, Block], name: str, values: Sequence[float]) -> None:
-    """One start more in a block; none where no frame counts."""
+    """Add a start to a block, unless no frame counts."""
     if values:
         old = blocks.get(name, Block(total=0.0, frames=0, starts=0))
         blocks[name] = Block(

@@ -21,14 +21,14 @@ from bench.tracking.targets import Target, starts, targets
 from drivers.simulated.readout import Window
 from pipeline.messages import Geometry, Tracks
 
-PERCEPTION = ("downsample", "saliency", "association")  # what makes tracks of the context
-Work = tuple[Case, Path]  # and where its unit will lie
+PERCEPTION = ("downsample", "saliency", "association")  # the stages from context to tracks
+Work = tuple[Case, Path]  # and the file of its unit
 Windows = dict[tuple[int, int], Sequence[Window]]  # by target and start, exposure by exposure
 Seen = dict[tuple[str, tuple[int, int], Geometry, bool], list[Tracks]]
 
 
 def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, warnings_file: Path) -> None:
-    """All these cases of a clip, each written when it is done."""
+    """Run cases of a clip; write each of them when it is done."""
     cv2.setNumThreads(1)
     clip = read(name, protocol.frames)
     seed = protocol.seed + max(name.seed, 0)
@@ -48,20 +48,19 @@ def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, warnings_fi
 
 
 def same_windows(case: Case) -> Case:
-    """What cases have in common whose ROI is at the same places."""
+    """Return a case that is equal for all cases with the same windows."""
     return replace(case, name="", rules=replace(case.rules, context=True))
 
 
 def loop_of(clip: Clip, case: Case, stages: Stages, seen: Seen) -> Loop:
-    """What a case's episodes run in; what was seen of the context is looked up, if it can be."""
+    """Return what a case's episodes run in; known tracks of the context are used again."""
     how = acquisition(case.strategy, Fraction(case.budget), clip.size_px)
     camera = Camera(clip, how)
     replaced = Replaced(parts=frozenset(case.replaced), truths=clip.truths)
     loop = Loop(camera=camera, stages=stages, rules=case.rules, replaced=replaced)
     if case.strategy not in PLANNED:
         return loop
-    # changes may be of any part; and tracks carry the geometry of the ROI, by which the graph
-    # plans its windows
+    # changes may affect any stage; tracks carry the geometry of the ROI, by which the graph plans
     parts = contents(stages.plan, PERCEPTION)
     context = (parts, how.sampling.context_px, how.geometry, "detections" in case.replaced)
     if context not in seen:
@@ -94,7 +93,7 @@ def _followed(loop: Loop, target: Target, every: int, windows: Windows, draft: D
 
 @contextmanager
 def _warnings_into(path: Path, name: str) -> Iterator[None]:
-    """Warnings of the parts go into a file: on the terminal they would break the bar."""
+    """Write the stages' warnings into a file, because they would break the bar on the terminal."""
     handler = logging.FileHandler(path, delay=True)
     handler.setFormatter(logging.Formatter(f"{name}: %(message)s"))
     logging.getLogger().addHandler(handler)

@@ -19,39 +19,38 @@ from pipeline.graph.plan import Plan
 from pipeline.weights import MANIFEST
 
 TRACKING = ("budgets", "classes", "clip", "episode", "job", "replaced", "stages", "targets")
-CODE = (  # what figures come from, beside the operators that a case needs
+CODE = (  # that determines figures, besides the operators that a case needs
     *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
     *(f"bench.tracking.{name}" for name in TRACKING),
 )
 
 
 def key(case: Case, protocol: Protocol) -> str:
-    """Tells units of a clip apart.
+    """Return the key of a case, which tells units of a clip apart.
 
-    Other settings, networks or code make another key, as far as the case needs the parts: a
-    strategy that plans nothing needs the tracker alone. Where files lie makes none.
+    It depends on settings, networks and code of the parts that the case needs (a strategy without a
+    plan needs only the tracker), not on the paths of files.
     """
     plan = planned(Path(protocol.graph), *case.parts)
     wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
-    plain = asdict(
-        replace(case, changes=(), tracker="", policy="")
-    )  # what they change the parts tell
-    common = asdict(replace(protocol, graph=""))  # of the graph, its parts count
-    known = file_digest(MANIFEST)  # what the tracker takes where the graph names no file
+    plain = asdict(replace(case, changes=(), tracker="", policy=""))  # `parts` reflects these
+    common = asdict(replace(protocol, graph=""))  # only the graph's parts count
+    known = file_digest(MANIFEST)  # of the tracker's weights if the graph names no file
     parts = contents(plan, wanted)
     return json.dumps([plain, common, of_code(*CODE), parts, known], sort_keys=True)
 
 
 def contents(plan: Plan, names: Container[str]) -> str:
-    """Settings, code and networks of some parts of a graph."""
+    """Return settings, code and networks of some parts of a graph, as text."""
     return json.dumps(of_nodes(node for node in plan.nodes if node.name in names), sort_keys=True)
 
 
 def clip_key(name: ClipName, frames: tuple[int, int]) -> str:
-    """Tells clips apart by what is read of them: truth and pictures, wherever they lie.
+    """Return the key of a clip, made from its truth and pictures and not from their paths.
 
-    A copy has other dates, and a picture can change without its size; reading it takes a
-    thirtieth of what decoding it takes. Raises `DriverError` for what is not there.
+    Dates and sizes would not do: a copy has other dates, and a picture can change without its size.
+    Reading a picture takes a thirtieth of the time of decoding it. Raises `DriverError` for a file
+    that cannot be read.
     """
     if not name.folder:
         return f"seed {name.seed}"

@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """As `fovea eval tracking --help` explains them; of several values each has rows of its own."""
+    """The options in `fovea eval tracking --help`; each of several values has rows of its own."""
 
     data: str
     frames: tuple[int, int]  # first and last, counted from 1
@@ -72,12 +72,12 @@ class Options:
 
     @property
     def folder(self) -> Path:
-        """Where what is finished is kept."""
+        """The folder of finished units."""
         beside = self.report.with_suffix(".work") if self.report else Path(".fovea-eval")
         return self.work or beside
 
     def make_room(self) -> None:
-        """Make the folders that are written to; refuse what could not be written in the end."""
+        """Make the output folders; raises `SettingsError` for a file that cannot be written."""
         make_folder("work", self.folder)
         outputs = {"report": self.report, "markdown": self.markdown, "plot": self.plot}
         for name, path in outputs.items():
@@ -89,7 +89,7 @@ class Options:
 
 
 def make_folder(name: str, folder: Path) -> None:
-    """A folder that can be written to, made where there is none; raises `SettingsError`."""
+    """Make a folder if there is none; raises `SettingsError` if it cannot be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -99,7 +99,7 @@ def make_folder(name: str, folder: Path) -> None:
 
 
 def options_of(given: Mapping[str, Any]) -> Options:
-    """What a command line means; what is named twice counts once."""
+    """Return the options of a command line; repeated values count once."""
     strategies = given["strategies"]
     read = {
         "frames": span(given["frames"]) if given["frames"] else WHOLE,
@@ -115,7 +115,7 @@ def options_of(given: Mapping[str, Any]) -> Options:
 
 
 def policy_files(given: Sequence[str]) -> dict[str, str]:
-    """`--policy [NAME=]FILE|pursuit` by name; nothing given is what the graph says."""
+    """Return `--policy [NAME=]FILE|pursuit` by name; without any, the graph's own."""
     found: dict[str, str] = {}
     given = _distinct(given)
     for text in given:
@@ -136,17 +136,17 @@ def policy_files(given: Sequence[str]) -> dict[str, str]:
 
 
 def parts_of(text: str) -> tuple[str, ...]:
-    """Parts known from the truth, in the order of the loop; raises `SettingsError`.
+    """Return parts known from the truth, in the order of the loop; raises `SettingsError`.
 
     >>> parts_of("association+detections")
     ('detections', 'association')
     """
-    wanted = Replaced(parts=frozenset(text.split("+"))).parts  # refuses what is no part
+    wanted = Replaced(parts=frozenset(text.split("+"))).parts  # raises for an unknown part
     return tuple(part for part in PARTS if part in wanted)
 
 
 def numbers(name: str, text: str) -> tuple[int, ...]:
-    """Whole numbers as they are typed."""
+    """Parse whole numbers; raises `SettingsError`."""
     try:
         return _distinct(int(part) for part in text.split(","))
     except ValueError:
@@ -156,5 +156,5 @@ def numbers(name: str, text: str) -> tuple[int, ...]:
 
 
 def _distinct(values: Iterable[T]) -> tuple[T, ...]:
-    """Each value once, in the order in which they came first."""
+    """Return each value once, in order of first appearance."""
     return tuple(dict.fromkeys(values))

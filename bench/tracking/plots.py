@@ -1,7 +1,7 @@
 """IoU over the pixel budget, a panel a target: rows of an evaluation in, a picture out.
 
-Strategies often coincide: each has a marker, a line style and a width of its own, wide ones below
-narrow ones, and stands a little beside the budget, so that none covers another.
+Strategies often coincide. So that no curve covers another, each has a marker, a line style and a
+width of its own, wide ones are below narrow ones, and each is drawn a little beside the budget.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from bench.tracking.report import Row, share
 
-if TYPE_CHECKING:  # an extra brings it
+if TYPE_CHECKING:  # an extra installs it
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -21,14 +21,14 @@ WIDEST, NARROWEST = 3.5, 1.0  # points
 
 
 def plot(rows: Sequence[Row], path: Path) -> None:
-    """Write the picture, of the kind that the name says; nothing where no row has a figure."""
+    """Write the picture in the format of the suffix; write nothing if no row has a figure."""
     rows = [row for row in rows if row["iou"] is not None]
     if rows:
         figure_of(rows).savefig(path, dpi=140)
 
 
 def figure_of(rows: Sequence[Row]) -> "Figure":
-    """A panel a target, a curve a strategy, the legend below all of them."""
+    """Return a figure: a panel for each target, a curve for each strategy, the legend below."""
     from matplotlib.figure import Figure
 
     targets = list(dict.fromkeys(row["target"] for row in rows))
@@ -50,7 +50,7 @@ def figure_of(rows: Sequence[Row]) -> "Figure":
 
 
 def looks(k: int) -> tuple[str, str]:
-    """Marker and line style of the `k`-th curve; none of the first 48 are alike.
+    """Return marker and line style of the `k`-th curve; the first 48 are distinct.
 
     >>> looks(0), looks(1), len({looks(k) for k in range(48)})
     (('o', '-'), ('s', '--'), 48)
@@ -59,7 +59,7 @@ def looks(k: int) -> tuple[str, str]:
 
 
 def _curve(panel: "Axes", rows: Sequence[Row], k: int, count: int) -> None:
-    """The `k`-th of so many curves, beside the budgets by its place among them."""
+    """Draw the `k`-th of `count` curves, beside the budgets according to its index."""
     points = sorted(rows, key=lambda row: share(row["budget"]))
     beside = 2 ** (APART * (k - (count - 1) / 2) / max(1, count - 1))
     spread = [_arms(row) for row in points]
@@ -76,7 +76,7 @@ def _curve(panel: "Axes", rows: Sequence[Row], k: int, count: int) -> None:
 
 
 def _arms(row: Row) -> tuple[float, float]:
-    """How far the interval reaches below and above, nothing for one clip."""
+    """Return how far the interval reaches below and above; 0 for one clip."""
     if not row["ci95"] or None in row["ci95"]:
         return 0.0, 0.0
     low, high = row["ci95"]

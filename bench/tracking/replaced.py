@@ -13,13 +13,13 @@ from pipeline.errors import SettingsError
 from pipeline.messages import Detections, Scanpath, Tracks, altered
 
 PARTS = ("detections", "association", "prediction", "policy", "tracker")
-SAME_IOU = 0.3  # from here on a track or a detection is taken for an object of the truth
-SHOWN = 0.5  # share of the target from which a perfect tracker would see it in the ROI
+SAME_IOU = 0.3  # from which a track or a detection is assigned to an object of the truth
+SHOWN = 0.5  # share of the target inside the ROI from which a perfect tracker sees it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replaced:
-    """Which parts know the truth; all answers are untouched for the others."""
+    """The parts that are replaced by the truth; answers of the others are not changed."""
 
     parts: frozenset[str] = frozenset()
     truths: Sequence[Annotations] = field(default_factory=tuple)
@@ -30,7 +30,7 @@ class Replaced:
                 raise SettingsError(f"replace: expected {', '.join(PARTS)}, got {part}")
 
     def detections(self, found: Detections, frame: int) -> Detections:
-        """What is really there, with the features of what was found at the same place."""
+        """Return the true objects, with the features of detections at the same places."""
         if "detections" not in self.parts:
             return found
         truth = self.truths[frame]
@@ -53,7 +53,7 @@ class Replaced:
         )
 
     def tracks(self, tracks: Tracks, frame: int) -> Tracks:
-        """Tracks with true identities, or a true future."""
+        """Return tracks with true identities, true future boxes, or both."""
         if not self.parts & {"association", "prediction"} or not len(tracks.ids):
             return tracks
         who = self._who(tracks, frame)
@@ -61,7 +61,7 @@ class Replaced:
             tracks = altered(tracks, predicted=self._future(tracks, who, frame))
         if "association" in self.parts:
             ids = np.where(who >= 0, who, 100_000 + tracks.ids).astype(np.int32)
-            _, first = np.unique(ids, return_index=True)  # ids ascend; of doubles one is kept
+            _, first = np.unique(ids, return_index=True)  # ids ascend; one of duplicates is kept
             names = ("labels", "scores", "boxes", "visible", "features", "predicted")
             tracks = altered(
                 tracks, ids=ids[first], **{name: getattr(tracks, name)[first] for name in names}
@@ -69,7 +69,7 @@ class Replaced:
         return tracks
 
     def scanpath(self, path: Scanpath, tracks: Tracks, target: Target, frame: int) -> Scanpath:
-        """The choice of somebody who knows where the target will be."""
+        """Return the choice of a policy that knows the future places of the target."""
         if "policy" not in self.parts or not len(tracks.ids):
             return path
         horizon = len(path.choice)
@@ -84,11 +84,11 @@ class Replaced:
     def percept(
         self, box: NDArray[np.float32], truth: NDArray[np.float32], shown: float
     ) -> NDArray[np.float32]:
-        """What a perfect tracker would say of a target that the ROI shows."""
+        """Return the answer of a perfect tracker if the ROI shows the target."""
         return truth if "tracker" in self.parts and shown >= SHOWN and truth.any() else box
 
     def _who(self, tracks: Tracks, frame: int) -> NDArray[np.int64]:
-        """Id in the truth of each track, -1: none."""
+        """Return the id in the truth of each track, -1: none."""
         truth = self.truths[frame]
         if not len(truth.boxes):
             return np.full(len(tracks.ids), -1)
@@ -96,7 +96,7 @@ class Replaced:
         return np.where(overlap.max(1) >= SAME_IOU, truth.ids[overlap.argmax(1)], -1)
 
     def _future(self, tracks: Tracks, who: NDArray[np.int64], frame: int) -> NDArray[np.float32]:
-        """Where each track that is somebody will really be; as foreseen where the truth ends."""
+        """Return true future boxes of tracks with an id; predicted ones where the truth ends."""
         ahead = tracks.predicted.copy()
         for step in range(ahead.shape[1]):
             if frame + 1 + step >= len(self.truths):

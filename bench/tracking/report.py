@@ -1,4 +1,4 @@
-"""Units into rows: means over all starts of a strategy, and paired differences between rows."""
+"""Make rows of units: means over all starts of a strategy, and paired differences between rows."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -14,7 +14,7 @@ from drivers.simulated.strategies import WITH_ROI
 Row = dict[str, Any]
 Key = tuple[str, str, str]  # target, strategy, budget
 # IoU in the paper: Table 1, "Additional results … object tracking", the budget sweep, the longer
-# exposure of "Alternative Acquisition Baselines"; the system-level ablations tell shares of `full`
+# exposure of "Alternative Acquisition Baselines"; the system-level ablations give shares of `full`
 PAPER: Mapping[Key, float] = {
     ("ball", "full", "1"): 0.281,
     ("ball", "oracle", "1/8"): 0.405,
@@ -40,7 +40,7 @@ NOT_CARRIED = "ball, free or still"
 
 @dataclass(kw_only=True)
 class Tally:
-    """What all starts of a row add up to."""
+    """Sums over all starts of a row."""
 
     kept: dict[str, Block] = field(default_factory=dict)  # frames that the strategy exposed
     every: dict[str, Block] = field(default_factory=dict)  # all frames with truth
@@ -50,7 +50,7 @@ class Tally:
 
 
 def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
-    """One row per clip, target, strategy and budget, and one over all clips."""
+    """Return one row per clip, target, strategy and budget, and one over all clips."""
     found: list[Row] = []
     clips = sorted({unit["clip"] for unit in units})
     groups = [*([(c, [c]) for c in clips] if len(clips) > 1 else []), ("all", clips)]
@@ -91,10 +91,10 @@ def _paper(key: Key) -> float | None:
 
 
 def paired(units: Sequence[Unit], cases: Sequence[Case], *, seed: int) -> list[Row]:
-    """Differences between rows at the same budget (and to what has none), paired by block.
+    """Return differences between rows at the same budget (and to `full`), paired by block.
 
-    Each row of the policy is told against what is none of it, and against those that `varies`
-    finds: all against all would be read by nobody.
+    Each row of the policy is compared with rows of other strategies, and with those of the policy
+    that `varies` accepts; a comparison of all rows would be too long.
     """
     tallies = gathered(units)
     blocks = {key: tally.kept for key, tally in tallies.items()}
@@ -129,7 +129,7 @@ def paired(units: Sequence[Unit], cases: Sequence[Case], *, seed: int) -> list[R
 
 
 def interval(clips: Collection[str], low: float, high: float) -> list[float | None] | None:
-    """Where 95 % of the redrawn figures lie; None for one clip, from which nothing can be redrawn.
+    """Return the range of 95 % of the redrawn figures; None for one clip.
 
     Frames of one clip are not independent: an interval over them would be far too narrow.
     """
@@ -137,13 +137,13 @@ def interval(clips: Collection[str], low: float, high: float) -> list[float | No
 
 
 def is_asked(row: Row, report: Mapping[str, Any]) -> bool:
-    """Whether a row is of a target asked for; of the ball's states if those were, too."""
+    """Whether a row's target is asked for; the ball's states count only with `--states`."""
     kind, comma, _state = row["target"].partition(",")
     return kind in report["targets"] and (not comma or report["states"])
 
 
 def share(budget: str) -> float:
-    """A budget as a number.
+    """Return a budget as a number.
 
     >>> share("1/8"), share("1")
     (0.125, 1.0)
@@ -153,7 +153,7 @@ def share(budget: str) -> float:
 
 
 def varies(case: Case, other: Case, first: Case) -> bool:
-    """Whether `other` differs from `case` in one thing, in which `case` is as the `first` row."""
+    """Whether `other` differs from `case` in one option, in which `case` equals the `first` row."""
     ours, theirs, plain = (
         ((c.changes, c.policy), c.replaced, c.rules.delay, c.rules.replan, c.rules.prediction)
         for c in (case, other, first)
@@ -163,7 +163,7 @@ def varies(case: Case, other: Case, first: Case) -> bool:
 
 
 def gathered(units: Sequence[Unit]) -> dict[Key, Tally]:
-    """Sums by row and block; the ball counts whole, by state, and as free or still."""
+    """Return sums by row and block; the ball counts whole, by state, and as free or still."""
     found: dict[Key, Tally] = {}
     for unit in units:
         for episode in unit["episodes"]:
@@ -185,7 +185,7 @@ def gathered(units: Sequence[Unit]) -> dict[Key, Tally]:
 def split(
     kind: str, episode: Mapping[str, Any], figure: str, *, kept_only: bool
 ) -> dict[str, list[float]]:
-    """A figure of one start's frames, under each name that they count for."""
+    """Return a figure of one start's frames, under each name that they count for."""
     frames = [
         (value, state)
         for value, kept, state in zip(

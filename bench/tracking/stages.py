@@ -1,8 +1,8 @@
 """The operators of a graph without its runner: in one process, with random access to frames.
 
-What the loop computes of the context does not depend on where the ROI is: it is computed once for a
-clip, and every episode adds policy, encoder and tracker only. That this is the loop itself is
-tested against the in-line runner on the shipped graph.
+What the loop computes from the context does not depend on where the ROI is. It is computed once for
+a clip, and every episode adds only policy, encoder and tracker. A test compares the result with the
+in-line runner on the shipped graph.
 """
 
 import math
@@ -30,7 +30,7 @@ EMPTY: Window = (0, 0, 0, 0)
 
 
 class Stages:
-    """The opened operators of a tracking graph, by node name; use as a context."""
+    """The opened operators of a tracking graph, by node name; use it as a context manager."""
 
     def __init__(
         self, graph: Path, changes: Sequence[str] = (), tracker: str = "", policy: str = ""
@@ -51,7 +51,7 @@ class Stages:
             self._executors[name] = Executor(name, self._parts[name])
 
     def settings(self, name: str) -> Any:
-        """What a stage is built with, defaults included."""
+        """Return the settings of a stage, defaults included."""
         return self._parts[name].settings
 
     def __enter__(self) -> "Stages":
@@ -68,16 +68,16 @@ class Stages:
             part.close()
 
     def begin(self, header: Header, *names: str, **settings: Mapping[str, Any]) -> None:
-        """A new stream for some stages, with these settings changed by stage."""
+        """Begin a new stream for some stages, with these settings changed by stage."""
         for name in names:
             part = self._parts[name]
             part.on_settings(replace(part.settings, **settings.get(name, {})))
             part.on_stream(header)
 
     def call(self, name: str, **messages: Message) -> Any:
-        """Hand one set of messages to a stage: its answer, None for nothing.
+        """Pass one set of messages to a stage; return its answer, None for nothing.
 
-        As in a graph the stage cannot write into them, and a wrong answer raises `RunError` or
+        As in a graph, the stage cannot write into them, and a wrong answer raises `RunError` or
         `MessageError`.
         """
         given = {key: carried(message, f"{name}.{key}") for key, message in messages.items()}
@@ -86,7 +86,7 @@ class Stages:
 
 
 class Camera:
-    """The simulated sensor's reading of a clip, exposure by exposure, looking where it is told."""
+    """The simulated sensor's reading of a clip, exposure by exposure, with given ROI windows."""
 
     def __init__(self, clip: Clip, how: Acquisition) -> None:
         self._clip, self.how = clip, how
@@ -98,21 +98,21 @@ class Camera:
         self.begin()
 
     def begin(self) -> None:
-        """Count anew."""
+        """Reset the counts."""
         self.emitted_px = self.exposures = 0
 
     def expose(self, frame: int, first: int, window: Window) -> tuple[Frame, Frame]:
-        """Context and ROI of one exposure, whose pixels are counted."""
+        """Return context and ROI of one exposure, and count their pixels."""
         context, roi = self.context(frame, first), self.roi(frame, window)
         self.exposures += 1
         self.emitted_px += sum(math.prod(part.pixels.shape[:2]) for part in (context, roi))
         return context, roi
 
     def counted(self) -> tuple[int, int]:
-        """Pixels read since `begin`, and those that full resolution would have had meanwhile.
+        """Return the pixels read since `begin`, and those of full resolution in the same time.
 
-        An exposure stands for all frames until the next, also where the clip ends before it.
-        Raises `RunError` where that is not the budget.
+        An exposure counts for all frames until the next one, also if the clip ends before it.
+        Raises `RunError` if the ratio is not the budget.
         """
         frames = self.exposures * self.how.sampling.interval
         full_px = frames * math.prod(self._clip.size_px)
@@ -124,12 +124,12 @@ class Camera:
         return self.emitted_px, full_px
 
     def header(self, frame: int) -> Header:
-        """The header of a frame of the clip."""
+        """Return the header of a frame of the clip."""
         stream = f"{self._clip.name}"
         return Header(stream=stream, seq=frame, stamp_ns=0, geometry=self.how.geometry)
 
     def context(self, frame: int, first: int = 0) -> Frame:
-        """The whole field at `frame`; of an averaging strategy all of `first` … `frame`.
+        """Return the whole field at `frame`; with averaging the mean of `first` … `frame`.
 
         Pictures of the full size are views of the clip's.
         """
@@ -149,12 +149,12 @@ class Camera:
         return known
 
     def nothing(self, frame: int) -> Frame:
-        """A picture without pixels."""
+        """Return a picture without pixels."""
         pixels = np.empty((0, 0, 3), np.uint8)
         return Frame(header=self.header(frame), pixels=pixels, window=EMPTY)
 
     def roi(self, frame: int, window: Window) -> Frame:
-        """The ROI at `frame`, valid until the next one; empty for strategies without.
+        """Return the ROI at `frame`, valid until the next one; empty for strategies without.
 
         Raises `RunError` for a window of another size: it would cost more pixels than are counted.
         """
@@ -170,7 +170,7 @@ class Camera:
 
 
 def watched(camera: Camera, stages: Stages, frames: int, replaced: Replaced) -> list[Tracks]:
-    """What saliency and association make of the contexts of a clip's frames."""
+    """Return the tracks that saliency and association find in the contexts of a clip's frames."""
     stages.begin(camera.header(0), "downsample", "saliency", "association")
     found = []
     for frame in range(frames):

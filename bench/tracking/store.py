@@ -8,50 +8,50 @@ from typing import Any
 
 from pipeline.whole_file import write_whole
 
-KEEP_S = 20.0  # between writings of a unit that is not finished: what an interruption may cost
+KEEP_S = 20.0  # between two writes of an unfinished unit: the most that an interruption loses
 Episode = dict[str, Any]  # start, iou, kept, shown, state, read_px, full_px
 Unit = dict[str, Any]  # clip, case, target, kind, episodes
 
 
 class Draft:
-    """The episodes of a unit that is not finished, in a file beside it."""
+    """The episodes of an unfinished unit, in a file beside it."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._written_s = path, monotonic()
         self._episodes: dict[str, Episode] = _read(path, dict) or {}
 
     def known(self, target: int, start: int) -> Episode | None:
-        """What an interrupted run found out about a start; None: nothing."""
+        """Return the episode of a start from an interrupted run; None if there is none."""
         return self._episodes.get(f"{target} {start}")
 
     def add(self, target: int, episode: Episode) -> None:
-        """Take one in, and write all of them now and then."""
+        """Add an episode; write all of them every `KEEP_S`."""
         self._episodes[f"{target} {episode['start']}"] = episode
         if monotonic() - self._written_s >= KEEP_S:
             _write(self._path, self._episodes)
             self._written_s = monotonic()
 
     def finish(self, done: Sequence[Unit], path: Path) -> None:
-        """Write the finished unit; what was kept of it is needed no more."""
+        """Write the finished unit and remove the draft."""
         _write(path, done)
         self._path.unlink(missing_ok=True)
 
 
 def units(path: Path) -> list[Unit]:
-    """What a finished file holds."""
+    """Return the units of a finished file."""
     found: list[Unit] = json.loads(path.read_text())
     return found
 
 
 def forget_damaged(paths: Iterable[Path]) -> None:
-    """Remove what a full disk or a crash left of a finished file: it is measured again."""
+    """Remove files damaged by a full disk or a crash, so that their units are measured again."""
     for path in paths:
         if path.exists() and _read(path, list) is None:
             path.unlink()
 
 
 def _read(path: Path, kind: type) -> Any:
-    """What a file holds of that kind; None where it is not there, or damaged."""
+    """Return the content of a file; None if it is missing, damaged or of another kind."""
     try:
         found = json.loads(path.read_text())
     except (FileNotFoundError, ValueError):

@@ -20,14 +20,14 @@ SELDOM = ("95 %", PAPER, "all frames", "in ROI")  # left out where no row has on
 
 
 def asked_rows(report: Mapping[str, Any]) -> list[Row]:
-    """Rows over all clips of the targets asked for, in the order of targets and budgets."""
+    """Return rows over all clips of the targets asked for, in the order of targets and budgets."""
     rows = [r for r in report["rows"] if r["clip"] == "all" or len(report["clips"]) == 1]
     rows = [r for r in rows if is_asked(r, report)]
     return sorted(rows, key=lambda r: (r["target"], share(r["budget"]), r["strategy"]))
 
 
 def table(report: Mapping[str, Any]) -> Table:
-    """The rows asked for, in columns that have something to say and fit into a terminal."""
+    """Return a table of the rows asked for, without empty columns and those only for files."""
     cells = [_cells(row) for row in asked_rows(report)]
     columns = [column for column in _columns(cells) if column not in IN_FILES]
     shown = lean_table()
@@ -40,7 +40,7 @@ def table(report: Mapping[str, Any]) -> Table:
 
 
 def markdown(report: Mapping[str, Any]) -> str:
-    """The same rows, the paired differences, and the sentences."""
+    """Return the same rows, the paired differences and the sentences as Markdown."""
     cells = [_cells(row) for row in asked_rows(report)]
     columns = _columns(cells)
     lines = [_line(columns), _line(["---"] * len(columns))]

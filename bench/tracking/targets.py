@@ -12,7 +12,7 @@ from pipeline.errors import SettingsError
 
 KINDS = {"ball": "ball", "referee": "main referee", "player": "player"}
 PEOPLE = CLASS_OF_ROLE.keys() - {"ball"}
-STILL_PX = 1.5  # a frame, at 1920 pixels of width: what is slower lies still
+STILL_PX = 1.5  # per frame, at 1920 pixels of width: a slower ball is still
 AROUND = 4  # frames before and after over which a ball's state is judged
 FREE, STILL, CARRIED = "free", "still", "carried"
 Boxes = NDArray[np.float32]
@@ -30,14 +30,14 @@ class Target:
 
     @property
     def there(self) -> NDArray[np.bool_]:
-        """In which frames the truth knows it: (F,)."""
+        """The frames in which it is in the truth: (F,)."""
         return np.asarray(self.visible > 0)
 
 
 def targets(
     truths: Sequence[Annotations], kinds: Sequence[str], *, players: int, seed: int
 ) -> list[Target]:
-    """Ball, main referee and some players of a clip, drawn by the seed among those long in view."""
+    """Return ball, main referee and players of a clip; the seed draws among those long in view."""
     found = []
     for kind in kinds:
         if kind not in KINDS:
@@ -60,7 +60,7 @@ def targets(
 
 
 def starts(target: Target, every: int) -> list[int]:
-    """Frames in which a tracker is started: every so many where the target can be seen."""
+    """Return the frames in which a tracker is started: every so many if the target is visible."""
     frames = range(0, len(target.visible) - 1, every)
     return [k for k in frames if target.visible[k] >= LEAST_VISIBLE]
 
@@ -77,11 +77,11 @@ def _target(kind: str, object_id: int, truths: Sequence[Annotations]) -> Target:
 
 
 def ball_states(boxes: Boxes, truths: Sequence[Annotations]) -> tuple[str, ...]:
-    """free, still or carried in each frame, by the truth.
+    """Return whether the ball is free, still or carried in each frame, according to the truth.
 
-    Carried: in most frames around, its centre lies in the upper three quarters of a person's box,
-    the same person's. Still: against the camera, known by the others' median motion, it moves by
-    less than `STILL_PX` a frame. Free otherwise.
+    Carried: in most frames around, its centre is in the upper three quarters of the same person's
+    box. Still: after subtracting the median motion of the people, which is the camera's, it moves
+    by less than `STILL_PX` per frame. Free otherwise.
     """
     seen = areas(boxes) > 0
     speed = _speeds(boxes, seen, truths)
@@ -104,7 +104,7 @@ def ball_states(boxes: Boxes, truths: Sequence[Annotations]) -> tuple[str, ...]:
 def _speeds(
     boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Annotations]
 ) -> NDArray[np.float64]:
-    """How far the ball went since the frame before, against the people's median: (F,), pixels."""
+    """Return the ball's motion since the frame before, less the people's median: (F,), pixels."""
     speed = np.full(len(boxes), np.nan)
     middle = centres(boxes)
     for k in range(1, len(boxes)):
@@ -114,7 +114,7 @@ def _speeds(
 
 
 def _camera(before: Annotations, now: Annotations) -> NDArray[np.float32]:
-    """The median motion of all people in both frames: (2,)."""
+    """Return the median motion of all people in both frames: (2,)."""
     both, first, second = np.intersect1d(before.ids, now.ids, return_indices=True)
     if len(both) < 4:
         return np.zeros(2, np.float32)
@@ -123,7 +123,7 @@ def _camera(before: Annotations, now: Annotations) -> NDArray[np.float32]:
 
 
 def _carrier(ball: NDArray[np.float32], truth: Annotations) -> int:
-    """Id of the person in whose upper three quarters the ball's centre lies, -1: nobody's."""
+    """Return the id of the person whose upper three quarters hold the ball's centre, -1: none."""
     x, y = centres(ball)
     for box, label, i in zip(truth.boxes, truth.labels, truth.ids, strict=True):
         left, top, right, bottom = box

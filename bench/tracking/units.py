@@ -24,9 +24,9 @@ from bench.tracking.key import clip_key, key
 from bench.tracking.store import Unit, forget_damaged, units
 from operators.training.workers import pool_of
 
-LOOK_S = 1.0  # between looks at what is done
-WARNINGS = "warnings.log"  # what the parts had to say, beside the units
-# measured, in rows whose windows are known or need no network
+LOOK_S = 1.0  # between counts of finished units
+WARNINGS = "warnings.log"  # of the stages, beside the units
+# measured; 1 is a row whose windows are known or need no network
 COST = {"temporal": 0.2, "exposure": 2.0, **dict.fromkeys(PLANNED, 2.0)}
 
 
@@ -38,7 +38,7 @@ def measured(
     *,
     jobs: int,
 ) -> list[Unit]:
-    """All units, from the folder where they are known, from work where they are not."""
+    """Return all units: the finished ones from the folder, the others after measuring them."""
     folder.mkdir(parents=True, exist_ok=True)
     keys = [key(case, protocol) for case in cases]
     places = {clip: _places(folder, clip, protocol, keys) for clip in clips}
@@ -70,9 +70,9 @@ def measured(
 def cut(
     left: Mapping[ClipName, Sequence[Work]], jobs: int
 ) -> list[tuple[ClipName, tuple[Work, ...]]]:
-    """What each job does: a clip, or a part of one where processes would have nothing to do.
+    """Return the work of each job: a clip, or a part of one if processes would be idle otherwise.
 
-    A part costs reading the clip once more, and the memory for it.
+    Each part reads the clip again and needs memory for it.
     """
     clips = [clip for clip, work in left.items() if work]
     rest = len(clips) % jobs
@@ -82,10 +82,10 @@ def cut(
 
 
 def _parts(work: Sequence[Work], count: int) -> list[tuple[Work, ...]]:
-    """At most so many parts of about equal cost.
+    """Return at most `count` parts of about equal cost.
 
-    Rows with the same windows stay together, and those of a budget beside one another: what the
-    detector sees there is found out once, or twice where the cut is.
+    Rows with the same windows stay together. Rows of a budget are adjacent, so that the detector
+    runs on its contexts once, or twice if they are divided between two parts.
     """
     groups: dict[Case, list[Work]] = {}
     for each in sorted(work, key=lambda w: (w[0].budget, "detections" in w[0].replaced)):
@@ -106,7 +106,7 @@ def _progress() -> Progress:
 
 
 def _places(folder: Path, clip: ClipName, protocol: Protocol, keys: Sequence[str]) -> list[Path]:
-    """Where the units of a clip are kept."""
+    """Return the files of a clip's units."""
     content = clip_key(clip, protocol.frames)
     digests = [sha256(f"{key} {content}".encode()).hexdigest() for key in keys]
     return [folder / f"{clip}-{digest[:16]}.json" for digest in digests]

@@ -13,10 +13,7 @@ SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
 
 class ImageFolder:
-    """A `FrameSource` without a rate of its own; all pictures have the size of the first.
-
-    It knows no truth.
-    """
+    """A `FrameSource` without rate and truth; all pictures have the size of the first."""
 
     def __init__(self, *, path: str) -> None:
         folder = Path(path)
@@ -32,14 +29,14 @@ class ImageFolder:
         self.length: int | None = len(self._files)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        """Read frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
         if not 0 <= index < len(self._files):
             raise IndexError(f"no picture {index} in {len(self._files)}")
         return read_picture(self._files[index], self._buffer)
 
     def truth(self, index: int) -> Annotations | None:
-        """Not known."""
+        """Return None: the truth is not known."""
         return None
 
     def close(self) -> None:
-        """Nothing is held open between pictures."""
+        """Do nothing: no file is open between pictures."""

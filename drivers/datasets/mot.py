@@ -51,21 +51,21 @@ class MotSequence:
         self._detections = _read_detections(folder / "det" / "det.txt")
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        """Read frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
         return self._pictures.picture(index)
 
     def truth(self, index: int) -> Annotations | None:
-        """Everybody in frame `index`, with the share of each that is visible."""
+        """Return the objects in frame `index`, with the visible share of each."""
         return None if self._truth is None else self._truth.get(index, no_objects())
 
     def detections(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The public detections of a frame: boxes (n, 4) xyxy and confidence (n,); n may be 0."""
+        """Return a frame's public detections: boxes (n, 4) xyxy, confidence (n,); n may be 0."""
         rows = self._detections.get(index, [])
         boxes = np.array([r.box for r in rows], np.float32).reshape(-1, 4)
         return boxes, np.array([r.rest[0] for r in rows], np.float32)
 
     def close(self) -> None:
-        """Nothing is held open between pictures."""
+        """Do nothing: no file is open between pictures."""
 
 
 def _read_truth(path: Path) -> dict[int, Annotations] | None:

@@ -33,7 +33,7 @@ class SequenceInfo:
     length: int
 
     def picture_path(self, index: int) -> Path:
-        """Pictures are numbered from 1."""
+        """Return the path of a picture; the files are numbered from 1."""
         return self.folder / f"{index + 1:06d}{self.suffix}"
 
 
@@ -63,7 +63,7 @@ class NumberedPictures:
                 )
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        """Read frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
         if not 0 <= index < self._info.length:
             raise IndexError(f"{self._info.name}: no frame {index} in {self._info.length}")
         return read_picture(self._info.picture_path(index), self._buffer)
@@ -72,7 +72,7 @@ class NumberedPictures:
 def span(text: str) -> tuple[int, int]:
     """Parse a range of frames A-B, counted from 1 as the files are, or a single frame A.
 
-    Raises `SettingsError`, a ValueError as argparse wants it.
+    Raises `SettingsError`, which is a ValueError, as argparse requires.
 
     >>> span("251-375"), span("7")
     ((251, 375), (7, 7))
@@ -85,7 +85,7 @@ def span(text: str) -> tuple[int, int]:
 
 
 def read_ini(path: Path) -> configparser.SectionProxy:
-    """The section [Sequence]; keys keep their case and values their `;`."""
+    """Return the section [Sequence]; keys keep their case and values their `;`."""
     parser = configparser.ConfigParser(
         delimiters=("=",), comment_prefixes=("#",), inline_comment_prefixes=None, interpolation=None
     )
@@ -102,7 +102,7 @@ def read_ini(path: Path) -> configparser.SectionProxy:
 
 
 def read_info(folder: Path) -> SequenceInfo:
-    """seqinfo.ini of a sequence folder; raises `DriverError` naming file and key."""
+    """Read seqinfo.ini of a sequence folder; raises `DriverError` naming file and key."""
     if not folder.is_dir():
         raise DriverError(f"{folder}: expected the folder of a sequence, got no such folder")
     path = folder / "seqinfo.ini"
@@ -119,7 +119,7 @@ def read_info(folder: Path) -> SequenceInfo:
 
 
 def read_rows(path: Path, *, columns: int) -> Iterator[Row]:
-    """The rows of a gt.txt or det.txt with at least so many columns; blank lines are skipped.
+    """Yield the rows of a gt.txt or det.txt with at least so many columns; skip blank lines.
 
     Raises `DriverError` naming file and line.
     """
@@ -135,7 +135,7 @@ def read_rows(path: Path, *, columns: int) -> Iterator[Row]:
 
 
 def by_frame(rows: list[Row], labels: list[str], visible: list[float]) -> dict[int, Annotations]:
-    """The truth per frame index from rows with their labels and visible shares."""
+    """Return the truth per frame index from rows with their labels and visible shares."""
     members: dict[int, list[int]] = {}
     for place, row in enumerate(rows):
         members.setdefault(row.index, []).append(place)
@@ -151,7 +151,7 @@ def by_frame(rows: list[Row], labels: list[str], visible: list[float]) -> dict[i
 
 
 def no_objects() -> Annotations:
-    """A frame known to be empty."""
+    """Return the truth of an empty frame."""
     return Annotations(
         boxes=np.zeros((0, 4), np.float32),
         ids=np.zeros(0, np.int32),

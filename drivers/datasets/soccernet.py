@@ -38,7 +38,7 @@ class Tracklet:
 class SoccerNetSequence:
     """A `FrameSource` over `<folder>/{seqinfo.ini, gameinfo.ini, img1/, gt/gt.txt}`.
 
-    `tracklets` says who each id is. A sequence without gt/gt.txt has no truth.
+    `tracklets` gives the role of each id. A sequence without gt/gt.txt has no truth.
     """
 
     shows = "soccer"
@@ -53,19 +53,19 @@ class SoccerNetSequence:
         self._truth = _read_truth(folder / "gt" / "gt.txt", self.tracklets)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        """Read frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
         return self._pictures.picture(index)
 
     def truth(self, index: int) -> Annotations | None:
-        """Boxes of everybody in frame `index`; their visibility is unknown and set to 1."""
+        """Return the boxes in frame `index`; their visibility is unknown and set to 1."""
         return None if self._truth is None else self._truth.get(index, no_objects())
 
     def close(self) -> None:
-        """Nothing is held open between pictures."""
+        """Do nothing: no file is open between pictures."""
 
 
 def read_tracklets(path: Path) -> dict[int, Tracklet]:
-    """Who each track id is; raises `DriverError` naming file and line of an unknown role."""
+    """Return the role of each track; raises `DriverError` naming file and line of a wrong role."""
     found = {}
     for key, value in read_ini(path).items():
         if match := _KEY.fullmatch(key):
@@ -77,7 +77,7 @@ def read_tracklets(path: Path) -> dict[int, Tracklet]:
 
 
 def parse_role(text: str) -> Tracklet:
-    """`<role>;<label>` as gameinfo.ini writes it; raises ValueError for a role not known.
+    """Parse `<role>;<label>` of gameinfo.ini; raises ValueError for an unknown role.
 
     >>> parse_role("goalkeepers team left;1")
     Tracklet(label='goalkeeper', team='left', mark='1')

@@ -13,7 +13,7 @@ SKIP_FRAMES = 48  # up to so many frames ahead, skipping is cheaper than seeking
 
 
 class VideoFile:
-    """A `FrameSource` over whatever OpenCV's FFmpeg decodes. It knows no truth.
+    """A `FrameSource` without truth, over the formats that OpenCV's FFmpeg decodes.
 
     `length` is the number of readable frames: containers often declare a few too many.
     """
@@ -43,7 +43,7 @@ class VideoFile:
         self.length: int | None = self._readable(promised)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """Frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        """Read frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
         if not 0 <= index < (self.length or 0):
             raise IndexError(f"{self._path}: no frame {index} in {self.length}")
         if index == self._next - 1:
@@ -54,7 +54,7 @@ class VideoFile:
         return self._rgb
 
     def truth(self, index: int) -> Annotations | None:
-        """Not known."""
+        """Return None: the truth is not known."""
         return None
 
     def close(self) -> None:
@@ -77,7 +77,7 @@ class VideoFile:
         if not 0 <= ahead <= SKIP_FRAMES or self._next < 0:
             self._capture.set(cv2.CAP_PROP_POS_FRAMES, index)
             ahead = 0
-        self._next = -1  # where a failure leaves the decoder is not known
+        self._next = -1  # after a failure the decoder's position is not known
         for _ in range(ahead):
             if not self._capture.grab():
                 return False

@@ -19,14 +19,14 @@ def swap_lines(result: SwapResult) -> list[str]:
 
     >>> swap_lines(SwapResult(node="a", hot=True, seq=7, gap_ms=1.25, state="none",
     ...                       proven_frames=30))
-    ['a: swapped after frame 7, stood still for 1.2 ms, state none, 30 frames of probation']
+    ['a: swapped after frame 7, paused for 1.2 ms, state none, 30 frames of probation']
 
     State that the operator kept but did not declare has a line of its own.
     """
     cut = f"after frame {result.seq}" if result.hot else "by stopping and starting"
     words = [
         f"{result.node}: swapped {cut}",
-        f"stood still for {result.gap_ms:.1f} ms",
+        f"paused for {result.gap_ms:.1f} ms",
         *(f"left out {count} of {name}" for name, count in result.left_out.items() if count),
         f"state {result.state}",
         f"{result.proven_frames} frames of probation",

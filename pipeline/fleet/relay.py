@@ -25,13 +25,12 @@ from pipeline.fleet.placement import Allowed
 from pipeline.naming import check_name
 from pipeline.node.wiring import key_of
 from pipeline.protocol import fleet as wire
-from pipeline.protocol.codec import ControlMessage, encode, refused
+from pipeline.protocol.codec import ControlMessage, encode, failed, refused
 from pipeline.protocol.orders import SwapOrder
 from pipeline.protocol.questions import Command, ConfigQuestion, NodeQuestion
 from pipeline.run.bus_client import ask_local, client_session
 from pipeline.run.supervisor import Supervisor
 from pipeline.settings import suggest
-from pipeline.text import error_text
 
 AT_ONCE = 4  # a node answers between two frames; one that hangs must not delay the others
 WAITING = 16
@@ -97,7 +96,7 @@ class NodeGateway:
             reply(encode(refused(str(error))))
         except Exception as error:
             log.exception("answering a question failed")
-            reply(encode(refused(f"it failed: {error_text(error)}")))
+            reply(encode(failed(error)))
         finally:
             self._room.release()
 

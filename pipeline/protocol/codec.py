@@ -16,12 +16,13 @@ import msgspec
 from pipeline import codec
 from pipeline.class_cache import cached_by_class
 from pipeline.errors import MessageError, RunError
-from pipeline.text import harmless
+from pipeline.text import error_text, harmless
 
 VERSION = 1  # incremented by every incompatible change
 MARKER = 0xF5  # no JSON, text or msgpack map begins with it
 MOST_BYTES = 1 << 20
 TAG = "kind"
+FAILED = "it failed"  # how the reason of a refusal begins for an exception of this program
 LONGEST_TAG = 40  # characters of an unknown kind in an error
 T = TypeVar("T")
 
@@ -103,6 +104,11 @@ def fields_of(message: ControlMessage) -> dict[str, Any]:
 def refused(reason: str, *, rolled_back: bool = False) -> Refused:
     """Return a `Refused` with a sanitised, truncated reason."""
     return Refused(harmless(reason), rolled_back)
+
+
+def failed(error: BaseException) -> Refused:
+    """Return a `Refused` for an exception that nobody foresaw: a mistake of this program."""
+    return refused(f"{FAILED}: {error_text(error)}")
 
 
 @cached_by_class

@@ -56,7 +56,7 @@ class SwapResult(ControlMessage, frozen=True, kw_only=True):
 
     node: str
     hot: bool  # the successor was on standby; else the node was stopped and started
-    gap_ms: float  # how long the node stood still
+    gap_ms: float  # how long the node paused
     state: str
     proven_frames: int  # frames of the probation
     ready_seq: int = -1  # hot: the latest frame when the successor was ready

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 
 from pipeline.errors import FoveaError, RunError
-from pipeline.protocol.codec import decode, encode, refused
+from pipeline.protocol.codec import decode, encode, failed, refused
 from pipeline.protocol.orders import (
     ORDER,
     Order,
@@ -31,7 +31,6 @@ from pipeline.run.process_handle import ProcessHandle
 from pipeline.run.process_manager import ProcessManager
 from pipeline.run.swap_target import SwapTarget
 from pipeline.run.topology import TopologyOperation
-from pipeline.text import error_text
 
 Reply = Callable[[Result], None]
 log = logging.getLogger(__name__)
@@ -95,7 +94,7 @@ class ControlServer:
             reply(refused(str(error)))
         except Exception as error:  # an order must not end the graph
             log.exception("an order failed")
-            reply(refused(f"it failed: {error_text(error)}"))
+            reply(failed(error))
 
     def _stop(self, reply: Reply) -> None:
         """Request the end of the run, which is signalled by `stop_orders`."""

@@ -5,13 +5,12 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from pipeline.errors import FoveaError
-from pipeline.protocol.codec import refused
+from pipeline.protocol.codec import failed, refused
 from pipeline.protocol.orders import Done, Refused, Result
 from pipeline.protocol.supervision import Event
 from pipeline.run.managed_process import ManagedProcess
 from pipeline.run.process_events import ProcessEvents
 from pipeline.run.process_handle import ProcessHandle
-from pipeline.text import error_text
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +59,7 @@ class Operation(ABC):
             self._finish(str(error))
         except Exception as error:  # an order must not end the graph
             log.exception("%s broke", self.kind)
-            self._finish(f"it failed: {error_text(error)}")
+            self._finish(failed(error).reason)
 
     def _finish(self, why: str) -> None:
         self.clear_up(failed=bool(why))

@@ -1,4 +1,4 @@
-"""Contestants take turns, and the arithmetic on their clocks is right."""
+"""Every contestant has a turn in each round, and figures are computed from its clocks."""
 
 import subprocess
 from collections import Counter
@@ -22,7 +22,7 @@ MS = 1_000_000
     rounds=st.integers(1, 5),
     seed=st.integers(),
 )
-def test_in_every_round_everybody_has_one_turn_per_size(
+def test_every_round_has_one_turn_per_contestant_and_size(
     modules: list[str], rounds: int, seed: int
 ) -> None:
     sizes = [64, 128]
@@ -47,7 +47,7 @@ def result(contestant: str, beyond_ms: list[int], sent: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_figures_leave_writing_and_reading_out_and_count_what_was_lost() -> None:
+def test_figures_exclude_writing_and_reading_and_count_lost_messages() -> None:
     turns = [result("fovea_bus", [2, 3, 4], sent=4), result("fovea_bus", [5, 6, 7], sent=4)]
 
     (row,) = summarise(turns)
@@ -72,7 +72,7 @@ def test_the_table_puts_the_quickest_first_and_names_the_ratio() -> None:
     assert columns[4] == ["0.50", "1.00", "nan"]
 
 
-def test_a_turn_that_does_not_end_is_ended_with_all_it_started(tmp_path: Path) -> None:
+def test_a_turn_beyond_its_limit_is_killed_with_its_descendants(tmp_path: Path) -> None:
     note = tmp_path / "pid"
     script = 'sleep 1000 & echo $! > "$0.part"; mv "$0.part" "$0"; wait'
 
@@ -85,7 +85,7 @@ def test_a_turn_that_does_not_end_is_ended_with_all_it_started(tmp_path: Path) -
     until(lambda: ended(int(note.read_text())))
 
 
-def test_a_turn_that_fails_says_why() -> None:
+def test_a_failed_turn_raises_with_the_last_line_of_its_errors() -> None:
     with pytest.raises(subprocess.SubprocessError, match="ended with 3: no such luck"):
         run_to_end(["sh", "-c", "echo no such luck >&2; exit 3"], 60.0)
 
@@ -102,6 +102,6 @@ def test_every_contestant_is_a_script() -> None:
 
 
 @pytest.mark.parametrize("words", ["a few", "64", ""])
-def test_sizes_that_cannot_be_are_refused(words: str) -> None:
+def test_invalid_sizes_are_refused(words: str) -> None:
     with pytest.raises(click.BadParameter, match="--sizes"):
         read_sizes(words)

@@ -15,7 +15,7 @@ from tests.sample_graphs import LOOP
 
 
 @pytest.mark.slow
-def test_a_graph_gets_over_every_kind_of_fault(tmp_path: Path) -> None:
+def test_a_graph_recovers_from_every_kind_of_fault(tmp_path: Path) -> None:
     graph, figures = tmp_path / "graph.yaml", tmp_path / "chaos.json"
     graph.write_text(f"name: chaos-{secrets.token_hex(3)}\n{LOOP}")
 
@@ -32,7 +32,7 @@ def test_a_graph_gets_over_every_kind_of_fault(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not permitted(), reason="network namespaces are not permitted here")
-def test_a_graph_over_hosts_gets_over_pulled_cables_too(tmp_path: Path) -> None:
+def test_a_graph_over_hosts_recovers_from_partitions_too(tmp_path: Path) -> None:
     graph, figures = tmp_path / "graph.yaml", tmp_path / "chaos.json"
     graph.write_text(TRIO)
 

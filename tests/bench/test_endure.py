@@ -1,4 +1,4 @@
-"""What a supervisor holds does not depend on how many nodes it has seen end."""
+"""A supervisor's resources do not grow with the number of nodes that have ended."""
 
 import json
 import threading
@@ -11,7 +11,7 @@ from bench.results import __file__ as results
 
 
 def own_threads() -> set[threading.Thread]:
-    """The threads of this process but for those of Zenoh, which come with work and stay."""
+    """Return the threads of this process except Zenoh's, which start with work and stay."""
     return {t for t in threading.enumerate() if not isinstance(t, threading._DummyThread)}
 
 

@@ -11,8 +11,10 @@ from click.testing import CliRunner
 
 from bench.fuzz import tally
 from bench.fuzz.fuzz import fuzz
+from bench.fuzz.orders import fuzz_orders
 from bench.fuzz.tally import Tally, Watch, alone
 from pipeline import GraphError
+from pipeline.run.control_server import ControlServer
 
 
 def test_a_traceback_a_hang_and_a_bad_sentence_are_each_counted(
@@ -49,7 +51,7 @@ def test_a_file_written_outside_the_folder_is_noticed(tmp_path: Path) -> None:
     assert watch.touched == {f"os.mkdir {outside}", f"open {tmp_path / 'b'}"}
 
 
-def test_what_is_made_where_a_graph_works_or_at_home_is_noticed(tmp_path: Path) -> None:
+def test_a_file_made_in_the_working_folder_or_at_home_is_noticed(tmp_path: Path) -> None:
     before = Path.cwd()
 
     with alone(tmp_path) as made:
@@ -84,6 +86,19 @@ def test_files_are_watched_whatever_is_fuzzed(
 
     assert done.exit_code == 1
     assert '"files_touched": 1' in done.output, done.output
+
+
+def test_an_order_that_the_supervisor_fails_at_is_a_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("by design")
+
+    monkeypatch.setattr(ControlServer, "take", fail)
+    found = fuzz_orders(40, tmp_path)
+
+    assert found.tracebacks >= 1
+    assert any("by design" in str(example) for example in found.examples)
 
 
 def test_the_command_prints_figures(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Every figure says where it was measured."""
+"""The facts of a result name the machine, the versions and the commit."""
 
 import json
 from pathlib import Path

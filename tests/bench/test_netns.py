@@ -1,4 +1,4 @@
-"""Hosts in network namespaces: they are gone again, also when they could not all be made."""
+"""Network namespaces of hosts are removed, even if not all of them could be made."""
 
 import os
 import subprocess

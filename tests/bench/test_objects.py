@@ -1,4 +1,4 @@
-"""A crowd is as large as asked for; what it costs is told by the frames in which it was there."""
+"""A crowd has the number of objects asked for; its cost is measured in frames with all of them."""
 
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,9 @@ WINDOW = (480, 270, 960, 540)
 
 
 def tracks(*lefts: float) -> Tracks:
-    """Objects of 60x120 pixels, seen in four frames and foreseen in two."""
+    """Return objects of 60x120 pixels, observed in four frames and predicted for two."""
     box = np.array([[left, 300, left + 60, 420] for left in lefts], np.float32)
-    box = box.reshape(-1, 4)  # also of none
+    box = box.reshape(-1, 4)  # also without objects
     n = len(lefts)
     return Tracks(
         header=header(7),
@@ -44,7 +44,7 @@ def crowd(given: Tracks, **settings: Any) -> Tracks:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 25])
 @pytest.mark.parametrize("together", [False, True])
-def test_a_crowd_is_as_large_as_asked_for_true_ones_first(count: int, together: bool) -> None:
+def test_a_crowd_has_the_number_asked_for_true_objects_first(count: int, together: bool) -> None:
     given = tracks(500, 700, 1500)
 
     found = crowd(given, objects=count, together=together)
@@ -57,11 +57,11 @@ def test_a_crowd_is_as_large_as_asked_for_true_ones_first(count: int, together: 
     assert (np.abs(found.predicted - found.boxes[:, -1:] - 1) < 0.01).all()
 
 
-def test_of_nothing_there_is_no_crowd() -> None:
+def test_a_crowd_without_true_objects_is_empty() -> None:
     assert not len(crowd(tracks()).ids)
 
 
-def test_every_reader_of_the_tracks_sees_the_crowd() -> None:
+def test_every_reader_of_the_tracks_reads_the_crowd() -> None:
     plan = with_crowd(load(GRAPH), CrowdSettings(objects=5, together=True))
 
     assert {e.end for e in plan.readers("crowd", "out")} == {"policy.tracks", "roi_features.tracks"}
@@ -88,7 +88,7 @@ def test_only_frames_with_the_whole_crowd_count() -> None:
     assert found["loop"]["latency_ms_p50"]["median"] == 20.0
 
 
-def test_what_is_left_when_the_plans_are_taken_out_are_the_looks() -> None:
+def test_handler_times_less_those_of_plans_are_those_of_features() -> None:
     called = counted([300_000, 2_000_000, 310_000, 2_100_000])
 
     left = called.since(counted([2_000_000, 2_100_000]).counts)

@@ -1,4 +1,4 @@
-"""A bench that cannot run says why in one sentence."""
+"""A bench that cannot run prints the reason in one sentence."""
 
 from pathlib import Path
 from types import ModuleType

@@ -56,7 +56,7 @@ def roi() -> Frame:
     return Frame(header=header(0), pixels=np.zeros((270, 480, 3), np.uint8), window=ROI)
 
 
-def test_a_frame_without_an_answer_counts_as_nothing_found() -> None:
+def test_a_frame_without_an_answer_counts_with_iou_0() -> None:
     truth = real(BALL, FIRST, labels=("ball", "main referee"))
     sums = Sums(target="ball")
 
@@ -66,7 +66,7 @@ def test_a_frame_without_an_answer_counts_as_nothing_found() -> None:
     assert sums == Sums(target="ball", frames=2, answered=1, iou=1.0, shown=2.0)
 
 
-def test_any_object_of_the_class_will_do() -> None:
+def test_any_object_of_the_class_counts() -> None:
     truth = real(FIRST, SECOND, labels=("main referee", "assistant referee"))
     nothing = Sums(target="referee")
 
@@ -75,14 +75,14 @@ def test_any_object_of_the_class_will_do() -> None:
     assert counted(nothing, seen(BALL), truth, roi()).shown == 1.0
 
 
-def test_what_cannot_be_seen_does_not_count() -> None:
+def test_an_object_that_is_not_visible_does_not_count() -> None:
     truth = real(BALL, labels=("ball",), visible=0.1)
 
     assert counted(Sums(target="ball"), seen(BALL), truth, roi()).frames == 0
     assert counted(Sums(target="referee"), seen(BALL), truth, roi()).frames == 0
 
 
-def test_the_watcher_tells_the_last_two_spans_each_with_its_own_target() -> None:
+def test_the_watcher_reports_the_last_two_spans_each_with_its_own_target() -> None:
     subject = Watcher(WatcherSettings())
     subject.open()
     for span, target in enumerate(("ball", "referee", "ball")):
@@ -96,7 +96,7 @@ def test_the_watcher_tells_the_last_two_spans_each_with_its_own_target() -> None
     assert told[2].iou == 1.0
 
 
-def test_what_the_watcher_tells_of_long_spans_fits_into_a_headline() -> None:
+def test_a_report_of_long_spans_fits_into_a_headline() -> None:
     long = Sums(target="x" * 20, frames=10**7, answered=10**7, iou=1e7 / 3, shown=1e7 / 3)
 
     assert len(written({10**5: long, 10**5 + 1: long})) <= MOST_HEADLINE
@@ -118,7 +118,7 @@ def test_the_first_ten_minutes_are_compared_with_the_last_ten() -> None:
     assert faded([]) == []
 
 
-def test_minutes_count_by_their_frames() -> None:
+def test_spans_are_weighted_by_their_frames() -> None:
     assert mean([row(0, 1.0), {**row(1, 0.0), "frames": 30}])["iou"] == 0.25
     assert mean([]) == {}
 

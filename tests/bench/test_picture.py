@@ -1,4 +1,4 @@
-"""The picture of the README: the panels of one frame, drawn by a command."""
+"""The picture in the README: the panels of one frame, drawn by a command."""
 
 from pathlib import Path
 

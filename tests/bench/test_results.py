@@ -1,4 +1,4 @@
-"""The page of results is what the committed files give, and wrong files are refused."""
+"""The page of results is generated from the committed files, and wrong files are refused."""
 
 import json
 import re
@@ -36,7 +36,7 @@ def test_the_committed_page_is_what_the_committed_files_give() -> None:
     assert PAGE.read_text() == page(FOLDER), "run python -m bench.results"
 
 
-def test_check_says_when_the_page_is_not_what_the_files_give(tmp_path: Path) -> None:
+def test_check_fails_when_the_page_is_not_what_the_files_give(tmp_path: Path) -> None:
     folder_of(tmp_path, sample=TABLE)
     out = tmp_path / "RESULTS.md"
     given_ = ["--folder", str(tmp_path), "--out", str(out)]
@@ -52,7 +52,7 @@ def test_check_says_when_the_page_is_not_what_the_files_give(tmp_path: Path) -> 
     assert "A sample" in out.read_text()
 
 
-def test_transcribed_figures_say_so_and_keep_their_cells(tmp_path: Path) -> None:
+def test_transcribed_figures_are_marked_and_keep_their_cells(tmp_path: Path) -> None:
     text = page(folder_of(tmp_path, sample=TABLE))
 
     assert "- Source: transcribed: README at commit 1234567" in text
@@ -106,7 +106,7 @@ def test_a_wrong_result_file_is_refused_in_one_sentence(
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b"\xff", b"[" * 100_000])
-def test_what_is_no_json_is_refused_with_the_file(tmp_path: Path, text: bytes) -> None:
+def test_a_file_that_is_not_json_is_refused_by_name(tmp_path: Path, text: bytes) -> None:
     (tmp_path / "sample.json").write_bytes(text)
 
     with pytest.raises(ResultError, match=r"^sample\.json: expected JSON, got "):
@@ -114,7 +114,7 @@ def test_what_is_no_json_is_refused_with_the_file(tmp_path: Path, text: bytes) -
 
 
 @given(values=JSON, more=st.dictionaries(st.sampled_from(["rows", "ends", "seed", "fuzz"]), JSON))
-def test_no_json_makes_the_page_fail_otherwise(
+def test_any_json_gives_a_page_or_a_result_error(
     tmp_path_factory: pytest.TempPathFactory, values: Any, more: dict[str, Any]
 ) -> None:
     folder = tmp_path_factory.mktemp("results")
@@ -128,7 +128,7 @@ def test_no_json_makes_the_page_fail_otherwise(
     assert text
 
 
-def test_every_test_that_a_table_of_examples_names_is_there() -> None:
+def test_every_test_that_the_table_of_examples_names_exists() -> None:
     rows = json.loads((FOLDER / "adversarial_examples.json").read_text())["rows"]
     texts = {path.name: path.read_text() for path in ROOT.glob("tests/**/test_*.py")}
 

@@ -1,4 +1,4 @@
-"""The ruler of the bus benchmarks: it tells torn and lost messages and adds up its clocks."""
+"""The ruler of the bus benchmarks detects torn messages and reports clocks and rates."""
 
 import json
 import subprocess
@@ -40,7 +40,7 @@ def written(writer: Writer, number: int) -> Bytes:
 
 
 @given(number=st.integers(0, 10**6), place=st.integers(HEAD_BYTES, NBYTES - 1))
-def test_one_wrong_byte_is_torn(number: int, place: int) -> None:
+def test_a_message_with_one_wrong_byte_is_torn(number: int, place: int) -> None:
     view = np.zeros(NBYTES, np.uint8)
     fill(view, number)
     assert is_whole(view, number)
@@ -50,7 +50,7 @@ def test_one_wrong_byte_is_torn(number: int, place: int) -> None:
     assert not is_whole(view, number)
 
 
-def test_a_neighbour_is_not_taken_for_the_message(tmp_path: Path) -> None:
+def test_a_message_is_not_taken_for_the_one_before_or_after_it(tmp_path: Path) -> None:
     view = written(Writer(task_in(tmp_path)), 7)
 
     assert not is_whole(view, 6)
@@ -75,7 +75,7 @@ def test_warm_up_is_not_counted_and_clocks_only_rise(tmp_path: Path) -> None:
     assert meter.finished
 
 
-def test_torn_messages_are_told(tmp_path: Path) -> None:
+def test_torn_messages_are_reported(tmp_path: Path) -> None:
     task = task_in(tmp_path)
     writer, meter = Writer(task), Meter(task)
     view = written(writer, WARM_UP)
@@ -88,7 +88,7 @@ def test_torn_messages_are_told(tmp_path: Path) -> None:
     assert collect(task, "none", "numpy")["torn"] == 1
 
 
-def test_a_meter_goes_on_while_the_sender_is_at_it(tmp_path: Path) -> None:
+def test_a_meter_is_not_finished_while_the_sender_runs(tmp_path: Path) -> None:
     task = task_in(tmp_path)
     writer, meter = Writer(task), Meter(task)
 
@@ -105,7 +105,7 @@ def test_the_rate_is_kept_from_the_first_message_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("module", ["bare", "zenoh_bytes", "fovea_bus"])
-def test_a_contestant_brings_every_message_whole(module: str) -> None:
+def test_a_contestant_delivers_every_message_whole(module: str) -> None:
     words = [sys.executable, "-m", f"bench.peers.{module}"]
 
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""What the parts take is measured on the shipped graph, with as many objects as it says."""
+"""Run times of the parts are measured on the shipped graph, by the number of objects."""
 
 import time
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_the_networks_that_are_timed_alone_are_those_of_the_graph(tmp_path: Path
 
 
 def test_more_objects_take_more_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("time.perf_counter_ns", time.thread_time_ns)  # whatever else runs here
+    monkeypatch.setattr("time.perf_counter_ns", time.thread_time_ns)  # without other load
 
     table = by_objects((), frames=4)
 

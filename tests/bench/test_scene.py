@@ -1,4 +1,4 @@
-"""The ruler that lays the procedural match beside real footage."""
+"""Statistics that compare the procedural match with real footage are correct."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from drivers.source import Annotations
 
 
 class Pitch:
-    """A grey picture in which a bright square of 10 pixels moves by (3, 4) a frame."""
+    """A grey picture in which a bright square of 10 pixels moves by (3, 4) per frame."""
 
     size_px = (200, 600)
     rate_hz = 25.0
@@ -34,7 +34,7 @@ class Pitch:
         pass
 
 
-def test_sizes_speed_and_contrast_are_measured_as_they_are() -> None:
+def test_sizes_speed_and_contrast_are_measured_correctly() -> None:
     found = measure(Pitch(), 20)
 
     assert set(found["ball width"]) == {10.0}

@@ -1,4 +1,4 @@
-"""The tables: every study is one the evaluation takes, and what a folder holds is put together."""
+"""The evaluation accepts every study of the tables, which hold all studies of a folder."""
 
 import json
 from pathlib import Path
@@ -18,7 +18,7 @@ CLIPS = {"budgets": 30, "late": 6, "late-hold": 6, "far": 2, "far-hold": 2}
 
 
 @pytest.mark.parametrize("quick", [False, True])
-def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Path) -> None:
+def test_the_evaluation_accepts_every_study(quick: bool, tmp_path: Path) -> None:
     weights = tmp_path / "policy.onnx"
     weights.touch()
     whole = f"{weights}"
@@ -43,7 +43,7 @@ def test_every_study_is_one_that_the_evaluation_takes(quick: bool, tmp_path: Pat
 
 
 @pytest.mark.parametrize("quick", [False, True])
-def test_real_footage_is_a_study_where_it_is_given(quick: bool, tmp_path: Path) -> None:
+def test_real_footage_is_a_study_if_it_is_given(quick: bool, tmp_path: Path) -> None:
     game = "[Sequence]\nnum_tracklets=0\n"
     info = "[Sequence]\nframeRate=25\nseqLength=24\nimWidth=1920\nimHeight=1080\n"
     folder = write_sequence(tmp_path / "clip", gt="", gameinfo=game, frames=24, info=info)
@@ -76,7 +76,7 @@ def test_a_study_that_lacks_what_it_needs_is_refused(tmp_path: Path) -> None:
         (["--clips", "0"], "budgets: clips: must be at least 1, got 0"),
     ],
 )
-def test_a_study_that_cannot_be_measured_is_refused_before_the_first_is(
+def test_a_study_that_cannot_be_measured_is_refused_before_the_first_begins(
     words: list[str], said: str, tmp_path: Path
 ) -> None:
     given = ["--out", str(tmp_path), "--tracker", "correlation", *words]

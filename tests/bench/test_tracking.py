@@ -1,4 +1,4 @@
-"""The evaluation: equal budgets, states told by the truth, honest intervals, the loop itself."""
+"""The evaluation: equal budgets, states of the ball, intervals, the same windows as the loop."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -34,7 +34,7 @@ STRATEGIES = ("spatial", "temporal", "exposure", "foveated", "centred", "round_r
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 @pytest.mark.parametrize("budget", ["1/4", "1/8", "1/16"])
-def test_every_strategy_spends_its_budget_to_a_hundredth(strategy: str, budget: str) -> None:
+def test_every_strategy_spends_its_budget_within_one_percent(strategy: str, budget: str) -> None:
     how = acquisition(strategy, Fraction(budget), HD)
 
     spent = how.sampling.emitted_px() / (HD[0] * HD[1]) / how.sampling.interval
@@ -71,7 +71,7 @@ def states(truths: list[Annotations]) -> set[str]:
 CROWD = ((100.0, 500.0), (300.0, 600.0), (500.0, 400.0), (700.0, 500.0))
 
 
-def test_a_ball_is_still_free_or_held_by_what_the_truth_says() -> None:
+def test_a_ball_is_still_free_or_carried_according_to_the_truth() -> None:
     def panned(k: int) -> tuple[tuple[float, float], ...]:
         return tuple((x + 6.0 * k, y) for x, y in CROWD)
 
@@ -82,7 +82,7 @@ def test_a_ball_is_still_free_or_held_by_what_the_truth_says() -> None:
     assert (states(lying), states(flying), states(carried)) == ({STILL}, {FREE}, {CARRIED})
 
 
-def test_a_tracker_is_started_where_the_target_can_be_seen() -> None:
+def test_a_tracker_is_started_where_the_target_is_visible() -> None:
     truths = [truth((900, 300), *CROWD) for _ in range(20)]
     truths[8] = Annotations(
         boxes=truths[8].boxes,
@@ -111,7 +111,7 @@ def blocks(*values: float) -> dict[str, Block]:
     return {f"clip {k}": Block(total=10 * v, frames=10, starts=1) for k, v in enumerate(values)}
 
 
-def test_an_interval_holds_the_mean_and_shrinks_with_more_clips() -> None:
+def test_an_interval_contains_the_mean_and_shrinks_with_more_clips() -> None:
     rng = np.random.default_rng(1)
     few, many = (mean(blocks(*rng.normal(0.5, 0.1, n)), seed=0) for n in (8, 200))
 
@@ -121,7 +121,7 @@ def test_an_interval_holds_the_mean_and_shrinks_with_more_clips() -> None:
     assert (many.frames, many.starts) == (2000, 200)
 
 
-def test_a_small_difference_shows_when_it_is_there_in_every_clip() -> None:
+def test_a_small_difference_in_every_clip_has_an_interval_without_zero() -> None:
     base = np.random.default_rng(2).uniform(0.1, 0.9, 30)
     better, worse = blocks(*base + 0.02), blocks(*base)
 
@@ -139,7 +139,7 @@ def clip() -> Clip:
 
 @pytest.fixture(scope="module")
 def stages() -> Iterator[Stages]:
-    """The parts under pursuit; each episode begins with new ones."""
+    """Open the stages with the pursuit policy; each episode begins a new stream."""
     with Stages(GRAPH, policy="pursuit") as stages:
         yield stages
 
@@ -148,7 +148,7 @@ def loop(camera: Camera, stages: Stages, tracks: Sequence[Tracks] = (), **rules:
     return Loop(camera=camera, stages=stages, tracks=tracks, rules=Rules(**rules))  # type: ignore[arg-type]
 
 
-def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
+def test_an_episode_has_the_windows_of_the_running_loop(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     box = [float(v) for v in ball.boxes[0]]
     aim = ("policy.target=''", f"policy.prompt_box={box}")
@@ -173,7 +173,7 @@ def test_an_episode_is_the_loop_itself(clip: Clip) -> None:
     assert outcome.read_px == pytest.approx(14 * HD[0] * HD[1] / 8, rel=0.01)
 
 
-def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip, stages: Stages) -> None:
+def test_a_roi_on_the_target_is_as_good_as_full_resolution(clip: Clip, stages: Stages) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     means = {}
     for strategy in ("full", "oracle", "spatial"):
@@ -185,7 +185,7 @@ def test_what_shows_the_target_whole_is_as_good_as_everything(clip: Clip, stages
     assert means["spatial"] <= means["full"] + 0.05
 
 
-def test_a_perfect_tracker_is_as_good_as_what_the_roi_shows(clip: Clip) -> None:
+def test_a_perfect_tracker_has_the_true_box_while_the_roi_shows_the_target(clip: Clip) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
     known = Replaced(parts=frozenset({"tracker"}), truths=clip.truths)
@@ -226,7 +226,7 @@ def test_a_window_of_more_pixels_than_the_budget_has_is_refused(clip: Clip) -> N
 
 
 @pytest.mark.parametrize("strategy", ["full", *STRATEGIES])
-def test_what_the_sensor_reads_of_an_episode_is_counted(
+def test_the_pixels_that_the_sensor_reads_in_an_episode_are_counted(
     clip: Clip, stages: Stages, strategy: str
 ) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
@@ -251,7 +251,7 @@ def test_an_episode_that_reads_more_than_its_budget_is_refused(clip: Clip, stage
         run(loop(camera, stages), ball, 0)
 
 
-def test_where_the_roi_was_can_be_told_again(clip: Clip, stages: Stages) -> None:
+def test_an_episode_can_use_the_windows_of_an_earlier_one(clip: Clip, stages: Stages) -> None:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     camera = Camera(clip, acquisition("oracle", Fraction(1, 8), clip.size_px))
     first = run(loop(camera, stages), ball, 2)
@@ -275,7 +275,7 @@ def test_data_of_the_wrong_shape_is_refused_in_one_sentence(tmp_path: Path) -> N
         read(ClipName(seed=1), (5, 2))
 
 
-def test_a_whole_evaluation_is_written_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
+def test_a_whole_evaluation_is_written_and_continues_where_it_stopped(tmp_path: Path) -> None:
     words = [
         *("--data", "procedural:70003", "--clips", "1", "--frames", "1-20", "--jobs", "1"),
         *("--strategies", "centred,temporal,foveated", "--budgets", "1/4,1/8", "--targets", "ball"),

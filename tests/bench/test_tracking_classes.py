@@ -1,4 +1,4 @@
-"""The evaluation uses the tracker that was named, whatever is installed."""
+"""The evaluation uses the tracker and the policy that were named, whatever is installed."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def bare_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
 
 
-def test_without_a_word_the_graphs_own_class_measures_with_the_graphs_settings() -> None:
+def test_by_default_the_graphs_own_class_measures_with_the_graphs_settings() -> None:
     node = planned(GRAPH, ("tracker.lost_after=9",), "").node("tracker")
 
     assert node.operator == "operators.tracker:CorrelationTracker"
@@ -31,7 +31,7 @@ def test_without_a_word_the_graphs_own_class_measures_with_the_graphs_settings()
 
 
 @pytest.mark.parametrize("name", TRACKERS)
-def test_a_named_class_takes_its_place_with_weights_and_settings_of_its_own(name: str) -> None:
+def test_a_named_class_replaces_it_with_weights_and_settings_of_its_own(name: str) -> None:
     word = name if name == "correlation" else f"{name}=mine.onnx"
 
     plan = planned(GRAPH, ("tracker.lost_after=9", "policy.horizon=8"), word)
@@ -49,7 +49,7 @@ def test_settings_of_another_tracker_are_refused() -> None:
 
 
 @pytest.mark.parametrize("tracker", ["vittrack", "vittrack=none.onnx", "mixformer=none.onnx"])
-def test_missing_weights_are_told_before_any_work(tracker: str, tmp_path: Path) -> None:
+def test_missing_weights_are_refused_before_any_work(tracker: str, tmp_path: Path) -> None:
     words = ["--data", "procedural", "--work", str(tmp_path / "work"), "--tracker", tracker]
 
     result = CliRunner().invoke(command, words)
@@ -60,7 +60,7 @@ def test_missing_weights_are_told_before_any_work(tracker: str, tmp_path: Path) 
     assert list((tmp_path / "work").iterdir()) == []
 
 
-def test_units_of_different_trackers_are_told_apart() -> None:
+def test_units_of_different_trackers_have_different_keys() -> None:
     protocol = Protocol(graph=str(GRAPH), frames=(1, 16), kinds=("ball",))
     own, same, other = (
         key(Case(strategy="spatial", budget="1/4", name="", rules=Rules(), tracker=t), protocol)
@@ -90,7 +90,7 @@ def test_a_policy_that_is_asked_for_keeps_the_settings_that_both_classes_have() 
     assert planned(GRAPH, (), policy="own.onnx").node("policy").settings["weights"] == "own.onnx"
 
 
-def test_settings_of_no_policy_that_is_asked_for_are_refused() -> None:
+def test_wrong_settings_of_a_policy_that_is_asked_for_are_refused() -> None:
     with pytest.raises(SettingsError, match=r"policy\.dwell: no such setting"):
         planned(GRAPH, ("policy.dwell=3",), policy="pursuit")
     with pytest.raises(SettingsError, match=r"policy\.observed: .* got 'x'"):
@@ -110,6 +110,6 @@ def test_a_foveated_row_needs_a_policy_that_can_be_given_its_target(tmp_path: Pa
     assert said in result.output
 
 
-def test_pursue_is_refused_by_its_new_name() -> None:
+def test_the_old_name_pursue_is_refused_with_the_new_name() -> None:
     with pytest.raises(SettingsError, match="policy: pursue: renamed; expected pursuit"):
         policy_files(("pursue",))

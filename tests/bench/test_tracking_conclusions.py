@@ -57,7 +57,7 @@ def test_of_one_clip_a_difference_is_indicative_and_the_missing_interval_is_expl
         ([0.0, 0.024], "(+0.000 to +0.024, includes zero)"),
     ],
 )
-def test_of_several_clips_the_interval_says_whether_it_excludes_zero(
+def test_of_several_clips_the_sentence_states_whether_the_interval_excludes_zero(
     ends: list[float], judged: str
 ) -> None:
     told = sentences(report(pair(0.013, "spatial", ci95=ends, clips=30)))
@@ -84,7 +84,7 @@ def test_nothing_is_concluded_where_nothing_is_compared() -> None:
     assert sentences(report(pair(0.1, "spatial", target="ball, free"))) == [ALONE]
 
 
-def test_only_targets_that_were_asked_for_have_rows_and_states_when_they_were() -> None:
+def test_only_targets_that_were_asked_for_have_rows_and_states_only_if_asked_for() -> None:
     rows = [
         row(name, "spatial") for name in ("ball", "ball, free", "ball, free or still", "player")
     ]
@@ -98,7 +98,7 @@ def test_only_targets_that_were_asked_for_have_rows_and_states_when_they_were() 
     assert several == []  # rows of single clips are in the report alone
 
 
-def test_the_papers_column_says_that_its_data_are_others() -> None:
+def test_the_papers_column_is_marked_as_other_data() -> None:
     found = report(rows=[row("ball", "spatial", paper=0.122)])
 
     text, lines = printed(found), markdown(found).splitlines()
@@ -110,7 +110,7 @@ def test_the_papers_column_says_that_its_data_are_others() -> None:
     assert PAPER not in printed(report())
 
 
-def test_the_table_is_none_of_markdown_and_leaves_out_columns_without_figures() -> None:
+def test_the_table_is_not_markdown_and_leaves_out_columns_without_figures() -> None:
     text = printed(report())
 
     assert "|" not in text
@@ -119,7 +119,7 @@ def test_the_table_is_none_of_markdown_and_leaves_out_columns_without_figures() 
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_every_word_of_the_table_is_there_in_a_terminal_of_any_width(width: int) -> None:
+def test_a_terminal_of_any_width_shows_every_word_of_the_table(width: int) -> None:
     whole = row(
         "ball, free or still", "foveated, ROI alone", ci95=[0.251, 0.498], paper=0.283,
         iou_all_frames=0.331, roi_coverage=0.987,

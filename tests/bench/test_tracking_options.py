@@ -1,4 +1,4 @@
-"""What an evaluation is asked for is read as it is meant, or refused before any work."""
+"""Options of an evaluation are parsed, or refused before any work."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -48,7 +48,7 @@ def read(*words: str) -> Options:
         (["--data", "/nowhere"], "/nowhere: expected a folder of SoccerNet sequences"),
     ],
 )
-def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str) -> None:
+def test_wrong_options_are_refused_in_one_sentence(words: list[str], said: str) -> None:
     result = CliRunner().invoke(command, ["--data", "procedural", *words])
 
     assert result.exit_code == 2
@@ -57,7 +57,7 @@ def test_wrong_words_are_answered_with_one_sentence(words: list[str], said: str)
 
 
 @pytest.mark.parametrize("output", ["report", "markdown", "plot", "work"])
-def test_what_could_not_be_written_is_told_before_anything_is_measured(
+def test_an_output_that_cannot_be_written_is_refused_before_anything_is_measured(
     output: str, tmp_path: Path
 ) -> None:
     file, folder = tmp_path / "file", tmp_path / "folder.png"
@@ -87,7 +87,7 @@ def test_frames_that_a_sequence_does_not_have_are_refused(tmp_path: Path) -> Non
     assert not (tmp_path / "work").exists()
 
 
-def test_an_evaluation_that_finds_nobody_to_follow_says_so(tmp_path: Path) -> None:
+def test_an_evaluation_without_a_visible_target_is_an_error(tmp_path: Path) -> None:
     folder = write_sequence(tmp_path / "clip", gt="", gameinfo=GAME)
     words = ["--data", str(folder), "--work", str(tmp_path / "work"), "--strategies", "spatial"]
 
@@ -103,7 +103,7 @@ def test_an_evaluation_that_finds_nobody_to_follow_says_so(tmp_path: Path) -> No
     assert "| target |" not in result.output
 
 
-def test_what_is_named_twice_counts_once() -> None:
+def test_values_that_are_named_twice_count_once() -> None:
     found = read(
         *(
             "--strategies",
@@ -125,7 +125,7 @@ def test_what_is_named_twice_counts_once() -> None:
     assert found.replace == (("detections", "association"),)
 
 
-def test_options_are_read_as_they_are_meant() -> None:
+def test_options_have_defaults_ranges_and_names() -> None:
     assert read().frames == WHOLE
     assert read().strategies == ALL
     assert read("--frames", "251-375").frames == (251, 375)
@@ -134,7 +134,7 @@ def test_options_are_read_as_they_are_meant() -> None:
     assert policies == {"a": "pursuit", "b": "pursuit"}
 
 
-def test_only_what_is_asked_for_has_rows() -> None:
+def test_only_strategies_that_are_asked_for_have_rows() -> None:
     found = cases(read("--strategies", "foveated,spatial", "--budgets", "1/8"))
 
     assert [case.name for case in found] == ["foveated", "spatial"]
@@ -142,7 +142,7 @@ def test_only_what_is_asked_for_has_rows() -> None:
     assert not read().states
 
 
-def test_policies_of_one_name_are_not_taken_for_one(tmp_path: Path) -> None:
+def test_two_policies_of_one_name_are_refused(tmp_path: Path) -> None:
     files = [tmp_path / run / "policy.onnx" for run in ("a", "b")]
     for file in files:
         file.parent.mkdir()

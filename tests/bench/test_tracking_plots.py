@@ -1,4 +1,4 @@
-"""In the plot of an evaluation every curve can be seen and told from the others."""
+"""In the plot of an evaluation every curve is visible and distinct from the others."""
 
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -22,7 +22,7 @@ def row(strategy: str, budget: str, target: str = "ball", **told: Any) -> dict[s
 
 
 def coinciding(target: str = "ball", names: list[str] = NAMES, **told: Any) -> list[dict[str, Any]]:
-    """Rows of which all figures are the same: the worst that can happen to a plot."""
+    """Return rows with the same figures, which is the worst case for a plot."""
     plain = [row(n, b, target, **told) for n in names if n != "full" for b in BUDGETS]
     return [*plain, *([row("full", "1", target, **told)] if "full" in names else [])]
 
@@ -55,7 +55,7 @@ def test_curves_of_the_same_figures_neither_look_alike_nor_lie_on_one_another() 
         assert not set(one.get_xdata()) & set(other.get_xdata())  # type: ignore[arg-type]
 
 
-def test_markers_that_coincide_stand_a_visible_way_apart() -> None:
+def test_markers_that_coincide_are_drawn_apart() -> None:
     figure = figure_of(coinciding())
     figure.canvas.draw()
     (panel,) = figure.axes
@@ -71,7 +71,7 @@ def test_markers_that_coincide_stand_a_visible_way_apart() -> None:
 
 
 @pytest.mark.parametrize("count", [14, 40])
-def test_many_rows_of_one_strategy_are_still_told_apart(count: int) -> None:
+def test_many_rows_of_one_strategy_have_distinct_curves(count: int) -> None:
     names = [f"foveated, delay {k}" for k in range(count)]
 
     (panel,) = figure_of(coinciding(names=names)).axes

@@ -1,4 +1,4 @@
-"""What the report of an evaluation tells."""
+"""The report of an evaluation: means, intervals and paired differences."""
 
 from dataclasses import replace
 from typing import Any
@@ -42,7 +42,7 @@ def test_a_target_that_one_of_several_clips_shows_has_no_interval() -> None:
     assert found["player"]["ci95"] == [pytest.approx(0.1), pytest.approx(0.2)]
 
 
-def test_a_row_tells_the_share_of_the_pixels_that_were_read_and_the_papers_figure() -> None:
+def test_a_row_has_the_share_of_the_pixels_that_were_read_and_the_papers_figure() -> None:
     strategies = {"foveated": 0.283, "round_robin": 0.0098, "centred": 0.0048, "exposure": 0.098}
     units = [unit(name, "ball", "1/8", 0.5, 0, 8) for name in strategies]
     units.append(unit("foveated, ROI alone", "ball", "1/8", 0.5))
@@ -58,7 +58,7 @@ def test_a_row_tells_the_share_of_the_pixels_that_were_read_and_the_papers_figur
     assert whole["foveated"]["starts"] == 2
 
 
-def test_what_differs_in_one_thing_is_paired_and_what_does_not_plan() -> None:
+def test_a_policys_row_is_paired_with_other_strategies_and_those_with_one_other_option() -> None:
     late, hold = Rules(delay=13), Rules(prediction=False)
     cases = {
         "foveated": Case(strategy="foveated", budget="1/8", name="foveated", rules=Rules()),

@@ -1,4 +1,4 @@
-"""The evaluation calls operators as a graph does: it refuses the same answers in the same words."""
+"""The evaluation calls operators as a graph does, and refuses the same wrong answers."""
 
 import re
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ NAME = f"{__name__}:Wrong"
 
 @dataclass(frozen=True, kw_only=True)
 class WrongSettings:
-    """What is wrong with an answer."""
+    """The kind of wrong answer."""
 
     answer: str = ""
 

@@ -1,4 +1,4 @@
-"""Units of an evaluation are known by what their figures come from."""
+"""Units of an evaluation are identified by everything that their figures depend on."""
 
 import json
 import shutil
@@ -26,7 +26,7 @@ def keyed(graph: Path = GRAPH, strategy: str = "foveated", *changes: str) -> str
     return key(case, Protocol(graph=str(graph), frames=(1, 9), kinds=("ball",)))
 
 
-def test_a_unit_is_another_with_other_weights(tmp_path: Path) -> None:
+def test_other_weights_make_another_unit(tmp_path: Path) -> None:
     weights, keys = tmp_path / "policy.onnx", []
     for content in (b"a", b"b", b"a"):
         weights.write_bytes(content)
@@ -35,7 +35,7 @@ def test_a_unit_is_another_with_other_weights(tmp_path: Path) -> None:
     assert keys[0] == keys[2] != keys[1]
 
 
-def test_a_unit_is_the_same_wherever_its_weights_lie(tmp_path: Path) -> None:
+def test_the_path_of_weights_makes_no_other_unit(tmp_path: Path) -> None:
     places = [tmp_path / name for name in ("policy.onnx", "copy.onnx")]
     for place in places:
         place.write_bytes(b"a")
@@ -45,7 +45,7 @@ def test_a_unit_is_the_same_wherever_its_weights_lie(tmp_path: Path) -> None:
     assert one == other
 
 
-def test_a_unit_is_the_same_in_another_place_and_another_with_other_settings(
+def test_other_settings_make_another_unit_and_another_path_of_the_graph_does_not(
     tmp_path: Path,
 ) -> None:
     copy, other = tmp_path / "copy.yaml", tmp_path / "other.yaml"
@@ -56,7 +56,7 @@ def test_a_unit_is_the_same_in_another_place_and_another_with_other_settings(
     assert keyed(other, "spatial") == keyed(GRAPH, "spatial")
 
 
-def test_a_unit_is_another_once_the_code_of_a_part_is(
+def test_other_code_of_a_part_makes_another_unit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code, graph = tmp_path / "seer.py", tmp_path / "tracking.yaml"
@@ -73,7 +73,7 @@ def test_a_unit_is_another_once_the_code_of_a_part_is(
     assert keyed(graph, "spatial") == plain
 
 
-def test_an_unfinished_unit_keeps_what_it_has_found_out(
+def test_an_unfinished_unit_keeps_its_episodes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bench.tracking.store.KEEP_S", 0.0)
@@ -95,7 +95,7 @@ def row(strategy: str = "spatial", budget: str = "1/4", **more: Any) -> Case:
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Path:
-    """A ball of 8 pixels that moves by one a frame."""
+    """Write a sequence of a ball of 8 pixels that moves by one pixel per frame."""
     gt = "\n".join(f"{frame},1,{10 + frame},10,8,8,1,-1,-1,-1" for frame in range(1, 17))
     game = "[Sequence]\nnum_tracklets=1\ntrackletID_1= ball;1\n"
     return write_sequence(tmp_path / "clip", gt=gt, gameinfo=game, frames=16)
@@ -106,7 +106,7 @@ def follow(recorded: Path, work: Path, *rows: Case) -> list[Unit]:
     return measured([ClipName(folder=str(recorded))], rows or (row(),), protocol, work, jobs=1)
 
 
-def test_an_interrupted_unit_goes_on_within_a_clip(recorded: Path, tmp_path: Path) -> None:
+def test_an_interrupted_unit_continues_within_a_clip(recorded: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     (whole,) = follow(recorded, work)
     (file,) = work.iterdir()
@@ -125,7 +125,7 @@ def test_an_interrupted_unit_goes_on_within_a_clip(recorded: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("left", ["", '[{"clip": "clip", "case"', "{}", "\0" * 8])
-def test_what_a_crash_left_of_a_unit_is_forgotten(tmp_path: Path, left: str) -> None:
+def test_files_of_units_that_a_crash_damaged_are_removed(tmp_path: Path, left: str) -> None:
     damaged, whole = tmp_path / "damaged.json", tmp_path / "whole.json"
     damaged.write_text(left)
     whole.write_text("[]")
@@ -149,7 +149,7 @@ def test_damaged_files_are_measured_again(recorded: Path, tmp_path: Path) -> Non
     assert [path.read_text() for path in (tmp_path / "work").iterdir()] == [written]
 
 
-def test_the_bar_counts_what_was_finished_before(
+def test_the_bar_counts_units_that_were_finished_before(
     recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     follow(recorded, tmp_path / "work")
@@ -174,7 +174,7 @@ def test_warnings_of_the_parts_are_kept_and_counted(
     assert error.endswith(f"{len(told)} warnings: {tmp_path / 'warnings.log'}\n")
 
 
-def test_what_another_detector_saw_is_not_taken_for_what_this_one_sees() -> None:
+def test_tracks_of_one_detector_are_not_used_for_another() -> None:
     clip, case = read(ClipName(seed=70_003), (1, 3)), row("foveated", "1/8")
     seen: Seen = {}
     found = []
@@ -185,7 +185,7 @@ def test_what_another_detector_saw_is_not_taken_for_what_this_one_sees() -> None
     assert [bool(len(tracks.ids)) for tracks in found] == [True, False]
 
 
-def test_a_clip_is_known_by_its_truth_and_pictures_wherever_it_lies(
+def test_a_clip_is_identified_by_its_truth_and_pictures_not_by_its_path(
     recorded: Path, tmp_path: Path
 ) -> None:
     def known(folder: Path) -> str:
@@ -209,7 +209,7 @@ def test_a_clip_is_known_by_its_truth_and_pictures_wherever_it_lies(
         known(recorded)
 
 
-def test_a_clip_is_cut_where_processes_would_have_nothing_to_do() -> None:
+def test_a_clip_is_divided_if_processes_would_be_idle() -> None:
     clips = [ClipName(seed=seed) for seed in range(3)]
     rows = [
         row(strategy, budget, name=f"{strategy} {context}", rules=Rules(context=context))
@@ -232,7 +232,7 @@ def test_a_clip_is_cut_where_processes_would_have_nothing_to_do() -> None:
     assert cut({clips[0]: []}, 2) == []
 
 
-def test_cases_that_share_their_windows_are_never_cut_apart() -> None:
+def test_cases_that_share_their_windows_stay_together() -> None:
     rows = [row("oracle", name=str(c), rules=Rules(context=c)) for c in (True, False)]
 
     (only,) = cut({ClipName(seed=1): [(case, Path(case.name)) for case in rows]}, 8)

@@ -13,7 +13,7 @@ ROLLS = 12
 
 
 def discs(rng: np.random.Generator, light: float) -> list[Image]:
-    """A ball seen from `ROLLS` sides: white or tinted, with dark or coloured panels, shaded."""
+    """Draw a ball from `ROLLS` sides: white or tinted, with dark or coloured panels, shaded."""
     grounds: tuple[Colour, ...] = (
         (250, 250, 250),
         (250, 250, 250),
@@ -46,7 +46,7 @@ def discs(rng: np.random.Generator, light: float) -> list[Image]:
 def streak(
     disc: Image, diameter_px: float, start: tuple[float, float], end: tuple[float, float]
 ) -> tuple[Image, int, int]:
-    """The disc swept from start to end (picture pixels): patch, left, top."""
+    """Sweep the disc from start to end (picture pixels); return patch, left, top."""
     reach = diameter_px / 2 + 2
     left, top = int(min(start[0], end[0]) - reach), int(min(start[1], end[1]) - reach)
     right, bottom = int(max(start[0], end[0]) + reach) + 2, int(max(start[1], end[1]) + reach) + 2

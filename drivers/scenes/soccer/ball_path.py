@@ -14,7 +14,7 @@ from drivers.scenes.soccer.camera import PITCH_M
 
 CHUNK_S = 10.0
 GRAVITY = 9.81
-FIRST = 16  # seeds are not negative, chunks before the first frame are
+FIRST = 16  # offset of chunks in seeds, because chunks before the first frame are negative
 HELD_M = 1.15
 RADIUS_M = 0.11
 
@@ -23,7 +23,7 @@ Metres = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Leg:
-    """One thing that happens to the ball."""
+    """One part of the ball's path, of one kind."""
 
     kind: str  # still | carry | pass | lob | held
     start_s: float
@@ -36,7 +36,7 @@ class Leg:
 
 @dataclass(frozen=True, kw_only=True)
 class Knot:
-    """Where two chunks meet, and how the second begins."""
+    """The boundary of two chunks, and how the second begins."""
 
     kind: str  # open | corner | keeper | free
     place_m: tuple[float, float]
@@ -45,7 +45,7 @@ class Knot:
 
 @lru_cache(maxsize=64)
 def knot(seed: int, chunk: int) -> Knot:
-    """The start of a chunk: (seed, chunk) -> place and kind."""
+    """Return the start of a chunk: (seed, chunk) -> place and kind."""
     rng = np.random.default_rng([seed, 1, chunk + FIRST])
     kind = str(rng.choice(["open", "corner", "keeper", "free"], p=[0.55, 0.15, 0.14, 0.16]))
     swing = 32 * np.sin(2 * np.pi * (chunk / 9.3 + seed % 97 / 97))
@@ -64,7 +64,7 @@ def knot(seed: int, chunk: int) -> Knot:
 
 @lru_cache(maxsize=64)
 def legs(seed: int, chunk: int) -> tuple[Leg, ...]:
-    """What happens in one chunk, without gaps, from its knot to the next."""
+    """Return the legs of one chunk, without gaps, from its knot to the next."""
     rng = np.random.default_rng([seed, 2, chunk + FIRST])
     begin, end = knot(seed, chunk), knot(seed, chunk + 1)
     kinds, durations = _timetable(begin.kind, rng)
@@ -94,7 +94,7 @@ def legs(seed: int, chunk: int) -> tuple[Leg, ...]:
 
 
 def _timetable(kind: str, rng: np.random.Generator) -> tuple[list[str], Metres]:
-    """Kinds and durations (seconds, together one chunk) of the legs."""
+    """Return kinds and durations (seconds, together one chunk) of the legs."""
     kinds: list[str] = []
     durations: list[float] = []
     if kind != "open":
@@ -118,7 +118,7 @@ def _places(
     durations: Metres,
     rng: np.random.Generator,
 ) -> Metres:
-    """Where the legs begin and end: a bridge from knot to knot, (n + 1, 2)."""
+    """Return where the legs begin and end: a random walk from knot to knot, (n + 1, 2)."""
     pace = np.array([{"still": 0.0, "held": 0.0, "carry": 2.2}.get(k, 9.0) for k in kinds])
     ways = pace * durations
     share = np.concatenate([[0.0], np.cumsum(ways) / ways.sum()])
@@ -134,7 +134,7 @@ def _places(
 
 
 def leg_points(leg: Leg, times: Metres) -> Metres:
-    """The ball's centre at times (n,) within the leg: (n, 3), metres."""
+    """Return the ball's centre at times (n,) within the leg: (n, 3), metres."""
     u = np.clip((times - leg.start_s) / (leg.end_s - leg.start_s), 0, 1)
     duration = leg.end_s - leg.start_s
     along, height = u, np.zeros_like(u)
@@ -157,7 +157,7 @@ def leg_points(leg: Leg, times: Metres) -> Metres:
 
 
 def _hops(u: Metres, top_m: float, lengths: tuple[float, ...]) -> Metres:
-    """Heights of a flight and its bounces, which take these shares of the leg."""
+    """Return heights of a flight and its bounces, which take these shares of the leg."""
     height = np.zeros_like(u)
     begun = 0.0
     for length in lengths:
@@ -169,7 +169,7 @@ def _hops(u: Metres, top_m: float, lengths: tuple[float, ...]) -> Metres:
 
 
 def ball_points(seed: int, times: Metres) -> Metres:
-    """The ball's centre at ascending times (n,): (n, 3), metres."""
+    """Return the ball's centre at ascending times (n,): (n, 3), metres."""
     points = np.empty((len(times), 3))
     for chunk in range(int(times[0] // CHUNK_S), int(times[-1] // CHUNK_S) + 1):
         for leg in legs(seed, chunk):

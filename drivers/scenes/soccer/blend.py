@@ -24,9 +24,9 @@ def over(picture: Image, patch: Image, left: int, top: int) -> None:
 def placed(
     sprite: Image, scale: float, anchor: tuple[float, float], at: tuple[float, float]
 ) -> tuple[Image, int, int]:
-    """The sprite scaled, with its `anchor` (sprite pixels) on `at`: patch, left, top.
+    """Scale a sprite, with its `anchor` (sprite pixels) on `at`; return patch, left, top.
 
-    Sub-pixel exact, so that slow things do not jump from pixel to pixel.
+    The place is exact to sub-pixels, so that slow objects do not jump from pixel to pixel.
     """
     left, top = at[0] - anchor[0] * scale, at[1] - anchor[1] * scale
     x0, y0 = int(np.floor(left)), int(np.floor(top))
@@ -38,13 +38,13 @@ def placed(
 
 
 def extent(alpha: Image, least: int = 100) -> tuple[int, int, int, int]:
-    """The box xyxy around what is at least that opaque; all 0 where nothing is."""
+    """Return the box xyxy around pixels that are at least that opaque; all 0 without any."""
     x, y, w, h = cv2.boundingRect((alpha >= least).view(np.uint8))
     return x, y, x + w, y + h
 
 
 def smeared(patch: Image, left: int, top: int, way: tuple[float, float]) -> tuple[Image, int, int]:
-    """A patch blurred along a movement of `way` pixels, with room for it: patch, left, top."""
+    """Blur a patch along a movement of `way` pixels; return the larger patch, left, top."""
     kx, ky = odd(way[0]), odd(way[1])
     if kx == ky == 1:
         return patch, left, top
@@ -54,7 +54,7 @@ def smeared(patch: Image, left: int, top: int, way: tuple[float, float]) -> tupl
 
 
 def odd(way_px: float) -> int:
-    """The side of the blur's kernel for a movement; 1: none.
+    """Return the side of the blur's kernel for a movement; 1: none.
 
     >>> [odd(way) for way in (0.4, 1.9, -3.2, 500)]
     [1, 1, 3, 31]

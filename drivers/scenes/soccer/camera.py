@@ -24,17 +24,17 @@ class Station:
     height_m: float
 
     def angles(self, points: Points) -> Points:
-        """(..., 3) metres -> (..., 2): bearing in radians, drop below the horizon per distance."""
+        """Return bearing in radians, drop below the horizon per distance: (..., 3) -> (..., 2)."""
         reach = np.hypot(points[..., 0] - self.x_m, self.y_m - points[..., 1])
         bearing = np.arctan2(points[..., 0] - self.x_m, self.y_m - points[..., 1])
         return np.stack([bearing, (self.height_m - points[..., 2]) / reach], -1)
 
     def distance_m(self, points: Points) -> Points:
-        """Horizontal distance of points (..., 2 or 3): (...), metres."""
+        """Return the horizontal distance of points (..., 2 or 3): (...), metres."""
         return np.asarray(np.hypot(points[..., 0] - self.x_m, self.y_m - points[..., 1]))
 
     def ground(self, angles: Points) -> Points:
-        """The point of the ground seen at angles (..., 2) below the horizon: (..., 2), metres."""
+        """Return the ground point seen at angles (..., 2) below the horizon: (..., 2), metres."""
         reach = self.height_m / angles[..., 1]
         x = self.x_m + reach * np.sin(angles[..., 0])
         return np.stack([x, self.y_m - reach * np.cos(angles[..., 0])], -1)
@@ -42,7 +42,7 @@ class Station:
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What the camera sees in one frame: its aim, its zoom and its roll."""
+    """The camera's aim, zoom and roll in one frame."""
 
     station: Station
     aim: tuple[float, float]  # angles in the middle of the picture
@@ -51,25 +51,25 @@ class View:
     size_px: tuple[int, int]
 
     def matrix(self) -> Points:
-        """Angles -> pixels as (2, 3)."""
+        """Return the affine map (2, 3) from angles to pixels."""
         c, s = np.cos(self.roll_rad), np.sin(self.roll_rad)
         turn = self.radius_px * np.array([[c, -s], [s, c]])
         middle = np.array(self.size_px, float) / 2
         return np.column_stack([turn, middle - turn @ np.array(self.aim)])
 
     def pixels(self, points: Points) -> Points:
-        """(..., 3) metres -> (..., 2) pixels."""
+        """Project points: (..., 3) metres -> (..., 2) pixels."""
         m = self.matrix()
         return np.asarray(self.station.angles(points) @ m[:, :2].T + m[:, 2])
 
     def px_per_m(self, points: Points) -> Points:
-        """Pixels that one upright metre takes at points (..., 3): (...)."""
+        """Return the pixels of one upright metre at points (..., 3): (...)."""
         return self.radius_px / self.station.distance_m(points)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraStyle:
-    """How this broadcast films."""
+    """The style of a broadcast: zoom, lag, jitter and roll."""
 
     px_per_m: float  # at the middle of the pitch, for a picture 1920 wide
     zoom_swing: float  # relative
@@ -80,7 +80,7 @@ class CameraStyle:
 
 
 def draw_station(rng: np.random.Generator) -> Station:
-    """A usual place for a main camera: beside the halfway line, on the stand."""
+    """Draw a usual place for a main camera: beside the halfway line, on the stand."""
     return Station(
         x_m=PITCH_M[0] / 2 + rng.uniform(-6, 6),
         y_m=PITCH_M[1] + rng.uniform(23, 38),
@@ -89,7 +89,7 @@ def draw_station(rng: np.random.Generator) -> Station:
 
 
 def draw_style(rng: np.random.Generator) -> CameraStyle:
-    """A usual way to film."""
+    """Draw a usual style."""
     return CameraStyle(
         px_per_m=rng.uniform(43, 74),
         zoom_swing=rng.uniform(0.05, 0.25),
@@ -101,23 +101,23 @@ def draw_style(rng: np.random.Generator) -> CameraStyle:
 
 
 def zoom(size_px: tuple[int, int]) -> float:
-    """How much larger than full HD everything is drawn, so that no shape shows more height."""
+    """Return the scale relative to full HD, so that no picture shape shows more height."""
     return max(size_px[0] / 1920, size_px[1] / 1080)
 
 
 def lowest_drop(station: Station) -> float:
-    """The lower end of what the camera ever shows, straight ahead, as a drop."""
+    """Return the greatest drop that the camera shows straight ahead."""
     return station.height_m / (station.y_m - PITCH_M[1] - 4)
 
 
 def view_at(
     station: Station, style: CameraStyle, size_px: tuple[int, int], focus: Points, time_s: float
 ) -> View:
-    """The view that keeps `focus` (2,), a point of the ground in metres, in the picture."""
+    """Return the view that keeps `focus` (2,), a point of the ground in metres, in the picture."""
     reach = float(station.distance_m(focus))
     usual = station.y_m - PITCH_M[1] / 2
     swing = 1 + style.zoom_swing * np.sin(2 * np.pi * time_s / style.zoom_period_s)
-    # an operator zooms out on what is near, but not by as much as it comes nearer
+    # near objects are zoomed out, but by less than they come nearer
     radius = style.px_per_m * usual**0.35 * reach**0.65 * swing * zoom(size_px)
     bearing, drop = station.angles(np.array([focus[0], focus[1], 0.0]))
     shake = np.sin(time_s * np.array([7.3, 9.1]) + np.sin(time_s * np.array([2.9, 3.7])) * 2)

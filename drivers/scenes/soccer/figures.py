@@ -18,7 +18,7 @@ Seen = dict[str, tuple[float, float, float]]  # joints: x, y in pixels of the dr
 TALL_M, WIDE_M = 2.3, 2.2  # a sprite's frame
 FEET_M = 0.28  # the ground point's height above the sprite's lower edge
 OVERSAMPLE = 2
-TILT = 0.2  # how much lower in the picture what is a metre nearer appears, in metres
+TILT = 0.2  # metres by which a point appears lower in the picture per metre that it is nearer
 FOLDS = np.random.default_rng(7).normal(0, 0.09, (24, 24)).astype(np.float32)  # of the cloth
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -34,7 +34,7 @@ class Sprite:
 def draw(
     look: Look, pose: Pose, height_px: int, tint: NDArray[np.float64], soft_px: float
 ) -> Sprite:
-    """A person in a frame TALL_M by WIDE_M that is `height_px` tall, cut to what is seen.
+    """Draw a person in a frame TALL_M by WIDE_M of `height_px`, cut to the visible part.
 
     `tint` is the light, per channel.
     """
@@ -68,13 +68,13 @@ class Drawing:
         self.toward = 0.0  # 1: the chest is seen, -1: the back
 
     def seen(self, points: NDArray[np.float64]) -> list[tuple[float, float, float]]:
-        """Points (n, 3) right, nearer, up in metres -> x, y in pixels, and nearer."""
+        """Project points (n, 3) right, nearer, up in metres: x, y in pixels, and nearer."""
         x = (WIDE_M / 2 + points[:, 0]) * self.scale
         y = (TALL_M - FEET_M - points[:, 2] + TILT * points[:, 1]) * self.scale
         return list(zip(x.tolist(), y.tolist(), points[:, 1].tolist(), strict=True))
 
     def rgba(self, colour: Colour, nearer: float) -> tuple[float, float, float, float]:
-        """Paint, somewhat darker on what is turned away from the camera."""
+        """Return a colour as paint, darker on what is turned away from the camera."""
         shade = 0.93 + 0.25 * min(max(nearer, -0.35), 0.25)
         r, g, b = (min(255.0, c * t * shade) for c, t in zip(colour, self.tint, strict=True))
         return r, g, b, 255.0
@@ -86,7 +86,7 @@ class Drawing:
         wide: tuple[float, float],
         colour: Colour,
     ) -> None:
-        """A rounded, tapering limb."""
+        """Draw a rounded, tapering limb."""
         paint = self.rgba(colour, (a[2] + b[2]) / 2)
         dx, dy = b[0] - a[0], b[1] - a[1]
         half = self.scale / 2 / (hypot(dx, dy) + 1e-6)
@@ -107,7 +107,7 @@ class Drawing:
     def spot(
         self, at: tuple[float, float, float], lift_m: float, radius_m: float, colour: Colour
     ) -> None:
-        """A disc `lift_m` above a joint."""
+        """Draw a disc `lift_m` above a joint."""
         place = int(at[0]), int(at[1] - lift_m * self.scale)
         radius = max(1, round(radius_m * self.scale))
         cv2.circle(self.image, place, radius, self.rgba(colour, at[2]), -1)
@@ -116,7 +116,7 @@ class Drawing:
 def between(
     a: tuple[float, float, float], b: tuple[float, float, float], share: float
 ) -> tuple[float, float, float]:
-    """The point that lies at a share of the way from a to b."""
+    """Return the point at a share of the way from a to b."""
     return (
         a[0] + share * (b[0] - a[0]),
         a[1] + share * (b[1] - a[1]),
@@ -178,7 +178,7 @@ def _head(drawing: Drawing, head: tuple[float, float, float], look: Look) -> Non
 
 
 def _decorate(drawing: Drawing, look: Look, hull: NDArray[np.int32]) -> None:
-    """Pattern and number on the shirt; `hull` its corners in the drawing."""
+    """Draw pattern and number on the shirt; `hull`: its corners in the drawing."""
     (x0, y0), (x1, y1) = hull.min(0).tolist(), hull.max(0).tolist()
     paint = drawing.rgba(look.trim, 0.1)
     middle, step = (x0 + x1) // 2, max(2, round(0.08 * drawing.scale))
@@ -198,7 +198,7 @@ def _decorate(drawing: Drawing, look: Look, hull: NDArray[np.int32]) -> None:
 
 
 def _print_number(drawing: Drawing, look: Look, x: int, y: int) -> None:
-    """Large on the back, small on the chest."""
+    """Draw the shirt number: large on the back, small on the chest."""
     big = 1.0 if drawing.toward < 0 else 0.5
     size, thick = big * 0.0115 * drawing.scale, max(1, round(big * 0.042 * drawing.scale))
     (w, h), _ = cv2.getTextSize(look.number, FONT, size, thick)
@@ -207,7 +207,7 @@ def _print_number(drawing: Drawing, look: Look, x: int, y: int) -> None:
 
 
 def _finish(image: Image, height_px: int, soft_px: float) -> Image:
-    """Shrink, round the forms by shading, soften."""
+    """Shrink a drawing, shade it so that forms look round, and soften it."""
     size = (round(WIDE_M * height_px / TALL_M), height_px)
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     k = max(3, height_px // 24) | 1
@@ -222,7 +222,7 @@ def _finish(image: Image, height_px: int, soft_px: float) -> Image:
 
 
 def _slope(shift: int) -> NDArray[np.float32]:
-    """The kernel that is bright where a form turns to the upper left."""
+    """Return the kernel that is bright where a form turns to the upper left."""
     kernel = np.zeros((2 * shift + 1, 2 * shift + 1), np.float32)
     kernel[shift, -1], kernel[shift, 0] = 0.32, -0.32
     kernel[-1, shift], kernel[0, shift] = 0.19, -0.19

@@ -1,4 +1,4 @@
-"""Appearance of people: a seed -> kits, skin, hair, boots and numbers of everybody."""
+"""Appearance of people: a seed -> kits, skin, hair, boots and numbers of all people."""
 
 from dataclasses import dataclass, replace
 
@@ -51,14 +51,14 @@ class Look:
 
 
 def distant(rng: np.random.Generator, taken: list[Colour], choices: tuple[Colour, ...]) -> Colour:
-    """A colour that nobody would confuse with those taken; grass counts as taken."""
+    """Draw a colour that is distinct from those taken and from grass."""
     against = np.array([*taken, (70, 120, 50)], float)
     far = [c for c in choices if np.abs(against - c).sum(1).min() > 150]
     return far[int(rng.integers(len(far)))] if far else choices[int(rng.integers(len(choices)))]
 
 
 def legible(on: Colour, rng: np.random.Generator) -> Colour:
-    """An ink that can be read on a cloth."""
+    """Draw a colour of numbers that is legible on a shirt."""
     dark = sum(on) < 330
     light: tuple[Colour, ...] = ((245, 245, 245), (245, 225, 80))
     deep: tuple[Colour, ...] = ((20, 20, 25), (150, 20, 30), (20, 35, 110))
@@ -66,7 +66,7 @@ def legible(on: Colour, rng: np.random.Generator) -> Colour:
 
 
 def kit(rng: np.random.Generator, taken: list[Colour]) -> Look:
-    """A team's clothes; what is personal is still to be set."""
+    """Draw a team's clothes; personal attributes have defaults."""
     shirt = distant(rng, taken, KITS)
     trim = distant(rng, [shirt], KITS)
     shorts = (shirt, trim, (240, 240, 240), (25, 25, 30))[
@@ -94,7 +94,7 @@ def kit(rng: np.random.Generator, taken: list[Colour]) -> Look:
 
 
 def person(rng: np.random.Generator, clothes: Look, number: str) -> Look:
-    """Somebody in these clothes."""
+    """Draw the personal attributes of a person in these clothes."""
     return replace(
         clothes,
         boots=BOOTS[int(rng.integers(len(BOOTS)))],
@@ -109,7 +109,7 @@ def person(rng: np.random.Generator, clothes: Look, number: str) -> Look:
 
 
 def everybody(seed: int) -> tuple[Look, ...]:
-    """The looks of the 25 people in the order of `play.LABELS`."""
+    """Draw the looks of the 25 people in the order of `play.LABELS`."""
     rng = np.random.default_rng([seed, 10])
     home = kit(rng, [])
     away = kit(rng, [home.shirt])

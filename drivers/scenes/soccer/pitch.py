@@ -25,7 +25,7 @@ SHIFT = 4  # binary digits of sub-pixel positions in OpenCV's drawing
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Canvas:
-    """The still world: pixel (0, 0) is at `origin`, one pixel is 1 / radius_px radians."""
+    """The static world: pixel (0, 0) is at `origin`, one pixel is 1 / radius_px radians."""
 
     image: Image  # (h, w, 3), or 4 with an unused fourth: twice as fast to warp
     origin: tuple[float, float]  # bearing, drop
@@ -33,13 +33,13 @@ class Canvas:
     grass: Colour
 
     def pixels(self, angles: Points) -> Points:
-        """Angles (..., 2) -> canvas pixels (..., 2)."""
+        """Map angles (..., 2) to canvas pixels (..., 2)."""
         return np.asarray((angles - np.array(self.origin)) * self.radius_px)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Turf:
-    """What the grass looks like."""
+    """The appearance of the grass."""
 
     colour: Colour
     stripe_m: float
@@ -50,7 +50,7 @@ class Turf:
 
 
 def draw_turf(rng: np.random.Generator, tint: Points) -> Turf:
-    """A usual pitch: artificial and bright, or worn and dull."""
+    """Draw a usual turf: artificial and bright, or worn and dull."""
     green = rng.uniform(95, 160)
     base = np.array([green * rng.uniform(0.55, 0.9), green, green * rng.uniform(0.25, 0.65)]) * tint
     return Turf(
@@ -66,7 +66,7 @@ def draw_turf(rng: np.random.Generator, tint: Points) -> Turf:
 def draw_canvas(
     rng: np.random.Generator, station: Station, turf: Turf, radius_px: float, light: float
 ) -> Canvas:
-    """The still world as this camera sees it, `radius_px` pixels a radian."""
+    """Draw the static world as the camera sees it, with `radius_px` pixels per radian."""
     sky = -0.2
     span = BEARINGS[1] - BEARINGS[0], lowest_drop(station) - sky
     size = round(span[0] * radius_px), round(span[1] * radius_px)
@@ -87,7 +87,7 @@ def draw_canvas(
 
 
 def _angles(canvas: Canvas, step: int) -> tuple[Points, Points]:
-    """Bearings of the columns and drops of the rows, every `step` pixels."""
+    """Return bearings of the columns and drops of the rows, every `step` pixels."""
     h, w = canvas.image.shape[:2]
     xs = canvas.origin[0] + (np.arange(0, w, step) + step / 2) / canvas.radius_px
     ys = canvas.origin[1] + (np.arange(0, h, step) + step / 2) / canvas.radius_px
@@ -123,7 +123,7 @@ def _paint_grass(canvas: Canvas, rng: np.random.Generator, station: Station, tur
 
 
 def _blades(rng: np.random.Generator, noise: float) -> NDArray[np.int8]:
-    """Fine and coarse unevenness of grass: (512, 512), to be added."""
+    """Return fine and coarse noise of grass: (512, 512), to be added."""
     fine = rng.normal(0, 1, (512, 512))
     mixed = fine * 0.6 + cv2.GaussianBlur(fine, (0, 0), 0.9) * 2.2
     mixed = mixed + cv2.GaussianBlur(fine, (0, 0), 4) * 3
@@ -131,7 +131,7 @@ def _blades(rng: np.random.Generator, noise: float) -> NDArray[np.int8]:
 
 
 def _paint_wall(canvas: Canvas, station: Station, picture: Image) -> None:
-    """Far wall and both side walls, all of one flat picture wound around the pitch."""
+    """Draw the far wall and both side walls, from one flat picture around the pitch."""
     xs, ys = (a.astype(np.float32) for a in _angles(canvas, 1))
     far = (station.y_m + BEHIND_M) / np.maximum(np.cos(xs), 0.05)
     reach_x = np.where(xs < 0, -station.x_m - BEHIND_M, PITCH_M[0] + BEHIND_M - station.x_m)
@@ -156,7 +156,7 @@ def _paint_wall(canvas: Canvas, station: Station, picture: Image) -> None:
 
 
 def markings() -> list[Points]:
-    """The lines of a pitch as paths (n, 3) in metres, law 1."""
+    """Return the lines of a pitch as paths (n, 3) in metres, after law 1 of the game."""
     w, h = PITCH_M
     paths = [_path([(0, 0), (w, 0), (w, h), (0, h), (0, 0)]), _path([(w / 2, 0), (w / 2, h)])]
     paths += [_arc((w / 2, h / 2), 9.15, 0, 2 * np.pi), _arc((w / 2, h / 2), 0.1, 0, 2 * np.pi)]
@@ -193,7 +193,7 @@ def _arc(middle: tuple[float, float], radius: float, start: float, end: float) -
 def _ribbon(
     canvas: Canvas, station: Station, path: Points, wide_m: float, colour: tuple[float, ...]
 ) -> None:
-    """A line on the ground, as wide as it is there."""
+    """Draw a line on the ground, with its width in perspective."""
     way = np.gradient(path[:, :2], axis=0)
     way /= np.linalg.norm(way, axis=1, keepdims=True) + 1e-9
     aside = np.column_stack([-way[:, 1], way[:, 0], np.zeros(len(way))]) * wide_m / 2
@@ -235,7 +235,7 @@ def _paint_goals(canvas: Canvas, station: Station) -> None:
 
 
 def _paint_litter(canvas: Canvas, rng: np.random.Generator, station: Station) -> None:
-    """Corner flags, bottles and similar: small bright objects other than the ball."""
+    """Draw corner flags, bottles and similar: small bright objects other than the ball."""
     for x in (0.0, PITCH_M[0]):
         for y in (0.0, PITCH_M[1]):
             scale = canvas.radius_px / float(station.distance_m(np.array([x, y])))

@@ -39,7 +39,7 @@ class Duty:
     leg: Leg
     who: int
     gap_m: float  # closest distance to the ball
-    pull: float  # how firmly, 0..1
+    pull: float  # weight of the approach, 0..1
     come_s: float  # start of the approach before the leg
     leave_s: float
 
@@ -72,14 +72,14 @@ class Chunk:
 
 
 def grid(chunk: int, margin_s: float = 0.0) -> Metres:
-    """The instants of a chunk, `margin_s` more at both ends."""
+    """Return the instants of a chunk, with `margin_s` more at both ends."""
     start = chunk * CHUNK_S
     extra = round(margin_s * GRID_HZ)
     return start + np.arange(-extra, round(CHUNK_S * GRID_HZ) + 1 + extra) / GRID_HZ
 
 
 def smoothed(values: Metres, before_s: float, after_s: float) -> Metres:
-    """Mean of (n, c) over the window [t - before, t + after], for all t that have it whole."""
+    """Return the mean of (n, c) over [t - before, t + after], for each t with a whole window."""
     b, a = round(before_s * GRID_HZ), round(after_s * GRID_HZ)
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, 0)])
     width = a + b + 1
@@ -88,7 +88,7 @@ def smoothed(values: Metres, before_s: float, after_s: float) -> Metres:
 
 @lru_cache(maxsize=24)
 def base_paths(seed: int, chunk: int) -> Metres:
-    """Where the people would be if nobody went for the ball: (n, 25, 2)."""
+    """Return where the people would be if nobody went for the ball: (n, 25, 2)."""
     times = grid(chunk)
     slow = smoothed(ball_points(seed, grid(chunk, MARGIN_S))[:, :2], MARGIN_S, MARGIN_S)
     rng = np.random.default_rng([seed, 3])
@@ -120,7 +120,7 @@ def base_paths(seed: int, chunk: int) -> Metres:
 
 
 def _wander(rng: np.random.Generator, times: Metres) -> Metres:
-    """Everybody's own restlessness: (n, 25, 2), metres."""
+    """Return random movements of each person: (n, 25, 2), metres."""
     period = rng.uniform(5, 19, (3, 25, 2))
     shift = rng.uniform(0, 2 * np.pi, (3, 25, 2))
     wave = np.sin(2 * np.pi * times[:, None, None, None] / period + shift)
@@ -129,7 +129,7 @@ def _wander(rng: np.random.Generator, times: Metres) -> Metres:
 
 @lru_cache(maxsize=24)
 def duties(seed: int, chunk: int) -> tuple[Duty, ...]:
-    """Who has the ball and who goes for it, in those legs of a chunk where somebody has it."""
+    """Return who has the ball and who goes for it, in a chunk's legs in which anyone has it."""
     base = base_paths(seed, chunk)
     found: list[Duty] = []
     last = -1
@@ -160,9 +160,9 @@ def duties(seed: int, chunk: int) -> tuple[Duty, ...]:
 
 
 def _pulled(seed: int, chunk: int, base: Metres) -> Metres:
-    """The base paths, bent so that those who have the ball are where it is.
+    """Return the base paths, bent so that those who have the ball are where it is.
 
-    Where two pulls meet, the stronger counts by its square: nobody jumps.
+    Overlapping pulls are weighted by their squares, so that nobody jumps.
     """
     times = grid(chunk)
     bend, total = np.zeros_like(base), np.full(base.shape[:2], 1e-9)
@@ -188,13 +188,13 @@ def _pulled(seed: int, chunk: int, base: Metres) -> Metres:
 
 @lru_cache(maxsize=12)
 def raw_people(seed: int, chunk: int) -> Metres:
-    """Where the people are, before the corners of their paths are rounded: (n, 25, 2)."""
+    """Return where the people are, before their paths are smoothed: (n, 25, 2)."""
     return _pulled(seed, chunk, base_paths(seed, chunk))
 
 
 @lru_cache(maxsize=6)
 def make_chunk(seed: int, chunk: int, lag_s: float) -> Chunk:
-    """All paths of one chunk; costs some milliseconds, the same whenever it is made."""
+    """Return all paths of one chunk, in some milliseconds; they do not depend on other calls."""
     n = round(CHUNK_S * GRID_HZ)
     row = np.concatenate(
         [raw_people(seed, c)[: n if c <= chunk else n + 1] for c in (chunk - 1, chunk, chunk + 1)]
@@ -223,7 +223,7 @@ def make_chunk(seed: int, chunk: int, lag_s: float) -> Chunk:
 
 
 def _headings(people: Metres, velocity: Metres, speed: Metres, ball: Metres) -> Metres:
-    """Runners look where they run, the others at the ball: (n, 25), radians."""
+    """Return headings: runners look where they run, the others at the ball: (n, 25), radians."""
     to_ball = ball[:, None, :2] - people
     to_ball /= np.linalg.norm(to_ball, axis=-1, keepdims=True) + 1e-6
     run = np.clip((speed - 0.8) / 1.5, 0, 1)[..., None]
@@ -232,7 +232,7 @@ def _headings(people: Metres, velocity: Metres, speed: Metres, ball: Metres) -> 
 
 
 def _phases(seed: int, chunk: int, speed: Metres) -> Metres:
-    """Cycles of the legs, continuous from chunk to chunk: (n, 25)."""
+    """Return cycles of the legs, continuous from chunk to chunk: (n, 25)."""
     step = np.minimum(speed, 9) / (0.9 + STRIDE_M * np.clip(speed / 5, 0, 1)) / GRID_HZ
     done = np.cumsum(step, 0) - step[0]
     first, last = (
@@ -244,12 +244,12 @@ def _phases(seed: int, chunk: int, speed: Metres) -> Metres:
 
 
 def _between(values: Metres, row: int, share: float) -> Metres:
-    """A share of the way from one row to the next."""
+    """Return the values at a share of the way from one row to the next."""
     return np.asarray(values[row] * (1 - share) + values[row + 1] * share)
 
 
 def moment(seed: int, time_s: float, lag_s: float) -> Moment:
-    """The play at one instant from 0 on."""
+    """Return the play at one instant from 0 on."""
     chunk = int(time_s // CHUNK_S)
     paths = make_chunk(seed, chunk, lag_s)
     at = (time_s - paths.start_s) * GRID_HZ

@@ -19,7 +19,7 @@ from pipeline.errors import SettingsError
 Image = NDArray[np.uint8]
 
 LEAST_PX, MOST_PX = (160, 90), (16384, 16384)
-CANVAS_RADIUS_PX = 3500.0, 6000.0  # most at full HD, and at any size: memory, time to open
+CANVAS_RADIUS_PX = 3500.0, 6000.0  # most at full HD and at any size, for memory and time to open
 BALL_M = 0.222
 GRAIN_PX = 960
 SPRITE_BYTES = 48 << 20  # kept at 1920x1080; four times as many made no picture faster
@@ -55,7 +55,7 @@ class SoccerScene:
         self._placed: tuple[int, View, View, list[Actor]] | None = None
 
     def _draw_world(self, difficulty: float) -> None:
-        """Everything that holds for the whole match."""
+        """Draw everything that holds for the whole match."""
         rng = np.random.default_rng([self._seed, 20])
         self._station, self._style = draw_station(rng), draw_style(rng)
         tint = np.clip(1 + rng.normal(0, 0.03 + 0.05 * difficulty, 3), 0.8, 1.2)
@@ -81,7 +81,7 @@ class SoccerScene:
         self._grain = _grain(rng, float(rng.uniform(0.7, 2 + 6 * difficulty)), 0.3 + 0.3 * larger)
 
     def picture(self, index: int) -> Image:
-        """Frame `index` as (h, w, 3) RGB, valid until the next call; IndexError past the end."""
+        """Draw frame `index` (h, w, 3) RGB, valid until the next call; IndexError past the end."""
         view, opened, actors = self._stage(index)
         self._paint_ground(view, opened)
         for actor in actors:
@@ -93,14 +93,14 @@ class SoccerScene:
         return self._buffer
 
     def truth(self, index: int) -> Annotations:
-        """What is in frame `index`, exactly."""
+        """Return the exact truth of frame `index`."""
         return truth_of(self._stage(index)[2], self.size_px)
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no resource is open."""
 
     def _stage(self, index: int) -> tuple[View, View, list[Actor]]:
-        """The view, the one when the shutter opened, and who is to be drawn in which order."""
+        """Return the view, the view when the shutter opened, and the actors in drawing order."""
         if index < 0 or (self.length is not None and index >= self.length):
             frames = "endless" if self.length is None else f"{self.length} frames long"
             raise IndexError(f"frame {index}: the scene is {frames}, counted from 0")
@@ -119,7 +119,7 @@ class SoccerScene:
         return now, view_at(self._station, self._style, self.size_px, now.focus, time_s)
 
     def _ball_actor(self, at_end: tuple[Moment, View], opened: tuple[Moment, View]) -> Actor:
-        """The ball on its way while the shutter is open, which ends at the frame's time."""
+        """Draw the ball's movement while the shutter is open, which ends at the frame's time."""
         now, view = at_end
         start, end = _ball_point(opened[0]), _ball_point(now)
         a, b = opened[1].pixels(start), view.pixels(end)
@@ -131,7 +131,7 @@ class SoccerScene:
             (float(a[0]), float(a[1])),
             (float(b[0]), float(b[1])),
         )
-        solid = max(1, min(100, int(patch[..., 3].max()) // 2))  # fast, it is but a veil
+        solid = max(1, min(100, int(patch[..., 3].max()) // 2))  # a fast ball is almost transparent
         x0, y0, x1, y1 = extent(patch[..., 3], solid)
         on_ground = view.pixels(end * np.array([1, 1, 0]))
         return Actor(
@@ -148,7 +148,7 @@ class SoccerScene:
         )
 
     def _paint_ground(self, view: View, opened: View) -> None:
-        """The canvas, turned and scaled, blurred as far as the camera turned."""
+        """Draw the canvas, turned and scaled, and blurred by the camera's movement."""
         m = view.matrix()
         canvas = self._canvas
         to_picture = np.column_stack(
@@ -168,7 +168,7 @@ class SoccerScene:
             cv2.blur(self._layers, kernel, dst=self._layers)
 
     def _add_grain(self, index: int) -> None:
-        """Noise that is new in every frame: tiles of one picture of noise, from a new place."""
+        """Add noise that is new in every frame: tiles of one picture of noise, from a new place."""
         x, y = np.random.default_rng([self._seed, 21, index]).integers(0, GRAIN_PX // 2, 2)
         tile = self._grain[y : y + GRAIN_PX, x : x + GRAIN_PX]
         for top in range(0, self.size_px[1], GRAIN_PX):
@@ -177,7 +177,7 @@ class SoccerScene:
                 cv2.add(part, tile[: part.shape[0], : part.shape[1]], dst=part)
 
     def _paint_shadow(self, actor: Actor) -> None:
-        """Darker ground under an actor, and where the sun throws its shadow."""
+        """Darken the ground under an actor, and where the sun throws its shadow."""
         small = actor.label == "ball"
         wide, high = (0.13, 0.05) if small else (0.42, 0.12)
         w, h = max(2, round(wide * actor.scale)), max(1, round(high * actor.scale))
@@ -192,7 +192,7 @@ class SoccerScene:
 
 
 def _ball_point(now: Moment) -> NDArray[np.float64]:
-    """Where the ball is; a held one is before its carrier's chest."""
+    """Return where the ball is; a held one is before its carrier's chest."""
     if now.carrier < 0:
         return now.ball
     turn = now.heading[now.carrier]
@@ -201,12 +201,12 @@ def _ball_point(now: Moment) -> NDArray[np.float64]:
 
 
 def _sharpen(image: Image, amount: float) -> None:
-    """Edges with halos, as broadcast cameras make them; in place."""
+    """Give edges halos in place, as broadcast cameras do."""
     cv2.addWeighted(image, 1 + amount, cv2.GaussianBlur(image, (5, 5), 1.2), -amount, 0, dst=image)
 
 
 def _grain(rng: np.random.Generator, sigma: float, soft_px: float) -> Image:
-    """Noise above zero, since adding without a sign is four times as fast."""
+    """Return noise above zero, because adding unsigned numbers is four times as fast."""
     side = GRAIN_PX * 3 // 2
     noise = rng.normal(0, 1, (side, side, 3)).astype(np.float32)
     noise = np.asarray(cv2.GaussianBlur(noise, (0, 0), soft_px), np.float32)

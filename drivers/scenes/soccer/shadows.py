@@ -9,22 +9,22 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 
-FALL = 0.16  # how far down the picture a shadow reaches, of what casts it
-COARSE = 2  # pixels of the picture in one of the cast shadow's, as it is soft anyway
+FALL = 0.16  # a shadow's reach down the picture, as a share of the height of what casts it
+COARSE = 2  # pixels of the picture per pixel of a cast shadow, which is soft
 
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """Where the light comes from."""
+    """Depth and direction of shadows."""
 
     depth: float  # darkness of a shadow, 0..1
     sun: bool
-    slant: float  # a shadow's reach to the right, of what casts it; negative: to the left
+    slant: float  # a shadow's reach to the right, as a share of the height; negative: to the left
     toward: float  # -1 it falls away from the camera, 1 towards it
 
 
 def draw_light(rng: np.random.Generator) -> Light:
-    """An overcast sky or flood light more often than sun."""
+    """Draw the light: an overcast sky or flood light more often than sun."""
     sun = bool(rng.random() < 0.4)
     return Light(
         depth=float(rng.uniform(0.3, 0.6) if sun else rng.uniform(0.1, 0.35)),
@@ -36,7 +36,7 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 @lru_cache(maxsize=256)
 def contact(wide_px: int, high_px: int, depth: float) -> Image:
-    """A soft dark ellipse of these half axes; its middle is the patch's."""
+    """Return a soft dark ellipse of these half axes, in the middle of the patch."""
     patch = np.zeros((4 * high_px + 1, 4 * wide_px + 1, 4), np.uint8)
     axes = wide_px, high_px
     cv2.ellipse(patch, (2 * wide_px, 2 * high_px), axes, 0, 0, 360, (0, 0, 0, 255 * depth), -1)
@@ -46,12 +46,12 @@ def contact(wide_px: int, high_px: int, depth: float) -> Image:
 def cast(
     patch: Image, feet: tuple[float, float], light: Light, lift_px: float
 ) -> tuple[Image, int, int]:
-    """The shadow a figure throws: patch, left, top relative to the figure's own patch.
+    """Return the shadow of a figure: patch, left, top relative to the figure's own patch.
 
     `feet` is the ground point in the figure's patch; it hangs `lift_px` above the ground.
     """
     h, w = patch.shape[:2]
-    # shrunk first: the shadow is so flat that a warp alone would skip most rows of the figure
+    # shrink first: the shadow is so flat that a warp alone would skip most rows of the figure
     flat = max(2, round(h * FALL)), max(2, w // COARSE)
     alpha = cv2.resize(patch[..., 3], flat[::-1], interpolation=cv2.INTER_AREA)
     row, column = h / flat[0], w / flat[1]  # picture pixels in one of its rows and columns

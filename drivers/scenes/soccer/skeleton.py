@@ -48,7 +48,7 @@ STYLES = {
 
 
 def pose_at(speed_m_s: float, holds: bool, phase: float, turn_rad: float) -> Pose:
-    """The pose nearest to a speed, a phase in cycles and a turn out of the picture's right."""
+    """Return the pose nearest to a speed, a phase in cycles and a turn from the picture's right."""
     gait = "hold" if holds else GAITS[int(np.searchsorted([0.5, 2.2, 4.3], speed_m_s))]
     step = int(phase * PHASES) % PHASES
     return Pose(
@@ -59,7 +59,7 @@ def pose_at(speed_m_s: float, holds: bool, phase: float, turn_rad: float) -> Pos
 
 
 def joints(pose: Pose, tall_m: float, width: float) -> Joints:
-    """Where the joints are: head, neck, hips, and twice hip knee ankle toe shoulder elbow hand."""
+    """Return the joints: head, neck, hips, and twice hip knee ankle toe shoulder elbow hand."""
     style = STYLES[pose.gait]
     angle = 2 * np.pi * pose.phase / PHASES
     up = 0.5 * tall_m
@@ -77,7 +77,7 @@ def joints(pose: Pose, tall_m: float, width: float) -> Joints:
 
 
 def turned(points: Joints, direction: int) -> NDArray[np.float64]:
-    """Joints (n, 3) in the order of `points` as the camera sees them: right, nearer, up."""
+    """Return joints (n, 3) in the order of `points` as the camera sees them: right, nearer, up."""
     a = 2 * np.pi * direction / DIRECTIONS
     turn = np.array([[cos(a), sin(a), 0], [-sin(a), cos(a), 0], [0, 0, 1]])
     return np.asarray(np.array(list(points.values())) @ turn)
@@ -119,7 +119,7 @@ def _arm(
 def _along(
     start: tuple[float, float, float], length: float, forward: float, aside: float
 ) -> tuple[float, float, float]:
-    """The end of a limb that hangs down, swung forward and aside by angles."""
+    """Return the end of a limb that hangs down, swung forward and aside by angles."""
     return (
         start[0] + length * sin(forward),
         start[1] + length * sin(aside),

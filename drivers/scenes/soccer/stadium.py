@@ -1,4 +1,4 @@
-"""Draw what is behind the pitch: a seed -> a flat wall of billboards and crowd."""
+"""Draw the background of the pitch: a seed -> a flat wall of billboards and crowd."""
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ WORDS = (
 
 
 def wall(rng: np.random.Generator, light: float) -> Image:
-    """The wall from the ground (lowest row) up: RGB, `WALL_PX_PER_M`."""
+    """Draw the wall from the ground (lowest row) up: RGB, `WALL_PX_PER_M`."""
     width, height = (round(side * WALL_PX_PER_M) for side in WALL_M)
     image = np.empty((height, width, 3), np.uint8)
     boards = round(BOARD_M * WALL_PX_PER_M)
@@ -29,7 +29,7 @@ def wall(rng: np.random.Generator, light: float) -> Image:
 
 
 def crowd(rng: np.random.Generator, width: int, height: int) -> Image:
-    """Rows of seats, some taken, most by people in dark clothes."""
+    """Draw rows of seats, some of them taken, mostly by people in dark clothes."""
     seat = rng.integers(30, 200, 3)
     image = np.empty((height, width, 3), np.uint8)
     image[:] = seat * 0.55
@@ -61,7 +61,7 @@ def _spectator(
 
 
 def hang_banners(stands: Image, rng: np.random.Generator) -> None:
-    """Cloths with words, flags, stairs and walls before the stands, drawn in place."""
+    """Draw banners with words, flags, stairs and walls before the stands, in place."""
     height, width = stands.shape[:2]
     if rng.random() < 0.4:  # a bare wall under the first row
         rise = round(float(rng.uniform(0.6, 2.2)) * WALL_PX_PER_M)
@@ -85,7 +85,7 @@ def hang_banners(stands: Image, rng: np.random.Generator) -> None:
 
 
 def billboards(rng: np.random.Generator, width: int, height: int) -> Image:
-    """Boards side by side, each with a word, in colours of which some are white."""
+    """Draw boards side by side, each with a word, some of them white."""
     image = np.empty((height, width, 3), np.uint8)
     x = 0
     while x < width:
@@ -98,7 +98,7 @@ def billboards(rng: np.random.Generator, width: int, height: int) -> Image:
         for start in range(x + 8, x + wide - 60, max(120, wide // 2)):
             cv2.putText(image, word, (start, round(height * 0.78)), 0, scale, ink, 2, cv2.LINE_AA)
         x += wide
-    for _ in range(40):  # emblems: round and white, and no ball
+    for _ in range(40):  # emblems, which are round and white like the ball
         place = int(rng.integers(width)), int(rng.integers(4, height - 4))
         cv2.circle(image, place, int(rng.integers(2, 6)), (245, 245, 245), -1, cv2.LINE_AA)
     cv2.line(image, (0, 0), (width, 0), (210, 210, 210), 2)

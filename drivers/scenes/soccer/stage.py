@@ -26,7 +26,7 @@ LEAST_INSIDE_PX = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Actor:
-    """One thing in the picture."""
+    """One person or the ball in the picture."""
 
     id: int
     label: str
@@ -35,9 +35,9 @@ class Actor:
     top: int
     box: tuple[int, int, int, int]  # xyxy in the picture, not clipped
     nearer: float  # order of drawing: larger is in front
-    ground: tuple[float, float]  # the point of the ground it is above, picture pixels
+    ground: tuple[float, float]  # the point of the ground below it, picture pixels
     scale: float  # pixels per metre there
-    solid: int = 100  # opacity from which on it counts as being there
+    solid: int = 100  # opacity from which a pixel belongs to it
 
 
 class Cache:
@@ -62,7 +62,7 @@ class Cache:
 
 
 def sprite_height(wanted_px: float) -> int:
-    """The kept height at or above the one wanted, so that sprites are shrunk, never enlarged."""
+    """Return the kept height at or above the one wanted: sprites are shrunk, never enlarged."""
     step = ceil(log(max(wanted_px, 8.0) / 8) / log(STEP))
     return min(round(8 * STEP**step), MOST_PX)
 
@@ -74,9 +74,9 @@ def actors_at(
     sprites: Sprites,
     frame_m: float,
 ) -> list[Actor]:
-    """The people in the picture, the farthest first; `frame_m` is a sprite's height in metres.
+    """Return the people in the picture, the farthest first; `frame_m`: a sprite's height in metres.
 
-    `opened` is how it was when the shutter opened: who moved since is blurred.
+    `opened` is the state when the shutter opened; people who moved since then are blurred.
     """
     spots = np.column_stack([moment.people, np.zeros(len(moment.people))])
     pixels, scales = view.pixels(spots), view.px_per_m(spots)
@@ -116,7 +116,7 @@ def actors_at(
 
 
 def truth_of(actors: list[Actor], size_px: tuple[int, int]) -> Annotations:
-    """Clipped boxes and visible shares of actors given in the order of drawing."""
+    """Return clipped boxes and visible shares of actors given in the order of drawing."""
     w, h = size_px
     rows: list[tuple[list[float], int, str, float]] = []
     for i, actor in enumerate(actors):

@@ -343,7 +343,7 @@ def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> Non
 
     go(plan, 0, during)
 
-    assert re.match(r"work: swapped after frame \d+, stood still for \d+\.\d ms", told[0])
+    assert re.match(r"work: swapped after frame \d+, paused for \d+\.\d ms", told[0])
     assert told[-2].endswith("no node wrk, did you mean 'work'?")
     assert told[-1].startswith("not an order")
 
