@@ -163,6 +163,14 @@ def test_no_path_of_one_machine_is_written_down() -> None:
     assert named in ([], ["test_house_rules.py"])
 
 
+def test_no_file_holds_both_sides_of_a_merge() -> None:
+    marked = re.compile(r"^(<{7}|>{7}) ", re.M)
+
+    both = [p for p in tracked(".py", ".md", ".yaml", ".toml") if marked.search(p.read_text())]
+
+    assert not both
+
+
 def test_the_readme_names_every_top_folder() -> None:
     readme = (ROOT / "README.md").read_text()
 
