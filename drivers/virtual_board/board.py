@@ -179,14 +179,13 @@ class VirtualBoard:
             return None
         if sending.sent < 0:
             return self._send_header(stream, sending, memory)
-        if sending.sent == sending.halts_at:
+        if sending.sent <= sending.halts_at < sending.sent + len(memory):
             self._halted.add(stream)
             raise Halted(stream.name)
         if sending.overflows:
             self._sending[stream] = None
             raise TooMuch(stream.name)
-        stop = sending.ends_at if sending.sent >= sending.halts_at else sending.halts_at
-        count = min(len(memory), stop - sending.sent)
+        count = min(len(memory), sending.ends_at - sending.sent)
         memory[:count] = sending.payload[sending.sent : sending.sent + count]
         sending.sent += count
         # a read that the end fills exactly does not show it: the next one gets an empty packet

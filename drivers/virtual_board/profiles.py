@@ -25,7 +25,7 @@ def _board(size_px: tuple[int, int], context: int, *rois: RoiSize, **more: objec
     values: dict[str, object] = {
         "width_px": width, "height_px": height,
         "context_px": (width // context, height // context), "step_px": 2, "lead_frames": 1,
-        "modes": (CaptureMode.LIVE,), "rates_mhz": (100, 240_000), "preview_mhz": 0,
+        "modes": (CaptureMode.LIVE,), "rates_mhz": (100, 1_000_000), "preview_mhz": 0,
         "burst_frames": 0, "link_bytes_per_s": USB3_BYTES_PER_S, "roi_sizes": rois,
         "formats": (RGB8, BAYER_RG8), "model": "fovea virtual board", "serial": "V0001",
         "firmware": "1.0",
