@@ -1,7 +1,7 @@
 """Reports that benches wrote themselves (`--json`, `--out`): their origin, figures and rows."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -44,6 +44,24 @@ class Ends(msgspec.Struct, frozen=True):
     ends: dict[str, dict[str, dict[str, float]]] = {}
 
 
+class Verdict(msgspec.Struct, frozen=True):
+    """One sentence of a run's verdict."""
+
+    about: str
+    sentence: str
+
+
+class Soak(msgspec.Struct, frozen=True):
+    """What is shown of `bench.soak`; memory is process -> first_mb, last_mb, grown_mb."""
+
+    memory: dict[str, dict[str, float]]
+    overlap: Ends = Ends()
+    verdict: list[Verdict] = []
+
+
+SHAPES: Mapping[str, type[msgspec.Struct]] = {"follow": Ends, "soak": Soak}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Report:
     """A bench's own result file."""
@@ -71,7 +89,7 @@ PLACES = {
     "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
     "swap": Place(section="Faults, swaps and long runs", order=5, title="Swaps"),
     "endure": Place(section="Faults, swaps and long runs", order=6, title="Many kills and swaps"),
-    "soak": Place(section="Faults, swaps and long runs", order=7, title="Memory"),
+    "soak": Place(section="Faults, swaps and long runs", order=7, title="An hour of the demo"),
     "follow": Place(
         section="Faults, swaps and long runs", order=8,
         title="The target changed every minute: IoU, share in the ROI, share answered",
@@ -92,8 +110,8 @@ def read_report(path: Path, values: Any) -> Report:
         raise ResultError(f"{path.name}: expected an object, a table or a report, got {got}")
     origin = _convert(path, values, Origin)
     bench = "fuzz" if origin.fuzz else origin.bench or path.stem
-    if bench == "follow":
-        _convert(path, values, Ends)
+    if bench in SHAPES:
+        _convert(path, values, SHAPES[bench])
     return Report(path=path, bench=bench, origin=origin, values=values)
 
 
@@ -121,7 +139,7 @@ def render_reports(reports: Sequence[Report]) -> str:
         return "\n\n".join([*parts, *(origin_of(r) for r in reports), _fuzz(reports)])
     for report in reports:
         parts.append(origin_of(report))
-        parts += _follow(report) if report.bench == "follow" else _values(report)
+        parts += FORMS.get(report.bench, _values)(report)
     return "\n\n".join(parts)
 
 
@@ -150,15 +168,31 @@ def _fuzz(reports: Sequence[Report]) -> str:
 
 def _follow(report: Report) -> list[str]:
     """Return Markdown of means of the first ten spans and the last ten, and of every span."""
+    return _spans(report.values)
+
+
+def _soak(report: Report) -> list[str]:
+    """Return Markdown of the verdict, each process's memory, and IoU and share by minute."""
+    found = msgspec.convert(report.values, Soak)
+    verdict = lines({v.about: v.sentence for v in found.verdict})
+    memory = [
+        [name, *(cell(grown.get(part)) for part in ("first_mb", "last_mb", "grown_mb"))]
+        for name, grown in found.memory.items()
+    ]
+    columns = ["process", "first minute, MB", "last minute, MB", "grown, MB"]
+    return [verdict, table(columns, memory), *_spans(report.values.get("overlap", {}))]
+
+
+def _spans(values: Mapping[str, Any]) -> list[str]:
     parts = ("first", "last", "grown")
     rows = [
         [target, figure, *(cell(ends.get(part, {}).get(figure)) for part in parts)]
-        for target, ends in msgspec.convert(report.values, Ends).ends.items()
+        for target, ends in msgspec.convert(values, Ends).ends.items()
         for figure in ends.get("first", {})
     ]
     note = "First and last are up to ten spans each: of fewer than twenty spans they share some."
     columns = ["target", "figure", "first", "last", "difference"]
-    plain = {k: v for k, v in report.values.items() if k != "ends"}
+    plain = {k: v for k, v in values.items() if k != "ends"}
     return [table(columns, rows), note, *_tables(plain)]
 
 
@@ -200,3 +234,6 @@ def _scalars(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str,
                 yield name, json.dumps(value)
         else:
             yield name, value
+
+
+FORMS: Mapping[str, Callable[[Report], list[str]]] = {"follow": _follow, "soak": _soak}

@@ -89,6 +89,7 @@ def test_a_report_of_any_bench_shows_its_origin_figures_and_rows(tmp_path: Path)
         (ORIGIN | {"commit": 3}, "expected `str`, got `int` - at `$.commit`"),
         (ORIGIN | {"machine": {}}, "missing required field `cpu`"),
         (ORIGIN | {"bench": "follow", "ends": [1]}, "expected `object`, got `array` - at `$.ends`"),
+        (ORIGIN | {"bench": "soak"}, "object missing required field `memory`"),
     ],
 )
 def test_a_wrong_result_file_is_refused_in_one_sentence(
@@ -137,3 +138,22 @@ def test_every_test_that_the_table_of_examples_names_exists() -> None:
     assert all(named)
     for file, name in (pair for found in named for pair in found):
         assert f"def {name}" in texts[file], (file, name)
+
+
+def test_a_soak_shows_its_verdict_its_memory_and_its_minutes(tmp_path: Path) -> None:
+    ends = {"ball": {part: {"iou": 0.3} for part in ("first", "last", "grown")}}
+    report = {
+        **ORIGIN,
+        "bench": "soak",
+        "verdict": [{"about": "rate", "held": True, "sentence": "held: 30 frames/s"}],
+        "memory": {"capture": {"first_mb": 1.0, "last_mb": 3.0, "grown_mb": 2.0}},
+        "overlap": {"ends": ends, "rows": [{"span": 0, "target": "ball", "iou": 0.25}]},
+    }
+    (tmp_path / "soak.json").write_text(json.dumps(report))
+
+    written = page(tmp_path)
+
+    assert "- rate: held: 30 frames/s" in written
+    assert "| capture | 1 | 3 | 2 |" in written
+    assert "| ball | iou | 0.3 | 0.3 | 0.3 |" in written
+    assert "| 0 | ball | 0.25 |" in written
