@@ -16,15 +16,9 @@ from numpy.typing import NDArray
 from drivers.simulated.sources import open_recording, open_scene
 from drivers.usb.capabilities import BoardCapabilities
 from drivers.usb.frame_header import Stream
-from drivers.virtual_board.board import (
-    Gone,
-    Halted,
-    OpenWorld,
-    Refused,
-    TooMuch,
-    VirtualBoard,
-)
+from drivers.virtual_board.board import OpenWorld, VirtualBoard
 from drivers.virtual_board.descriptors import CONFIGURATION, DEVICE, ENDPOINTS, INTERFACE, STRINGS
+from drivers.virtual_board.errors import Gone, Halted, Refused, TooMuch
 from drivers.virtual_board.faults import faults_of
 from drivers.virtual_board.profiles import PROFILES, Profile
 from drivers.virtual_board.world import World

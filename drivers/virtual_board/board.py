@@ -6,16 +6,13 @@ USB/IP device and the gadget are thin layers on top of it.
 
 import threading
 import time
-import zlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.usb.capabilities import BoardCapabilities, RoiSize
 from drivers.usb.errors import BadBlock
-from drivers.usb.frame_header import FrameFlag, FrameHeader, Stream, WindowStatus
+from drivers.usb.frame_header import Stream
 from drivers.usb.requests import (
     BoardStatus,
     BoardTime,
@@ -27,42 +24,15 @@ from drivers.usb.requests import (
 from drivers.usb.requests import (
     Fault as BoardFault,
 )
-from drivers.virtual_board.exposures import Exposed, Exposures
+from drivers.virtual_board.errors import Gone, Refused
+from drivers.virtual_board.exposures import Exposures
 from drivers.virtual_board.faults import Fault, FaultScript
 from drivers.virtual_board.profiles import BAYER_RG8, Profile
+from drivers.virtual_board.sender import FrameSender, picture_px
 from drivers.virtual_board.world import World
 
 OpenWorld = Callable[[int, int], World]  # pixel format, most pixels of a picture -> world
 WAKE_S = 0.05  # how often a bulk read looks whether it was cancelled
-
-
-class Refused(Exception):
-    """A request that the board answers with a stall."""
-
-
-class Halted(Exception):
-    """The end point is halted until it is cleared."""
-
-
-class Gone(Exception):
-    """The board is not there (now)."""
-
-
-class TooMuch(Exception):
-    """More came than was asked for."""
-
-
-@dataclass
-class _Sending:
-    """The frame that an end point is sending."""
-
-    header: bytes
-    payload: NDArray[np.uint8]
-    sent: int = -1  # bytes of the payload; -1: not even the header
-    ends_at: int = 0
-    halts_at: int = -1
-    truncated: bool = False
-    overflows: bool = False
 
 
 class VirtualBoard:
@@ -78,8 +48,7 @@ class VirtualBoard:
         self._now_ns, self._wait_s = now_ns, wait_s
         self._lock = threading.RLock()
         self._exposures: Exposures | None = None
-        self._sending: dict[Stream, _Sending | None] = dict.fromkeys(Stream)
-        self._halted: set[Stream] = set()
+        self._sender: FrameSender | None = None
         self._back_ns = 0  # when it is plugged in again
         self._link_free_ns = 0
         self.plugged_in = 1  # times
@@ -136,8 +105,8 @@ class VirtualBoard:
         """Clear the halt of an end point: what follows is a header."""
         with self._lock:
             self._catch_up()
-            self._halted.discard(stream)
-            self._sending[stream] = None
+            if self._sender is not None:
+                self._sender.clear_halt(stream)
 
     def reset(self) -> None:
         """Reset it: idle, as after plugging in."""
@@ -162,9 +131,8 @@ class VirtualBoard:
         while True:
             with self._lock:
                 self._catch_up()
-                if stream in self._halted:
-                    raise Halted(stream.name)
-                count, wait_ns = self._send(stream, memory), self._wait_ns(stream)
+                count = self._sender.send(stream, memory) if self._sender else None
+                wait_ns = self._wait_ns(stream)
             if count is not None:
                 self._pace(count)
                 return count
@@ -172,110 +140,6 @@ class VirtualBoard:
             if left_ns <= 0:
                 return None
             self._wait_s(max(min(left_ns, wait_ns) / 1e9, 1e-4))
-
-    def _send(self, stream: Stream, memory: NDArray[np.uint8]) -> int | None:
-        sending = self._sending[stream] or self._begin(stream)
-        if sending is None:
-            return None
-        if sending.sent < 0:
-            return self._send_header(stream, sending, memory)
-        if sending.sent <= sending.halts_at < sending.sent + len(memory):
-            self._halted.add(stream)
-            raise Halted(stream.name)
-        if sending.overflows:
-            self._sending[stream] = None
-            raise TooMuch(stream.name)
-        count = min(len(memory), sending.ends_at - sending.sent)
-        memory[:count] = sending.payload[sending.sent : sending.sent + count]
-        sending.sent += count
-        # a read that the end fills exactly does not show it: the next one gets an empty packet
-        if sending.sent == sending.ends_at and not (sending.truncated and count == len(memory)):
-            self._sending[stream] = None
-        return count
-
-    def _send_header(self, stream: Stream, sending: _Sending, memory: NDArray[np.uint8]) -> int:
-        if len(memory) < len(sending.header):
-            self._sending[stream] = None
-            raise TooMuch(stream.name)
-        memory[: len(sending.header)] = np.frombuffer(sending.header, np.uint8)
-        sending.sent = 0
-        if not sending.ends_at:
-            self._sending[stream] = None
-        return len(sending.header)
-
-    def _begin(self, stream: Stream) -> _Sending | None:
-        """Render the next frame that can be read; None: there is none now."""
-        running = self._exposures
-        if running is None:
-            return None
-        waiting = running.waiting[stream]
-        while waiting and waiting[0].ready_ns <= self._now_ns():
-            found = waiting.popleft()
-            if self.faults.due("skip", found.exposure, stream.name.lower()) is None:
-                self._sending[stream] = self._rendered(stream, found, running.dropped[stream])
-                return self._sending[stream]
-        if running.over and not waiting:
-            nothing = np.empty(0, np.uint8)
-            header = self._header(stream, None, running.dropped[stream], nothing)
-            self._sending[stream] = _Sending(header.pack(), nothing)
-            return self._sending[stream]
-        return None
-
-    def _rendered(self, stream: Stream, found: Exposed, dropped: int) -> _Sending:
-        assert self._world is not None  # it runs
-        size = self._configuration.context_bytes, self._configuration.roi_bytes
-        payload = np.empty(size[stream], np.uint8)
-        window = self._whole() if stream is Stream.CONTEXT else found.window
-        self._world.render(found.exposure, window, self._size_px(stream), payload, int(stream))
-        header = self._header(stream, found, dropped, payload).pack()
-        return self._spoiled(stream, found, _Sending(header, payload, ends_at=len(payload)))
-
-    def _spoiled(self, stream: Stream, found: Exposed, sending: _Sending) -> _Sending:
-        """Let go wrong what the script says."""
-        name, k, half = stream.name.lower(), found.exposure, sending.ends_at // 2
-        if self.faults.due("corrupt_header", k, name):
-            sending.header = (
-                bytes([*sending.header[:20], sending.header[20] ^ 4]) + sending.header[21:]
-            )
-        if self.faults.due("corrupt_payload", k, name):
-            sending.payload[half] ^= 4
-        if self.faults.due("truncate", k, name):
-            sending.ends_at, sending.truncated = half, True
-        if self.faults.due("stall", k, name):
-            sending.halts_at = half
-        sending.overflows = self.faults.due("overflow", k, name) is not None
-        return sending
-
-    def _header(
-        self,
-        stream: Stream,
-        found: Exposed | None,
-        dropped: int,
-        payload: NDArray[np.uint8],
-    ) -> FrameHeader:
-        flags, crc = FrameFlag(0), 0
-        if found is None:
-            flags |= FrameFlag.END
-        elif self._configuration.payload_crc:
-            flags, crc = flags | FrameFlag.PAYLOAD_CRC, zlib.crc32(payload.data)
-        if found is not None and (found.alone or not any(self._configuration.roi_px)):
-            flags |= FrameFlag.ALONE
-        if found is not None and found.recorded:
-            flags |= FrameFlag.RECORDED
-        size_px = self._size_px(stream) if found is not None else (0, 0)
-        window = (0, 0, 0, 0) if found is None else found.window
-        rows = len(payload) // size_px[1] if size_px[1] else 0
-        return FrameHeader(
-            stream=stream, flags=flags,
-            window_status=found.status if found else WindowStatus.OK,
-            exposure=found.exposure if found else self._running().next,
-            stamp_ns=found.stamp_ns if found else self._now_ns(),
-            window=self._whole() if found and stream is Stream.CONTEXT else window,
-            size_px=size_px, pixel_format=self._configuration.pixel_format, row_bytes=rows,
-            payload_bytes=len(payload), payload_crc=crc,
-            schedule_id=found.schedule_id if found else 0, entry=found.entry if found else 0,
-            dropped=dropped,
-        )  # fmt: skip
 
     def _pace(self, count: int) -> None:
         """Take the time that the link takes for so many bytes."""
@@ -344,23 +208,25 @@ class VirtualBoard:
             rate_mhz=wanted.rate_mhz, roi_px=wanted.roi_px, pixel_format=wanted.pixel_format,
             mode=wanted.mode, payload_crc=wanted.payload_crc, burst_frames=wanted.burst_frames,
             context_bytes=payload(self.profile.can.context_px),
-            roi_bytes=payload(_picture_px(self.profile.can, wanted.roi_px)),
+            roi_bytes=payload(picture_px(self.profile.can, wanted.roi_px)),
         )  # fmt: skip
 
     def _start(self, *, triggered: bool) -> None:
         self._stop()
-        roi_px = self._size_px(Stream.ROI)
-        most = max(a * b for a, b in (roi_px, self.profile.can.context_px))
+        can = self.profile.can
+        roi_px = picture_px(can, self._configuration.roi_px)
+        most = max(width * height for width, height in (roi_px, can.context_px))
         self._world = self._open_world(self._configuration.pixel_format, most)
         self._exposures = Exposures(
             self.profile, self._configuration, length=self._world.length, triggered=triggered,
             start_ns=self._now_ns(),
         )  # fmt: skip
+        self._sender = FrameSender(
+            can, self._configuration, self._exposures, self._world, self.faults, self._now_ns
+        )
 
     def _stop(self) -> None:
-        self._exposures = None
-        self._sending = dict.fromkeys(Stream)
-        self._halted.clear()
+        self._exposures = self._sender = None
         if self._world is not None:
             self._world.close()
             self._world = None
@@ -378,18 +244,3 @@ class VirtualBoard:
             dropped=(running.dropped[Stream.CONTEXT], running.dropped[Stream.ROI])
             if running else (0, 0),
         )  # fmt: skip
-
-    def _whole(self) -> tuple[int, int, int, int]:
-        return 0, 0, self.profile.can.width_px, self.profile.can.height_px
-
-    def _size_px(self, stream: Stream) -> tuple[int, int]:
-        if stream is Stream.CONTEXT:
-            return self.profile.can.context_px
-        return _picture_px(self.profile.can, self._configuration.roi_px)
-
-
-def _picture_px(can: BoardCapabilities, roi_px: tuple[int, int]) -> tuple[int, int]:
-    """Return width and height of the picture of a window of this size."""
-    sizes = {(size.width_px, size.height_px): size for size in can.roi_sizes}
-    size = sizes.get(roi_px, RoiSize(0, 0))
-    return size.width_px // size.binning, size.height_px // size.binning
