@@ -48,8 +48,7 @@ def body_of(block: bytes, magic: int, least: int, what: str) -> bytes:
 
 def text_of(padded: bytes) -> str:
     """Return a zero-padded ASCII text; what cannot be printed becomes a question mark."""
-    printable = padded.rstrip(b"\0").decode("ascii", "replace")
-    return "".join(c if c.isprintable() else "?" for c in printable)
+    return "".join(chr(c) if 0x20 <= c < 0x7F else "?" for c in padded.rstrip(b"\0"))
 
 
 def member(kind: type[E], value: int, what: str) -> E:
