@@ -16,6 +16,7 @@ from drivers.usb.requests import (
 )
 from pipeline.errors import DriverError
 
+START_S = 10.0  # for a sensor to begin
 TRIGGERED = 1  # flag of START: an exposure happens when TRIGGER asks for it
 Backend = Callable[[], Any]  # makes a backend of pyusb; None: pyusb's own
 
@@ -45,7 +46,8 @@ class Connection:
 
     def start(self, *, triggered: bool) -> None:
         """Begin to expose; exposures count from 0 again."""
-        self.link.tell(Request.START, value=TRIGGERED if triggered else 0)
+        value = TRIGGERED if triggered else 0
+        self.link.tell(Request.START, value=value, timeout_s=START_S)
 
     def trigger(self) -> None:
         """Expose one frame, where START asked for that."""

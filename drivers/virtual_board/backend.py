@@ -17,7 +17,13 @@ from drivers.simulated.sources import open_recording, open_scene
 from drivers.usb.capabilities import BoardCapabilities
 from drivers.usb.frame_header import Stream
 from drivers.virtual_board.board import OpenWorld, VirtualBoard
-from drivers.virtual_board.descriptors import CONFIGURATION, DEVICE, ENDPOINTS, INTERFACE, STRINGS
+from drivers.virtual_board.descriptors import (
+    CONFIGURATION,
+    DEVICE,
+    ENDPOINTS,
+    INTERFACE,
+    string_descriptor,
+)
 from drivers.virtual_board.errors import Gone, Halted, Refused, TooMuch
 from drivers.virtual_board.faults import faults_of
 from drivers.virtual_board.profiles import PROFILES, Profile
@@ -26,7 +32,6 @@ from pipeline.errors import DriverError, SettingsError
 
 DIRECTION_IN, STANDARD = 0x80, 0x60
 GET_DESCRIPTOR, STRING = 6, 3
-LANGUAGE = b"\x04\x03\x09\x04"  # one: English (United States)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +153,7 @@ class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]
     ) -> int:  # fmt: skip
         self._check(dev_handle.dev)
         if not kind & STANDARD and request == GET_DESCRIPTOR and value >> 8 == STRING:
-            return _filled(data, _string(value & 0xFF))
+            return _filled(data, _attempt(lambda: string_descriptor(value & 0xFF)))
         if kind & DIRECTION_IN:
             return _filled(data, _attempt(lambda: self.board.ask(request, len(data))))
         _attempt(lambda: self.board.tell(request, value, bytes(data)))
@@ -198,15 +203,6 @@ def _filled(buff: Any, data: bytes) -> int:
     count = min(len(buff), len(data))
     buff[:count] = type(buff)("B", data[:count])
     return int(count)
-
-
-def _string(index: int) -> bytes:
-    if not index:
-        return LANGUAGE
-    if index > len(STRINGS):
-        _fail(errno.EPIPE)
-    text = STRINGS[index - 1].encode("utf-16-le")
-    return bytes([len(text) + 2, STRING]) + text
 
 
 def _world(settings: VirtualBoardSettings) -> OpenWorld:
