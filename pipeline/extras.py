@@ -5,12 +5,14 @@ from typing import Any
 
 from pipeline.errors import InstallError
 
-EXTRAS = {
+EXTRAS = {  # by the name that is imported
     "cryptography": "fleet",
     "matplotlib": "eval",
     "onnx": "train",
     "torch": "train",
+    "usb": "usb",
 }
+PACKAGES = {"usb": "pyusb"}  # whose name is another
 INDEX = {"train": "https://download.pytorch.org/whl/cpu"}
 WHY = "torch for processors alone; without the index pip takes CUDA along, 5.4 GB"
 
@@ -28,6 +30,7 @@ def remedy(error: ModuleNotFoundError) -> str:
     if extra is None:
         return ""
     index = f" --extra-index-url {INDEX[extra]} ({WHY})" if extra in INDEX else ""
+    package = PACKAGES.get(package, package)
     return f"expected the package {package}, got none: pip install 'fovea[{extra}]'{index}"
 
 

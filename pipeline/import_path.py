@@ -12,6 +12,7 @@ from typing import Any
 
 from pipeline.cause import cause_of, is_signal
 from pipeline.errors import FoveaError
+from pipeline.extras import remedy
 from pipeline.wording import shown
 
 PATTERN = r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*"
@@ -54,4 +55,5 @@ def imported(path: str, error: type[FoveaError], where: str = "") -> Any:
     except BaseException as cause:
         if is_signal(cause):
             raise
-        raise error(f"{place}{path} cannot be imported: {cause_of(cause)}") from cause
+        why = remedy(cause) if isinstance(cause, ModuleNotFoundError) else ""
+        raise error(f"{place}{path} cannot be imported: {why or cause_of(cause)}") from cause

@@ -31,10 +31,14 @@ settings.load_profile("same")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option for the folder of footage and third-party weights."""
+    """Add the options for footage and third-party weights, and for a USB board."""
     parser.addoption(
         "--shared", type=Path, default=ROOT.parent / "shared", metavar="PATH",
         help="folder of recordings and weights for tests marked `footage` (default: %(default)s)",
+    )  # fmt: skip
+    parser.addoption(
+        "--usb-board", choices=("attached", "usbip"), default="attached",
+        help="board of tests marked `hardware`: the one on the desk, or a virtual one over USB/IP",
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """The command of the fuzzers: it counts cases, refusals, and failures (none are expected).
 
 python -m bench.fuzz graphs --count 10000; python -m bench.fuzz orders --count 10000;
-python -m bench.fuzz wire --count 1000000
+python -m bench.fuzz wire --count 1000000; python -m bench.fuzz usb --count 1000000
 """
 
 import json
@@ -18,6 +18,7 @@ from bench import machine
 from bench.fuzz.graphs import fuzz_graphs
 from bench.fuzz.orders import fuzz_orders
 from bench.fuzz.tally import Tally
+from bench.fuzz.usb import fuzz_usb
 from bench.fuzz.wire import fuzz_wire
 from bench.options import JSON, Bench
 from pipeline.graph.shipped import graph_path
@@ -66,9 +67,16 @@ def wire(count: int, seed: int, path: Path | None) -> None:
     tell("wire", fuzz_wire(count, seed=seed), seed, path)
 
 
+@fuzz.command(cls=Bench)
+@options(1_000_000)
+def usb(count: int, seed: int, path: Path | None) -> None:
+    """Read malformed blocks of the USB board's protocol."""
+    tell("usb", fuzz_usb(count, seed=seed), seed, path)
+
+
 def tell(what: str, tally: Tally, seed: int, path: Path | None) -> None:
     """Print the figures, write them with their origin, and exit with status 1 after a failure."""
-    figures = asdict(tally)
+    figures = {**asdict(tally), "kinds": dict(tally.kinds)}  # asdict makes a Counter of pairs
     examples = figures.pop("examples")
     click.echo(json.dumps({what: figures}, indent=1))
     for example in examples:

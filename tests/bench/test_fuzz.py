@@ -72,7 +72,9 @@ def test_a_program_that_is_started_is_noticed_and_this_python_is_not(tmp_path: P
     assert watch.touched == {"subprocess.Popen /bin/true"}
 
 
-@pytest.mark.parametrize("words", [("wire", "--count", "50"), ("orders", "--count", "8")])
+@pytest.mark.parametrize(
+    "words", [("wire", "--count", "50"), ("usb", "--count", "50"), ("orders", "--count", "8")]
+)
 def test_files_are_watched_whatever_is_fuzzed(
     words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -99,6 +101,16 @@ def test_an_order_that_the_supervisor_fails_at_is_a_traceback(
 
     assert found.tracebacks >= 1
     assert any("by design" in str(example) for example in found.examples)
+
+
+def test_the_command_counts_kinds_of_tracebacks_and_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    check = Tally.check
+    monkeypatch.setattr(Tally, "check", lambda self, *case: check(self, case[0], lambda: 1 / 0))
+
+    done = CliRunner().invoke(fuzz, ["wire", "--count", "3"])
+
+    assert done.exit_code == 1
+    assert '"ZeroDivisionError": 3' in done.output
 
 
 def test_the_command_prints_figures(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from operators.capture import CaptureSettings
 from pipeline import FoveaError, GraphError, SettingsError
+from pipeline.extras import EXTRAS
 from pipeline.graph.editing import with_nodes
 from pipeline.graph.loader import load
 from pipeline.graph.plan import load_operator
@@ -215,3 +216,18 @@ def test_a_check_without_imports_checks_names_numbers_and_edges(
     assert done.returncode == 2
     assert f"fovea: {path}:" in done.stderr
     assert said in done.stderr
+
+
+def test_a_module_that_needs_an_extra_names_the_extra(
+    module: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(EXTRAS, "no_such_package", "usb")
+    module.write_text("import no_such_package.core\n")
+
+    with pytest.raises(SettingsError) as refusal:
+        imported(f"{module.stem}:Sensor", SettingsError, "sensor")
+
+    assert str(refusal.value) == (
+        f"sensor: {module.stem}:Sensor cannot be imported: expected the package no_such_package, "
+        "got none: pip install 'fovea[usb]'"
+    )

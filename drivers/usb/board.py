@@ -1,0 +1,188 @@
+"""A dual-stream board on USB: ROI schedules in, exposures of two frames out."""
+
+import time
+import uuid
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
+from drivers.usb.board_settings import FORMATS, DualStreamBoardSettings
+from drivers.usb.errors import LinkError
+from drivers.usb.frame_header import FrameFlag, FrameHeader
+from drivers.usb.session import Session
+from pipeline.contract import RATE, Loan
+from pipeline.errors import DriverError, PoolExhausted
+from pipeline.messages import Frame, Header, RoiSchedule
+
+COMMANDS = ("accepted", "late", "foreign")
+
+
+class DualStreamBoard:
+    """A `DualStreamSensor` on USB 3; its wire protocol is in PROTOCOL.md.
+
+    The stream goes on with the same id when the board was unplugged and is back: `seq` advances by
+    the time that it was away.
+    """
+
+    settings_type: ClassVar[type[Any]] = DualStreamBoardSettings
+
+    def __init__(self, settings: DualStreamBoardSettings) -> None:
+        self._settings = settings
+        self._session: Session | None = None
+        self._windows: Counter[str] = Counter()
+        self._delivered = self._overrun = self._foreign = 0
+        self._started_ns = self._last_ns = 0
+
+    def open(self, *, realtime: bool) -> None:
+        """Acquire the board; raises `DriverError` or `SettingsError` when it cannot."""
+        self._realtime, self._stream = realtime, uuid.uuid4().hex
+        self._session = Session(self._settings, realtime=realtime)
+
+    def capabilities(self) -> Capabilities:
+        """What the board can do in this mode; needs `open`."""
+        session = self._opened()
+        can = session.connection.can
+        lowest, highest = can.rates_mhz
+        return Capabilities(
+            geometry=session.geometry,
+            context_px=can.context_px,
+            context_binning=can.width_px / can.context_px[0],
+            roi_sizes_px=tuple((s.width_px, s.height_px) for s in can.roi_sizes),
+            roi_binning=float(session.roi.binning),
+            rates_hz=(lowest / 1000, highest / 1000),
+            pixel_formats=tuple(form.name for form in FORMATS if form.code in can.formats),
+            lead_frames=can.lead_frames,
+        )
+
+    def configure(self, mode: Mode) -> None:
+        """Change rate, window or format; raises `SettingsError` with the figures."""
+        wanted = replace(
+            self._settings,
+            rate_hz=mode.rate_hz or self._settings.rate_hz,
+            roi_px=mode.roi_px if any(mode.roi_px) else self._settings.roi_px,
+            pixel_format=mode.pixel_format or self._settings.pixel_format,
+        )
+        self._opened().adopt(wanted)
+        self._settings = wanted
+
+    def start(self) -> None:
+        """Begin to expose."""
+        self._opened().begin()
+        self._started_ns = time.monotonic_ns()
+
+    def set_rois(self, schedule: RoiSchedule) -> None:
+        """Send the windows of coming frames; may be called by another thread than `read`."""
+        if not len(schedule.windows):
+            return
+        if schedule.header.stream != self._stream:
+            self._foreign += 1
+            return
+        self._opened().upload(schedule)
+
+    def read(self, loan: Loan) -> Exposure | None:
+        """The next exposure, in memory from `loan`; raises `DriverError` when the board is lost."""
+        session = self._opened()
+        while not session.stopped.is_set():
+            try:
+                headers = session.exposed()
+                if headers is None:
+                    continue
+                if any(FrameFlag.END in header.flags for header in headers):
+                    return None
+                exposure = self._received(session, headers, loan)
+                if exposure is not None:
+                    return exposure
+            except LinkError as error:
+                session.recover(error)
+        return None
+
+    def stop(self) -> None:
+        """End exposing; a `read` that waits in another thread returns None."""
+        if self._session is not None:
+            self._session.stopped.set()
+
+    def close(self) -> None:
+        """Release the board; safe after any outcome."""
+        if self._session is not None:
+            self._session.close()
+
+    def summary(self) -> Mapping[str, Any]:
+        """Figures of the run: frames, losses by reason, commands, windows and the link."""
+        session = self._session
+        if session is None:
+            return {}
+        counts = session.counts
+        return {
+            **self._rate(session),
+            "frames": {
+                "exposed": self._delivered, "lost": counts["lost"], "overrun": self._overrun,
+            },
+            "losses": {name: count for name, count in session.losses.items() if count},
+            "commands": {**{n: counts[n] for n in COMMANDS[:2]}, "foreign": self._foreign},
+            "refused_commands": counts["refused"],
+            "windows": dict(self._windows),
+            "link": {
+                **{name: counts[name] for name in ("outages", "stalls", "resets", "silences")},
+                "bytes": counts["bytes"],
+                "clock_error_ms": round(session.clock.error_ms, 3),
+            },
+        }  # fmt: skip
+
+    def _rate(self, session: Session) -> dict[str, Any]:
+        elapsed_s = (self._last_ns - self._started_ns) / 1e9
+        if not self._realtime or self._delivered < 2 or elapsed_s <= 0:
+            return {}
+        achieved_hz = round(self._delivered / elapsed_s, 3)
+        return {RATE: {"asked_hz": session.wanted.rate_mhz / 1000, "achieved_hz": achieved_hz}}
+
+    def _received(
+        self, session: Session, headers: Sequence[FrameHeader], loan: Loan
+    ) -> Exposure | None:
+        """Return the exposure with its pixels; None when it is lost."""
+        form = session.format
+        try:
+            memory = [
+                loan(h.stream.name.lower(), form.shape(h.size_px), form.dtype) for h in headers
+            ]
+        except PoolExhausted:
+            self._overrun += 1
+            session.skip(headers)
+            raise
+        if not session.fill(headers, memory):
+            return None
+        self._delivered += 1
+        return self._exposure(session, headers, memory)
+
+    def _exposure(
+        self, session: Session, headers: Sequence[FrameHeader], memory: Sequence[NDArray[Any]]
+    ) -> Exposure:
+        self._last_ns = stamp_ns = session.clock.stamp_ns(headers[0].stamp_ns)
+        header = Header(
+            stream=self._stream, seq=session.first_seq + headers[0].exposure, stamp_ns=stamp_ns,
+            geometry=session.geometry,
+        )  # fmt: skip
+        name = session.format.name
+        context = Frame(
+            header=header, pixels=memory[0], pixel_format=name, window=headers[0].window
+        )
+        if len(headers) == 1:
+            empty = np.empty(session.format.shape((0, 0)), session.format.dtype)
+            roi = Frame(header=header, pixels=empty, pixel_format=name, window=EMPTY_WINDOW)
+            return Exposure(header=header, context=context, roi=roi)
+        status = headers[1].window_status.name.lower()
+        self._windows[status] += 1
+        roi = Frame(
+            header=header, pixels=memory[1], pixel_format=name, window=headers[1].window,
+            command_seq=session.command_of(headers[1]) if status == "ok" else -1, status=status,
+        )  # fmt: skip
+        return Exposure(header=header, context=context, roi=roi)
+
+    def _opened(self) -> Session:
+        if self._session is None:
+            raise DriverError("usb: the board is not open")
+        return self._session

@@ -1,0 +1,149 @@
+"""Settings of a dual-stream board, and the configuration that follows from them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from drivers.usb.capabilities import BoardCapabilities, CaptureMode, RoiSize
+from drivers.usb.requests import Configuration
+from pipeline.errors import SettingsError
+
+
+class PixelFormat(NamedTuple):
+    """How the pixels of a PFNC format lie in memory."""
+
+    code: int  # PFNC
+    name: str  # of `Frame.pixel_format`
+    dtype: DTypeLike
+    channels: int
+
+    def shape(self, size_px: tuple[int, int]) -> tuple[int, ...]:
+        """Return the shape of a picture of that width and height."""
+        width, height = size_px
+        return (height, width) if self.channels == 1 else (height, width, self.channels)
+
+    def row_bytes(self, width_px: int) -> int:
+        """Return the bytes of a row."""
+        return width_px * self.channels * int(np.dtype(self.dtype).itemsize)
+
+
+FORMATS = (
+    PixelFormat(0x02180014, "rgb8", np.uint8, 3),
+    PixelFormat(0x01080001, "grey8", np.uint8, 1),
+    PixelFormat(0x01080009, "bayer_rggb8", np.uint8, 1),
+    PixelFormat(0x0110002F, "bayer_rggb16", np.uint16, 1),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DualStreamBoardSettings:
+    """What a graph may set; 0 and "" leave the choice to the board."""
+
+    serial: str = ""  # of the board; empty: the only one that is attached
+    rate_hz: float = 0.0  # 0: the highest
+    roi_px: tuple[int, int] = (0, 0)  # window, sensor pixels; 0: the board's first size
+    pixel_format: str = ""
+    mode: Literal["live", "record"] = "live"
+    burst_frames: int = 0  # of a recording; 0: the most the board keeps
+    payload_crc: bool = False  # costs 2.4 ms for a picture of 9 MB
+    in_flight: int = 16  # bulk reads of 512 KiB; Linux grants 16 MiB to all devices
+    link_bytes_per_s: int = 0  # what the link carries; 0: what the board says
+    reconnect_s: float = 30.0  # how long a board may be away
+    backend: str = ""  # import path of a pyusb backend; empty: libusb
+    backend_options: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.pixel_format not in ("", *(f.name for f in FORMATS)):
+            known = ", ".join(f.name for f in FORMATS)
+            raise SettingsError(f"pixel_format: expected {known}, got {self.pixel_format}")
+        if not 0 <= self.rate_hz <= 10_000:
+            raise SettingsError(f"rate_hz: expected 0 to 10000, got {self.rate_hz}")
+        if not 1 <= self.in_flight <= 24:
+            raise SettingsError(f"in_flight: expected 1 to 24, got {self.in_flight}")
+        if not 0 <= self.reconnect_s <= 3600:
+            raise SettingsError(f"reconnect_s: expected 0 to 3600, got {self.reconnect_s}")
+        for name in ("burst_frames", "link_bytes_per_s"):
+            if getattr(self, name) < 0:
+                raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
+        if min(self.roi_px) < 0:
+            raise SettingsError(f"roi_px: must not be negative, got {self.roi_px}")
+
+
+def configuration(settings: DualStreamBoardSettings, can: BoardCapabilities) -> Configuration:
+    """Return what to ask of a board; raises `SettingsError` for what it or the link cannot do."""
+    mode = CaptureMode[settings.mode.upper()]
+    if mode not in can.modes:
+        modes = ", ".join(m.name.lower() for m in can.modes)
+        raise SettingsError(f"mode: expected {modes}, as the board can, got {settings.mode}")
+    if settings.burst_frames > can.burst_frames:
+        raise SettingsError(
+            f"burst_frames: expected at most {can.burst_frames}, got {settings.burst_frames}"
+        )
+    size, form = roi_size(settings, can), pixel_format(settings, can)
+    wanted = Configuration(
+        rate_mhz=_rate_mhz(settings, can),
+        roi_px=(size.width_px, size.height_px),
+        pixel_format=form.code,
+        mode=mode,
+        payload_crc=settings.payload_crc,
+        burst_frames=settings.burst_frames,
+    )
+    if mode is CaptureMode.LIVE:
+        _check_link(settings, can, wanted)
+    return wanted
+
+
+def roi_size(settings: DualStreamBoardSettings, can: BoardCapabilities) -> RoiSize:
+    """Return the size of the window; (0, 0) where the board reads none."""
+    if settings.roi_px == (0, 0):
+        return can.roi_sizes[0] if can.roi_sizes else RoiSize(0, 0)
+    for size in can.roi_sizes:
+        if (size.width_px, size.height_px) == settings.roi_px:
+            return size
+    sizes = ", ".join(f"{size.width_px}x{size.height_px}" for size in can.roi_sizes)
+    got = f"{settings.roi_px[0]}x{settings.roi_px[1]}"
+    raise SettingsError(f"roi_px: expected {sizes or 'none'}, got {got}")
+
+
+def pixel_format(settings: DualStreamBoardSettings, can: BoardCapabilities) -> PixelFormat:
+    """Return the format of both streams."""
+    known = [form for form in FORMATS if form.code in can.formats]
+    fitting = [form for form in known if settings.pixel_format in ("", form.name)]
+    if not fitting:
+        names = ", ".join(form.name for form in known)
+        raise SettingsError(f"pixel_format: expected {names}, got {settings.pixel_format!r}")
+    return fitting[0]
+
+
+def picture_px(size: RoiSize) -> tuple[int, int]:
+    """Return width and height of the picture of a window."""
+    return size.width_px // size.binning, size.height_px // size.binning
+
+
+def _rate_mhz(settings: DualStreamBoardSettings, can: BoardCapabilities) -> int:
+    lowest, highest = can.rates_mhz
+    wanted = round(settings.rate_hz * 1000) or highest
+    if not lowest <= wanted <= highest:
+        raise SettingsError(
+            f"rate_hz: expected {lowest / 1000:g} to {highest / 1000:g}, got {settings.rate_hz:g}"
+        )
+    return wanted
+
+
+def _check_link(
+    settings: DualStreamBoardSettings, can: BoardCapabilities, wanted: Configuration
+) -> None:
+    """Refuse what the link does not carry, with the figures."""
+    limit = settings.link_bytes_per_s or can.link_bytes_per_s
+    form, size = pixel_format(settings, can), roi_size(settings, can)
+    pictures = [can.context_px, picture_px(size)]
+    frame_bytes = sum(form.row_bytes(width) * height for width, height in pictures)
+    needed = frame_bytes * wanted.rate_mhz / 1000
+    if limit and needed > limit:
+        raise SettingsError(
+            f"rate_hz: {form.name} at {wanted.rate_mhz / 1000:g} Hz needs {needed / 1e6:.0f} MB/s, "
+            f"the link carries {limit / 1e6:.0f}: at most {limit / frame_bytes:.3g} Hz"
+        )

@@ -1,0 +1,108 @@
+"""Frames out of a link: headers in step with their payloads, or the next header after a failure.
+
+A header is a transfer of its own that ends short; its payload follows. Whatever does not fit this
+is read away until a valid header ends a transfer, and what was lost is counted.
+"""
+
+import logging
+import zlib
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.usb.errors import BadBlock, Overflow
+from drivers.usb.frame_header import HEADER_BYTES, FrameFlag, FrameHeader, Stream
+from drivers.usb.link import Link
+from drivers.usb.part import Part
+
+PACKET_BYTES = 1024
+SEARCH_BYTES = 64 << 10  # of one read while there is no header
+log = logging.getLogger(__name__)
+
+
+class Receiver:
+    """Both streams of a started board; used by one thread. `losses` counts by reason."""
+
+    def __init__(
+        self, link: Link, payload_bytes: Mapping[Stream, int], losses: Counter[str]
+    ) -> None:
+        self._link, self._payload_bytes, self.losses = link, payload_bytes, losses
+        self._next = {stream: np.empty(SEARCH_BYTES, np.uint8) for stream in Stream}
+        self._searching = dict.fromkeys(Stream, False)
+
+    def headers(self, streams: Sequence[Stream], timeout_s: float) -> dict[Stream, FrameHeader]:
+        """Return the headers that came in time. Raises `LinkError` as the link does."""
+        parts = {stream: self._header_part(stream) for stream in streams}
+        self._link.receive(list(parts.values()), timeout_s)
+        found = {}
+        for stream, part in parts.items():
+            if part.received:
+                header = self._read(stream, part)
+                if header is not None:
+                    found[stream] = header
+        return found
+
+    def payloads(
+        self, wanted: Sequence[tuple[FrameHeader, NDArray[np.uint8]]], timeout_s: float
+    ) -> bool:
+        """Fill each memory (n,) with the payload of its header; False: one is incomplete."""
+        parts = [Part(header.stream, memory) for header, memory in wanted]
+        try:
+            self._link.receive(parts, timeout_s)
+        except Overflow:
+            self._miss("overflow", parts)
+            return False
+        if not all(part.full for part in parts):
+            self._miss("incomplete", parts)
+            return False
+        for header, memory in wanted:
+            if FrameFlag.INCOMPLETE in header.flags:
+                self.losses["incomplete"] += 1
+                return False
+            checked = FrameFlag.PAYLOAD_CRC in header.flags
+            if checked and zlib.crc32(memory.data) != header.payload_crc:
+                self.losses["checksum"] += 1
+                return False
+        return True
+
+    def skip(self, headers: Sequence[FrameHeader], timeout_s: float) -> None:
+        """Read payloads away that nobody wants."""
+        for header in headers:
+            scratch = np.empty(header.payload_bytes, np.uint8)
+            part = Part(header.stream, scratch)
+            self._link.receive([part], timeout_s)
+            self._searching[header.stream] |= not part.full
+
+    def search(self) -> None:
+        """Look for a header in what comes next: a halt has ended both frames."""
+        self._searching = dict.fromkeys(Stream, True)
+
+    def _miss(self, why: str, parts: Sequence[Part]) -> None:
+        self.losses[why] += 1
+        for part in parts:
+            # after a short packet the next transfer begins with a header again
+            self._searching[Stream(part.stream)] |= not (part.full or part.short)
+
+    def _header_part(self, stream: Stream) -> Part:
+        size = SEARCH_BYTES if self._searching[stream] else PACKET_BYTES
+        return Part(stream, self._next[stream][:size])
+
+    def _read(self, stream: Stream, part: Part) -> FrameHeader | None:
+        """Return the header that ends what was received; None: the search goes on."""
+        block = part.memory[max(0, part.received - HEADER_BYTES) : part.received].tobytes()
+        try:
+            header = FrameHeader.unpack(block)
+            if header.stream is not stream:
+                raise BadBlock(f"frame header: of stream {header.stream.name}")
+            if header.payload_bytes > self._payload_bytes[stream]:
+                raise BadBlock("frame header: a larger payload than configured")
+        except BadBlock as error:
+            if not self._searching[stream]:
+                self.losses["header"] += 1
+                log.warning("%s: looking for the next frame: %s", stream.name.lower(), error)
+            self._searching[stream] = True
+            return None
+        self._searching[stream] = False
+        return header

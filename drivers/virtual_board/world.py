@@ -1,0 +1,50 @@
+"""What a virtual board looks at: a full-resolution source in, pixels as the sensor sends them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.simulated.readout import Readout
+from drivers.source import Annotations, FrameSource
+from drivers.usb.frame_header import Window
+from drivers.virtual_board.profiles import BAYER_RG8
+
+
+class World:
+    """Pictures of a source, read like a sensor reads them."""
+
+    def __init__(
+        self, source: FrameSource, *, pixel_format: int, noise: float, seed: int, most_px: int
+    ) -> None:
+        self._source = source
+        self.length = source.length
+        self.readout = Readout(
+            mosaic=pixel_format == BAYER_RG8, noise=noise, seed=seed, most_px=most_px
+        )
+        self._index = -1
+        self._picture = np.empty((0, 0, 3), np.uint8)
+
+    def row_bytes(self, width_px: int) -> int:
+        """Bytes of a row of that many pixels."""
+        return width_px if self.readout.mosaic else 3 * width_px
+
+    def render(
+        self,
+        index: int,
+        window: Window,
+        size_px: tuple[int, int],
+        out: NDArray[np.uint8],
+        port: int,
+    ) -> None:
+        """Fill `out` (n,) with the window of a picture, reduced to `size_px`."""
+        if index != self._index:
+            self._picture, self._index = self._source.picture(index), index
+        shape = self.readout.shape(size_px)
+        self.readout.read(self._picture, window, out.reshape(shape), seq=index, port=port)
+
+    def truth(self, index: int) -> Annotations | None:
+        """What is in a picture, where the source knows it."""
+        return self._source.truth(index)
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
