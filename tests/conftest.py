@@ -36,6 +36,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--shared", type=Path, default=ROOT.parent / "shared", metavar="PATH",
         help="folder of recordings and weights for tests marked `footage` (default: %(default)s)",
     )  # fmt: skip
+    parser.addoption(
+        "--camera", default="", metavar="PATH",
+        help="V4L2 device for tests of webcams marked `hardware`, e.g. /dev/video0",
+    )  # fmt: skip
 
 
 def pytest_configure() -> None:
