@@ -21,7 +21,7 @@ from drivers.commands import CommandTable, counts_of
 from drivers.readout import exposure_of, geometry_of, scaled
 from drivers.sensor import Capabilities, Exposure, Mode
 from pipeline.boxes import roi_window
-from pipeline.contract import RATE, Loan
+from pipeline.contract import HEADLINE, RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
 from pipeline.import_path import imported
 from pipeline.messages import Geometry, Header, RoiSchedule
@@ -77,6 +77,7 @@ class CameraSensor:
         self._settings = settings
         self._camera = settings.build_camera()
         self._negotiated: Negotiated | None = None  # while it is open
+        self._told: Negotiated | None = None  # the last one
         self._commands: CommandTable | None = None
         self._numbers = ExposureNumbers(0.0, realtime=False)
         self._stopped = threading.Event()
@@ -185,6 +186,7 @@ class CameraSensor:
         numbers = self._numbers
         return {
             **self._rate(),
+            **self._headline(),
             "frames": {
                 "exposed": self._exposed,
                 "skipped": numbers.late + numbers.missing,
@@ -196,6 +198,16 @@ class CameraSensor:
             "windows": dict(self._windows),
             "camera": dict(self._camera.summary()),
         }
+
+    def _headline(self) -> dict[str, str]:
+        """What was negotiated and what was missed, as a sentence."""
+        told, numbers = self._told, self._numbers
+        if told is None or not numbers.elapsed:
+            return {}
+        size = "x".join(str(side) for side in told.size_px)
+        missed = numbers.late + numbers.missing + self._overrun
+        frames = f"{missed} of {numbers.elapsed} frames missed"
+        return {HEADLINE: f"{size} from {self.source} ({told.transport}), {frames}"}
 
     def _rate(self) -> dict[str, Any]:
         """Without a rate of its own, the one to hold is that of the frames the camera sent."""
@@ -234,7 +246,7 @@ class CameraSensor:
         self._roi_px = scaled((grid.roi_width_px, grid.roi_height_px), settings.roi_scale)
         self._commands = CommandTable(self._stream, grid)
         self._window = _middle(grid)
-        self._negotiated = told
+        self._negotiated = self._told = told
         self._stopped.clear()
 
     def _await_due(self, now_ns: int) -> bool:

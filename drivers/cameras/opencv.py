@@ -16,6 +16,7 @@ from pipeline.errors import DriverError
 V4L2, FFMPEG, GSTREAMER = cv2.CAP_V4L2, cv2.CAP_FFMPEG, cv2.CAP_GSTREAMER
 NAMES = {V4L2: "V4L2", FFMPEG: "FFmpeg", GSTREAMER: "GStreamer"}
 MOST_HZ = 1000.0  # a rate beyond it is the time base of a container, not a rate
+START_OF_IMAGE, END_OF_IMAGE = b"\xff\xd8", b"\xff\xd9"  # ITU-T T.81, table B.1
 SOON = 0.9  # share of a timeout after which a failed read counts as a timeout
 
 
@@ -61,6 +62,7 @@ class OpenCvConnection(Connection):
     def __init__(self, capture: cv2.VideoCapture, *, name: str, read_timeout_s: float) -> None:
         self._capture, self._name, self._timeout_s = capture, name, read_timeout_s
         self._backend = int(capture.get(cv2.CAP_PROP_BACKEND))
+        self._jpeg = False  # a frame is the bytes of a JPEG
 
     def told(self) -> Told:
         """What it says of itself now."""
@@ -88,14 +90,16 @@ class OpenCvConnection(Connection):
         raise DriverError(f"{self._name}: the stream ended")
 
     def decode(self, into: NDArray[Any] | None) -> NDArray[Any] | None:
-        """The frame in BGR (h, w, 3); None where it is empty or cannot be decoded."""
+        """The frame in BGR (h, w, 3) or grey (h, w); None where it is empty or damaged."""
         try:
             done, pixels = self._capture.retrieve(into)
-        except cv2.error:  # a corrupt JPEG of a webcam
+        except cv2.error:
             return None
         if not done or pixels is None or not pixels.size:
             return None
         found = np.asarray(pixels)
+        if self._jpeg:
+            return decoded(np.asarray(found, np.uint8).reshape(-1))
         return found[..., 0] if found.ndim == 3 and found.shape[2] == 1 else found
 
     def ask(self, *, size_px: tuple[int, int], rate_hz: float, fourcc: str) -> None:
@@ -108,6 +112,8 @@ class OpenCvConnection(Connection):
             capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
         if rate_hz:
             capture.set(cv2.CAP_PROP_FPS, rate_hz)
+        if self.told().fourcc in ("MJPG", "JPEG"):  # OpenCV's own decoding hides damaged frames
+            self._jpeg = bool(capture.set(cv2.CAP_PROP_CONVERT_RGB, 0))
 
     def close(self) -> None:
         """Release device or connection."""
@@ -119,6 +125,19 @@ class OpenCvConnection(Connection):
         except cv2.error as error:  # its poll says POLLERR
             raise DriverError(f"{self._name}: the device does not deliver any more") from error
         return bool(ready)
+
+
+def decoded(jpeg: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """A JPEG (n,) in BGR (h, w, 3); None when its end is missing or it cannot be decoded.
+
+    >>> decoded(np.zeros(9, np.uint8)) is None
+    True
+    """
+    data = jpeg.tobytes()
+    if not data.startswith(START_OF_IMAGE) or END_OF_IMAGE not in data:
+        return None
+    found = cv2.imdecode(jpeg, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return None if found is None or not found.size else np.asarray(found, np.uint8)
 
 
 def connect(

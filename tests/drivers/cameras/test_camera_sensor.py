@@ -68,6 +68,10 @@ def test_frames_that_the_camera_skipped_are_gaps_that_the_summary_counts() -> No
     }  # fmt: skip
     assert figures["rate"] == {"asked_hz": 30.0, "achieved_hz": 12.0}
     assert figures["camera"] == {"made": 4}
+    assert figures["headline"] == (
+        "320x192 from tests.drivers.cameras.synthetic_camera:SyntheticCamera (memory), "
+        "6 of 10 frames missed"
+    )
 
 
 def test_a_lower_rate_takes_the_newest_frame_when_it_is_due() -> None:

@@ -6,10 +6,12 @@ import struct
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from drivers.cameras import CameraSensor, CameraSensorSettings, Webcam, WebcamSettings, v4l2
-from drivers.cameras.opencv import fourcc_of
+from drivers.cameras.opencv import decoded, fourcc_of
 from pipeline.errors import DriverError, SettingsError
 from tests.drivers.contract import check_sensor
 
@@ -147,6 +149,24 @@ def test_wrong_settings_of_a_webcam_are_refused(settings: dict[str, Any], said: 
 @pytest.mark.parametrize("code", [float("inf"), -1.0, 0.0, 2.0**40, 1.0])
 def test_four_characters_that_are_none_are_empty(code: float) -> None:
     assert fourcc_of(code) == ""
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "zeros", "text"])
+def test_a_damaged_jpeg_is_no_frame(damage: str) -> None:
+    pixels = np.random.default_rng(1).integers(0, 256, (48, 64, 3), np.uint8)
+    whole = cv2.imencode(".jpg", pixels)[1].reshape(-1)
+    found = {
+        "truncated": whole[: len(whole) // 2],
+        "empty": whole[:0],
+        "zeros": np.zeros_like(whole),
+        "text": np.frombuffer(b"\xff\xd8 no picture \xff\xd9", np.uint8),
+    }[damage]
+
+    assert decoded(found) is None
+    padded = np.concatenate([whole, np.zeros(7, np.uint8)])  # as some webcams send it
+    intact = decoded(padded)
+    assert intact is not None
+    assert intact.shape == (48, 64, 3)
 
 
 @pytest.fixture
