@@ -61,7 +61,8 @@ class NewestFrame:
     ) -> None:
         self._connect, self._limits, self._name = connect, limits, name
         self._changed = threading.Condition()
-        self._closed = threading.Event()
+        self._ending = threading.Event()  # tells the thread
+        self._open = False
         self._thread: threading.Thread | None = None
         self._newest: _Frame | None = None
         self._held: NDArray[Any] | None = None  # what the reader looks at
@@ -80,18 +81,22 @@ class NewestFrame:
 
         Raises `DriverError` with the reason when there is none within the limits.
         """
-        limits = self._limits
+        limits, self._open = self._limits, True
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
         one_s = limits.open_timeout_s + limits.read_timeout_s + CLOSE_S + DIAGNOSIS_S
         allowed_s = limits.open_wait_s + one_s
         with self._changed:
-            self._changed.wait_for(lambda: self._newest or self._failure, allowed_s)
+            self._changed.wait_for(
+                lambda: self._newest or self._failure or not self._open, allowed_s
+            )
             if self._newest is not None:
                 return self._newest.pixels
             if self._failure is not None:
                 raise self._failure
-            self._closed.set()
+            self._ending.set()
+            if not self._open:
+                raise DriverError(f"{self._name}: closed before its first frame")
             reason = self._reason or "it does not answer"
             raise DriverError(f"{self._name}: no frame within {allowed_s:g} s: {reason}")
 
@@ -100,7 +105,7 @@ class NewestFrame:
         deadline_s = time.monotonic() + timeout_s
         with self._changed:
             while True:
-                if self._closed.is_set():
+                if not self._open:
                     return None
                 if self._newest is not None:
                     return self._hand_out(self._newest)
@@ -117,7 +122,8 @@ class NewestFrame:
     def close(self) -> None:
         """End the thread, which may be waiting for the device as long as its limits allow."""
         with self._changed:
-            self._closed.set()
+            self._open = False
+            self._ending.set()
             self._changed.notify_all()
         if self._thread is not None:
             limits = self._limits
@@ -138,7 +144,7 @@ class NewestFrame:
         return Picture(pixels=frame.pixels, stamp_ns=frame.stamp_ns, skipped=skipped)
 
     def _give_up(self, lost_s: float) -> DriverError:
-        self._closed.set()
+        self._ending.set()
         reason = f": {self._reason}" if self._reason else ""
         self.history.outage(round(lost_s * 1e9), attempts=self._failures, reason=self._cause)
         self._failure = DriverError(
@@ -153,13 +159,14 @@ class NewestFrame:
         except Mismatch as error:
             self._fail(error)
         except Exception as error:  # raised again where it can be handled, in `read`
-            log.exception("%s: the thread that reads it broke", self._name)
-            self._fail(DriverError(f"{self._name}: reading it broke: {type(error).__name__}"))
+            broke = DriverError(f"{self._name}: reading it broke: {type(error).__name__}")
+            broke.__cause__ = error
+            self._fail(broke)
 
     def _keep_connected(self) -> None:
         """Open the camera and read it, again and again until it is closed."""
         begun_s = time.monotonic()
-        while not self._closed.is_set():
+        while not self._ending.is_set():
             self._connected = False
             try:
                 self._read_one_connection(self._failures + 1)
@@ -172,7 +179,7 @@ class NewestFrame:
                     self._fail(error)
                     return
             self._failures = 0 if self._connected else self._failures + 1
-            self._closed.wait(self._limits.pause_s(self._failures))
+            self._ending.wait(self._limits.pause_s(self._failures))
 
     def _read_one_connection(self, attempts: int) -> None:
         """Read frames until the connection is lost, which raises `DriverError`, or closed."""
@@ -181,7 +188,7 @@ class NewestFrame:
         try:
             damaged, before_ns = 0, 0
             until_s = time.monotonic() + self._limits.open_timeout_s
-            while not self._closed.is_set():
+            while not self._ending.is_set():
                 if connection.wait(WAIT_S):
                     stamp_ns = time.monotonic_ns()
                     if self._take(connection, stamp_ns, before_ns, attempts):
@@ -243,7 +250,7 @@ class NewestFrame:
             self._reason = str(error).removeprefix(f"{self._name}: ")
             if self._connected:
                 self._cause = self._reason
-        if self._connected and not self._closed.is_set():
+        if self._connected and not self._ending.is_set():
             log.warning("%s: lost, reconnecting: %s", self._name, self._reason)
 
     def _fail(self, error: DriverError) -> None:
