@@ -17,7 +17,7 @@ from bench.tracking.budgets import acquisition
 from bench.tracking.clip import HELD_OUT, ClipName, read
 from bench.tracking.options import GRAPH
 from bench.tracking.stages import NEEDED, Camera, Stages
-from drivers.simulated.readout import Window
+from drivers.commands import Window
 from operators.policy.learned import LearnedPolicySettings
 from operators.policy.network import SHIPPED as SHIPPED_POLICY
 from operators.roi_features.roi_features import SHIPPED as SHIPPED_ENCODER

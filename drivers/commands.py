@@ -80,5 +80,16 @@ class CommandTable:
         return roi_window(centres(wanted), self._geometry)
 
 
+def counts_of(table: CommandTable | None) -> dict[str, int]:
+    """Counts of the commands so far, for a sensor's summary; all 0 before there is a table.
+
+    >>> counts_of(None)
+    {'accepted': 0, 'late': 0, 'foreign': 0}
+    """
+    if table is None:
+        return {"accepted": 0, "late": 0, "foreign": 0}
+    return {"accepted": table.accepted, "late": table.late, "foreign": table.foreign}
+
+
 def _end(schedule: RoiSchedule) -> int:
     return schedule.first_seq + len(schedule.windows)

@@ -40,6 +40,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--usb-board", choices=("attached", "usbip"), default="attached",
         help="board of tests marked `hardware`: the one on the desk, or a virtual one over USB/IP",
     )  # fmt: skip
+    parser.addoption(
+        "--camera", default="", metavar="PATH",
+        help="V4L2 device for tests of webcams marked `hardware`, e.g. /dev/video0",
+    )  # fmt: skip
 
 
 def pytest_configure() -> None:

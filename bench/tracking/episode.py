@@ -11,7 +11,7 @@ from bench.tracking.budgets import PLANNED
 from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages
 from bench.tracking.targets import Target
-from drivers.simulated.readout import Window
+from drivers.commands import Window
 from pipeline.boxes import centres, covered, iou, roi_window
 from pipeline.messages import Frame, Percept, RoiSchedule, Tracks, altered
 

@@ -18,7 +18,7 @@ from bench.tracking.replaced import Replaced
 from bench.tracking.stages import Camera, Stages, watched
 from bench.tracking.store import Draft, Unit
 from bench.tracking.targets import Target, starts, targets
-from drivers.simulated.readout import Window
+from drivers.commands import Window
 from pipeline.messages import Geometry, Tracks
 
 PERCEPTION = ("downsample", "saliency", "association")  # the stages from context to tracks

@@ -17,7 +17,8 @@ from bench.tracking.budgets import TOLERANCE, Acquisition
 from bench.tracking.classes import planned
 from bench.tracking.clip import Clip
 from bench.tracking.replaced import Replaced
-from drivers.simulated.readout import Readout, Window
+from drivers.commands import Window
+from drivers.simulated.readout import Readout
 from pipeline import settings as checked
 from pipeline.contract import Operator, settings_of
 from pipeline.errors import GraphError, RunError

@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Window = tuple[int, int, int, int]
+from drivers.commands import Window
+from drivers.readout import average
+
 OFFSETS = 1 << 20  # places in the noise table where a picture's noise may begin
 
 
@@ -46,7 +48,8 @@ class Readout:
         height, width = out.shape[:2]
         if region.shape[:2] != (height, width):
             target = self._scratch_of(port, (height, width, 3)) if self.mosaic else out
-            region = _area(region, target)
+            average(region, target)
+            region = target
         if self.mosaic:
             to_rggb(region, out)
         elif region is not out:
@@ -89,9 +92,3 @@ def noise_table(deviation: float, size: int, seed: int) -> NDArray[np.int16]:
     """
     drawn = np.random.default_rng(seed).standard_normal(size, np.float32)
     return np.asarray(np.rint(np.clip(drawn * deviation, -255, 255)), np.int16)
-
-
-def _area(region: NDArray[np.uint8], out: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height, width = out.shape[:2]
-    cv2.resize(region, (width, height), dst=out, interpolation=cv2.INTER_AREA)
-    return out

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivers.readout import geometry_of
 from drivers.simulated.sources import check_arguments, scene_path
 from drivers.simulated.strategies import (
     STRATEGIES,
@@ -12,7 +13,6 @@ from drivers.simulated.strategies import (
     Strategy,
     check_budget,
     sampling,
-    scaled,
 )
 from pipeline.errors import SettingsError
 from pipeline.messages import Geometry
@@ -95,11 +95,6 @@ class SimulatedSensorSettings:
 
     def geometry(self, size_px: tuple[int, int]) -> Geometry:
         """What every header tells of the sensor."""
-        roi_px = scaled(size_px, math.sqrt(self.roi_area), self.multiple_px)
-        return Geometry(
-            width_px=size_px[0],
-            height_px=size_px[1],
-            roi_width_px=roi_px[0],
-            roi_height_px=roi_px[1],
-            step_px=self.step_px or self.multiple_px,
+        return geometry_of(
+            size_px, roi_area=self.roi_area, step_px=self.step_px, multiple_px=self.multiple_px
         )

@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from drivers.commands import Commanded, CommandTable
+from drivers.commands import Commanded, CommandTable, counts_of
+from drivers.readout import exposure_of
 from drivers.scan import scan_window
 from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
 from drivers.simulated.coverage import Coverage, where
@@ -26,7 +27,7 @@ from drivers.source import Annotations, FrameSource
 from pipeline.boxes import roi_window
 from pipeline.contract import HEADLINE, RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
-from pipeline.messages import Frame, Header, RoiSchedule
+from pipeline.messages import Header, RoiSchedule
 
 USUAL_RATE_HZ = 30.0  # of a source that has no rate of its own
 
@@ -161,7 +162,7 @@ class SimulatedSensor:
         `elapsed` is source time in frames; `late` are those of `skipped` that the strategy did
         not leave out on purpose; `windows` counts the status of the ROI.
         """
-        played, commands = self._playback, self._commands
+        played = self._playback
         elapsed = played.elapsed if played else 0
         return {
             **self._told(elapsed),
@@ -177,11 +178,7 @@ class SimulatedSensor:
                 "budget": self._settings.share,
                 "used": round(self._exposed * self._share / elapsed, 6) if elapsed else 0.0,
             },
-            "commands": {
-                "accepted": commands.accepted if commands else 0,
-                "late": commands.late if commands else 0,
-                "foreign": commands.foreign if commands else 0,
-            },
+            "commands": counts_of(self._commands),
             "windows": dict(self._windows),
             "roi_coverage": self._coverage.shares(),
             "roi_coverage_frames": self._coverage.frames(),
@@ -241,19 +238,7 @@ class SimulatedSensor:
             readout.read(ready.pixels, aim.window, roi, seq=seq, port=1)
         readout.read(ready.pixels, whole, context, seq=seq, port=0)
         form = readout.pixel_format
-        return Exposure(
-            header=header,
-            context=Frame(header=header, pixels=context, pixel_format=form, window=whole),
-            roi=Frame(
-                header=header,
-                pixels=roi,
-                pixel_format=form,
-                window=aim.window,
-                command_seq=aim.command_seq,
-                status=aim.status,
-            ),
-            truth=ready.truth,
-        )
+        return exposure_of(header, context, roi, aim, pixel_format=form, truth=ready.truth)
 
     def _aim(self, seq: int, truth: Annotations | None) -> Commanded:
         """Where the ROI looks in frame `seq`; what nothing covers holds the last window."""

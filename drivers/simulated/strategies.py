@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from drivers.readout import scaled
 from pipeline.errors import SettingsError
 
 Strategy = Literal[
@@ -102,19 +103,6 @@ def check_budget(
                 f"budget: context {context:.4g} and ROI {roi:.4g} take {context + roi:.4g} of the "
                 f"field, expected at most {budget:.4g}"
             )
-
-
-def scaled(size_px: tuple[int, int], scale: float, multiple_px: int = 1) -> tuple[int, int]:
-    """Both sides scaled to the nearest multiple, at least one and never beyond the original.
-
-    >>> scaled((1920, 1080), 0.25), scaled((1920, 1080), 0.35355, 2)
-    ((480, 270), (678, 382))
-    """
-    width, height = (
-        min(side, max(multiple_px, round(side * scale / multiple_px) * multiple_px))
-        for side in size_px
-    )
-    return width, height
 
 
 def _by(size_px: tuple[int, int]) -> str:

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from operators.capture import Capture, CaptureSettings
-from pipeline.errors import SettingsError
+from pipeline.errors import DriverError, SettingsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.settings import build
 from tests.drivers.datasets.test_soccernet import GAME, GT
+from tests.drivers.mjpeg_server import MjpegServer
 from tests.drivers.sequences import write_pictures, write_sequence
 from tests.shared_data import Footage
 
@@ -105,3 +106,26 @@ def test_the_real_sequence_plays(tmp_path: Path, footage: Footage) -> None:
 
 def test_every_source_file_is_tested() -> None:
     assert {path.stem for path in SOURCES.glob("*.yaml")} >= {*RECORDINGS, "soccer"}
+
+
+def test_a_stream_plays_from_the_address_set_on_the_command_line(tmp_path: Path) -> None:
+    server = MjpegServer()
+    change = f"capture.camera_options.url={server.url}"
+    found = first_frame(capture_of(graph(tmp_path), "rtsp", change))
+    server.stop()
+
+    assert found == (320, 192, 80, 48)
+
+
+def test_a_webcam_is_named_on_the_command_line(tmp_path: Path) -> None:
+    settings = capture_of(graph(tmp_path), "webcam", "capture.camera_options.device=/dev/null")
+
+    with pytest.raises(DriverError, match="/dev/null: expected a video device, got something else"):
+        first_frame(settings)
+
+
+def test_a_stream_without_an_address_is_an_error_of_its_file(tmp_path: Path) -> None:
+    with pytest.raises(
+        SettingsError, match=r"rtsp\.yaml:\d+: .*url or pipeline: expected exactly one"
+    ):
+        capture_of(graph(tmp_path), "rtsp")
