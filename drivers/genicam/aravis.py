@@ -1,0 +1,105 @@
+"""Aravis, the library for GigE Vision and USB3 Vision cameras: loaded when it is first needed.
+
+The only file that imports PyGObject (`gi`), and only when a camera is used. No call waits without
+limit: Aravis ends a control transaction after 0.5 s and five repetitions, a search after 1 s, and
+buffers are waited for with a timeout.
+"""
+
+import contextlib
+import ctypes
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import DriverError, InstallError
+from pipeline.text import harmless
+
+SYSTEM = "apt-get install gir1.2-aravis-0.8 aravis-tools"
+BINDING = (
+    "apt-get install libgirepository1.0-dev libcairo2-dev pkg-config gcc && "
+    "pip install 'fovea[genicam]'"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Listed:
+    """A device that answered the search."""
+
+    id: str
+    vendor: str
+    model: str
+    serial: str
+    protocol: str  # GigEVision | USB3Vision
+    address: str  # IP address or USB identifier
+    hardware: str  # MAC address or GUID
+
+
+@cache
+def library() -> Any:
+    """Aravis and GLib as one namespace; raises `InstallError` with the commands to install them."""
+    try:
+        import gi
+    except ModuleNotFoundError as error:
+        raise InstallError(
+            f"genicam: expected the package PyGObject, got none: {SYSTEM} && {BINDING}"
+        ) from error
+    try:
+        gi.require_version("Aravis", "0.8")
+        from gi.repository import Aravis, GLib
+    except (ImportError, ValueError) as error:
+        raise InstallError(f"genicam: expected Aravis 0.8, got none: {SYSTEM}") from error
+    return SimpleNamespace(aravis=Aravis, error=GLib.Error, received=_received_of())
+
+
+def listed() -> tuple[Listed, ...]:
+    """Search all networks and the USB bus; takes about a second."""
+    aravis = library().aravis
+    aravis.update_device_list()
+    return tuple(
+        Listed(
+            id=aravis.get_device_id(i) or "",
+            vendor=aravis.get_device_vendor(i) or "",
+            model=aravis.get_device_model(i) or "",
+            serial=aravis.get_device_serial_nbr(i) or "",
+            protocol=aravis.get_device_protocol(i) or "",
+            address=aravis.get_device_address(i) or "",
+            hardware=aravis.get_device_physical_id(i) or "",
+        )
+        for i in range(aravis.get_n_devices())
+    )
+
+
+@contextlib.contextmanager
+def told(where: str) -> Iterator[None]:
+    """Turn an error of the library into a `DriverError` that begins with `where`."""
+    try:
+        yield
+    except library().error as error:
+        raise DriverError(f"{where}: {harmless(error.message, 200)}") from error
+
+
+def _received_of() -> Callable[[Any], NDArray[np.uint8]]:
+    """A function that returns a view of the bytes received in a buffer.
+
+    The binding can only copy them, so that C is asked for their place. The view keeps the buffer.
+    """
+    get_data = ctypes.CDLL("libaravis-0.8.so.0").arv_buffer_get_data
+    get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+    get_data.restype = ctypes.c_void_p
+
+    def received(buffer: Any) -> NDArray[np.uint8]:
+        size = ctypes.c_size_t()
+        place = get_data(hash(buffer) % (1 << 64), ctypes.byref(size))  # the hash is its address
+        if not place or not size.value:
+            return np.zeros(0, np.uint8)
+        block = (ctypes.c_uint8 * size.value).from_address(place)
+        block.buffer = buffer  # type: ignore[attr-defined]
+        found: NDArray[np.uint8] = np.ctypeslib.as_array(block)
+        return found
+
+    return received
