@@ -7,7 +7,7 @@ buffers are waited for with a timeout.
 
 import contextlib
 import ctypes
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
@@ -53,13 +53,14 @@ def library() -> Any:
         from gi.repository import Aravis, GLib
     except (ImportError, ValueError) as error:
         raise InstallError(f"genicam: expected Aravis 0.8, got none: {SYSTEM}") from error
-    return SimpleNamespace(aravis=Aravis, error=GLib.Error, received=_received_of())
+    return SimpleNamespace(aravis=Aravis, error=GLib.Error, native=Native())
 
 
-def listed() -> tuple[Listed, ...]:
-    """Search all networks and the USB bus; takes about a second."""
+def listed(*, search: bool = True) -> tuple[Listed, ...]:
+    """Search networks and USB bus, for about a second; else return what was found before."""
     aravis = library().aravis
-    aravis.update_device_list()
+    if search:
+        aravis.update_device_list()
     return tuple(
         Listed(
             id=aravis.get_device_id(i) or "",
@@ -83,23 +84,36 @@ def told(where: str) -> Iterator[None]:
         raise DriverError(f"{where}: {harmless(error.message, 200)}") from error
 
 
-def _received_of() -> Callable[[Any], NDArray[np.uint8]]:
-    """A function that returns a view of the bytes received in a buffer.
+class Native:
+    """What the binding cannot do without copying, or not safely: C is asked.
 
-    The binding can only copy them, so that C is asked for their place. The view keeps the buffer.
+    The hash of a wrapped object is the address of the C object.
     """
-    get_data = ctypes.CDLL("libaravis-0.8.so.0").arv_buffer_get_data
-    get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
-    get_data.restype = ctypes.c_void_p
 
-    def received(buffer: Any) -> NDArray[np.uint8]:
-        size = ctypes.c_size_t()
-        place = get_data(hash(buffer) % (1 << 64), ctypes.byref(size))  # the hash is its address
-        if not place or not size.value:
+    def __init__(self) -> None:
+        library = ctypes.CDLL("libaravis-0.8.so.0")
+        self._data = library.arv_buffer_get_data
+        self._xml = library.arv_device_get_genicam_xml
+        for function in (self._data, self._xml):
+            function.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+            function.restype = ctypes.c_void_p
+
+    def received(self, buffer: Any) -> NDArray[np.uint8]:
+        """A view of the bytes received in a buffer; it keeps the buffer."""
+        place, size = self._asked(self._data, buffer)
+        if not place or not size:
             return np.zeros(0, np.uint8)
-        block = (ctypes.c_uint8 * size.value).from_address(place)
+        block = (ctypes.c_uint8 * size).from_address(place)
         block.buffer = buffer  # type: ignore[attr-defined]
         found: NDArray[np.uint8] = np.ctypeslib.as_array(block)
         return found
 
-    return received
+    def description(self, device: Any) -> bytes:
+        """The XML of a device, which no zero byte ends."""
+        place, size = self._asked(self._xml, device)
+        return ctypes.string_at(place, size) if place else b""
+
+    def _asked(self, function: Any, wrapped: Any) -> tuple[int, int]:
+        size = ctypes.c_size_t()
+        place = function(hash(wrapped) % (1 << 64), ctypes.byref(size))
+        return place or 0, size.value

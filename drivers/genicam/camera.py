@@ -13,7 +13,7 @@ from drivers.camera import Negotiated, Picture
 from drivers.genicam.clock import CameraClock
 from drivers.genicam.connection import Connection
 from drivers.genicam.device import Device, FeatureValue
-from drivers.genicam.discovery import resolved
+from drivers.genicam.discovery import opened
 from drivers.genicam.formats import BY_CODE, BY_NAME, PixelFormat, entry_of, offered, view
 from drivers.genicam.intake import Intake, Shape
 from drivers.genicam.stream import COUNTED, Arrived
@@ -155,7 +155,7 @@ class GenicamCamera:
         }
 
     def _start(self) -> _Running:
-        device = Device(resolved(self._settings.camera))
+        device = opened(self._settings.camera)
         try:
             return _Running(device, self._settings, self._counts, self._lose)
         except BaseException:

@@ -203,10 +203,10 @@ class Device:
                 device.leave_control()
 
     def _described(self) -> NodeMap:
-        text, size = self._device.get_genicam_xml()
-        if not text or not size:
+        text = library().native.description(self._device)
+        if not text:
             raise DriverError(f"{self.key}: expected a description (GenICam XML), got none")
-        return parse_nodes(text.encode() if isinstance(text, str) else bytes(text))
+        return parse_nodes(text)
 
     def _check_control(self) -> None:
         if self.network and not self._device.is_controller():

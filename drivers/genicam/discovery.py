@@ -1,5 +1,6 @@
 """Cameras on networks and USB bus: nothing in, what is attached and what it can do out."""
 
+import contextlib
 from dataclasses import dataclass, field, replace
 
 from drivers.genicam.aravis import Listed, listed
@@ -34,24 +35,40 @@ def discover(*, ask: bool = True) -> tuple[AttachedCamera, ...]:
     return tuple(_asked(found) if ask else _plain(found) for found in listed())
 
 
-def resolved(camera: str) -> str:
-    """The key to open for the setting `camera`; raises `DriverError` naming what is attached.
+def opened(camera: str) -> Device:
+    """Open the camera that the setting names; raises `DriverError` naming what is attached.
 
-    Empty: the only one attached. A serial number or an address is looked up; what is not listed,
-    such as a user name or an address of another network, is left to the library.
+    The setting is an id, a serial number or an address. What is not listed, such as a user name or
+    an address of another network, is left to the library. Empty: the only one attached.
     """
+    known = _matching(camera, listed(search=False)) if camera else None
+    if known is not None:
+        with contextlib.suppress(DriverError):  # it may have moved: search for it
+            return Device(known)
     found = listed()
-    names = ", ".join(harmless(f"{one.id} ({one.address})", 80) for one in found) or "none"
-    if not camera:
-        if len(found) != 1:
-            raise DriverError(f"camera: expected exactly one attached or its name, got {names}")
-        return found[0].id
+    if known := _matching(camera, found) if camera else None:
+        return Device(known)
+    if camera:
+        try:
+            return Device(camera)
+        except DriverError as error:
+            raise DriverError(f"{error}; attached: {_names(found)}") from error
+    if len(found) == 1:
+        return Device(found[0].id)
+    raise DriverError(f"camera: expected one attached, or the name of one, got {_names(found)}")
+
+
+def _matching(camera: str, found: tuple[Listed, ...]) -> str | None:
     matching = {
         one.id for one in found if camera in (one.id, one.serial, one.address, one.hardware)
     }
     if len(matching) > 1:
-        raise DriverError(f"camera: {harmless(camera, 60)} names {len(matching)} of {names}")
-    return matching.pop() if matching else camera
+        raise DriverError(f"camera: {harmless(camera, 60)} names several of {_names(found)}")
+    return next(iter(matching), None)
+
+
+def _names(found: tuple[Listed, ...]) -> str:
+    return ", ".join(harmless(f"{one.id} ({one.address})", 80) for one in found[:20]) or "none"
 
 
 def _plain(found: Listed) -> AttachedCamera:

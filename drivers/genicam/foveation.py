@@ -16,16 +16,13 @@ from dataclasses import dataclass, field
 from drivers.genicam.formula import Number, Values
 from drivers.genicam.nodes import NodeMap
 from drivers.genicam.values import NodeValues, unknown
+from pipeline.text import harmless
 
 STREAMING = {"TLParamsLocked": 1}
 REDUCTIONS = ("Binning", "Decimation")
 AXES = ("Horizontal", "Vertical")
 OFFSETS = ("OffsetX", "OffsetY")
 MOST_FACTOR = 32
-PLAIN_HINT = (
-    "run it as a plain camera: sensor: drivers.cameras:CameraSensor, "
-    "options: {camera: 'drivers.genicam:GenicamCamera'}"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +59,18 @@ def reduced(field_px: tuple[int, int], factor: int, step_px: tuple[int, int]) ->
         side // factor // step * step for side, step in zip(field_px, step_px, strict=True)
     )
     return width, height
+
+
+def plain_hint(camera: str) -> str:
+    """The options that run a camera as a plain one.
+
+    >>> plain_hint("S7")
+    'run it as a plain camera: sensor: drivers.cameras:CameraSensor, options: {camera: \
+"drivers.genicam:GenicamCamera", camera_options: {camera: "S7"}}'
+    """
+    own = f', camera_options: {{camera: "{harmless(camera, 60)}"}}' if camera else ""
+    options = f'{{camera: "drivers.genicam:GenicamCamera"{own}}}'
+    return f"run it as a plain camera: sensor: drivers.cameras:CameraSensor, options: {options}"
 
 
 def foveation(found: NodeMap, read: Values = unknown) -> Foveation:

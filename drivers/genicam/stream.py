@@ -81,7 +81,7 @@ class Stream:
         region = buffer.get_image_region() if image else (0, 0, 0, 0)
         behind_ns = time.time_ns() - time.monotonic_ns()
         return Arrived(
-            memory=library().received(buffer),
+            memory=library().native.received(buffer),
             status=status,
             frame_id=buffer.get_frame_id(),
             stamp_ns=buffer.get_timestamp(),
