@@ -5,8 +5,9 @@ import threading
 from typing import Any
 
 from drivers.genicam.aravis import library, told
-from drivers.genicam.nodes import NodeMap, parse_nodes
+from drivers.genicam.nodes import NodeMap
 from drivers.genicam.stream import CHUNKS, Stream
+from drivers.genicam.vetting import vetted_nodes
 from pipeline.errors import DriverError
 from pipeline.settings import suggest
 from pipeline.text import harmless
@@ -206,7 +207,7 @@ class Device:
         text = library().native.description(self._device)
         if not text:
             raise DriverError(f"{self.key}: expected a description (GenICam XML), got none")
-        return parse_nodes(text)
+        return vetted_nodes(text)
 
     def _check_control(self) -> None:
         if self.network and not self._device.is_controller():

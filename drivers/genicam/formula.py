@@ -14,17 +14,20 @@ Number = int | float
 Values = Callable[[str], Number | None]
 
 LONGEST = 4096  # characters
-DEEPEST = 64  # parentheses within one another
 LARGEST_SHIFT = 64
+LARGEST_BASE = 1e9
 
 _TOKEN = re.compile(
     r"\s*(0[xX][0-9a-fA-F]+|\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+|[A-Za-z_][\w.]*"
     r"|\*\*|<<|>>|<>|<=|>=|&&|\|\||!=|==|[-+*/%&|^~!=<>?:(),])"
 )
-_LEVELS: tuple[tuple[str, ...], ...] = (
+_LEVELS: tuple[tuple[str, ...], ...] = (  # the loosest first; a choice is looser than all
     ("||",), ("&&",), ("|",), ("^",), ("&",), ("=", "==", "<>", "!="), ("<", ">", "<=", ">="),
-    ("<<", ">>"), ("+", "-"), ("*", "/", "%"),
+    ("<<", ">>"), ("+", "-"), ("*", "/", "%"), ("**",),
 )  # fmt: skip
+_BINDING = {sign: level for level, signs in enumerate(_LEVELS) for sign in signs}
+_SIGNS = {"+": "u+", "-": "u-", "~": "u~", "!": "u!"}
+_OPENING = ("(", "call")
 _COMPARE: Mapping[str, Callable[[Number, Number], bool]] = {
     "=": operator.eq, "==": operator.eq, "<>": operator.ne, "!=": operator.ne,
     "<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge,
@@ -44,8 +47,8 @@ def compute(formula: str, values: Values) -> Number | None:
     if len(formula) > LONGEST:
         return None
     try:
-        return _Parser(_tokens(formula), values).whole()
-    except (_NoFormula, OverflowError, ZeroDivisionError, ValueError):
+        return _Stack(values).result(_tokens(formula))
+    except _NoFormula:
         return None
 
 
@@ -65,122 +68,115 @@ def _tokens(formula: str) -> list[str]:
     return found
 
 
-class _Parser:
-    """Recursive descent; every level of the grammar is one call."""
+class _Stack:
+    """Dijkstra's two stacks, values and operators: the depth of a formula costs no recursion."""
 
-    def __init__(self, tokens: list[str], values: Values) -> None:
-        self._tokens, self._values = tokens, values
-        self._at = self._depth = 0
+    def __init__(self, values: Values) -> None:
+        self._known = values
+        self._values: list[Number | None] = []
+        self._signs: list[str] = []
+        self._calls: list[int] = []  # values below each open call
 
-    def whole(self) -> Number | None:
-        found = self._choice()
-        if self._at < len(self._tokens):
+    def result(self, tokens: list[str]) -> Number | None:
+        """Go through the tokens from left to right."""
+        operand = True  # what may come next
+        for place, token in enumerate(tokens):
+            following = tokens[place + 1] if place + 1 < len(tokens) else ""
+            operand = self._begin(token, following) if operand else self._go_on(token)
+        if operand:
             raise _NoFormula
-        return found
-
-    def _choice(self) -> Number | None:
-        self._depth += 1
-        if self._depth > DEEPEST:
+        self._apply_to("")
+        if self._signs or len(self._values) != 1:
             raise _NoFormula
-        found = self._binary(0)
-        if self._taken("?"):
-            first = self._choice()
-            self._need(":")
-            second = self._choice()
-            if found is None:
-                found = first if first == second else None
-            else:
-                found = first if found else second
-        self._depth -= 1
-        return found
+        return self._values[0]
 
-    def _binary(self, level: int) -> Number | None:
-        if level == len(_LEVELS):
-            return self._power()
-        found = self._binary(level + 1)
-        while self._peek() in _LEVELS[level]:
-            sign = self._next()
-            found = _applied(sign, found, self._binary(level + 1))
-        return found
-
-    def _power(self) -> Number | None:
-        base = self._unary()
-        if not self._taken("**"):
-            return base
-        self._depth += 1
-        if self._depth > DEEPEST:
-            raise _NoFormula
-        exponent = self._power()
-        self._depth -= 1
-        if base is None or exponent is None or abs(exponent) > LARGEST_SHIFT or abs(base) > 1e9:
-            return None
-        found = base**exponent
-        return found if isinstance(found, int | float) else None
-
-    def _unary(self) -> Number | None:
-        signs = []
-        while self._peek() in ("+", "-", "~", "!"):
-            signs.append(self._next())
-        found = self._atom()
-        for sign in reversed(signs):
-            found = None if found is None else _unary(sign, found)
-        return found
-
-    def _atom(self) -> Number | None:
-        token = self._next()
+    def _begin(self, token: str, following: str) -> bool:
+        """A token where an operand begins; returns whether one may still come."""
+        if token in _SIGNS:
+            self._signs.append(_SIGNS[token])
+            return True
         if token == "(":
-            found = self._choice()
-            self._need(")")
-            return found
+            if self._signs[-1:] != ["name"]:
+                self._signs.append("(")
+            else:
+                self._signs[-1] = "call"
+            return True
         if token[0].isdigit() or token[0] == ".":
-            return _number(token)
+            self._values.append(_number(token))
+            return False
         if not (token[0].isalpha() or token[0] == "_"):
             raise _NoFormula
-        if not self._taken("("):
-            return self._values(token)
-        while True:  # a function: its arguments are read, its value is not known
-            self._choice()
-            if not self._taken(","):
-                break
-        self._need(")")
-        return None
+        if following == "(":
+            self._signs.append("name")
+            self._calls.append(len(self._values))
+            return True
+        self._values.append(self._known(token))
+        return False
 
-    def _peek(self) -> str:
-        return self._tokens[self._at] if self._at < len(self._tokens) else ""
-
-    def _next(self) -> str:
-        token = self._peek()
-        if not token:
+    def _go_on(self, token: str) -> bool:
+        """A token after an operand; returns whether another one must come."""
+        if token == ")":
+            self._close()
+            return False
+        if token == ",":
+            if self._apply_to("call") != "call":
+                raise _NoFormula
+        elif token == "?":
+            self._apply_while(lambda sign: sign in _BINDING or sign[0] == "u")
+            self._signs.append("?")
+        elif token == ":":
+            if self._apply_to("?") != "?":
+                raise _NoFormula
+            self._signs[-1] = "?:"
+        elif token in _BINDING:
+            level = _BINDING[token] + (token == "**")  # powers bind to the right
+            self._apply_while(lambda sign: sign[0] == "u" or _BINDING.get(sign, -1) >= level)
+            self._signs.append(token)
+        else:
             raise _NoFormula
-        self._at += 1
-        return token
+        return True
 
-    def _taken(self, token: str) -> bool:
-        found = self._peek() == token
-        self._at += found
-        return found
-
-    def _need(self, token: str) -> None:
-        if not self._taken(token):
+    def _close(self) -> None:
+        if self._apply_to("") == "call":  # a function: its arguments are read, its value is unknown
+            del self._values[self._calls.pop() :]
+            self._values.append(None)
+        elif not self._signs or self._signs[-1] != "(":
             raise _NoFormula
+        self._signs.pop()
+
+    def _apply_to(self, wanted: str) -> str:
+        """Apply operators down to a parenthesis or to `wanted`, and return what is there."""
+        self._apply_while(lambda sign: sign not in (*_OPENING, "name", "?") and sign != wanted)
+        return self._signs[-1] if self._signs else ""
+
+    def _apply_while(self, binds: Callable[[str], bool]) -> None:
+        while self._signs and binds(self._signs[-1]):
+            self._apply(self._signs.pop())
+
+    def _apply(self, sign: str) -> None:
+        count = 1 if sign[0] == "u" else 3 if sign == "?:" else 2
+        operands = self._values[-count:]
+        del self._values[-count:]
+        if len(operands) < count:
+            raise _NoFormula
+        try:
+            self._values.append(_applied(sign, operands))
+        except (OverflowError, ZeroDivisionError, ValueError):
+            self._values.append(None)
 
 
 def _number(token: str) -> Number:
     if token[:2].lower() == "0x":
         return int(token, 16)
-    found = float(token)
-    return int(token) if token.isdigit() else found
+    return int(token) if token.isdecimal() else float(token)
 
 
-def _unary(sign: str, value: Number) -> Number:
-    if sign == "!":
-        return int(not value)
-    if sign == "~":
-        return ~int(value)
-    return -value if sign == "-" else value
-
-
-def _applied(sign: str, left: Number | None, right: Number | None) -> Number | None:
+def _applied(sign: str, operands: list[Number | None]) -> Number | None:
+    if sign == "?:":
+        return _chosen(*operands)
+    if sign[0] == "u":
+        return None if operands[0] is None else _signed(sign[1], operands[0])
+    left, right = operands
     if sign in ("||", "&&"):
         return _logical(sign, left, right)
     if sign == "&" and 0 in (left, right):
@@ -191,12 +187,21 @@ def _applied(sign: str, left: Number | None, right: Number | None) -> Number | N
         return int(_COMPARE[sign](left, right))
     if sign in _WHOLE:
         return _WHOLE[sign](int(left), int(right))
-    if sign in ("<<", ">>"):
-        if not 0 <= right <= LARGEST_SHIFT:
-            return None
-        shift = operator.lshift if sign == "<<" else operator.rshift
-        return int(shift(int(left), int(right)))
     return _arithmetic(sign, left, right)
+
+
+def _chosen(asked: Number | None, first: Number | None, second: Number | None) -> Number | None:
+    if asked is None:
+        return first if first == second else None
+    return first if asked else second
+
+
+def _signed(sign: str, value: Number) -> Number:
+    if sign == "!":
+        return int(not value)
+    if sign == "~":
+        return ~int(value)
+    return -value if sign == "-" else value
 
 
 def _logical(sign: str, left: Number | None, right: Number | None) -> Number | None:
@@ -208,6 +213,10 @@ def _logical(sign: str, left: Number | None, right: Number | None) -> Number | N
 
 
 def _arithmetic(sign: str, left: Number, right: Number) -> Number | None:
+    whole = isinstance(left, int) and isinstance(right, int)
+    found: Number
+    if sign in ("**", "<<", ">>"):
+        return _scaled(sign, left, right)
     if sign == "+":
         found = left + right
     elif sign == "-":
@@ -215,11 +224,18 @@ def _arithmetic(sign: str, left: Number, right: Number) -> Number | None:
     elif sign == "*":
         found = left * right
     elif sign == "/":
-        found = left / right
-        if isinstance(left, int) and isinstance(right, int):
-            found = math.trunc(found)
+        found = math.trunc(left / right) if whole else left / right
     else:
-        found = math.fmod(left, right)
-        if isinstance(left, int) and isinstance(right, int):
-            found = int(found)
-    return found
+        found = int(math.fmod(left, right)) if whole else math.fmod(left, right)
+    return found if abs(found) < 1 << 128 else None  # a longer product would not end
+
+
+def _scaled(sign: str, left: Number, right: Number) -> Number | None:
+    if abs(right) > LARGEST_SHIFT or abs(left) > 1 << 64:
+        return None
+    if sign == "**":
+        found = left**right if abs(left) <= LARGEST_BASE else None
+        return found if isinstance(found, int | float) else None
+    if right < 0:
+        return None
+    return int(left) << int(right) if sign == "<<" else int(left) >> int(right)

@@ -1,8 +1,7 @@
 """A camera's description: GenICam XML in, its nodes by name out (GenICam Standard 2.1, GenApi).
 
 The text comes from the device and is not trusted: document types (and with them entities) are
-refused, sizes are limited, and so are nodes that take their value from one another in a ring: a
-library that follows such a ring does not return.
+refused, and sizes are limited.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,14 +14,8 @@ from pipeline.text import harmless
 MOST_BYTES = 16 << 20
 MOST_NODES = 100_000
 DEEPEST = 16  # elements within one another; the standard needs 5
-LONGEST_CHAIN = 256  # nodes that take their value from one another
 LONGEST_TEXT = 1 << 16  # characters of one element
 
-# where a node's value comes from; the links of limits and locks lead into these
-VALUE_LINKS = (
-    "pValue", "pValueIndexed", "pValueDefault", "pIndex", "pVariable", "pAddress", "pLength",
-    "pCommandValue",
-)  # fmt: skip
 _GROUPS = ("RegisterDescription", "Group", "StructReg")
 
 
@@ -61,7 +54,7 @@ class NodeMap:
 def parse_nodes(xml: bytes) -> NodeMap:
     """Read a description; raises `DriverError` in one sentence where it is not one."""
     if len(xml) > MOST_BYTES:
-        raise _wrong(f"at most {MOST_BYTES >> 20} MB", f"{len(xml)} bytes")
+        raise wrong(f"at most {MOST_BYTES >> 20} MB", f"{len(xml)} bytes")
     reader = _Reader()
     parser = expat.ParserCreate(namespace_separator="}")
     parser.buffer_text = True
@@ -72,14 +65,12 @@ def parse_nodes(xml: bytes) -> NodeMap:
     try:
         parser.Parse(xml.rstrip(b"\0"), True)
     except expat.ExpatError as error:
-        raise _wrong("well-formed XML", harmless(str(error), 80)) from error
+        raise wrong("well-formed XML", harmless(str(error), 80)) from error
     except (LookupError, ValueError) as error:  # an encoding that it names and nobody knows
-        raise _wrong("a known encoding", harmless(str(error), 80)) from error
+        raise wrong("a known encoding", harmless(str(error), 80)) from error
     if not reader.root:
-        raise _wrong("a RegisterDescription", "no element")
-    found = NodeMap(vendor=reader.vendor, model=reader.model, nodes=reader.nodes)
-    _check_rings(found)
-    return found
+        raise wrong("a RegisterDescription", "no element")
+    return NodeMap(vendor=reader.vendor, model=reader.model, nodes=reader.nodes)
 
 
 class _Reader:
@@ -98,7 +89,7 @@ class _Reader:
         if not self._path:
             self._begin(tag, attributes)
         elif len(self._path) >= DEEPEST:
-            raise _wrong(f"at most {DEEPEST} levels", "more")
+            raise wrong(f"at most {DEEPEST} levels", "more")
         elif self._path[-1] in _GROUPS and "Name" in attributes:
             self._open.append((len(self._path), attributes["Name"], [], {}))
         if tag == "EnumEntry":
@@ -109,7 +100,7 @@ class _Reader:
     def characters(self, text: str) -> None:
         self._text.append(text)
         if sum(map(len, self._text[-64:])) > LONGEST_TEXT:
-            raise _wrong(f"texts of at most {LONGEST_TEXT} characters", "a longer one")
+            raise wrong(f"texts of at most {LONGEST_TEXT} characters", "a longer one")
 
     def end(self, qualified: str) -> None:
         tag, name = self._path.pop(), self._text[0] if self._text else ""
@@ -130,7 +121,7 @@ class _Reader:
 
     def _begin(self, tag: str, attributes: dict[str, str]) -> None:
         if tag != "RegisterDescription":
-            raise _wrong("a RegisterDescription", f"<{harmless(tag, 40)}>")
+            raise wrong("a RegisterDescription", f"<{harmless(tag, 40)}>")
         self.root = tag
         self.vendor = harmless(attributes.get("VendorName", ""), 80)
         self.model = harmless(attributes.get("ModelName", ""), 80)
@@ -138,7 +129,7 @@ class _Reader:
     def _keep(self, node: Node) -> None:
         self.nodes[node.name] = node
         if len(self.nodes) > MOST_NODES:
-            raise _wrong(f"at most {MOST_NODES} nodes", "more")
+            raise wrong(f"at most {MOST_NODES} nodes", "more")
 
 
 def whole(text: str) -> int | None:
@@ -153,34 +144,10 @@ def whole(text: str) -> int | None:
         return None
 
 
-def _check_rings(found: NodeMap) -> None:
-    """Raise `DriverError` where following values does not end, or only after too many nodes."""
-    depth: dict[str, int] = {}  # nodes below one that is known to end; -1: on the way to it
-    for first in found.nodes:
-        stack = [first]
-        while stack:
-            name = stack[-1]
-            if depth.get(name, -1) >= 0:
-                stack.pop()
-                continue
-            node = found.nodes[name]
-            linked = [n for n in node.links(*VALUE_LINKS) if n in found.nodes]
-            waiting = [n for n in linked if depth.get(n, -2) < 0]
-            if any(depth.get(n) == -1 for n in waiting):
-                raise _wrong("values that end in a register", f"{harmless(name, 60)} in a ring")
-            depth[name] = -1
-            if waiting:
-                stack.extend(waiting)
-                continue
-            depth[name] = 1 + max((depth[n] for n in linked), default=0)
-            stack.pop()
-            if depth[name] > LONGEST_CHAIN:
-                raise _wrong(f"chains of at most {LONGEST_CHAIN} nodes", harmless(name, 60))
-
-
 def _refuse_doctype(*_arguments: object) -> None:
-    raise _wrong("no document type", "one")
+    raise wrong("no document type", "one")
 
 
-def _wrong(expected: str, got: str) -> DriverError:
+def wrong(expected: str, got: str) -> DriverError:
+    """The error of a description."""
     return DriverError(f"description of the camera: expected {expected}, got {got}")

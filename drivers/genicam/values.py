@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.genicam.formula import Number, Values, compute
-from drivers.genicam.nodes import LONGEST_CHAIN, Node, NodeMap, whole
+from drivers.genicam.nodes import Node, NodeMap, whole
 
 REGISTERS = ("IntReg", "MaskedIntReg", "FloatReg", "StructEntry")
 FORMULAS = ("SwissKnife", "IntSwissKnife")
+DEEPEST = 32  # nodes that take their value from one another; further ones are not known
 
 
 def unknown(_register: str) -> None:
@@ -40,7 +41,7 @@ class NodeValues:
         """The value of a node; None: not known."""
         if name not in self._known:
             node = self._found.get(name)
-            known = node is not None and depth <= LONGEST_CHAIN
+            known = node is not None and depth <= DEEPEST
             self._known[name] = self._computed(node, depth) if node and known else None
         return self._known[name]
 
