@@ -103,10 +103,12 @@ class GenicamCamera:
         self._hand: tuple[Intake, Arrived] | None = None  # what the last `read` returned
         self._counts: Counter[str] = Counter()
         self._stamps = "arrival"
+        self._id = ""  # of the camera once it was listed
 
     def open(self) -> Negotiated:
         """Open and start; raises `DriverError`, or `InstallError` without Aravis."""
         self._closed.clear()
+        self._id = ""
         name = f"camera {self._settings.camera}".strip()
         connection = Connection(name, self._start, absent_s=self._settings.absent_s)
         self._connection = connection
@@ -155,7 +157,8 @@ class GenicamCamera:
         }
 
     def _start(self) -> _Running:
-        device = opened(self._settings.camera)
+        device = opened(self._settings.camera, before=self._id)
+        self._id = device.id
         try:
             return _Running(device, self._settings, self._counts, self._lose)
         except BaseException:

@@ -23,10 +23,13 @@ FeatureValue = bool | int | float | str
 class Device:
     """One open camera. Features are named by SFNC or as the camera's description names them."""
 
-    def __init__(self, key: str) -> None:
-        """Open by id, user name, serial or address; raises `DriverError`."""
+    def __init__(self, key: str, *, listed: bool = False) -> None:
+        """Open by id, user name, serial or address; raises `DriverError`.
+
+        `listed`: the key is an id that the search returned.
+        """
         found = library()
-        self.key = key
+        self.key, self.id = key, key if listed else ""
         with told(f"camera {harmless(key, 60)}"):
             self._device = found.aravis.open_device(key)
         if self._device is None:

@@ -35,26 +35,29 @@ def discover(*, ask: bool = True) -> tuple[AttachedCamera, ...]:
     return tuple(_asked(found) if ask else _plain(found) for found in listed())
 
 
-def opened(camera: str) -> Device:
+def opened(camera: str, *, before: str = "") -> Device:
     """Open the camera that the setting names; raises `DriverError` naming what is attached.
 
     The setting is an id, a serial number or an address. What is not listed, such as a user name or
-    an address of another network, is left to the library. Empty: the only one attached.
+    an address of another network, is left to the library. Empty: the only one attached. `before`
+    is the id of a camera that was listed and lost: it is opened once it is listed again.
     """
-    known = _matching(camera, listed(search=False)) if camera else None
+    known = _matching(camera, listed(search=False)) if camera and not before else None
     if known is not None:
         with contextlib.suppress(DriverError):  # it may have moved: search for it
-            return Device(known)
+            return Device(known, listed=True)
     found = listed()
-    if known := _matching(camera, found) if camera else None:
-        return Device(known)
+    if known := _matching(before or camera, found) if before or camera else None:
+        return Device(known, listed=True)
+    if before:
+        raise DriverError(f"camera {before}: expected it attached, got {_names(found)}")
     if camera:
         try:
             return Device(camera)
         except DriverError as error:
             raise DriverError(f"{error}; attached: {_names(found)}") from error
     if len(found) == 1:
-        return Device(found[0].id)
+        return Device(found[0].id, listed=True)
     raise DriverError(f"camera: expected one attached, or the name of one, got {_names(found)}")
 
 
@@ -85,7 +88,7 @@ def _plain(found: Listed) -> AttachedCamera:
 def _asked(found: Listed) -> AttachedCamera:
     plain = _plain(found)
     try:
-        device = Device(found.id)
+        device = Device(found.id, listed=True)
     except FoveaError as error:
         return replace(plain, problem=str(error))
     try:

@@ -173,6 +173,7 @@ class GenicamSensor:
     def _prepare(self) -> None:
         """Open the camera and learn from it what `capabilities` says."""
         self._layout: Layout | None = None
+        self._id = ""  # of the camera once it was listed
         connection = Connection(self.source, self._made, absent_s=self._settings.absent_s)
         self._connection = connection
         try:
@@ -188,7 +189,8 @@ class GenicamSensor:
     def _made(self) -> Rig[Aim]:
         """Open and try the camera; raises `DriverError` for one that cannot foveate."""
         settings = self._settings
-        device = opened(settings.camera)
+        device = opened(settings.camera, before=self._id)
+        self._id = device.id
         try:
             verdict = foveation(device.nodes, device.known)
             if not verdict.means:

@@ -75,7 +75,7 @@ class Stream:
 
     def _arrived(self, buffer: Any) -> Arrived:
         status = buffer.get_status().value_nick
-        image = buffer.get_payload_type() in _image_payloads()
+        image = status == "success" and buffer.get_payload_type() in _image_payloads()
         if status == "success" and not image:
             status = "no-image"
         region = buffer.get_image_region() if image else (0, 0, 0, 0)

@@ -121,12 +121,11 @@ class VirtualCamera:
         self._states: deque[dict[str, int]] = deque()
         self.streaming = self.mute = False
         self.frames = self.denied = 0
-        self._peer = ""
+        self._peer: tuple[str, int] | None = None  # who controls it
         self._ended = threading.Event()
         self._fill_boot(serial)
-        self._sockets = [
-            _bound(host) for host in ("127.0.0.1", "127.255.255.255", "255.255.255.255")
-        ]
+        hosts = ("127.0.0.1", "127.255.255.255", "255.255.255.255")
+        self._sockets = [_bound(host) for host in hosts]
         self._out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._thread = threading.Thread(target=self._work, name="virtual camera", daemon=True)
         self._thread.start()
@@ -149,7 +148,7 @@ class VirtualCamera:
         while not self._ended.is_set():
             for ready in select.select(self._sockets, [], [], 0.002)[0]:
                 packet, peer = ready.recvfrom(2048)
-                answer = b"" if self.mute else self._answer(packet, peer[0])
+                answer = b"" if self.mute else self._answer(packet, peer)
                 if answer:
                     ready.sendto(answer, peer)
             free = self.streaming and not self._values["TriggerMode"]
@@ -157,7 +156,7 @@ class VirtualCamera:
                 due_s = time.monotonic() + self.nature.period_s
                 self._expose()
 
-    def _answer(self, packet: bytes, peer: str) -> bytes:
+    def _answer(self, packet: bytes, peer: tuple[str, int]) -> bytes:
         _, _, order, size, number = struct.unpack(">BBHHH", packet[:8])
         status, body = 0, packet[8 : 8 + size]
         if order == 0x0002:
@@ -190,13 +189,15 @@ class VirtualCamera:
             return self._values["Width"] * self._values["Height"]
         return self._values[name]
 
-    def _write(self, address: int, value: int, peer: str) -> int:
+    def _write(self, address: int, value: int, peer: tuple[str, int]) -> int:
+        if self._peer not in (None, peer):
+            return DENIED
         name = NAMES.get(address)
         if name is None:
             if address + 4 <= len(self._boot):
                 self._boot[address : address + 4] = struct.pack(">I", value)
             if address == CONTROL:
-                self._peer = peer if value else ""
+                self._peer = peer if value else None
                 self.streaming = self.streaming and bool(value)
             return 0
         if self.streaming and name in self.nature.locked:
@@ -254,7 +255,7 @@ class VirtualCamera:
                 continue
             head = struct.pack(">HHI", 0, number, kind << 24 | place)
             with contextlib.suppress(OSError):
-                self._out.sendto(head + payload, (self._peer or "127.0.0.1", port))
+                self._out.sendto(head + payload, ("127.0.0.1", port))
 
     def _fill_boot(self, serial: str) -> None:
         boot = self._boot
