@@ -25,6 +25,8 @@ BINDING = (
     "pip install 'fovea[genicam]'"
 )
 
+GONE = ("TIMEOUT", "NOT_CONNECTED", "NOT_CONTROLLER", "TRANSFER_ERROR")  # of the library's errors
+
 
 @dataclass(frozen=True, kw_only=True)
 class Listed:
@@ -75,13 +77,24 @@ def listed(*, search: bool = True) -> tuple[Listed, ...]:
     )
 
 
+class NoAnswer(DriverError):
+    """A camera did not answer in time, or its connection is gone."""
+
+
 @contextlib.contextmanager
 def told(where: str) -> Iterator[None]:
     """Turn an error of the library into a `DriverError` that begins with `where`."""
     try:
         yield
     except library().error as error:
-        raise DriverError(f"{where}: {harmless(error.message, 200)}") from error
+        kind = NoAnswer if _unanswered(error) else DriverError
+        raise kind(f"{where}: {harmless(error.message, 200)}") from error
+
+
+def _unanswered(error: Any) -> bool:
+    codes = library().aravis.DeviceError
+    gone = {int(getattr(codes, name)) for name in GONE if hasattr(codes, name)}
+    return error.domain == "arv-device-error-quark" and error.code in gone
 
 
 class Native:

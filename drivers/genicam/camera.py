@@ -36,7 +36,7 @@ class GenicamCameraSettings:
     buffers: int = 8  # in flight
     chunks: bool = True  # ask for the time stamp as a chunk where the camera has chunks
     packet_bytes: int = 0  # GigE Vision; 0: the largest that arrives
-    absent_s: float = 30.0  # a lost camera that stays away longer is an error
+    absent_s: float = 6.0  # a lost camera that stays away longer is an error; below `stall_s`
 
     def __post_init__(self) -> None:
         if self.size_px != (0, 0) and not all(1 <= side <= 65_535 for side in self.size_px):

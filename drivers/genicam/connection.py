@@ -9,7 +9,8 @@ from typing import Generic, Protocol, TypeVar
 from pipeline.errors import DriverError, FoveaError
 
 FIRST_WAIT_S = 0.1
-LONGEST_WAIT_S = 5.0
+LONGEST_WAIT_S = 2.0
+CLOSE_S = 0.5  # to close what was lost, before the first attempt to open it again
 
 log = logging.getLogger(__name__)
 
@@ -86,7 +87,10 @@ class Connection(Generic[T]):
 
     def _reopen(self, lost: T, why: str) -> None:
         began_s, wait_s = time.monotonic(), FIRST_WAIT_S
-        lost.close()
+        # a USB device is free once it is closed, at once; GigE waits for answers that do not come
+        closing = threading.Thread(target=lost.close, name="closing", daemon=True)
+        closing.start()
+        closing.join(CLOSE_S)
         while not self._pause(wait_s):
             try:
                 held = self._make()

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from drivers.commands import CommandTable
 from drivers.genicam.alternation import Aim, Alternation
+from drivers.genicam.aravis import NoAnswer
 from drivers.genicam.camera import configure
 from drivers.genicam.connection import Connection
 from drivers.genicam.discovery import opened
@@ -245,7 +246,7 @@ class GenicamSensor:
         try:
             found = rig.next(None if aim.roi is None else aim.roi.window[:2], aim)
         except DriverError as error:
-            if rig.device.answers() and not isinstance(error, Lost):
+            if not isinstance(error, (Lost, NoAnswer)):
                 raise
             rig.device.lost.set()
             connection.lose(str(error))

@@ -57,8 +57,9 @@ class Stream:
 
     def give_back(self, arrived: Arrived) -> None:
         """Let the camera fill the buffer again."""
-        if self._stream is not None:
-            self._stream.push_buffer(arrived.handle)
+        stream = self._stream
+        if stream is not None:
+            stream.push_buffer(arrived.handle)
 
     def figures(self) -> dict[str, int]:
         """What the library has counted, as far as there is something to tell."""

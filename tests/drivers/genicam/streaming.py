@@ -39,7 +39,7 @@ class FakeCamera:
         self.start()
 
     def start(self) -> None:
-        command = [sys.executable, "-m", "tests.drivers.genicam.fake_camera"]
+        command = [sys.executable, "-m", "drivers.genicam.fake_camera"]
         self._process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         assert self._process.stdout.readline() == "ready\n"

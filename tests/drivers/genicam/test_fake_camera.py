@@ -140,7 +140,7 @@ def test_close_ends_a_read_that_waits(fake: FakeCamera) -> None:
 
 
 def test_a_camera_that_dies_comes_back(fake: FakeCamera) -> None:
-    made = camera(size_px=(64, 48), rate_hz=100)
+    made = camera(size_px=(64, 48), rate_hz=100, absent_s=60)
     with streaming(made):
         next_picture(made)
         fake.kill()

@@ -285,7 +285,7 @@ def test_a_frame_that_lacks_a_packet_is_taken_again() -> None:
 
 def test_a_sensor_that_dies_comes_back_with_the_next_exposure() -> None:
     with VirtualCamera() as first:
-        made = started(sensor(answer_s=0.2))
+        made = started(sensor(answer_s=0.2, absent_s=60))
         before = [read(made) for _ in range(3)][-1].header
         first.close()
     with VirtualCamera():
