@@ -28,6 +28,9 @@ class Capabilities:
     rates_hz: tuple[float, float]  # lowest and highest
     pixel_formats: tuple[str, ...]  # what `Mode.pixel_format` may ask for
     lead_frames: int  # a command made from frame j affects frame j + lead_frames at the earliest
+    same_exposure: bool = (
+        True  # False: the ROI is exposed after the context, `Frame.delay_ns` later
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +46,8 @@ class Mode:
 class Exposure:
     """Both pictures of one exposure, under one header.
 
-    `roi` is empty, with an empty window, when the sensor reads no region in this exposure. A
+    `roi` is empty, with an empty window, when the sensor reads no region in this exposure. A sensor
+    that cannot expose both at once says so (`Capabilities.same_exposure`, `Frame.delay_ns`). A
     simulated sensor may include the ground truth; only the oracle strategy uses it.
     """
 

@@ -101,7 +101,7 @@ class Message:
     >>> header = Header(stream="s", seq=7, stamp_ns=0)
     >>> Frame(header=header, pixels=np.zeros((2, 4, 3), np.uint8), window=(0, 0, 8, 4))
     Frame(seq=7, pixels=uint8[2, 4, 3], pixel_format='rgb8', window=(0, 0, 8, 4), command_seq=-1, \
-status='ok')
+status='ok', delay_ns=0)
     """
 
     header: Header
@@ -130,6 +130,7 @@ class Frame(Message):
     window: tuple[int, int, int, int] = (0, 0, 0, 0)  # sensor pixels
     command_seq: int = -1  # seq of the RoiSchedule that set the window, -1: none
     status: str = "ok"  # ok | unplanned (no command covered it) | stale (it came too late)
+    delay_ns: int = 0  # exposed this long after the header's stamp; 0: in the same exposure
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
