@@ -6,10 +6,10 @@ position of the target.
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
 from operators.policy.network import SHIPPED, PolicyNetwork
-from operators.policy.target import TargetSpec, check_box, check_label
+from operators.policy.target import TargetSpec, check_box, check_known, check_label
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
 log = logging.getLogger(__name__)
@@ -92,6 +92,12 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
+
+    @classmethod
+    def advise(cls, settings: LearnedPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `SettingsError` for a class that the detector does not know."""
+        check_known(settings.target, upstream)
+        return ()
 
     def open(self) -> None:
         """Load the network; raises `WeightsError` when it does not fit the settings."""

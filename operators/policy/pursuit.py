@@ -12,9 +12,9 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
   after `patience` frames visit the field window by window, nearest to the last place first.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,14 @@ from operators.policy.gaze_plan import (
     stay,
 )
 from operators.policy.search import search
-from operators.policy.target import BIND_IOU, GROWTH, TargetSpec, check_box, check_label
+from operators.policy.target import (
+    BIND_IOU,
+    GROWTH,
+    TargetSpec,
+    check_box,
+    check_known,
+    check_label,
+)
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
@@ -100,6 +107,12 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box")
+
+    @classmethod
+    def advise(cls, settings: PursuitPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `SettingsError` for a class that the detector does not know."""
+        check_known(settings.target, upstream)
+        return ()
 
     def open(self) -> None:
         """Start without state."""

@@ -13,8 +13,8 @@ from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColum
 from rich.text import Text
 
 from pipeline.cause import cause_of, is_signal
-from pipeline.contract import SOURCE, settings_of
-from pipeline.errors import FoveaError, GraphError, RunError, WeightsError
+from pipeline.contract import BEFORE, SOURCE, settings_of
+from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, WeightsError
 from pipeline.graph.plan import Node, Plan, load_operator, sources
 from pipeline.run.inline import InlineRunner
 from pipeline.run.loaded_graph import account_of
@@ -160,12 +160,15 @@ def advice(plan: Plan) -> Iterator[str]:
     for node in plan.nodes:
         edges = plan.inputs(node.name).values()
         upstream = source | {e.input: _settings(plan.node(e.source)) for e in edges}
+        upstream[BEFORE] = tuple(_settings(plan.node(name)) for name in before(plan, node.name))
         try:
             lines = list(load_operator(node.operator).advise(_settings(node), upstream))
         except WeightsError as error:
             if not node.host:  # otherwise another host has to have them
                 raise WeightsError(f"{node.name}: {error}") from error
             lines = [f"on {node.host}: {error}"]
+        except SettingsError as error:  # its text begins with the setting's name
+            raise SettingsError(f"{node.name}.{error}") from error
         except FoveaError:
             raise
         except BaseException as error:
@@ -175,6 +178,15 @@ def advice(plan: Plan) -> Iterator[str]:
             raise GraphError(said) from error
         for line in lines:
             yield f"{node.name}: {harmless(str(line))}"
+
+
+def before(plan: Plan, node: str) -> list[str]:
+    """Return the nodes that a node depends on, nearest first; in a loop, without itself."""
+    found = [node]
+    for name in found:  # it grows
+        readers = (edge.source for edge in plan.inputs(name).values())
+        found += [source for source in readers if source not in found]
+    return found[1:]
 
 
 def _settings(node: Node) -> Any:
