@@ -31,7 +31,7 @@ from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
 from operators.policy.network import SHIPPED, PolicyNetwork
-from operators.policy.target import TargetSpec, check_box, check_known, check_label
+from operators.policy.target import TargetSpec, check_box, check_known, check_label, told_before
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
 log = logging.getLogger(__name__)
@@ -95,8 +95,19 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
 
     @classmethod
     def advise(cls, settings: LearnedPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
-        """Nothing; raises `SettingsError` for a class that the detector does not know."""
+        """Nothing; raises `SettingsError` for a detector that this policy does not go with.
+
+        It must know the target's class and describe objects as the network was trained on.
+        """
         check_known(settings.target, upstream)
+        channels = told_before("channels", upstream)
+        network = PolicyNetwork(Path(settings.weights) if settings.weights else SHIPPED)
+        if channels not in (None, network.context_channels):
+            raise SettingsError(
+                f"weights: {network.path.name} reads {network.context_channels} features of each "
+                f"object, expected a detector with as many, got one with {channels}; "
+                "operators.policy:PursuitPolicy needs none"
+            )
         return ()
 
     def open(self) -> None:

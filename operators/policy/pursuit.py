@@ -12,6 +12,7 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
   after `patience` frames visit the field window by window, nearest to the last place first.
 """
 
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
@@ -40,10 +41,12 @@ from operators.policy.target import (
     check_box,
     check_known,
     check_label,
+    unknown_label,
 )
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
+log = logging.getLogger(__name__)
 MARGIN = 0.2  # score by which a rival must be better
 COAST = 3  # frames without detection before a person nearby counts as carrier
 CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
@@ -146,7 +149,11 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
-        s, self._names = self.settings, tracks.names
+        s = self.settings
+        if tracks.names != self._names:
+            self._names = tracks.names
+            if sentence := unknown_label(s.target, tracks.names):
+                log.warning(sentence)
         plan, self._state = pursue(
             tracks, self._state, confirm=s.confirm, patience=s.patience, horizon=s.horizon
         )

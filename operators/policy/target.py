@@ -155,21 +155,26 @@ def near_name(label: str, names: Sequence[str]) -> str:
     return known[near[0]] if near else ""
 
 
-def check_known(label: str, upstream: Mapping[str, Any]) -> None:
-    """Raise `SettingsError` for a class that the detector before this node does not report.
+def told_before(name: str, upstream: Mapping[str, Any]) -> Any:
+    """Return what the nearest settings that have it say, None where none do.
 
-    `upstream` is that of `Operator.advise`; the settings of a detector have `classes`. A detector
-    whose weights are not there is reported by its own node.
+    `upstream` is that of `Operator.advise`. The settings of a detector have `classes` and
+    `channels`; one whose weights are not there is reported by its own node.
     """
-    for settings in upstream.get(BEFORE, ()) if label else ():
+    for settings in upstream.get(BEFORE, ()):
         try:
-            names = getattr(settings, "classes", ())
+            if (value := getattr(settings, name, None)) is not None:
+                return value
         except FoveaError:
-            return
-        if sentence := unknown_label(label, names):
-            raise SettingsError(sentence.removeprefix("policy."))
-        if names:
-            return
+            return None
+    return None
+
+
+def check_known(label: str, upstream: Mapping[str, Any]) -> None:
+    """Raise `SettingsError` for a class that the detector before this node does not report."""
+    names = told_before("classes", upstream) if label else None
+    if sentence := unknown_label(label, names or ()):
+        raise SettingsError(sentence.removeprefix("policy."))
 
 
 def _moved(now: TargetState, tracks: Tracks, frames: int) -> Array:

@@ -43,8 +43,8 @@ Array = NDArray[np.float32]
 class Detector:
     """A network together with what is known of it.
 
-    `names` are the reported classes. Raises `WeightsError` for a file that is no detector and for
-    what contradicts it, `SettingsError` for settings that do.
+    `names` are the reported classes, `channels` the length of features. Raises `WeightsError` for a
+    file that is no detector and for what contradicts it, `SettingsError` for settings that do.
     """
 
     def __init__(self, settings: "SaliencySettings") -> None:
@@ -60,6 +60,7 @@ class Detector:
         shape = shapes[self.output]
         self.kind = self._kind(shape, size_px)
         self.features = next((n for n, s in shapes.items() if _is_map(s, size_px)), None)
+        self.channels = shapes[self.features][1] if self.features else 0
         own = self._names(class_count(shape, self.kind))
         self.names, self._reported = report_as(own, settings.names)
         limits = thresholds(

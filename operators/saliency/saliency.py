@@ -5,6 +5,7 @@ Runs the shipped detector, or any YOLO detect, YOLO OBB or YOLOX export in ONNX 
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -52,10 +53,20 @@ class SaliencySettings:
             except ValueError as error:
                 raise SettingsError(f"input_px: {error}") from error
 
+    @cached_property
+    def detector(self) -> Detector:
+        """The detector of these settings; raises `WeightsError`, `SettingsError`."""
+        return Detector(self)
+
     @property
     def classes(self) -> tuple[str, ...]:
-        """The classes that the detector reports; raises `WeightsError`, `SettingsError`."""
-        return Detector(self).names
+        """The classes that the detector reports; raises as `detector` does."""
+        return self.detector.names
+
+    @property
+    def channels(self) -> int:
+        """Length of an object's features, 0 without a feature map; raises as `detector` does."""
+        return self.detector.channels
 
 
 class Saliency(Operator[SaliencySettings, Detections]):
@@ -69,7 +80,7 @@ class Saliency(Operator[SaliencySettings, Detections]):
 
         Raises `WeightsError` for weights that are not there, or are none of a detector.
         """
-        detector = Detector(settings)
+        detector = settings.detector
         return advice(detector.names, detector.known, upstream.get(SOURCE))
 
     def open(self) -> None:

@@ -156,13 +156,14 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
 
 def advice(plan: Plan) -> Iterator[str]:
     """Yield what the operators advise before the run (`Operator.advise`)."""
-    source = {SOURCE: _settings(next(sources(plan)))} if any(sources(plan)) else {}
+    settings = {node.name: _settings(node) for node in plan.nodes}  # once: some load a network
+    source = {SOURCE: settings[next(sources(plan)).name]} if any(sources(plan)) else {}
     for node in plan.nodes:
         edges = plan.inputs(node.name).values()
-        upstream = source | {e.input: _settings(plan.node(e.source)) for e in edges}
-        upstream[BEFORE] = tuple(_settings(plan.node(name)) for name in before(plan, node.name))
+        upstream = source | {e.input: settings[e.source] for e in edges}
+        upstream[BEFORE] = tuple(settings[name] for name in before(plan, node.name))
         try:
-            lines = list(load_operator(node.operator).advise(_settings(node), upstream))
+            lines = list(load_operator(node.operator).advise(settings[node.name], upstream))
         except WeightsError as error:
             if not node.host:  # otherwise another host has to have them
                 raise WeightsError(f"{node.name}: {error}") from error
