@@ -43,8 +43,9 @@ Array = NDArray[np.float32]
 class Detector:
     """A network together with what is known of it.
 
-    `names` are the reported classes, `channels` the length of features. Raises `WeightsError` for a
-    file that is no detector and for what contradicts it, `SettingsError` for settings that do.
+    `names` are the reported classes, `size_px` is width and height of the input, `channels` the
+    length of features. Raises `WeightsError` for a file that is no detector and for what
+    contradicts it, `SettingsError` for settings that do.
     """
 
     def __init__(self, settings: "SaliencySettings") -> None:
@@ -52,7 +53,8 @@ class Detector:
         self.path = weights_file(settings.weights, SHIPPED)
         self.network = Network(self.path, threads=settings.threads)
         self.known = described(self.path, self.network.metadata)
-        self.input, size_px = _input_of(self.network, settings, self.known)
+        self.input, self.size_px = _input_of(self.network, settings, self.known)
+        size_px = self.size_px
         # one run on an empty picture tells the shapes of exports with open sides
         blank = np.zeros((1, 3, size_px[1], size_px[0]), np.float32)
         shapes = {name: a.shape for name, a in self.network({self.input: blank}).items()}
@@ -66,6 +68,7 @@ class Detector:
         limits = thresholds(
             self.names, self._own_thresholds(), settings.class_confidence, self._usual()
         )
+        self._limits = limits
         self._thresholds = limits[self._reported]  # -1, not reported, takes the last
         self._grid: Grid | None = yolox_grid(*size_px) if self.kind == "yolox" else None
         raw = self.kind in ("yolox", "yolox_decoded")
@@ -80,6 +83,10 @@ class Detector:
         found = found.take(kept[: self.settings.max_objects])
         named = replace(found, classes=self._reported[found.classes])
         return named, placement, outputs[self.features][0] if self.features else None
+
+    def confidence_of(self, name: str) -> float:
+        """Return the least confidence with which a class is reported."""
+        return float(self._limits[self.names.index(name)])
 
     def _decoded(self, output: Array) -> Candidates:
         if self.kind in ("yolox", "yolox_decoded"):
