@@ -100,7 +100,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
         It must know the target's class and describe objects as the network was trained on.
         """
         check_known(settings.target, upstream)
-        channels = told_before("channels", upstream)
+        channels = told_before("feature_channels", upstream)
         network = PolicyNetwork(Path(settings.weights) if settings.weights else SHIPPED)
         if channels not in (None, network.context_channels):
             raise SettingsError(

@@ -158,8 +158,8 @@ def near_name(label: str, names: Sequence[str]) -> str:
 def told_before(name: str, upstream: Mapping[str, Any]) -> Any:
     """Return what the nearest settings that have it say, None where none do.
 
-    `upstream` is that of `Operator.advise`. The settings of a detector have `classes` and
-    `channels`; one whose weights are not there is reported by its own node.
+    `upstream` is that of `Operator.advise`. The settings of a detector have `reported_classes` and
+    `feature_channels`; one whose weights are not there is reported by its own node.
     """
     for settings in upstream.get(BEFORE, ()):
         try:
@@ -172,7 +172,7 @@ def told_before(name: str, upstream: Mapping[str, Any]) -> Any:
 
 def check_known(label: str, upstream: Mapping[str, Any]) -> None:
     """Raise `SettingsError` for a class that the detector before this node does not report."""
-    names = told_before("classes", upstream) if label else None
+    names = told_before("reported_classes", upstream) if label else None
     if sentence := unknown_label(label, names or ()):
         raise SettingsError(sentence.removeprefix("policy."))
 

@@ -60,20 +60,31 @@ def report_as(
 
 
 def thresholds(
-    names: Sequence[str], own: Mapping[str, float], wanted: Mapping[str, float], default: float
+    own: Sequence[str],
+    known: Mapping[str, float],
+    reported: Sequence[str],
+    wanted: Mapping[str, float],
+    default: float,
 ) -> NDArray[np.float32]:
-    """Return the threshold of each reported name, followed by 2, which no score reaches.
+    """Return the threshold of each class of the network, `own`.
 
-    >>> thresholds(["player", "ball"], {"ball": 0.5}, {}, 0.25).tolist()
+    `known` is by the network's names, `wanted` by those under which the classes are reported, ""
+    where one is left out: its threshold is 2, which no score reaches.
+
+    >>> thresholds(["man", "ball", "car"], {"ball": 0.5}, ["player", "ball", ""], {}, 0.25).tolist()
     [0.25, 0.5, 2.0]
     """
-    unknown = sorted(set(wanted) - set(names))
+    unknown = sorted(set(wanted) - set(reported))
     if unknown:
+        names = [name for name in dict.fromkeys(reported) if name]
         raise SettingsError(
             f"class_confidence: expected names among {listed(names)}, got {', '.join(unknown)}"
         )
-    limits = [wanted.get(name, own.get(name, default)) for name in names]
-    return np.array([*limits, 2.0], np.float32)
+    limits = [
+        wanted.get(name, known.get(mine, default)) if name else 2.0
+        for mine, name in zip(own, reported, strict=True)
+    ]
+    return np.array(limits, np.float32)
 
 
 def listed(names: Sequence[str], most: int = MOST_LISTED) -> str:

@@ -65,11 +65,10 @@ class Detector:
         self.channels = shapes[self.features][1] if self.features else 0
         own = self._names(class_count(shape, self.kind))
         self.names, self._reported = report_as(own, settings.names)
-        limits = thresholds(
-            self.names, self._own_thresholds(), settings.class_confidence, self._usual()
+        told = [self.names[row] if row >= 0 else "" for row in self._reported]
+        self._thresholds = thresholds(
+            own, self._own_thresholds(), told, settings.class_confidence, self._usual()
         )
-        self._limits = limits
-        self._thresholds = limits[self._reported]  # -1, not reported, takes the last
         self._grid: Grid | None = yolox_grid(*size_px) if self.kind == "yolox" else None
         raw = self.kind in ("yolox", "yolox_decoded")
         self._box = Letterbox(*size_px, scale=1 if raw else 1 / 255, bgr=raw, corner=raw)
@@ -86,7 +85,7 @@ class Detector:
 
     def confidence_of(self, name: str) -> float:
         """Return the least confidence with which a class is reported."""
-        return float(self._limits[self.names.index(name)])
+        return float(self._thresholds[self._reported == self.names.index(name)].min())
 
     def _decoded(self, output: Array) -> Candidates:
         if self.kind in ("yolox", "yolox_decoded"):

@@ -59,12 +59,12 @@ class SaliencySettings:
         return Detector(self)
 
     @property
-    def classes(self) -> tuple[str, ...]:
+    def reported_classes(self) -> tuple[str, ...]:
         """The classes that the detector reports; raises as `detector` does."""
         return self.detector.names
 
     @property
-    def channels(self) -> int:
+    def feature_channels(self) -> int:
         """Length of an object's features, 0 without a feature map; raises as `detector` does."""
         return self.detector.channels
 

@@ -127,18 +127,18 @@ def test_who_stands_where_a_track_ended_is_who_it_was() -> None:
 class Known:
     """Settings of a detector, as far as policies ask for them."""
 
-    classes: tuple[str, ...] = ("person", "dog", "sports ball")
-    channels: int = 64
+    reported_classes: tuple[str, ...] = ("person", "dog", "sports ball")
+    feature_channels: int = 64
 
 
 class Absent:
     """Settings of a detector whose weights are not there."""
 
     @property
-    def classes(self) -> tuple[str, ...]:
+    def reported_classes(self) -> tuple[str, ...]:
         raise WeightsError("not pulled")
 
-    channels = classes
+    feature_channels = reported_classes
 
 
 POLICIES = [LearnedPolicy, PursuitPolicy, RoundRobinPolicy]
@@ -157,7 +157,7 @@ def test_a_class_that_the_detector_does_not_know_is_refused_before_the_start(
     policy: type[Operator[Any, Any]], target: str, hint: str
 ) -> None:
     with pytest.raises(SettingsError) as caught:
-        advised(policy, target, object(), Known(), Known(classes=("zebra", "Ball", "dgo")))
+        advised(policy, target, object(), Known(), Known(reported_classes=("zebra", "Ball", "dgo")))
 
     said = f"target: expected one of person, dog, sports ball, got {target}{hint}"
     assert str(caught.value) == said
@@ -183,5 +183,5 @@ def test_many_classes_are_named_in_part() -> None:
 @pytest.mark.parametrize("channels", [0, 32])
 def test_a_detector_whose_features_the_network_does_not_know_is_refused(channels: int) -> None:
     with pytest.raises(SettingsError, match=f"reads 64 features .* got one with {channels}; "):
-        advised(LearnedPolicy, "dog", Known(channels=channels))
-    assert advised(PursuitPolicy, "dog", Known(channels=channels)) == []
+        advised(LearnedPolicy, "dog", Known(feature_channels=channels))
+    assert advised(PursuitPolicy, "dog", Known(feature_channels=channels)) == []

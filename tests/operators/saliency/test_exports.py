@@ -124,6 +124,18 @@ def test_a_decoded_yolox_export_is_asked_for_by_name(tmp_path: Path) -> None:
     assert found.names == ("0", "1")
 
 
+def test_a_class_keeps_its_own_threshold_under_another_name(tmp_path: Path) -> None:
+    output = yolo_output((100, 59, 20, 40, 0.4, 0), (300, 59, 20, 40, 0, 0.4))
+    weights = constant_network(tmp_path / "n.onnx", output, names="['man', 'woman']")
+    (tmp_path / "n.yaml").write_text(
+        "names: [man, woman]\nconfidence: 0.3\nclass_confidence: {man: 0.5}\n"
+    )
+    both = {"man": "person", "woman": "person"}
+
+    assert len(seen(weights, names=both).scores) == 1
+    assert len(seen(weights, names=both, class_confidence={"person": 0.35}).scores) == 2
+
+
 def test_two_classes_of_one_name_are_one(tmp_path: Path) -> None:
     output = yolo_output((100, 59, 20, 40, 0.9, 0, 0), (300, 59, 20, 40, 0, 0, 0.8))
     weights = constant_network(tmp_path / "n.onnx", output, names="['cat', 'dog', 'cat']")
