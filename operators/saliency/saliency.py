@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from operators.saliency.advice import advice
 from operators.saliency.decode import Candidates
-from operators.saliency.description import Format, check_size
+from operators.saliency.description import Format, check_size, side_file
 from operators.saliency.detector import FEATURE_STRIDE_PX, SHIPPED, Detector
 from operators.saliency.letterbox import Placement
 from operators.saliency.roi_align import roi_align
@@ -76,12 +76,17 @@ class Saliency(Operator[SaliencySettings, Detections]):
 
     @classmethod
     def advise(cls, settings: SaliencySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
-        """What the detector knows, and a warning where the source shows something else.
+        """What the detector knows; warnings of another kind of source and of classes without names.
 
         Raises `WeightsError` for weights that are not there, or are none of a detector.
         """
         detector = settings.detector
-        return advice(detector.names, detector.known, upstream.get(SOURCE))
+        lines = list(advice(detector.names, detector.known, upstream.get(SOURCE)))
+        if not detector.known.names and not settings.names:
+            file, side = detector.path.name, side_file(detector.path).name
+            what = f"warning: nothing names the classes of {file}: they are called by their numbers"
+            lines.append(f"{what}; a list `names` in {side} beside it names them")
+        return lines
 
     def open(self) -> None:
         self._detector = Detector(self.settings)

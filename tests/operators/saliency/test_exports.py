@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from operators.saliency.detector import Detector
-from operators.saliency.saliency import SaliencySettings
+from operators.saliency.saliency import Saliency, SaliencySettings
 from pipeline import MessageError, SettingsError, WeightsError
 from tests.operators.networks import constant_network, counting_network
 from tests.operators.saliency.test_saliency import seen, yolo_output
@@ -122,6 +122,22 @@ def test_a_decoded_yolox_export_is_asked_for_by_name(tmp_path: Path) -> None:
 
     assert found.boxes.tolist() == [BOX]
     assert found.names == ("0", "1")
+
+
+def test_classes_without_names_are_warned_of(tmp_path: Path) -> None:
+    weights = constant_network(tmp_path / "n.onnx", yolo_output((*AT, 0.9, 0)))
+
+    def told(**settings: object) -> list[str]:
+        made = SaliencySettings(weights=weights, **settings)  # type: ignore[arg-type]
+        return [line for line in Saliency.advise(made, {}) if line.startswith("warning")]
+
+    assert told() == [
+        "warning: nothing names the classes of n.onnx: they are called by their numbers; a list "
+        "`names` in n.yaml beside it names them"
+    ]
+    assert told(names={"0": "person"}) == []
+    (tmp_path / "n.yaml").write_text("names: [person, dog]\n")
+    assert told() == []
 
 
 def test_a_class_keeps_its_own_threshold_under_another_name(tmp_path: Path) -> None:
