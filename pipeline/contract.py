@@ -18,6 +18,7 @@ from pipeline.messages import Header, Message
 S = TypeVar("S")
 Out = TypeVar("Out")
 SOURCE = "@source"  # a key beside the names of inputs, see `Operator.advise`
+BEFORE = "@before"  # another one
 Keep = Literal["latest", "every"]
 INCOMPLETE = "incomplete"  # key of a summary: a sentence on what could not be written
 HEADLINE = "headline"  # key of a summary: the result of the run, as a sentence
@@ -125,7 +126,8 @@ class Operator(Generic[S, Out]):
         """Return sentences for `fovea check` and `fovea run`: effects of these settings, warnings.
 
         Open no device. `upstream` holds the settings of the node that feeds each connected input,
-        by input name, and under `SOURCE` those of the source. Raises `FoveaError` for settings that
+        by input name; under `SOURCE` those of the source, and under `BEFORE` a tuple of those of
+        all nodes that this one depends on, nearest first. Raises `FoveaError` for settings that
         cannot work, such as missing weights.
         """
         return ()

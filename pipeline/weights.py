@@ -94,11 +94,16 @@ def require(name: str, folder: Path | None = None, *, manifest: Path = MANIFEST)
 def weights_file(weights: str, shipped: Path) -> Path:
     """Return the file of a setting: a path (`….onnx`), a name in weights.toml, or else `shipped`.
 
-    Raises `WeightsError` for a name without an intact copy.
+    Raises `WeightsError` for a name without an intact copy, and for a file of another kind.
     """
     if not weights:
         return shipped
-    return Path(weights) if weights.endswith(".onnx") else require(weights)
+    if weights.endswith(".onnx"):
+        return Path(weights)
+    if "/" in weights or Path(weights).suffix:
+        what = "an ONNX file, ending in .onnx, or a name that `fovea weights list` shows"
+        raise WeightsError(f"{weights}: expected {what}")
+    return require(weights)
 
 
 def pull_hint(path: Path, *, manifest: Path = MANIFEST) -> str:

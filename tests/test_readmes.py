@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from operators.saliency.description import Description, over
 from pipeline import Frame, codec
 from pipeline.cli import commands
 from pipeline.cli.tasks import VERBS, command_of
@@ -182,7 +183,7 @@ def test_every_python_block_compiles_and_its_file_is_named(block: Block) -> None
 
 
 @pytest.mark.parametrize("block", blocks("yaml"), ids=lambda b: b.name)
-def test_every_yaml_block_is_a_graph_a_part_of_one_a_source_or_a_task(
+def test_every_yaml_block_is_a_graph_a_part_of_one_a_source_a_task_or_a_side_file(
     block: Block, saved: Path
 ) -> None:
     path = saved / "block.yaml"
@@ -191,6 +192,8 @@ def test_every_yaml_block_is_a_graph_a_part_of_one_a_source_or_a_task(
 
     if "settings" in document:
         assert load(TRACKING, Overlay(source=path)).nodes
+    elif "names" in document:  # what lies beside a detector
+        assert over(Description(), path).names
     elif set(document) <= set(VERBS):
         assert all(":" in document[verb] for verb in document)
     elif "capture" in document["nodes"]:

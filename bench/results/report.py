@@ -94,6 +94,10 @@ PLACES = {
         section="Faults, swaps and long runs", order=8,
         title="The target changed every minute: IoU, share in the ROI, share answered",
     ),
+    "detector": Place(
+        section="Networks and scenes", order=10,
+        title="A general detector on labelled pictures, each shrunk to the context's size",
+    ),
     "fuzz": Place(
         section="Several hosts and security", order=5,
         title="Generated input: graph files, orders, bytes",

@@ -6,10 +6,10 @@ position of the target.
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
 from operators.policy.network import SHIPPED, PolicyNetwork
-from operators.policy.target import TargetSpec, check_box, check_label
+from operators.policy.target import TargetSpec, check_box, check_known, check_label, told_before
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
 log = logging.getLogger(__name__)
@@ -92,6 +92,23 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
+
+    @classmethod
+    def advise(cls, settings: LearnedPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `SettingsError` for a detector that this policy does not go with.
+
+        It must know the target's class and describe objects as the network was trained on.
+        """
+        check_known(settings.target, upstream)
+        channels = told_before("feature_channels", upstream)
+        network = PolicyNetwork(Path(settings.weights) if settings.weights else SHIPPED)
+        if channels not in (None, network.context_channels):
+            raise SettingsError(
+                f"weights: {network.path.name} reads {network.context_channels} features of each "
+                f"object, expected a detector with as many, got one with {channels}; "
+                "operators.policy:PursuitPolicy needs none"
+            )
+        return ()
 
     def open(self) -> None:
         """Load the network; raises `WeightsError` when it does not fit the settings."""

@@ -29,11 +29,11 @@ class PolicyNetwork:
                 f"{path}: expected a policy's inputs {', '.join(sorted(wanted))} and the output "
                 f"logits, got {', '.join(given)} and {', '.join(self._network.outputs)}"
             )
-        self.roi_channels, self._context = _last(given["roi"]), _last(given["context"])
+        self.roi_channels, self.context_channels = _last(given["roi"]), _last(given["context"])
         self.observed, self.horizon = _last(given["boxes"][:-1]), _last(given["predicted"][:-1])
         for name, sides in {
             "roi": [self.observed, self.roi_channels],
-            "context": [self.observed, self._context],
+            "context": [self.observed, self.context_channels],
             "boxes": [self.observed, BOX + 1],
             "predicted": [self.horizon, BOX],
             "label": [CLASSES],
@@ -53,7 +53,7 @@ class PolicyNetwork:
 
     def check(self, tracks: Tracks) -> None:
         """Raise `MessageError` unless the tracks are what the network was trained on."""
-        expected = (self.observed, self._context, self.horizon)
+        expected = (self.observed, self.context_channels, self.horizon)
         got = (*tracks.features.shape[1:], tracks.predicted.shape[1])
         if len(tracks.ids) and expected != got:
             raise MessageError(

@@ -12,9 +12,10 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
   after `patience` frames visit the field window by window, nearest to the last place first.
 """
 
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,10 +34,19 @@ from operators.policy.gaze_plan import (
     stay,
 )
 from operators.policy.search import search
-from operators.policy.target import BIND_IOU, GROWTH, TargetSpec, check_box, check_label
+from operators.policy.target import (
+    BIND_IOU,
+    GROWTH,
+    TargetSpec,
+    check_box,
+    check_known,
+    check_label,
+    unknown_label,
+)
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
+log = logging.getLogger(__name__)
 MARGIN = 0.2  # score by which a rival must be better
 COAST = 3  # frames without detection before a person nearby counts as carrier
 CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
@@ -101,6 +111,12 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
     features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box")
 
+    @classmethod
+    def advise(cls, settings: PursuitPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `SettingsError` for a class that the detector does not know."""
+        check_known(settings.target, upstream)
+        return ()
+
     def open(self) -> None:
         """Start without state."""
         self._state = PursuitState(spec=self.settings.spec)
@@ -133,7 +149,11 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
-        s, self._names = self.settings, tracks.names
+        s = self.settings
+        if tracks.names != self._names:
+            self._names = tracks.names
+            if sentence := unknown_label(s.target, tracks.names):
+                log.warning(sentence)
         plan, self._state = pursue(
             tracks, self._state, confirm=s.confirm, patience=s.patience, horizon=s.horizon
         )

@@ -1,8 +1,8 @@
 """A policy that looks at each object in turn: Tracks -> Scanpath. A baseline of the paper."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from operators.policy.gaze_plan import (
     scanpath,
     stay,
 )
-from operators.policy.target import check_label
+from operators.policy.target import check_known, check_label
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
 
@@ -51,6 +51,14 @@ class RoundRobinPolicy(Operator[RoundRobinPolicySettings, Scanpath]):
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
     live: ClassVar[tuple[str, ...]] = ("target",)
+
+    @classmethod
+    def advise(
+        cls, settings: RoundRobinPolicySettings, upstream: Mapping[str, Any]
+    ) -> Iterable[str]:
+        """Nothing; raises `SettingsError` for a class that the detector does not know."""
+        check_known(settings.target, upstream)
+        return ()
 
     def open(self) -> None:
         """Start a round."""

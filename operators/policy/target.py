@@ -5,8 +5,10 @@ or with its carrier (`carrier.py`) until it is bound again: to a track at that p
 policy's own choice.
 """
 
-from collections.abc import Sequence
+import difflib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,8 @@ from operators.policy.motion import camera_motion
 from operators.policy.tokens import Array
 from pipeline import Geometry, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
+from pipeline.contract import BEFORE
+from pipeline.errors import FoveaError
 
 BIND_IOU = 0.1
 BACK_IOU = 0.3
@@ -24,6 +28,8 @@ ALIKE = 2.0  # without overlap, a near box binds if sides differ by less than th
 SURE = 0.5  # probability from which a choice binds the target
 GROWTH = 0.1  # box sizes per frame by which the uncertainty grows
 CARRIED_AFTER = 2  # detections at the same person before it counts as the carrier
+MOST_LISTED = 100  # class names in a sentence
+LONGEST_NAME = 100  # characters
 CARRIED_AT_MOST = 250  # frames without a detection: ten seconds; a keeper may hold a ball for eight
 
 
@@ -129,7 +135,46 @@ def unknown_label(label: str, names: Sequence[str]) -> str:
     """Return a sentence for a class that the tracks do not have; empty if it is unknown yet."""
     if not label or not names or label in names:
         return ""
-    return f"policy.target: expected one of {', '.join(names)}, got {label}"
+    more = f" … ({len(names) - MOST_LISTED} more)" if len(names) > MOST_LISTED else ""
+    near = near_name(label, names)
+    hint = f", did you mean {near!r}?" if near else ""
+    return (
+        f"policy.target: expected one of {', '.join(names[:MOST_LISTED])}{more}, "
+        f"got {label[:LONGEST_NAME]}{hint}"
+    )
+
+
+def near_name(label: str, names: Sequence[str]) -> str:
+    """Return the name that was probably meant, "" where none is near.
+
+    >>> near_name("Ball", ["person", "sports ball"]), near_name("cat", ["person"])
+    ('sports ball', '')
+    """
+    asked, known = label.lower()[:LONGEST_NAME], {name.lower(): name for name in names}
+    near = difflib.get_close_matches(asked, known, 1, 0.6) or [n for n in known if asked in n]
+    return known[near[0]] if near else ""
+
+
+def told_before(name: str, upstream: Mapping[str, Any]) -> Any:
+    """Return what the nearest settings that have it say, None where none do.
+
+    `upstream` is that of `Operator.advise`. The settings of a detector have `reported_classes` and
+    `feature_channels`; one whose weights are not there is reported by its own node.
+    """
+    for settings in upstream.get(BEFORE, ()):
+        try:
+            if (value := getattr(settings, name, None)) is not None:
+                return value
+        except FoveaError:
+            return None
+    return None
+
+
+def check_known(label: str, upstream: Mapping[str, Any]) -> None:
+    """Raise `SettingsError` for a class that the detector before this node does not report."""
+    names = told_before("reported_classes", upstream) if label else None
+    if sentence := unknown_label(label, names or ()):
+        raise SettingsError(sentence.removeprefix("policy."))
 
 
 def _moved(now: TargetState, tracks: Tracks, frames: int) -> Array:

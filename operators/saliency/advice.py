@@ -1,18 +1,19 @@
 """Advice on a detector and its source: metadata and a source -> sentences."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
+
+from operators.saliency.description import Description
 
 MOST_NAMES = 8  # that are listed; COCO has 80
 
 
-def advice(names: Iterable[str], metadata: Mapping[str, str], shown: Any | None) -> Iterable[str]:
+def advice(names: Iterable[str], known: Description, shown: Any | None) -> Iterable[str]:
     """Yield sentences on classes, training and source; `shown` has `shows`, `source`, or is None.
 
-    In the metadata, `domain` is the kind of scene that the detector is for, `trained_on` its
-    training data.
+    A detector without a `domain` is for every kind of scene.
     """
-    domain, trained_on = metadata.get("domain", ""), metadata.get("trained_on", "")
+    domain, trained_on = known.domain, known.trained_on
     yield f"the detector finds {listed(list(names))}; " + (
         f"it was trained on {trained_on}"
         if trained_on

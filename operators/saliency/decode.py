@@ -1,24 +1,29 @@
 """A detector's raw output -> candidates: boxes, angles, scores and classes, in input pixels.
 
-Three kinds of output are understood:
+Five kinds of output are understood:
 - `yolo`  (1, 4 + classes, anchors): centre x, y, width, height in pixels, then class scores 0..1;
 - `obb`   the same with one more row, the angle in radians;
 - `yolox` (1, anchors, 5 + classes): Ge et al., "YOLOX" (2021): offsets in cells, log sizes,
-  objectness and class scores 0..1, anchors row by row over strides 8, 16 and 32.
+  objectness and class scores 0..1, anchors row by row over strides 8, 16 and 32;
+- `yolox_decoded` the same with centre and size in pixels (`--decode_in_inference` of its export);
+- `end2end` (1, n, 6), suppressed in the network (YOLOv10, YOLO26, `nms=True`): corners in pixels,
+  score, class; or (1, n, 7) of turned boxes: centre, size, score, class, angle. A row of score 0 is
+  empty.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import WeightsError
+from pipeline import MessageError, WeightsError
 from pipeline.boxes import iou
 
 Array = NDArray[np.float32]
-Kind = Literal["yolo", "obb", "yolox"]
+Kind = Literal["yolo", "obb", "yolox", "yolox_decoded", "end2end"]
+YOLOX_STRIDES = (8, 16, 32)
 CANDIDATES = 300  # best ones that reach suppression, whose cost grows with their square
 
 
@@ -49,14 +54,14 @@ class Grid:
     strides: Array  # (anchors, 1) pixels
 
 
-def yolox_grid(width_px: int, height_px: int, strides: tuple[int, ...] = (8, 16, 32)) -> Grid:
+def yolox_grid(width_px: int, height_px: int) -> Grid:
     """All anchors of an input of this size.
 
     >>> yolox_grid(416, 416).cells.shape
     (3549, 2)
     """
     cells, steps = [], []
-    for stride in strides:
+    for stride in YOLOX_STRIDES:
         rows, columns = height_px // stride, width_px // stride
         y, x = np.mgrid[:rows, :columns].reshape(2, -1)
         cells.append(np.stack([x, y], 1))
@@ -67,29 +72,49 @@ def yolox_grid(width_px: int, height_px: int, strides: tuple[int, ...] = (8, 16,
     )
 
 
-def kind_of(shape: tuple[int, ...], width_px: int, height_px: int, task: str) -> Kind:
-    """Tell the kind by the output's shape and the task named in the metadata ("" if none is).
+def kind_of(shape: tuple[int, ...], size_px: tuple[int, int], task: str = "") -> Kind:
+    """Tell the kind by the output's shape, the input's width and height, and the metadata's task.
 
-    Raises `WeightsError` for a shape that is none of the three.
+    `task` is "" without metadata. Raises `WeightsError` for a shape that is of no kind; a decoded
+    YOLOX output looks like any other.
 
-    >>> kind_of((1, 84, 8400), 640, 640, "")
-    'yolo'
+    >>> kind_of((1, 84, 8400), (640, 640)), kind_of((1, 300, 6), (640, 640))
+    ('yolo', 'end2end')
     """
-    if len(shape) == 3 and shape[0] == 1:
-        if 4 < shape[1] < shape[2]:
-            return "obb" if task == "obb" else "yolo"
-        anchors = sum((width_px // s) * (height_px // s) for s in (8, 16, 32))
-        if shape[1] == anchors and shape[2] > 5:
-            return "yolox"
+    if fits(shape, "yolox", size_px) and not task:
+        return "yolox"
+    if len(shape) == 3 and shape[1] < shape[2] and fits(shape, "yolo", size_px):
+        return "obb" if task == "obb" else "yolo"
+    if fits(shape, "end2end", size_px):
+        return "end2end"
+    width_px, height_px = size_px
     raise WeightsError(
-        "saliency: expected an output (1, 4 + classes, anchors) or (1, anchors, 5 + classes) for a "
-        f"{width_px}x{height_px} input, got {shape}"
+        "expected an output (1, 4 + classes, anchors), (1, n, 6) or "
+        f"(1, {anchors_of(size_px)}, 5 + classes) for a {width_px}x{height_px} input, got {shape}"
     )
 
 
+def fits(shape: tuple[int, ...], kind: Kind, size_px: tuple[int, int]) -> bool:
+    """Whether an output of this shape can be of that kind."""
+    if len(shape) != 3 or shape[0] != 1:
+        return False
+    if kind == "end2end":
+        return shape[2] in (6, 7)
+    if kind in ("yolox", "yolox_decoded"):
+        return shape[1] == anchors_of(size_px) and shape[2] > 5
+    return shape[1] > (5 if kind == "obb" else 4)
+
+
+def anchors_of(size_px: tuple[int, int]) -> int:
+    """Number of YOLOX's anchors for an input of this width and height."""
+    return sum((size_px[0] // stride) * (size_px[1] // stride) for stride in YOLOX_STRIDES)
+
+
 def class_count(shape: tuple[int, ...], kind: Kind) -> int:
-    """Number of classes in an output of this shape."""
-    return {"yolo": shape[1] - 4, "obb": shape[1] - 5, "yolox": shape[2] - 5}[kind]
+    """Number of classes in an output of this shape; 0 for one that does not tell."""
+    if kind == "end2end":
+        return 0
+    return {"yolo": shape[1] - 4, "obb": shape[1] - 5}.get(kind, shape[2] - 5)
 
 
 def decode_yolo(output: Array, thresholds: Array, *, turned: bool = False) -> Candidates:
@@ -104,28 +129,54 @@ def decode_yolo(output: Array, thresholds: Array, *, turned: bool = False) -> Ca
     if not turned:
         return kept[0]
     candidates, rows = kept
-    angles = output[4 + len(thresholds), anchors[rows]]
-    return Candidates(
-        boxes=candidates.boxes,
-        angles=angles,
-        scores=candidates.scores,
-        classes=candidates.classes,
-    )
+    return replace(candidates, angles=output[4 + len(thresholds), anchors[rows]])
 
 
-def decode_yolox(output: Array, thresholds: Array, grid: Grid) -> Candidates:
-    """Candidates of an (anchors, 5 + classes) output above their class's threshold, best first."""
+def decode_yolox(output: Array, thresholds: Array, grid: Grid | None) -> Candidates:
+    """Candidates of an (anchors, 5 + classes) output above their class's threshold, best first.
+
+    Without a grid, centres and sizes are in pixels already.
+    """
     objectness = output[:, 4]
     # the product of both is at most the objectness: most anchors need no further look
     likely = np.flatnonzero(objectness >= thresholds.min())
     scores = output[likely, 5:] * objectness[likely, None]
     passed = (scores >= thresholds).any(1)
     anchors, scores = likely[passed], scores[passed]
-    raw, strides = output[anchors, :4], grid.strides[anchors]
+    raw = output[anchors, :4]
+    if grid is None:
+        return _best(np.where(scores >= thresholds, scores, 0).T, raw)[0]
+    strides = grid.strides[anchors]
     centres = (raw[:, :2] + grid.cells[anchors]) * strides
     # a wild log size must not overflow: no box is larger than e^10 cells
     sizes = np.exp(np.minimum(raw[:, 2:], 10)) * strides
     return _best(np.where(scores >= thresholds, scores, 0).T, np.hstack([centres, sizes]))[0]
+
+
+def decode_end2end(output: Array, thresholds: Array) -> Candidates:
+    """Candidates of an (n, 6) or (n, 7) output above their class's threshold, best first.
+
+    Raises `MessageError` for a class that `thresholds` (classes,) does not have.
+    """
+    found = output[output[:, 4] > 0]
+    classes = found[:, 5]
+    known = (classes >= 0) & (classes < len(thresholds)) & (classes == np.trunc(classes))
+    if len(wrong := classes[~known]):
+        raise MessageError(
+            f"saliency: expected classes 0 to {len(thresholds) - 1}, as many as the detector has "
+            f"names, got {wrong[0]:g}"
+        )
+    found = found[found[:, 4] >= thresholds[classes.astype(np.intp)]]
+    found = found[np.argsort(-found[:, 4], kind="stable")[:CANDIDATES]]
+    boxes, turned = found[:, :4], output.shape[1] == 7
+    if turned:
+        boxes = np.hstack([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2])
+    return Candidates(
+        boxes=boxes.astype(np.float32),
+        angles=found[:, 6] if turned else np.zeros(len(found), np.float32),
+        scores=found[:, 4],
+        classes=found[:, 5].astype(np.intp),
+    )
 
 
 def _best(scores: Array, centred: Array) -> tuple[Candidates, NDArray[np.intp]]:

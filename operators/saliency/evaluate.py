@@ -8,7 +8,6 @@ SoccerNet sequence (`--data`).
 import argparse
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -19,62 +18,25 @@ from drivers.datasets.sequence import span
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.scenes.soccer import SoccerScene
 from operators.saliency.example import BALL, NAMES, Example
+from operators.saliency.judging import (
+    FLOOR,
+    Tally,
+    at_threshold,
+    average_precision,
+    best_threshold,
+    find_hits,
+)
 from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
 from operators.saliency.saliency import SHIPPED, Detector, Saliency, SaliencySettings
 from operators.training.command_line import count, in_a_sentence
 from operators.training.onnx_files import describe
 from operators.training.progress import each_of
 from pipeline import Detections, Frame, SettingsError
-from pipeline.boxes import centres, iou
 from pipeline.executor import Executor
 from pipeline.testing import header
 
-LEAST_IOU = 0.5
-BALL_REACH_PX = 6.0  # of the context, between centres
-FLOOR = 0.02  # confidence at which curves begin
 SEEDS = {"validation": range(50_000, 50_030), "test": range(60_000, 60_040)}
 SPAN = 900  # frames of each scene
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Tally:
-    """Detections of one class over many pictures, and how many there were to find."""
-
-    scores: NDArray[np.float32]  # (n,)
-    hits: NDArray[np.bool_]  # (n,)
-    present: int
-
-
-def find_hits(
-    boxes: NDArray[np.float32],
-    truth: NDArray[np.float32],
-    ignored: NDArray[np.bool_],
-    *,
-    by_centre: bool = False,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which detections of one class, best first, are hits, and which count at all.
-
-    Each true box is hit once, by the best detection that fits; what fits only an ignored box does
-    not count. Fitting is IoU >= 0.5, or a centre within `BALL_REACH_PX` (pixels of the boxes).
-    """
-    hits, counts = np.zeros(len(boxes), np.bool_), np.ones(len(boxes), np.bool_)
-    if not len(boxes) or not len(truth):
-        return hits, counts
-    if by_centre:
-        away = np.linalg.norm(centres(boxes)[:, None] - centres(truth)[None], axis=2)
-        fit = np.where(away <= BALL_REACH_PX, 1 + BALL_REACH_PX - away, 0)
-    else:
-        overlap = iou(boxes, truth)
-        fit = np.where(overlap >= LEAST_IOU, overlap, 0)
-    free = ~ignored
-    for row, chances in enumerate(fit):
-        open_ones = chances * free
-        if open_ones.max() > 0:
-            hits[row] = True
-            free[open_ones.argmax()] = False
-        elif (chances * ignored).max() > 0:
-            counts[row] = False
-    return hits, counts
 
 
 def collect(
@@ -131,44 +93,6 @@ def _mark(
         by_centre=key.endswith("centre"),
     )
     return found.scores[mine][counts], hits[counts]
-
-
-def at_threshold(tally: Tally, threshold: float) -> dict[str, float]:
-    """Precision and recall of what reaches a confidence; 0 where nothing does."""
-    taken = tally.scores >= threshold
-    hits = int(tally.hits[taken].sum())
-    return {
-        "precision": hits / max(1, int(taken.sum())),
-        "recall": hits / max(1, tally.present),
-        "present": tally.present,
-    }
-
-
-def curve(tally: Tally) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Falling thresholds, and precision and recall at each."""
-    order = np.argsort(-tally.scores, kind="stable")
-    hits = np.cumsum(tally.hits[order])
-    precision = hits / np.arange(1, len(order) + 1)
-    recall = hits / max(1, tally.present)
-    return tally.scores[order], precision.astype(np.float32), recall.astype(np.float32)
-
-
-def average_precision(tally: Tally) -> float:
-    """Area under the precision-recall curve, precision made monotonous first."""
-    _, precision, recall = curve(tally)
-    if not len(precision):
-        return 0.0
-    best = np.maximum.accumulate(precision[::-1])[::-1]
-    return float((best * np.diff(recall, prepend=0)).sum())
-
-
-def best_threshold(tally: Tally) -> float:
-    """The confidence of the greatest F1, rounded down to a hundredth."""
-    thresholds, precision, recall = curve(tally)
-    if not len(thresholds):
-        return 0.5
-    f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-9)
-    return max(FLOOR, round(float(np.floor(thresholds[f1.argmax()] * 100)) / 100, 2))
 
 
 def scenes(seeds: Iterable[int], count: int) -> Iterator[Example]:

@@ -1,44 +1,26 @@
 """Find candidate objects in the context picture: Frame -> Detections (Eq. 2).
 
-Runs the shipped detector, or any YOLO detect, YOLO OBB or YOLOX export in ONNX.
+Runs the shipped detector, or any YOLO detect, YOLO OBB or YOLOX export in ONNX (detector.py).
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Literal
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.saliency.advice import advice
-from operators.saliency.classes import (
-    class_names,
-    named_classes,
-    own_confidence,
-    report_as,
-    thresholds,
-)
-from operators.saliency.decode import (
-    Candidates,
-    Grid,
-    Kind,
-    class_count,
-    decode_yolo,
-    decode_yolox,
-    kind_of,
-    suppress,
-    yolox_grid,
-)
-from operators.saliency.letterbox import Letterbox, Placement
+from operators.saliency.decode import Candidates
+from operators.saliency.description import Format, check_size, side_file
+from operators.saliency.detector import FEATURE_STRIDE_PX, SHIPPED, Detector
+from operators.saliency.letterbox import Placement
 from operators.saliency.roi_align import roi_align
-from pipeline import Detections, Frame, Input, MessageError, Operator, SettingsError, WeightsError
+from pipeline import Detections, Frame, Input, MessageError, Operator, SettingsError
 from pipeline.contract import SOURCE
-from pipeline.inference import Network
-from pipeline.weights import weights_file
 
-SHIPPED = Path(__file__).with_name("detector.onnx")
-FEATURE_STRIDE_PX = 8
+__all__ = ["SHIPPED", "Detector", "Saliency", "SaliencySettings"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +28,7 @@ class SaliencySettings:
     """What a graph may set."""
 
     weights: str = ""  # an ONNX file, or a name that `fovea weights` knows; empty: the shipped one
-    format: Literal["auto", "yolo", "obb", "yolox"] = "auto"  # of the network's output
+    format: Format = "auto"  # of the network's output
     input_px: tuple[int, int] = (0, 0)  # width, height where the network leaves them open
     names: Mapping[str, str] = field(default_factory=dict)  # network's class or its number -> name
     confidence: float = 0.0  # for all classes; 0: the network's own, 0.25 where it has none
@@ -65,8 +47,26 @@ class SaliencySettings:
         for name, count in {"max_objects": self.max_objects, "threads": self.threads}.items():
             if count < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {count}")
-        if min(self.input_px) < 0:
-            raise SettingsError(f"input_px: must not be negative, got {self.input_px}")
+        if any(self.input_px):
+            try:
+                check_size(self.input_px)
+            except ValueError as error:
+                raise SettingsError(f"input_px: {error}") from error
+
+    @cached_property
+    def detector(self) -> Detector:
+        """The detector of these settings; raises `WeightsError`, `SettingsError`."""
+        return Detector(self)
+
+    @property
+    def reported_classes(self) -> tuple[str, ...]:
+        """The classes that the detector reports; raises as `detector` does."""
+        return self.detector.names
+
+    @property
+    def feature_channels(self) -> int:
+        """Length of an object's features, 0 without a feature map; raises as `detector` does."""
+        return self.detector.channels
 
 
 class Saliency(Operator[SaliencySettings, Detections]):
@@ -76,14 +76,17 @@ class Saliency(Operator[SaliencySettings, Detections]):
 
     @classmethod
     def advise(cls, settings: SaliencySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
-        """What the detector knows, and a warning where the source shows something else.
+        """What the detector knows; warnings of another kind of source and of classes without names.
 
-        Raises `WeightsError` for weights that are not there.
+        Raises `WeightsError` for weights that are not there, or are none of a detector.
         """
-        metadata = Network(weights_file(settings.weights, SHIPPED)).metadata
-        own = named_classes(metadata)
-        names = report_as(own, settings.names)[0] if own else tuple(settings.names.values())
-        return advice(names, metadata, upstream.get(SOURCE))
+        detector = settings.detector
+        lines = list(advice(detector.names, detector.known, upstream.get(SOURCE)))
+        if not detector.known.names and not settings.names:
+            file, side = detector.path.name, side_file(detector.path).name
+            what = f"warning: nothing names the classes of {file}: they are called by their numbers"
+            lines.append(f"{what}; a list `names` in {side} beside it names them")
+        return lines
 
     def open(self) -> None:
         self._detector = Detector(self.settings)
@@ -100,57 +103,6 @@ class Saliency(Operator[SaliencySettings, Detections]):
         if features is not None:
             appearance = roi_align(features, found.boxes, stride_px=FEATURE_STRIDE_PX)
         return _answer(frame, to_sensor(found, placement, frame), appearance, detector)
-
-
-class Detector:
-    """A network together with what its metadata and the settings say about it."""
-
-    def __init__(self, settings: SaliencySettings) -> None:
-        self.settings = settings
-        self.path = weights_file(settings.weights, SHIPPED)
-        self.network = Network(self.path, threads=settings.threads)
-        self.input, size_px = _input_of(self.network, self.path, settings)
-        self.metadata = self.network.metadata
-        # one run on an empty picture tells the shapes of exports with open sides
-        blank = np.zeros((1, 3, size_px[1], size_px[0]), np.float32)
-        shapes = {name: a.shape for name, a in self.network({self.input: blank}).items()}
-        self.output = next(iter(shapes))
-        shape = shapes[self.output]
-        self.kind: Kind = (
-            kind_of(shape, *size_px, self.metadata.get("task", ""))
-            if settings.format == "auto"
-            else settings.format
-        )
-        count = class_count(shape, self.kind)
-        self.features = next((n for n, s in shapes.items() if _is_map(s, size_px)), None)
-        self.names, self._reported = report_as(class_names(self.metadata, count), settings.names)
-        own = {} if settings.confidence else own_confidence(self.metadata)
-        limits = thresholds(self.names, own, settings.class_confidence, settings.confidence or 0.25)
-        self._thresholds = limits[self._reported]  # -1, not reported, takes the last
-        self._grid: Grid | None = yolox_grid(*size_px) if self.kind == "yolox" else None
-        raw = self.kind == "yolox"
-        self._box = Letterbox(*size_px, scale=1 if raw else 1 / 255, bgr=raw, corner=raw)
-
-    def look(
-        self, picture: NDArray[np.uint8]
-    ) -> tuple[Candidates, Placement, NDArray[np.float32] | None]:
-        """Objects in input pixels with reported classes, the placement and the feature map."""
-        placement = self._box.put(picture)
-        outputs = self.network({self.input: self._box.tensor})
-        output = outputs[self.output][0]
-        if self._grid is not None:
-            found = decode_yolox(output, self._thresholds, self._grid)
-        else:
-            found = decode_yolo(output, self._thresholds, turned=self.kind == "obb")
-        kept = suppress(found, self.settings.nms_iou, agnostic=self.settings.class_agnostic)
-        found = found.take(kept[: self.settings.max_objects])
-        named = Candidates(
-            boxes=found.boxes,
-            angles=found.angles,
-            scores=found.scores,
-            classes=self._reported[found.classes],
-        )
-        return named, placement, outputs[self.features][0] if self.features else None
 
 
 def to_sensor(found: Candidates, placement: Placement, frame: Frame) -> Candidates:
@@ -196,29 +148,3 @@ def _rgb(frame: Frame) -> NDArray[np.uint8]:
             f"{frame.pixels.dtype}; put operators.downsample before it"
         )
     return np.asarray(frame.pixels, np.uint8)
-
-
-def _input_of(
-    network: Network, path: Path, settings: SaliencySettings
-) -> tuple[str, tuple[int, int]]:
-    """Name of the network's input and its width and height."""
-    if len(network.inputs) != 1:
-        raise WeightsError(f"{path}: expected one input, got {', '.join(network.inputs)}")
-    name, shape = next(iter(network.inputs.items()))
-    if len(shape) != 4 or shape[1] != 3:
-        raise WeightsError(f"{path}: expected an input (1, 3, height, width), got {shape}")
-    sides = [
-        side if isinstance(side, int) else asked
-        for side, asked in zip(shape[:1:-1], settings.input_px, strict=True)
-    ]
-    if min(sides) < 1:
-        raise SettingsError(
-            f"input_px: {path.name} leaves its size open: expected width and height, got "
-            f"{settings.input_px}"
-        )
-    return name, (sides[0], sides[1])
-
-
-def _is_map(shape: tuple[int, ...], size_px: tuple[int, int]) -> bool:
-    cells = (size_px[1] // FEATURE_STRIDE_PX, size_px[0] // FEATURE_STRIDE_PX)
-    return len(shape) == 4 and shape[2:] == cells

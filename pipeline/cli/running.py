@@ -13,8 +13,8 @@ from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColum
 from rich.text import Text
 
 from pipeline.cause import cause_of, is_signal
-from pipeline.contract import SOURCE, settings_of
-from pipeline.errors import FoveaError, GraphError, RunError, WeightsError
+from pipeline.contract import BEFORE, SOURCE, settings_of
+from pipeline.errors import FoveaError, GraphError, RunError, SettingsError, WeightsError
 from pipeline.graph.plan import Node, Plan, load_operator, sources
 from pipeline.run.inline import InlineRunner
 from pipeline.run.loaded_graph import account_of
@@ -156,16 +156,20 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
 
 def advice(plan: Plan) -> Iterator[str]:
     """Yield what the operators advise before the run (`Operator.advise`)."""
-    source = {SOURCE: _settings(next(sources(plan)))} if any(sources(plan)) else {}
+    settings = {node.name: _settings(node) for node in plan.nodes}  # once: some load a network
+    source = {SOURCE: settings[next(sources(plan)).name]} if any(sources(plan)) else {}
     for node in plan.nodes:
         edges = plan.inputs(node.name).values()
-        upstream = source | {e.input: _settings(plan.node(e.source)) for e in edges}
+        upstream = source | {e.input: settings[e.source] for e in edges}
+        upstream[BEFORE] = tuple(settings[name] for name in before(plan, node.name))
         try:
-            lines = list(load_operator(node.operator).advise(_settings(node), upstream))
+            lines = list(load_operator(node.operator).advise(settings[node.name], upstream))
         except WeightsError as error:
             if not node.host:  # otherwise another host has to have them
                 raise WeightsError(f"{node.name}: {error}") from error
             lines = [f"on {node.host}: {error}"]
+        except SettingsError as error:  # its text begins with the setting's name
+            raise SettingsError(f"{node.name}.{error}") from error
         except FoveaError:
             raise
         except BaseException as error:
@@ -175,6 +179,15 @@ def advice(plan: Plan) -> Iterator[str]:
             raise GraphError(said) from error
         for line in lines:
             yield f"{node.name}: {harmless(str(line))}"
+
+
+def before(plan: Plan, node: str) -> list[str]:
+    """Return the nodes that a node depends on, nearest first; in a loop, without itself."""
+    found = [node]
+    for name in found:  # it grows
+        readers = (edge.source for edge in plan.inputs(name).values())
+        found += [source for source in readers if source not in found]
+    return found[1:]
 
 
 def _settings(node: Node) -> Any:

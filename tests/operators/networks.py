@@ -14,27 +14,48 @@ def constant_network(
     path: Path,
     output: NDArray[np.float32],
     *,
-    size_px: tuple[int, int] = (480, 288),
+    size_px: tuple[int | str, int | str] = (480, 288),
     features: NDArray[np.float32] | None = None,
+    half: bool = False,
+    more_inputs: tuple[str, ...] = (),
+    batch: int | str = 1,
     **metadata: str,
 ) -> str:
-    """Write a network with the same outputs for every picture; return its path."""
+    """Write a network with the same outputs for every picture; a side that is a text is open.
+
+    Return its path.
+    """
     width_px, height_px = size_px
+    kind, dtype = (TensorProto.FLOAT16, np.float16) if half else (TensorProto.FLOAT, np.float32)
     nodes, outputs, weights = [], [], []
     for name, array in {"output": output, "features": features}.items():
         if array is None:
             continue
-        weights.append(numpy_helper.from_array(array, name + "_weights"))
+        weights.append(numpy_helper.from_array(array.astype(dtype), name + "_weights"))
         # the output must depend on the input, or ONNX Runtime removes the input
-        nodes.append(helper.make_node("ReduceSum", ["images"], [name + "_sum"], keepdims=0))
-        nodes.append(helper.make_node("Mul", [name + "_sum", "zero"], [name + "_none"]))
+        nodes.append(helper.make_node("ReduceMax", ["images"], [name + "_most"], keepdims=0))
+        nodes.append(helper.make_node("Mul", [name + "_most", "zero"], [name + "_none"]))
         nodes.append(helper.make_node("Add", [name + "_none", name + "_weights"], [name]))
-        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, array.shape))
-    weights.append(numpy_helper.from_array(np.zeros((), np.float32), "zero"))
-    images = helper.make_tensor_value_info("images", TensorProto.FLOAT, (1, 3, height_px, width_px))
-    graph = helper.make_graph(nodes, "constant", [images], outputs, weights)
+        outputs.append(helper.make_tensor_value_info(name, kind, array.shape))
+    weights.append(numpy_helper.from_array(np.zeros((), dtype), "zero"))
+    shape = (batch, 3, height_px, width_px)
+    inputs = [helper.make_tensor_value_info(n, kind, shape) for n in ("images", *more_inputs)]
+    graph = helper.make_graph(nodes, "constant", inputs, outputs, weights)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     helper.set_model_props(model, metadata)
+    save_model(model, path)
+    return str(path)
+
+
+def counting_network(path: Path) -> str:
+    """A network of whole numbers: (1, 3, 32, 32) bytes in, the same out."""
+    sides = (1, 3, 32, 32)
+    images = helper.make_tensor_value_info("images", TensorProto.UINT8, sides)
+    same = helper.make_tensor_value_info("same", TensorProto.UINT8, sides)
+    graph = helper.make_graph(
+        [helper.make_node("Identity", ["images"], ["same"])], "n", [images], [same]
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     save_model(model, path)
     return str(path)
 

@@ -12,7 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.errors import WeightsError
-from pipeline.weights import Entry, entries, find, pull, pull_hint, require, weights_commands
+from pipeline.weights import (
+    Entry,
+    entries,
+    find,
+    pull,
+    pull_hint,
+    require,
+    weights_commands,
+    weights_file,
+)
 from tests.shared_data import Footage
 
 NETWORK = bytes(range(256)) * 700  # more than one chunk
@@ -239,3 +248,11 @@ def test_the_command_line_lists_and_refuses(tmp_path: Path) -> None:
 def test_an_entry_of_no_bytes_is_refused() -> None:
     with pytest.raises(WeightsError, match=r"a.size_bytes: must be at least 1, got 0"):
         Entry(name="a", file="a", url="", size_bytes=0, sha256="0" * 64, licence="", note="")
+
+
+@pytest.mark.parametrize("weights", ["best.pt", "runs/train/best", "model.tflite"])
+def test_a_file_that_is_no_onnx_file_is_not_taken_for_a_name(weights: str, tmp_path: Path) -> None:
+    with pytest.raises(
+        WeightsError, match=f"{weights}: expected an ONNX file, ending in .onnx, or"
+    ):
+        weights_file(weights, tmp_path / "shipped.onnx")

@@ -1,6 +1,7 @@
 """Pursuit: gaining, keeping, losing and searching for one object."""
 
 import numpy as np
+import pytest
 
 from operators.policy import PursuitPolicy
 from pipeline import Scanpath, Tracks
@@ -128,3 +129,11 @@ def test_the_search_visits_the_whole_field_beginning_near_the_loss():
     boxes = np.array([path.boxes[0] for path in paths[3:]])
     assert len(np.unique(boxes, axis=0)) == 16  # 1920x1080 in windows of 480x270
     assert boxes[0].tolist() == [0, 270, 480, 540]
+
+
+def test_a_class_that_no_track_can_have_is_warned_of_once(caplog: pytest.LogCaptureFixture):
+    frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(3)]
+
+    pursue(*frames, target="dog")
+
+    assert caplog.messages == ["policy.target: expected one of ball, player, got dog"]

@@ -1,9 +1,15 @@
 """A target: the track that it is bound to, and where it is believed to be."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import pytest
 
+from operators.policy import LearnedPolicy, PursuitPolicy, RoundRobinPolicy
 from operators.policy.motion import camera_motion
-from operators.policy.target import Choice, TargetSpec, TargetState, follow
+from operators.policy.target import Choice, TargetSpec, TargetState, follow, unknown_label
+from pipeline import Operator, SettingsError, WeightsError
+from pipeline.contract import BEFORE, settings_of
 from tests.operators.policy.made_up import followed, tracks
 
 BALL = TargetSpec(box=(92, 92, 108, 108))
@@ -115,3 +121,67 @@ def test_a_track_that_begins_where_the_bound_one_ended_is_bound_instead() -> Non
     assert bound_to((8, 1, 135, 100, 0)) == 1  # too far
     assert bound_to((8, 0, 100, 100, 0)) == 1  # another class
     assert bound_to((8, 1, 110, 100, 0), unseen=(8,)) == 1  # only predicted
+
+
+@dataclass(frozen=True)
+class Known:
+    """Settings of a detector, as far as policies ask for them."""
+
+    reported_classes: tuple[str, ...] = ("person", "dog", "sports ball")
+    feature_channels: int = 64
+
+
+class Absent:
+    """Settings of a detector whose weights are not there."""
+
+    @property
+    def reported_classes(self) -> tuple[str, ...]:
+        raise WeightsError("not pulled")
+
+    feature_channels = reported_classes
+
+
+POLICIES = [LearnedPolicy, PursuitPolicy, RoundRobinPolicy]
+
+
+def advised(policy: type[Operator[Any, Any]], target: str, *before: object) -> list[str]:
+    return list(policy.advise(settings_of(policy)(target=target), {BEFORE: before}))
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize(
+    ("target", "hint"),
+    [("dgo", ", did you mean 'dog'?"), ("Ball", ", did you mean 'sports ball'?"), ("zebra", "")],
+)
+def test_a_class_that_the_detector_does_not_know_is_refused_before_the_start(
+    policy: type[Operator[Any, Any]], target: str, hint: str
+) -> None:
+    with pytest.raises(SettingsError) as caught:
+        advised(policy, target, object(), Known(), Known(reported_classes=("zebra", "Ball", "dgo")))
+
+    said = f"target: expected one of person, dog, sports ball, got {target}{hint}"
+    assert str(caught.value) == said
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("before", [(), (object(),), (Known(),), (Absent(), Known(("cup",)))])
+def test_a_class_that_nothing_contradicts_is_taken(
+    policy: type[Operator[Any, Any]], before: tuple[object, ...]
+) -> None:
+    assert advised(policy, "dog", *before) == []
+
+
+def test_many_classes_are_named_in_part() -> None:
+    names = [f"class {number}" for number in range(1203)]
+
+    said = unknown_label("x" * 1000, names)
+
+    assert "class 99 … (1103 more), got xxx" in said
+    assert len(said) < 1200
+
+
+@pytest.mark.parametrize("channels", [0, 32])
+def test_a_detector_whose_features_the_network_does_not_know_is_refused(channels: int) -> None:
+    with pytest.raises(SettingsError, match=f"reads 64 features .* got one with {channels}; "):
+        advised(LearnedPolicy, "dog", Known(feature_channels=channels))
+    assert advised(PursuitPolicy, "dog", Known(feature_channels=channels)) == []

@@ -8,6 +8,7 @@ import pytest
 from operators.capture import CaptureSettings
 from operators.saliency import Saliency, SaliencySettings
 from operators.saliency.advice import advice
+from operators.saliency.description import Description
 from pipeline.contract import SOURCE
 from pipeline.errors import WeightsError
 
@@ -23,7 +24,7 @@ class Shown:
 
 
 def told(metadata: dict[str, str], shown: Shown | None) -> list[str]:
-    return list(advice(["player", "ball"], metadata, shown))
+    return list(advice(["player", "ball"], Description(**metadata), shown))
 
 
 def test_classes_and_training_data_are_named() -> None:

@@ -8,11 +8,15 @@ from hypothesis.extra.numpy import arrays
 
 from operators.saliency.decode import (
     Candidates,
+    class_count,
+    decode_end2end,
     decode_yolo,
     decode_yolox,
+    kind_of,
     suppress,
     yolox_grid,
 )
+from pipeline import MessageError, WeightsError
 from pipeline.boxes import iou
 
 SHARES = st.floats(0, 1, width=32)
@@ -66,6 +70,59 @@ def test_a_wild_yolox_output_overflows_nothing(output: np.ndarray) -> None:
     found = decode_yolox(output, np.array([0.5, 0.5], np.float32), yolox_grid(64, 64))
 
     assert np.isfinite(found.boxes).all()
+
+
+@pytest.mark.parametrize(
+    ("shape", "size_px", "task", "kind", "classes"),
+    [
+        ((1, 84, 8400), (640, 640), "", "yolo", 80),
+        ((1, 84, 8400), (640, 640), "detect", "yolo", 80),
+        ((1, 20, 21504), (1024, 1024), "obb", "obb", 15),
+        ((1, 5, 8400), (640, 640), "", "yolo", 1),
+        ((1, 3549, 85), (416, 416), "", "yolox", 80),
+        ((1, 84, 85), (64, 64), "", "yolox", 80),
+        ((1, 84, 85), (64, 64), "detect", "yolo", 80),
+        ((1, 3549, 6), (416, 416), "", "yolox", 1),
+        ((1, 300, 6), (640, 640), "detect", "end2end", 0),
+        ((1, 0, 6), (640, 640), "", "end2end", 0),
+        ((1, 300, 7), (640, 640), "obb", "end2end", 0),
+    ],
+)
+def test_the_kind_is_told_by_the_shape(
+    shape: tuple[int, ...], size_px: tuple[int, int], task: str, kind: str, classes: int
+) -> None:
+    found = kind_of(shape, size_px, task)
+
+    assert (found, class_count(shape, found)) == (kind, classes)
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 25200, 85), (8400, 84), (2, 84, 8400), (1, 4, 8400), (1, 300, 5), (300, 6), ()]
+)
+def test_a_shape_of_no_kind_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(WeightsError, match=r"for a 640x640 input, got \("):
+        kind_of(shape, (640, 640))
+
+
+@given(arrays(np.float32, (30, 6), elements=st.floats(0, 1, width=32)), SHARES)
+def test_suppressed_rows_above_the_threshold_remain_best_first(
+    output: np.ndarray, threshold: float
+) -> None:
+    output[:, 5] = np.arange(30) % 3
+
+    found = decode_end2end(output, np.array([threshold, threshold, 2], np.float32))
+
+    wanted = (output[:, 4] > 0) & (output[:, 4] >= np.float32(threshold)) & (output[:, 5] < 2)
+    assert len(found.scores) == wanted.sum()
+    assert np.all(np.diff(found.scores) <= 0)
+
+
+@pytest.mark.parametrize("label", [-1, 2, 0.5, np.nan, np.inf])
+def test_a_class_that_has_no_name_is_refused(label: float) -> None:
+    output = np.array([[0, 0, 9, 9, 0.5, label]], np.float32)
+
+    with pytest.raises(MessageError, match=r"expected classes 0 to 1, as many as .* names, got"):
+        decode_end2end(output, np.array([0.2, 0.2], np.float32))
 
 
 @given(

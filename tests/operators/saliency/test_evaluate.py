@@ -5,15 +5,13 @@ import pytest
 
 pytest.importorskip("onnx", reason="needs the train extra")
 
-from operators.saliency.evaluate import (
+from operators.saliency.evaluate import collect, scenes, shrunk
+from operators.saliency.judging import (
     Tally,
     at_threshold,
     average_precision,
     best_threshold,
-    collect,
     find_hits,
-    scenes,
-    shrunk,
 )
 from operators.saliency.saliency import SaliencySettings
 

@@ -8,8 +8,8 @@ import pytest
 from click.testing import CliRunner
 
 from pipeline.cli import commands
-from pipeline.cli.running import advice
-from pipeline.errors import WeightsError
+from pipeline.cli.running import advice, before
+from pipeline.errors import SettingsError, WeightsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 
@@ -59,6 +59,25 @@ def test_weights_that_another_host_must_have_are_advised_of(tmp_path: Path) -> N
     lines = list(advice(load(with_network("multi_host.yaml", tmp_path))))
 
     assert any(line.startswith("tracker: on viewer: vittrack: expected") for line in lines)
+
+
+def test_a_class_that_the_detector_does_not_know_refuses_a_graph() -> None:
+    plan = load(GRAPHS / "tracking.yaml", Overlay(changes=("policy.target=playr",)))
+
+    with pytest.raises(SettingsError) as caught:
+        list(advice(plan))
+
+    said = "policy.target: expected one of player, referee, ball, got playr, did you mean 'player'?"
+    assert str(caught.value) == said
+
+
+def test_nodes_that_one_depends_on_come_nearest_first_and_without_itself() -> None:
+    plan = load(GRAPHS / "tracking.yaml")
+
+    assert before(plan, "dispatch") == [
+        "policy", "association", "roi_features", "saliency", "capture", "downsample",
+    ]  # fmt: skip
+    assert before(plan, "capture")[0] == "dispatch"
 
 
 def test_running_shows_the_advice_first() -> None:
