@@ -25,7 +25,7 @@ class ScriptedConnection:
     def wait(self, timeout_s: float) -> bool:
         self._step = next(self._steps, "the script ended")
         if isinstance(self._step, threading.Event):
-            self._step.wait(5)
+            self._step.wait(30)
             return False
         if self._step == "quiet":
             threading.Event().wait(0.01)

@@ -107,7 +107,7 @@ def test_stop_ends_a_read_that_waits_in_another_thread() -> None:
     reader = threading.Thread(target=lambda: answers.append(subject.read(memory)))
     reader.start()
     subject.stop()
-    reader.join(5)
+    reader.join(30)
     subject.close()
 
     assert answers == [None]
@@ -122,7 +122,7 @@ def test_stop_ends_a_read_that_waits_for_its_time() -> None:
     reader = threading.Thread(target=lambda: answers.append(subject.read(memory)))
     reader.start()
     subject.stop()
-    reader.join(5)
+    reader.join(30)
     subject.close()
 
     assert answers == [None]
@@ -134,18 +134,18 @@ def test_the_camera_stays_open_while_a_frame_of_it_is_cut() -> None:
 
     def loan(output: str, shape: tuple[int, ...], dtype: Any) -> Any:
         inside.set()
-        assert closing.wait(5)
+        assert closing.wait(30)
         assert SyntheticCamera.opened == 1
         return memory(output, shape, dtype)
 
     reader = threading.Thread(target=lambda: subject.read(loan))
     reader.start()
-    assert inside.wait(5)
+    assert inside.wait(30)
     closer = threading.Thread(target=subject.close)
     closer.start()
     closing.set()
-    reader.join(5)
-    closer.join(5)
+    reader.join(30)
+    closer.join(30)
 
     assert SyntheticCamera.opened == 0
 

@@ -12,10 +12,11 @@ from drivers.cameras.newest import NewestFrame
 from pipeline.errors import DriverError, SettingsError
 from tests.drivers.cameras.scripted_connection import Step, scripted
 
-QUICK = LinkSettings(open_timeout_s=1.0, read_timeout_s=0.2, outage_s=1.0, backoff_s=(0.01, 0.02))
+BACKOFF_S = (0.01, 0.02)
+PATIENT = LinkSettings(open_timeout_s=60.0, read_timeout_s=60.0, outage_s=60.0, backoff_s=BACKOFF_S)
 
 
-def opened(*scripts: object, limits: LinkSettings = QUICK) -> NewestFrame:
+def opened(*scripts: object, limits: LinkSettings = PATIENT) -> NewestFrame:
     connect, _ = scripted(*scripts)  # type: ignore[arg-type]
     subject = NewestFrame(connect, limits, name="camera")
     subject.open()
@@ -23,7 +24,7 @@ def opened(*scripts: object, limits: LinkSettings = QUICK) -> NewestFrame:
 
 
 def next_of(subject: NewestFrame) -> Picture:
-    found = subject.read(5.0)
+    found = subject.read(30.0)
     assert found is not None
     return found
 
@@ -51,7 +52,7 @@ def test_the_newest_frame_wins_and_the_others_are_counted() -> None:
     first = next_of(subject)
     assert (shown(first), first.skipped) == (1, 0)
     read_first.set()
-    assert sent.wait(5)
+    assert sent.wait(30)
     newest = next_of(subject)
     subject.close()
 
@@ -75,7 +76,7 @@ def test_a_picture_is_valid_until_the_next_read() -> None:
     subject = opened(script)
     held = next_of(subject)
     read_first.set()
-    assert sent.wait(5)
+    assert sent.wait(30)
 
     assert shown(held) == 1
     assert shown(next_of(subject)) == 6
@@ -99,7 +100,7 @@ def test_close_ends_an_open_of_another_thread() -> None:
     while not subject.history.attempts:
         opener.join(0.01)
     subject.close()
-    opener.join(5)
+    opener.join(30)
 
     assert said == ["camera: closed before its first frame"]
 
@@ -158,7 +159,8 @@ def test_a_silent_camera_is_opened_again() -> None:
         yield 2
         yield from forever("quiet")
 
-    subject = opened(silent, after)
+    limits = LinkSettings(read_timeout_s=0.2, outage_s=60.0, backoff_s=BACKOFF_S)
+    subject = opened(silent, after, limits=limits)
     assert [shown(next_of(subject)), shown(next_of(subject))] == [1, 2]
     subject.close()
 
@@ -171,19 +173,19 @@ def test_a_camera_that_stays_away_is_given_up_with_the_reason() -> None:
         yield 1
         yield "unplugged"
 
-    subject = opened(script)
+    subject = opened(script, limits=LinkSettings(outage_s=1.0, backoff_s=BACKOFF_S))
     next_of(subject)
     for _ in range(2):
         with pytest.raises(
-            DriverError, match=r"no frame for 1\.\d s, more than outage_s, 1: it is"
+            DriverError, match=r"no frame for \d+\.\d s, more than outage_s, 1: it is"
         ):
-            subject.read(5.0)
+            subject.read(30.0)
     subject.close()
 
     told = subject.history.summary()
     assert told["outages"]["count"] == 1
     assert told["outages"]["newest"][0]["reason"] == "unplugged"
-    assert told["attempts"] > 10  # the back-off has a longest pause
+    assert told["attempts"] > 3  # the pauses have a longest
 
 
 def test_a_camera_that_is_not_there_at_first_is_an_error_at_once() -> None:
@@ -218,12 +220,12 @@ def test_another_size_in_the_middle_is_an_error_and_no_reason_to_try_again() -> 
         yield from (1, (8, 4), 2)
 
     connect, made = scripted(script)
-    subject = NewestFrame(connect, QUICK, name="camera")
+    subject = NewestFrame(connect, PATIENT, name="camera")
     subject.open()
     next_of(subject)
     for _ in range(2):
         with pytest.raises(DriverError, match="expected frames of 6x4 as at the start, got 8x4"):
-            subject.read(5.0)
+            subject.read(30.0)
     subject.close()
 
     assert [connection.closed for connection in made] == [True]
@@ -235,15 +237,14 @@ def test_close_ends_a_read_of_another_thread_and_releases_the_device() -> None:
         yield from forever("quiet")
 
     connect, made = scripted(script)
-    limits = LinkSettings(read_timeout_s=60.0, outage_s=60.0)
-    subject = NewestFrame(connect, limits, name="camera")
+    subject = NewestFrame(connect, PATIENT, name="camera")
     subject.open()
     next_of(subject)
     answers: list[object] = []
     reader = threading.Thread(target=lambda: answers.append(subject.read(30.0)))
     reader.start()
     subject.close()
-    reader.join(5)
+    reader.join(30)
 
     assert answers == [None]
     assert made[0].closed
@@ -258,7 +259,7 @@ def test_code_that_breaks_in_the_thread_is_an_error_for_the_reader() -> None:
     subject = opened(script)
     next_of(subject)
     with pytest.raises(DriverError, match="camera: reading it broke: ZeroDivisionError"):
-        subject.read(5.0)
+        subject.read(30.0)
     subject.close()
 
 

@@ -23,7 +23,7 @@ from drivers.cameras import Webcam, WebcamSettings
 from pipeline.errors import DriverError
 device, folder = sys.argv[1], Path(sys.argv[2])
 camera = Webcam(WebcamSettings(
-    device=device, read_timeout_s=0.4, outage_s=20, backoff_s=(0.02, 0.05)
+    device=device, open_timeout_s=30, read_timeout_s=0.4, outage_s=60, backoff_s=(0.02, 0.05)
 ))
 told = camera.open()
 def lost(times):
