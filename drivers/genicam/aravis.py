@@ -19,12 +19,8 @@ from numpy.typing import NDArray
 from pipeline.errors import DriverError, InstallError
 from pipeline.text import harmless
 
-SYSTEM = "apt-get install gir1.2-aravis-0.8 aravis-tools"
-BINDING = (
-    "apt-get install libgirepository1.0-dev libcairo2-dev pkg-config gcc && "
-    "pip install 'fovea[genicam]'"
-)
-
+SYSTEM = "apt-get install gir1.2-aravis-0.8"
+BINDING = "libgirepository1.0-dev libcairo2-dev pkg-config gcc && pip install 'fovea[genicam]'"
 GONE = ("TIMEOUT", "NOT_CONNECTED", "NOT_CONTROLLER", "TRANSFER_ERROR")  # of the library's errors
 
 
@@ -48,7 +44,7 @@ def library() -> Any:
         import gi
     except ModuleNotFoundError as error:
         raise InstallError(
-            f"genicam: expected the package PyGObject, got none: {SYSTEM} && {BINDING}"
+            f"genicam: expected the package PyGObject, got none: {SYSTEM} {BINDING}"
         ) from error
     try:
         gi.require_version("Aravis", "0.8")
