@@ -4,6 +4,8 @@
 #   make test-slow     the tests that take minutes, and a search for inputs that break something
 #   make test-footage  the tests on recordings and third-party weights, which are in SHARED; what is
 #                      not there is skipped
+#   make test-guest    the USB driver over a real kernel in a virtual machine: needs QEMU, busybox-static
+#                      and KERNEL, made by `dpkg-deb -x linux-image-….deb .guest`
 #   make check         style, types, import rules and the examples in docstrings
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -11,10 +13,18 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-slow test-footage check train clean
+.PHONY: demo test test-slow test-footage test-guest check train clean
 
 # where recordings (data/) and third-party weights (models/) are
 SHARED ?= ../shared
+
+# what `make demo` runs: make demo GRAPH=follow SOURCE=webcam SET=policy.target=dog
+GRAPH ?= tracking
+SOURCE ?=
+SET ?=
+
+# an unpacked Debian kernel package for `make test-guest`
+KERNEL ?= .guest
 
 # where `make train` works, and what it is told beside the defaults
 RUNS ?= runs
@@ -26,7 +36,8 @@ DEVICE ?= auto
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 
 demo: $(VENV)/.installed
-	$(BIN)/fovea run graphs/tracking.yaml --duration-s 20 --save demo.rrd
+	$(BIN)/fovea run graphs/$(GRAPH).yaml --duration-s 20 --save demo.rrd \
+		$(if $(SOURCE),--source $(SOURCE)) $(foreach change,$(SET),--set $(change))
 	@echo "look at it: $(BIN)/rerun demo.rrd"
 
 test: $(VENV)/.installed-dev
@@ -39,6 +50,11 @@ test-slow: $(VENV)/.installed-dev
 
 test-footage: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "footage and not hardware" -rs --shared="$(SHARED)"
+
+test-guest: $(VENV)/.installed-dev
+	$(BIN)/python -m tests.guest.boot $(KERNEL) env HOME=/tmp PYTHONDONTWRITEBYTECODE=1 \
+		$(abspath $(BIN)/python) -m pytest --rootdir=$(CURDIR) -p no:cacheprovider -m hardware \
+		--usb-board=usbip $(CURDIR)/tests/drivers/usb/test_attached.py
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
