@@ -21,7 +21,13 @@ from pipeline.text import harmless
 
 SYSTEM = "apt-get install gir1.2-aravis-0.8"
 BINDING = "libgirepository1.0-dev libcairo2-dev pkg-config gcc && pip install 'fovea[genicam]'"
-GONE = ("TIMEOUT", "NOT_CONNECTED", "NOT_CONTROLLER", "TRANSFER_ERROR")  # of the library's errors
+GONE = (
+    "TIMEOUT",
+    "NOT_FOUND",
+    "NOT_CONNECTED",
+    "NOT_CONTROLLER",
+    "TRANSFER_ERROR",
+)  # of the library's errors
 
 
 @dataclass(frozen=True, kw_only=True)

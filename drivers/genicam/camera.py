@@ -105,12 +105,16 @@ class GenicamCamera:
         self._stamps = "arrival"
         self._id = ""  # of the camera once it was listed
 
+    @property
+    def source(self) -> str:
+        """What the pictures come from, for a sentence about it."""
+        return f"camera {self._settings.camera}".strip()
+
     def open(self) -> Negotiated:
         """Open and start; raises `DriverError`, or `InstallError` without Aravis."""
         self._closed.clear()
         self._id = ""
-        name = f"camera {self._settings.camera}".strip()
-        connection = Connection(name, self._start, absent_s=self._settings.absent_s)
+        connection = Connection(self.source, self._start, absent_s=self._settings.absent_s)
         self._connection = connection
         running = connection.open()
         return Negotiated(

@@ -3,7 +3,7 @@
 import contextlib
 from dataclasses import dataclass, field, replace
 
-from drivers.genicam.aravis import Listed, listed
+from drivers.genicam.aravis import Listed, NoAnswer, listed
 from drivers.genicam.device import Device
 from drivers.genicam.formats import offered
 from drivers.genicam.foveation import Foveation, foveation
@@ -44,7 +44,7 @@ def opened(camera: str, *, before: str = "") -> Device:
     """
     known = _matching(camera, listed(search=False)) if camera and not before else None
     if known is not None:
-        with contextlib.suppress(DriverError):  # it may have moved: search for it
+        with contextlib.suppress(NoAnswer):  # it may have moved: search for it
             return Device(known, listed=True)
     found = listed()
     if known := _matching(before or camera, found) if before or camera else None:

@@ -173,6 +173,7 @@ class GenicamSensor:
 
     def _prepare(self) -> None:
         """Open the camera and learn from it what `capabilities` says."""
+        self._can = None  # not open, should this fail
         self._layout: Layout | None = None
         self._id = ""  # of the camera once it was listed
         connection = Connection(self.source, self._made, absent_s=self._settings.absent_s)

@@ -171,9 +171,20 @@ def test_a_damaged_description_never_leads_to_a_bad_frame() -> None:
 
 @pytest.mark.slow
 def test_many_damaged_descriptions_never_lead_to_a_bad_frame() -> None:
-    text = describe(Nature())
-
-    assert sum(delivered(mutated(text, seed)) for seed in range(8, 300)) > 50
+    """In batches: Aravis 0.8.26 loses count of references over some hundred devices it refuses."""
+    program = (
+        "import sys; from tests.drivers.genicam.test_virtual_camera import *\n"
+        "text, first = describe(Nature()), int(sys.argv[1])\n"
+        "print(sum(delivered(mutated(text, seed)) for seed in range(first, first + 25)))"
+    )
+    whole = 0
+    for first in range(8, 208, 25):
+        command = [sys.executable, "-c", program, str(first)]
+        ran = subprocess.run(
+            command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=True
+        )
+        whole += int(ran.stdout.split()[-1])
+    assert whole > 50
 
 
 @pytest.mark.parametrize(
