@@ -15,6 +15,8 @@ from pipeline import messages
 from pipeline.contract import Operator
 from tests.sample_graphs import LOOP
 
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted(p.stem for p in (ROOT / "graphs" / "sources").glob("*.yaml"))
 HEAVY = ("numpy", "zenoh", "pydantic", "rich", "onnxruntime", "cv2", "pipeline.messages")
 
 
@@ -112,8 +114,8 @@ def test_watch_sees_every_message_of_a_run_in_line(graph: Path) -> None:
         ({"manual": "viewer"}, "manual: expected a list of nodes, got 'viewer'"),
         (
             {"source": "socer"},
-            "'socer': no such source; did you mean 'soccer'? there is images, mot, soccer, "
-            "soccernet, video; one of your own is named by its path, with .yaml",
+            f"'socer': no such source; did you mean 'soccer'? there is {', '.join(SOURCES)}; "
+            "one of your own is named by its path, with .yaml",
         ),
         ({"manual": ["viewer"]}, "no node viewer; there is ticker, work, pair, steer"),
     ],

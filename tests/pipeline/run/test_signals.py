@@ -81,6 +81,8 @@ IN_A_CLASS = """
 import os, signal, sys
 from pipeline import signals
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what starts the tests may ignore it, as nohup does
+
 class Field:
     def __set_name__(self, *_):
         os.kill(os.getpid(), signal.SIGNAL)
