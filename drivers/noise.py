@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pipeline.errors import SettingsError
 
 NORMAL_UNIT = 4096  # what a standard deviation is in a table of normal noise
+STRIP = 32  # rows handled at a time, so that they stay in the cache
 OFFSETS = 1 << 20  # places in a noise table where a picture's noise may begin
 
 
@@ -85,21 +86,34 @@ class Response:
         deviations = np.rint(self.deviation(levels) * unit).clip(0, 32767)
         return means.astype(np.int16), deviations.astype(np.int16)
 
-    def expose(self, picture: NDArray[np.uint8], normal: NDArray[np.int16]) -> NDArray[np.uint16]:
-        """Digital numbers (h, w) of a picture (h, w); `normal` (h, w) is from `normal_table`.
+    def expose(
+        self,
+        picture: NDArray[np.uint8],
+        normal: NDArray[np.int16],
+        out: NDArray[np.uint16] | None = None,
+    ) -> NDArray[np.uint16]:
+        """Digital numbers (h, w) of a picture (h, w), into `out` where given.
+
+        `normal` (h, w) is a stretch of a `normal_table`; without electrons it is not looked at.
 
         >>> Response(bits=12, black_level=64).expose(np.array([[0, 255]], np.uint8), NO_NOISE)
         array([[  64, 4095]], dtype=uint16)
         """
         means, deviations = self._tables
-        counted = np.asarray(cv2.LUT(picture, means), np.int16)
-        if self.full_well_e:
-            spread = np.asarray(cv2.LUT(picture, deviations), np.int16)
-            noise = cv2.multiply(spread, normal, spread, 1 / NORMAL_UNIT)
-            cv2.add(counted, noise, counted)
-        numbers = counted.view(np.uint16)
-        np.add(numbers, np.uint16(32768), out=numbers)  # back from the range of int16
-        return np.right_shift(numbers, 16 - self.bits, out=numbers)
+        numbers = np.empty(picture.shape, np.uint16) if out is None else out
+        spread = np.empty((STRIP, picture.shape[1]), np.int16)
+        for top in range(0, len(picture), STRIP):
+            rows, strip = numbers[top : top + STRIP], picture[top : top + STRIP]
+            counted = rows.view(np.int16)
+            cv2.LUT(strip, means, counted)
+            if self.full_well_e:
+                noise = spread[: len(strip)]
+                cv2.LUT(strip, deviations, noise)
+                cv2.multiply(noise, normal[top : top + STRIP], noise, 1 / NORMAL_UNIT)
+                cv2.add(counted, noise, counted)
+            np.add(rows, np.uint16(32768), out=rows)  # back from the range of int16
+            np.right_shift(rows, 16 - self.bits, out=rows)
+        return numbers
 
 
 NO_NOISE = np.zeros((0, 0), np.int16)

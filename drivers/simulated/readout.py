@@ -93,7 +93,8 @@ class Readout:
             normal = NO_NOISE
             if self._response.full_well_e:
                 normal = stretch(self._normal, mosaic.shape, (self._seed, seq, port, 1))
-            write_samples(self._response.expose(mosaic, normal), form, out)
+            numbers = self._memory(port, "numbers", (height, 2 * width)).view(np.uint16)
+            write_samples(self._response.expose(mosaic, normal, numbers), form, out)
 
     def _memory(self, port: int, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
         found = self._scratch.get((port, name))

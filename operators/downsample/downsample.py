@@ -111,7 +111,7 @@ class Downsample(Operator[DownsampleSettings, Frame]):
         form = pixel_format(frame.pixel_format, "frame")
         form.check("frame", frame.pixels)
         if not frame.pixels.size:
-            return frame
+            return replace(frame, pixels=np.empty((0, 0, 3), np.uint8), pixel_format="rgb8")
         if self.settings.white_balance == "grey_world":
             self._measure(frame, form)
         size = frame.size_px

@@ -71,7 +71,7 @@ def draw(frame: Frame, square: Rect, out: Picture) -> None:
 
     Nothing is drawn where the frame has no pixels. Raises `MessageError` for a packed frame.
     """
-    if frame.packed:
+    if frame.packed and frame.pixels.size:
         refuse(frame.pixel_format)
     width, height = frame.size_px
     left, top, right, bottom = frame.window

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from operators.downsample import Downsample, DownsampleSettings
 from operators.downsample.samples import STRIP, Samples
+from operators.downsample.white_balance import Balance
+from pipeline import codec
 from pipeline.errors import MessageError, SettingsError
 from pipeline.messages import Frame
 from pipeline.pixel_formats import FORMATS, ORDERS, PixelFormat
@@ -167,6 +169,14 @@ def test_grey_of_any_depth_becomes_rgb(name):
     assert (np.ptp(small, axis=2) == 0).all()
 
 
+@pytest.mark.parametrize("name", ["bayer_rggb12p", "bayer_rggb16", "grey8"])
+def test_an_empty_raw_picture_becomes_an_empty_rgb_one(name):
+    empty = np.empty((0, 0), FORMATS[name].dtype)
+    frame = Frame(header=header(), pixels=empty, pixel_format=name)
+
+    assert developed(frame, width_px=12).shape == (0, 0, 3)
+
+
 def test_bgr_is_turned_and_shrunk():
     pixels = np.zeros((20, 30, 3), np.uint8)
     pixels[..., 0] = 200  # blue
@@ -205,7 +215,7 @@ def test_the_balance_follows_slowly_and_survives_a_swap():
     first.on_frame(under((1.0, 1.0, 1.0), 1, form))
     second = Downsample(DownsampleSettings(**settings, adaptation=0.25))
     second.open()
-    second.restore(first.state())
+    second.restore(codec.loads(Balance, codec.dumps(first.state())))
 
     assert before.gains == pytest.approx((2, 1, 1), rel=0.05)
     assert first.state().gains[0] == pytest.approx(2**0.75, rel=0.05)
