@@ -74,7 +74,7 @@ class Downsample(Operator[DownsampleSettings, Frame]):
     def advise(cls, settings: DownsampleSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
         """Raises `SettingsError` where the white balance has nothing to refer to."""
         if settings.white_balance == "reference" and "reference" not in upstream:
-            raise SettingsError("white_balance: reference needs the input reference, got none")
+            raise SettingsError("white_balance: expected the input reference connected, got none")
         return ()
 
     def open(self) -> None:

@@ -295,6 +295,6 @@ def test_settings_out_of_range_are_refused(values, named):
 def test_a_reference_that_is_not_connected_is_refused_before_the_start():
     settings = DownsampleSettings(white_balance="reference")
 
-    with pytest.raises(SettingsError, match="reference needs the input reference, got none"):
+    with pytest.raises(SettingsError, match="expected the input reference connected, got none"):
         Downsample.advise(settings, {"frame": object()})
     assert not list(Downsample.advise(settings, {"frame": object(), "reference": object()}))
