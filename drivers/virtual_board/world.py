@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from drivers.simulated.readout import Readout
 from drivers.source import Annotations, FrameSource
 from drivers.usb.frame_header import Window
-from drivers.virtual_board.profiles import BAYER_RG8
+from pipeline.pixel_formats import BY_CODE
 
 
 class World:
@@ -17,15 +17,9 @@ class World:
     ) -> None:
         self._source = source
         self.length = source.length
-        self.readout = Readout(
-            mosaic=pixel_format == BAYER_RG8, noise=noise, seed=seed, most_px=most_px
-        )
+        self.readout = Readout(form=BY_CODE[pixel_format], noise=noise, seed=seed, most_px=most_px)
         self._index = -1
         self._picture = np.empty((0, 0, 3), np.uint8)
-
-    def row_bytes(self, width_px: int) -> int:
-        """Bytes of a row of that many pixels."""
-        return width_px if self.readout.mosaic else 3 * width_px
 
     def render(
         self,
