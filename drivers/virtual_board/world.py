@@ -21,6 +21,10 @@ class World:
         self._index = -1
         self._picture = np.empty((0, 0, 3), np.uint8)
 
+    def code(self, window: Window, size_px: tuple[int, int]) -> int:
+        """PFNC code of what `render` makes: a crop at odd pixels has a mosaic of another order."""
+        return self.readout.form_of(window, size_px).code
+
     def render(
         self,
         index: int,
@@ -32,8 +36,8 @@ class World:
         """Fill `out` (n,) with the window of a picture, reduced to `size_px`."""
         if index != self._index:
             self._picture, self._index = self._source.picture(index), index
-        shape = self.readout.shape(size_px)
-        self.readout.read(self._picture, window, out.reshape(shape), seq=index, port=port)
+        pixels = out.view(self.readout.dtype).reshape(self.readout.shape(size_px))
+        self.readout.read(self._picture, window, pixels, seq=index, port=port)
 
     def truth(self, index: int) -> Annotations | None:
         """What is in a picture, where the source knows it."""
