@@ -4,6 +4,7 @@ Used by every sensor that cuts context and ROI from whole pictures: the simulate
 """
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -53,14 +54,19 @@ def average(region: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
 
 def exposure_of(
     header: Header,
-    context: NDArray[np.uint8],
-    roi: NDArray[np.uint8],
+    context: NDArray[Any],
+    roi: NDArray[Any],
     aim: Commanded,
     *,
     pixel_format: str,
+    roi_pixel_format: str = "",
     truth: Annotations | None = None,
 ) -> Exposure:
-    """Both pictures as frames: the context shows the whole field, the ROI what `aim` says."""
+    """Both pictures as frames: the context shows the whole field, the ROI what `aim` says.
+
+    A mosaic that is cropped at odd pixels has a format of its own, `roi_pixel_format`; empty: both
+    frames have the same.
+    """
     grid = header.geometry
     whole: Window = (0, 0, grid.width_px, grid.height_px)
     return Exposure(
@@ -69,7 +75,7 @@ def exposure_of(
         roi=Frame(
             header=header,
             pixels=roi,
-            pixel_format=pixel_format,
+            pixel_format=roi_pixel_format or pixel_format,
             window=aim.window,
             command_seq=aim.command_seq,
             status=aim.status,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import MessageError
+from pipeline.pixel_formats import PACKED, size_px
 
 T = TypeVar("T")
 LONGEST_FIELD = 60  # characters of one in the `repr` of a message
@@ -121,16 +122,28 @@ status='ok', delay_ns=0)
 class Frame(Message):
     """Pixels of one exposure: (h, w) for a Bayer mosaic or grey, (h, w, 3) for RGB.
 
+    Packed raw pictures travel as the sensor sent them, (h, row_bytes) uint8; `size_px` is the size
+    of the picture in any case. A Bayer format names the order from the picture's first pixel on.
     `window` is the region of the sensor that they show (xyxy), so scale = window / size. A sensor
     that reads no ROI in this exposure sends an empty picture (0, 0, 3) with an empty window.
     """
 
     pixels: Pixels
-    pixel_format: str = "rgb8"  # rgb8 | grey8 | bayer_rggb8 | bayer_rggb16
+    pixel_format: str = "rgb8"  # a name of pipeline.pixel_formats: rgb8 | grey8 | bayer_rggb12p …
     window: tuple[int, int, int, int] = (0, 0, 0, 0)  # sensor pixels
     command_seq: int = -1  # seq of the RoiSchedule that set the window, -1: none
     status: str = "ok"  # ok | unplanned (no command covered it) | stale (it came too late)
     delay_ns: int = 0  # exposed this long after the header's stamp; 0: in the same exposure
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the picture, which a packed one does not have as its shape."""
+        return size_px(self.pixel_format, self.pixels.shape)
+
+    @property
+    def packed(self) -> bool:
+        """Whether `pixels` holds rows of packed bytes instead of one number per sample."""
+        return self.pixel_format in PACKED
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

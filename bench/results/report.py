@@ -85,6 +85,10 @@ PLACES = {
     "loop": Place(section="Time and transport", order=2, title="The loop"),
     "bus": Place(section="Time and transport", order=4, title="One hop"),
     "objects": Place(section="Time of each part", order=9, title="The running graph, by objects"),
+    "raw": Place(section="Time of each part", order=10, title="Raw frames to RGB"),
+    "raw_loss": Place(
+        section="Networks and scenes", order=10, title="The detector on raw frames with noise"
+    ),
     "crash": Place(section="Faults, swaps and long runs", order=1, title="SIGKILL under load"),
     "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
     "swap": Place(section="Faults, swaps and long runs", order=5, title="Swaps"),

@@ -92,7 +92,7 @@ class Camera:
     def __init__(self, clip: Clip, how: Acquisition) -> None:
         self._clip, self.how = clip, how
         width, height = clip.size_px
-        self._readout = Readout(mosaic=False, noise=0, seed=0, most_px=width * height)
+        self._readout = Readout(seed=0, most_px=width * height)
         self._whole = (0, 0, width, height)
         self._contexts: dict[int, Frame] = {}
         self._roi = np.empty(self._readout.shape(how.sampling.roi_px), np.uint8)
@@ -106,7 +106,7 @@ class Camera:
         """Return context and ROI of one exposure, and count their pixels."""
         context, roi = self.context(frame, first), self.roi(frame, window)
         self.exposures += 1
-        self.emitted_px += sum(math.prod(part.pixels.shape[:2]) for part in (context, roi))
+        self.emitted_px += sum(math.prod(part.size_px) for part in (context, roi))
         return context, roi
 
     def counted(self) -> tuple[int, int]:

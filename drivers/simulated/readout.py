@@ -1,43 +1,70 @@
 """Eq. 1 on one picture: a full-resolution RGB picture in, context D(v) and ROI C(v) out.
 
-D averages areas, C crops; both write into the memory they are given. A Bayer mosaic and noise are
-added on the way when asked for.
+D averages areas, C crops; both write into the memory they are given. A raw sensor's mosaic, its
+noise and its packing are added on the way when asked for.
 """
+
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from drivers.commands import Window
+from drivers.mosaic import to_mosaic, write_samples
+from drivers.noise import NO_NOISE, OFFSETS, Response, normal_table, stretch
 from drivers.readout import average
-
-OFFSETS = 1 << 20  # places in the noise table where a picture's noise may begin
+from pipeline.pixel_formats import FORMATS, PixelFormat
 
 
 class Readout:
-    """Reads regions of at most `most_px` pixels, with scratch memory for what needs a detour."""
+    """Reads regions of at most `most_px` pixels, with scratch memory for what needs a detour.
 
-    def __init__(self, *, mosaic: bool, noise: float, seed: int, most_px: int) -> None:
-        self.mosaic, self._noise, self._seed = mosaic, noise, seed
-        self._scratch: dict[int, NDArray[np.uint8]] = {}
-        if noise:  # now, since the first exposure cannot wait for it
-            self._table = noise_table(noise, most_px * (1 if mosaic else 3) + OFFSETS, seed)
+    `form` is rgb8 or a mosaic in the order of the sensor's first pixel; `noise` is a standard
+    deviation in digital numbers of 8 bit, added whatever the light.
+    """
+
+    def __init__(
+        self,
+        *,
+        form: PixelFormat = FORMATS["rgb8"],
+        noise: float = 0.0,
+        response: Response | None = None,
+        seed: int,
+        most_px: int,
+    ) -> None:
+        self._form, self._noise, self._seed = form, noise, seed
+        self._response = response or Response(bits=form.bits)
+        self._scratch: dict[tuple[int, str], NDArray[Any]] = {}
+        # now, since the first exposure cannot wait for it
+        if noise:
+            self._table = noise_table(noise, most_px * form.channels + OFFSETS, seed)
+        if self._response.full_well_e:
+            self._normal = normal_table(most_px + OFFSETS, seed)
 
     @property
-    def pixel_format(self) -> str:
-        """How the frames name what they carry."""
-        return "bayer_rggb8" if self.mosaic else "rgb8"
+    def dtype(self) -> DTypeLike:
+        """Of the arrays that pictures fill."""
+        return self._form.dtype
 
     def shape(self, size_px: tuple[int, int]) -> tuple[int, ...]:
         """Shape of the array that a picture of this width and height fills."""
-        width, height = size_px
-        return (height, width) if self.mosaic else (height, width, 3)
+        return self._form.shape(size_px)
+
+    def form_of(self, window: Window, size_px: tuple[int, int]) -> PixelFormat:
+        """The format of a read-out: a crop's mosaic begins at the colour of the window's corner.
+
+        One that is averaged has a mosaic of its own, in the sensor's order.
+        """
+        left, top, right, bottom = window
+        cropped = (right - left, bottom - top) == size_px
+        return self._form.shifted(left, top) if cropped else self._form
 
     def read(
         self,
         picture: NDArray[np.uint8],
         window: Window,
-        out: NDArray[np.uint8],
+        out: NDArray[Any],
         *,
         seq: int,
         port: int,
@@ -45,44 +72,40 @@ class Readout:
         """Fill `out` with `window` of the picture; `port` tells the two streams' noise apart."""
         left, top, right, bottom = window
         region = picture[top:bottom, left:right]
-        height, width = out.shape[:2]
+        width, height = self._form.size_px(out.shape)
+        form = self.form_of(window, (width, height))
+        raw = bool(form.order)
         if region.shape[:2] != (height, width):
-            target = self._scratch_of(port, (height, width, 3)) if self.mosaic else out
+            target = self._memory(port, "rgb", (height, width, 3)) if raw else out
             average(region, target)
             region = target
-        if self.mosaic:
-            to_rggb(region, out)
-        elif region is not out:
-            np.copyto(out, region)
+        if not raw:
+            if region is not out:
+                np.copyto(out, region)
+            if self._noise:
+                self._add_noise(out, seq, port)
+            return
+        direct = form.name.endswith("8") and self._response.plain
+        mosaic = out if direct else self._memory(port, "mosaic", (height, width))
+        to_mosaic(region, form.order, mosaic)
         if self._noise:
-            self._add_noise(out, seq, port)
+            self._add_noise(mosaic, seq, port)
+        if not direct:
+            normal = NO_NOISE
+            if self._response.full_well_e:
+                normal = stretch(self._normal, mosaic.shape, (self._seed, seq, port, 1))
+            numbers = self._memory(port, "numbers", (height, 2 * width)).view(np.uint16)
+            write_samples(self._response.expose(mosaic, normal, numbers), form, out)
 
-    def _scratch_of(self, port: int, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        found = self._scratch.get(port)
+    def _memory(self, port: int, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        found = self._scratch.get((port, name))
         if found is None or found.shape != shape:
-            found = self._scratch[port] = np.empty(shape, np.uint8)
+            found = self._scratch[port, name] = np.empty(shape, np.uint8)
         return found
 
     def _add_noise(self, out: NDArray[np.uint8], seq: int, port: int) -> None:
-        start = int(np.random.default_rng((self._seed, seq, port)).integers(OFFSETS))
-        cv2.add(out, self._table[start : start + out.size].reshape(out.shape), out, None, cv2.CV_8U)
-
-
-def to_rggb(image: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
-    """Keep one colour of each pixel of an (h, w, 3) RGB image: red at (0, 0), blue at (1, 1).
-
-    `out` is (h, w). The phase is that of the image's corner: a window must start at even pixels
-    to show the mosaic of the sensor it was cut from.
-
-    >>> mosaic = np.empty((2, 2), np.uint8)
-    >>> to_rggb(np.full((2, 2, 3), (1, 2, 3), np.uint8), mosaic)
-    >>> mosaic.tolist()
-    [[1, 2], [2, 3]]
-    """
-    out[0::2, 0::2] = image[0::2, 0::2, 0]
-    out[0::2, 1::2] = image[0::2, 1::2, 1]
-    out[1::2, 0::2] = image[1::2, 0::2, 1]
-    out[1::2, 1::2] = image[1::2, 1::2, 2]
+        noise = stretch(self._table, out.shape, (self._seed, seq, port))
+        cv2.add(out, noise, out, None, cv2.CV_8U)
 
 
 def noise_table(deviation: float, size: int, seed: int) -> NDArray[np.int16]:

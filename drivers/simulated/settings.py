@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivers.noise import Response
 from drivers.readout import geometry_of
 from drivers.simulated.sources import check_arguments, scene_path
 from drivers.simulated.strategies import (
@@ -16,8 +17,11 @@ from drivers.simulated.strategies import (
 )
 from pipeline.errors import SettingsError
 from pipeline.messages import Geometry
+from pipeline.pixel_formats import FORMATS, PixelFormat
+from pipeline.settings import suggest
 
 RATES_HZ = (0.01, 10_000.0)
+MOSAICS = tuple(name for name, form in FORMATS.items() if form.order)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,8 +41,13 @@ class SimulatedSensorSettings:
     seed: int = 0
     frames: int = 0  # exposures' worth of time; 0: all the source has
     loop: bool = False  # begin again where the source ends
-    mosaic: bool = False  # Bayer RGGB instead of RGB
+    mosaic: bool = False  # a Bayer mosaic instead of RGB
+    pixel_format: str = ""  # of the mosaic, as bayer_grbg12p; empty: bayer_rggb8
     noise: float = 0.0  # standard deviation, digital numbers of 8 bit
+    full_well_e: float = 0.0  # mosaic: photon noise of so many electrons at white; 0: none
+    read_noise_e: float = 0.0  # mosaic: noise of the electronics, electrons
+    black_level: int = 0  # mosaic: digital numbers of its format in the dark
+    gamma: float = 1.0  # mosaic: it counts the light, (picture / 255) ^ gamma
     latency_frames: int = 0  # a command from frame j affects j + 1 + latency_frames at the earliest
     budget: float = 0.125  # share of the full pixel rate
     strategy: Strategy = "foveated"
@@ -57,6 +66,7 @@ class SimulatedSensorSettings:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise SettingsError(f"{name}: must be at least 0, got {value}")
+        self._check_raw()
         if self.mosaic and self.step_px % 2:
             raise SettingsError(f"step_px: a mosaic needs an even step, got {self.step_px}")
         if self.size_px != (0, 0) and not all(16 <= side <= 32_768 for side in self.size_px):
@@ -70,6 +80,36 @@ class SimulatedSensorSettings:
         if self.rate_hz and not RATES_HZ[0] <= self.rate_hz <= RATES_HZ[1]:
             low, high = RATES_HZ
             raise SettingsError(f"rate_hz: expected {low:g} to {high:g}, got {self.rate_hz}")
+
+    def _check_raw(self) -> None:
+        usual = {"pixel_format": "", "full_well_e": 0, "read_noise_e": 0, "black_level": 0}
+        for name, value in (usual | {"gamma": 1}).items():
+            if not self.mosaic and getattr(self, name) != value:
+                raise SettingsError(f"{name}: needs mosaic: true, got {getattr(self, name)}")
+        if self.pixel_format and self.pixel_format not in MOSAICS:
+            hint = suggest(self.pixel_format, MOSAICS)
+            raise SettingsError(f"pixel_format: expected a mosaic, got {self.pixel_format}{hint}")
+        if self.noise and self.full_well_e:
+            raise SettingsError(
+                f"noise: expected 0 beside full_well_e, which brings its own, got {self.noise}"
+            )
+        _ = self.response  # refuses what is out of range
+
+    @property
+    def form(self) -> PixelFormat:
+        """What its frames carry."""
+        return FORMATS[(self.pixel_format or "bayer_rggb8") if self.mosaic else "rgb8"]
+
+    @property
+    def response(self) -> Response:
+        """How its pixels count light; raises `SettingsError` for what no sensor has."""
+        return Response(
+            bits=self.form.bits,
+            black_level=self.black_level,
+            gamma=self.gamma,
+            full_well_e=self.full_well_e,
+            read_noise_e=self.read_noise_e,
+        )
 
     @property
     def share(self) -> float:

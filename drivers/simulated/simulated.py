@@ -21,13 +21,14 @@ from drivers.simulated.coverage import Coverage, where
 from drivers.simulated.playback import Playback, Timing
 from drivers.simulated.prefetch import Ready
 from drivers.simulated.readout import Readout
-from drivers.simulated.settings import RATES_HZ, SimulatedSensorSettings
+from drivers.simulated.settings import MOSAICS, RATES_HZ, SimulatedSensorSettings
 from drivers.simulated.sources import open_recording, open_scene, scene_path, shown_by
 from drivers.source import Annotations, FrameSource
 from pipeline.boxes import roi_window
 from pipeline.contract import HEADLINE, RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
 from pipeline.messages import Header, RoiSchedule
+from pipeline.pixel_formats import FORMATS
 
 USUAL_RATE_HZ = 30.0  # of a source that has no rate of its own
 
@@ -81,7 +82,7 @@ class SimulatedSensor:
             roi_sizes_px=(window_px,) if any(window_px) else (),
             roi_binning=window_px[0] / found.roi_px[0] if any(window_px) else 1.0,
             rates_hz=RATES_HZ,
-            pixel_formats=("rgb8", "bayer_rggb8"),
+            pixel_formats=("rgb8", *self._mosaics()),
             lead_frames=1 + self._settings.latency_frames,
         )
 
@@ -93,10 +94,11 @@ class SimulatedSensor:
         if mode.rate_hz:
             changes["rate_hz"] = mode.rate_hz
         if mode.pixel_format not in ("", *can.pixel_formats):
-            known = " or ".join(can.pixel_formats)
+            known = ", ".join(can.pixel_formats)
             raise SettingsError(f"pixel_format: expected {known}, got {mode.pixel_format}")
         if mode.pixel_format:
-            changes["mosaic"] = mode.pixel_format == "bayer_rggb8"
+            raw = mode.pixel_format != "rgb8"
+            changes |= {"mosaic": raw, "pixel_format": mode.pixel_format if raw else ""}
         self._settings = replace(self._settings, **changes)
         self._prepare(self._opened())
 
@@ -184,6 +186,11 @@ class SimulatedSensor:
             "roi_coverage_frames": self._coverage.frames(),
         }
 
+    def _mosaics(self) -> tuple[str, ...]:
+        """The mosaics it can send: the order of its colours is given, their depth is not."""
+        order = self._settings.form.order or "rggb"
+        return tuple(name for name in MOSAICS if FORMATS[name].order == order)
+
     def _told(self, elapsed: int) -> dict[str, Any]:
         """The rate, and what the ROI saw as a sentence, as far as there is anything to tell."""
         if not elapsed:
@@ -214,8 +221,9 @@ class SimulatedSensor:
         self._share = self._sampling.emitted_px() / math.prod(source.size_px)
         self._geometry = geometry = settings.geometry(source.size_px)
         self._readout = Readout(
-            mosaic=settings.mosaic,
+            form=settings.form,
             noise=settings.noise,
+            response=settings.response,
             seed=settings.seed,
             most_px=max(math.prod(self._sampling.context_px), math.prod(self._sampling.roi_px)),
         )
@@ -229,16 +237,23 @@ class SimulatedSensor:
     def _expose(self, header: Header, ready: Ready, loan: Loan) -> Exposure:
         found, readout, seq = self._sampling, self._readout, header.seq
         whole = (0, 0, self._geometry.width_px, self._geometry.height_px)
-        context = loan("context", readout.shape(found.context_px), np.uint8)
+        context = loan("context", readout.shape(found.context_px), readout.dtype)
         aim = Commanded(EMPTY_WINDOW, -1, "ok")
-        roi = np.empty(readout.shape((0, 0)), np.uint8)
+        roi = np.empty(readout.shape((0, 0)), readout.dtype)
         if any(found.roi_px):
-            roi = loan("roi", readout.shape(found.roi_px), np.uint8)
+            roi = loan("roi", readout.shape(found.roi_px), readout.dtype)
             aim = self._aim(seq, ready.truth)
             readout.read(ready.pixels, aim.window, roi, seq=seq, port=1)
         readout.read(ready.pixels, whole, context, seq=seq, port=0)
-        form = readout.pixel_format
-        return exposure_of(header, context, roi, aim, pixel_format=form, truth=ready.truth)
+        return exposure_of(
+            header,
+            context,
+            roi,
+            aim,
+            pixel_format=readout.form_of(whole, found.context_px).name,
+            roi_pixel_format=readout.form_of(aim.window, found.roi_px).name,
+            truth=ready.truth,
+        )
 
     def _aim(self, seq: int, truth: Annotations | None) -> Commanded:
         """Where the ROI looks in frame `seq`; what nothing covers holds the last window."""

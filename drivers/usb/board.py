@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
-from drivers.usb.board_settings import FORMATS, DualStreamBoardSettings
+from drivers.usb.board_settings import DualStreamBoardSettings, known_formats
 from drivers.usb.errors import LinkError
 from drivers.usb.frame_header import FrameFlag, FrameHeader
 from drivers.usb.session import Session
@@ -55,7 +55,7 @@ class DualStreamBoard:
             roi_sizes_px=tuple((s.width_px, s.height_px) for s in can.roi_sizes),
             roi_binning=float(session.roi.binning),
             rates_hz=(lowest / 1000, highest / 1000),
-            pixel_formats=tuple(form.name for form in FORMATS if form.code in can.formats),
+            pixel_formats=tuple(form.name for form in known_formats(can)),
             lead_frames=can.lead_frames,
         )
 
@@ -144,10 +144,11 @@ class DualStreamBoard:
         self, session: Session, headers: Sequence[FrameHeader], loan: Loan
     ) -> Exposure | None:
         """Return the exposure with its pixels; None when it is lost."""
-        form = session.format
+        forms = [session.format_of(header) for header in headers]
         try:
             memory = [
-                loan(h.stream.name.lower(), form.shape(h.size_px), form.dtype) for h in headers
+                loan(h.stream.name.lower(), form.shape(h.size_px), form.dtype)
+                for h, form in zip(headers, forms, strict=True)
             ]
         except PoolExhausted:
             self._overrun += 1
@@ -156,28 +157,28 @@ class DualStreamBoard:
         if not session.fill(headers, memory):
             return None
         self._delivered += 1
-        return self._exposure(session, headers, memory)
+        return self._exposure(session, headers, memory, [form.name for form in forms])
 
     def _exposure(
-        self, session: Session, headers: Sequence[FrameHeader], memory: Sequence[NDArray[Any]]
-    ) -> Exposure:
+        self, session: Session, headers: Sequence[FrameHeader], memory: Sequence[NDArray[Any]],
+        names: Sequence[str],
+    ) -> Exposure:  # fmt: skip
         self._last_ns = stamp_ns = session.clock.stamp_ns(headers[0].stamp_ns)
         header = Header(
             stream=self._stream, seq=session.first_seq + headers[0].exposure, stamp_ns=stamp_ns,
             geometry=session.geometry,
         )  # fmt: skip
-        name = session.format.name
         context = Frame(
-            header=header, pixels=memory[0], pixel_format=name, window=headers[0].window
+            header=header, pixels=memory[0], pixel_format=names[0], window=headers[0].window
         )
         if len(headers) == 1:
             empty = np.empty(session.format.shape((0, 0)), session.format.dtype)
-            roi = Frame(header=header, pixels=empty, pixel_format=name, window=EMPTY_WINDOW)
+            roi = Frame(header=header, pixels=empty, pixel_format=names[0], window=EMPTY_WINDOW)
             return Exposure(header=header, context=context, roi=roi)
         status = headers[1].window_status.name.lower()
         self._windows[status] += 1
         roi = Frame(
-            header=header, pixels=memory[1], pixel_format=name, window=headers[1].window,
+            header=header, pixels=memory[1], pixel_format=names[1], window=headers[1].window,
             command_seq=session.command_of(headers[1]) if status == "ok" else -1, status=status,
         )  # fmt: skip
         return Exposure(header=header, context=context, roi=roi)

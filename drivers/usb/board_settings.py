@@ -2,40 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
-
-import numpy as np
-from numpy.typing import DTypeLike
+from typing import Any, Literal
 
 from drivers.usb.capabilities import BoardCapabilities, CaptureMode, RoiSize
 from drivers.usb.requests import Configuration
-from pipeline.errors import SettingsError
-
-
-class PixelFormat(NamedTuple):
-    """How the pixels of a PFNC format lie in memory."""
-
-    code: int  # PFNC
-    name: str  # of `Frame.pixel_format`
-    dtype: DTypeLike
-    channels: int
-
-    def shape(self, size_px: tuple[int, int]) -> tuple[int, ...]:
-        """Return the shape of a picture of that width and height."""
-        width, height = size_px
-        return (height, width) if self.channels == 1 else (height, width, self.channels)
-
-    def row_bytes(self, width_px: int) -> int:
-        """Return the bytes of a row."""
-        return width_px * self.channels * int(np.dtype(self.dtype).itemsize)
-
-
-FORMATS = (
-    PixelFormat(0x02180014, "rgb8", np.uint8, 3),
-    PixelFormat(0x01080001, "grey8", np.uint8, 1),
-    PixelFormat(0x01080009, "bayer_rggb8", np.uint8, 1),
-    PixelFormat(0x0110002F, "bayer_rggb16", np.uint16, 1),
-)
+from pipeline import pixel_formats
+from pipeline.errors import MessageError, SettingsError
+from pipeline.pixel_formats import BY_CODE, PixelFormat
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +18,7 @@ class DualStreamBoardSettings:
     serial: str = ""  # of the board; empty: the only one that is attached
     rate_hz: float = 0.0  # 0: the highest
     roi_px: tuple[int, int] = (0, 0)  # window, sensor pixels; 0: the board's first size
-    pixel_format: str = ""
+    pixel_format: str = ""  # empty: rgb8, or the first that the board has
     mode: Literal["live", "record"] = "live"
     burst_frames: int = 0  # of a recording; 0: the most the board keeps
     payload_crc: bool = False  # costs 2.4 ms for a picture of 9 MB
@@ -56,9 +29,11 @@ class DualStreamBoardSettings:
     backend_options: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.pixel_format not in ("", *(f.name for f in FORMATS)):
-            known = ", ".join(f.name for f in FORMATS)
-            raise SettingsError(f"pixel_format: expected {known}, got {self.pixel_format}")
+        if self.pixel_format:
+            try:
+                pixel_formats.pixel_format(self.pixel_format, "pixel_format")
+            except MessageError as error:
+                raise SettingsError(str(error)) from None
         if not 0 <= self.rate_hz <= 10_000:
             raise SettingsError(f"rate_hz: expected 0 to 10000, got {self.rate_hz}")
         if not 1 <= self.in_flight <= 24:
@@ -109,13 +84,24 @@ def roi_size(settings: DualStreamBoardSettings, can: BoardCapabilities) -> RoiSi
 
 
 def pixel_format(settings: DualStreamBoardSettings, can: BoardCapabilities) -> PixelFormat:
-    """Return the format of both streams."""
-    known = [form for form in FORMATS if form.code in can.formats]
+    """Return the format of both streams; a mosaic's is that of the sensor's first pixel."""
+    known = known_formats(can)
+    if not known:
+        codes = ", ".join(f"{code:#010x}" for code in can.formats)
+        raise SettingsError(
+            f"pixel_format: expected a board with one of pipeline.pixel_formats, got {codes}"
+        )
     fitting = [form for form in known if settings.pixel_format in ("", form.name)]
     if not fitting:
         names = ", ".join(form.name for form in known)
         raise SettingsError(f"pixel_format: expected {names}, got {settings.pixel_format!r}")
     return fitting[0]
+
+
+def known_formats(can: BoardCapabilities) -> list[PixelFormat]:
+    """Return what the board can send, in its order after rgb8; unknown codes are left out."""
+    known = [BY_CODE[code] for code in can.formats if code in BY_CODE]
+    return sorted(known, key=lambda form: form.name != "rgb8")
 
 
 def picture_px(size: RoiSize) -> tuple[int, int]:

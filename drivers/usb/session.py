@@ -32,6 +32,7 @@ from pipeline.boxes import centres, roi_window
 from pipeline.errors import DriverError, SettingsError
 from pipeline.import_path import imported
 from pipeline.messages import Geometry, RoiSchedule
+from pipeline.pixel_formats import BY_CODE, PixelFormat
 from pipeline.settings import build
 
 POLL_S = 0.1  # how long a read waits before it looks whether it was stopped
@@ -91,6 +92,8 @@ class Session:
             width_px=can.width_px, height_px=can.height_px, roi_width_px=self.roi.width_px,
             roi_height_px=self.roi.height_px, step_px=can.step_px,
         )  # fmt: skip
+        # a mosaic that is cropped at odd pixels begins with another colour
+        self._formats = {self.format.shifted(x, y) for x in (0, 1) for y in (0, 1)}
         self._streams = list(Stream) if self.roi.width_px else [Stream.CONTEXT]
 
     @property
@@ -205,6 +208,17 @@ class Session:
         self._account(headers)
         self._receiver.skip(headers, self._payload_s)
         self._triggered = False
+
+    def format_of(self, header: FrameHeader) -> PixelFormat:
+        """Return the format of a frame; raises `DriverError` for one that was not asked for."""
+        found = BY_CODE.get(header.pixel_format)
+        if found is None or found not in self._formats:
+            got = found.name if found else f"{header.pixel_format:#010x}"
+            raise DriverError(
+                f"{self.connection.where}: {header.stream.name.lower()}: expected "
+                f"{self.format.name} as configured, got {got}"
+            )
+        return found
 
     def fill(self, headers: Sequence[FrameHeader], memory: Sequence[NDArray[Any]]) -> bool:
         """Read the pixels of an exposure into memory; False: it is lost."""

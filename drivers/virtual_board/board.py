@@ -27,9 +27,10 @@ from drivers.usb.requests import (
 from drivers.virtual_board.errors import Gone, Refused
 from drivers.virtual_board.exposures import Exposures
 from drivers.virtual_board.faults import Fault, FaultScript
-from drivers.virtual_board.profiles import BAYER_RG8, Profile
+from drivers.virtual_board.profiles import Profile
 from drivers.virtual_board.sender import FrameSender, picture_px
 from drivers.virtual_board.world import World
+from pipeline.pixel_formats import BY_CODE
 
 OpenWorld = Callable[[int, int], World]  # pixel format, most pixels of a picture -> world
 WAKE_S = 0.05  # how often a bulk read looks whether it was cancelled
@@ -202,7 +203,7 @@ class VirtualBoard:
 
     def _effective(self, wanted: Configuration) -> Configuration:
         def payload(size_px: tuple[int, int]) -> int:
-            return size_px[0] * size_px[1] * (1 if wanted.pixel_format == BAYER_RG8 else 3)
+            return BY_CODE[wanted.pixel_format].row_bytes(size_px[0]) * size_px[1]
 
         return Configuration(
             rate_mhz=wanted.rate_mhz, roi_px=wanted.roi_px, pixel_format=wanted.pixel_format,

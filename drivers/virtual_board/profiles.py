@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from drivers.usb.capabilities import BoardCapabilities, CaptureMode, RoiSize
+from pipeline.pixel_formats import FORMATS
 
 USB3_BYTES_PER_S = 400_000_000  # what a USB 3.0 camera reaches in practice
-RGB8, BAYER_RG8 = 0x02180014, 0x01080009  # PFNC codes
+# PFNC codes of what a colour sensor sends whose first pixel is red
+CODES = tuple(form.code for form in FORMATS.values() if form.name == "rgb8" or form.order == "rggb")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +29,7 @@ def _board(size_px: tuple[int, int], context: int, *rois: RoiSize, **more: objec
         "context_px": (width // context, height // context), "step_px": 2, "lead_frames": 1,
         "modes": (CaptureMode.LIVE,), "rates_mhz": (100, 1_000_000), "preview_mhz": 0,
         "burst_frames": 0, "link_bytes_per_s": USB3_BYTES_PER_S, "roi_sizes": rois,
-        "formats": (RGB8, BAYER_RG8), "model": "fovea virtual board", "serial": "V0001",
+        "formats": CODES, "model": "fovea virtual board", "serial": "V0001",
         "firmware": "1.0",
     }  # fmt: skip
     known = {key: more.pop(key) for key in list(more) if key in values}

@@ -136,13 +136,14 @@ class FrameSender:
         size_px = self._size_px(stream) if found is not None else (0, 0)
         window = (0, 0, 0, 0) if found is None else found.window
         rows = len(payload) // size_px[1] if size_px[1] else 0
+        shown = self._whole() if found and stream is Stream.CONTEXT else window
         return FrameHeader(
             stream=stream, flags=flags,
             window_status=found.status if found else WindowStatus.OK,
             exposure=found.exposure if found else self._exposures.next,
             stamp_ns=found.stamp_ns if found else self._now_ns(),
-            window=self._whole() if found and stream is Stream.CONTEXT else window,
-            size_px=size_px, pixel_format=self._configuration.pixel_format, row_bytes=rows,
+            window=shown, size_px=size_px, pixel_format=self._world.code(shown, size_px),
+            row_bytes=rows,
             payload_bytes=len(payload), payload_crc=crc,
             schedule_id=found.schedule_id if found else 0, entry=found.entry if found else 0,
             dropped=dropped,

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from drivers.simulated.readout import Readout
 from drivers.source import Annotations, FrameSource
 from drivers.usb.frame_header import Window
-from drivers.virtual_board.profiles import BAYER_RG8
+from pipeline.pixel_formats import BY_CODE
 
 
 class World:
@@ -17,15 +17,13 @@ class World:
     ) -> None:
         self._source = source
         self.length = source.length
-        self.readout = Readout(
-            mosaic=pixel_format == BAYER_RG8, noise=noise, seed=seed, most_px=most_px
-        )
+        self.readout = Readout(form=BY_CODE[pixel_format], noise=noise, seed=seed, most_px=most_px)
         self._index = -1
         self._picture = np.empty((0, 0, 3), np.uint8)
 
-    def row_bytes(self, width_px: int) -> int:
-        """Bytes of a row of that many pixels."""
-        return width_px if self.readout.mosaic else 3 * width_px
+    def code(self, window: Window, size_px: tuple[int, int]) -> int:
+        """PFNC code of what `render` makes: a crop at odd pixels has a mosaic of another order."""
+        return self.readout.form_of(window, size_px).code
 
     def render(
         self,
@@ -38,8 +36,8 @@ class World:
         """Fill `out` (n,) with the window of a picture, reduced to `size_px`."""
         if index != self._index:
             self._picture, self._index = self._source.picture(index), index
-        shape = self.readout.shape(size_px)
-        self.readout.read(self._picture, window, out.reshape(shape), seq=index, port=port)
+        pixels = out.view(self.readout.dtype).reshape(self.readout.shape(size_px))
+        self.readout.read(self._picture, window, pixels, seq=index, port=port)
 
     def truth(self, index: int) -> Annotations | None:
         """What is in a picture, where the source knows it."""

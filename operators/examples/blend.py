@@ -33,8 +33,9 @@ class Blend(Operator[BlendSettings, Frame]):
     def on_left_right(self, left: Frame, right: Frame) -> Frame:
         """Return one frame per pair; raises `MessageError` for pictures of different sizes."""
         for frame in (left, right):
-            if frame.pixels.dtype != np.uint8:
-                raise MessageError(f"blend: expected 8-bit pixels, got {frame.pixels.dtype}")
+            if frame.pixels.dtype != np.uint8 or frame.packed:
+                got = f"{frame.pixels.dtype} of {frame.pixel_format}"
+                raise MessageError(f"blend: expected 8-bit pixels, got {got}")
         if left.pixels.shape != right.pixels.shape:
             got = f"{left.pixels.shape} and {right.pixels.shape}"
             raise MessageError(f"blend: expected two pictures of one size, got {got}")

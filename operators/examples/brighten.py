@@ -27,7 +27,9 @@ class Brighten(Operator[BrightenSettings, Frame]):
 
     def on_frame(self, frame: Frame) -> Frame:
         """Return one frame per frame; raises `MessageError` for pixels of more than 8 bits."""
-        if frame.pixels.dtype != np.uint8:
-            raise MessageError(f"brighten: expected 8-bit pixels, got {frame.pixels.dtype}")
+        if frame.pixels.dtype != np.uint8 or frame.packed:
+            raise MessageError(
+                f"brighten: expected 8-bit pixels, got {frame.pixels.dtype} of {frame.pixel_format}"
+            )
         bright = np.minimum(frame.pixels * self.settings.gain, 255)
         return replace(frame, pixels=bright.astype(np.uint8))

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from fovea import Frame, Input, Operator, SettingsError
+from fovea import Frame, Input, MessageError, Operator, SettingsError
 
 KEPT = 1000  # frames; bounded, since a graph may run for weeks
 
@@ -50,7 +50,9 @@ class Meter(Operator[MeterSettings, None]):
         self._frames = self._alarms = 0
 
     def on_frame(self, frame: Frame) -> None:
-        """Measure one frame; there is no output."""
+        """Measure one frame; there is no output. Raises `MessageError` for packed pixels."""
+        if frame.packed:
+            raise MessageError(f"meter: expected a number per sample, got {frame.pixel_format}")
         mean = float(frame.pixels.mean())
         self._kept.append((mean, frame.header.seq))
         self._frames += 1

@@ -51,8 +51,10 @@ class Motion(Operator[MotionSettings, Frame]):
 
         Raises `MessageError` for pixels of more than 8 bits.
         """
-        if frame.pixels.dtype != np.uint8:
-            raise MessageError(f"motion: expected 8-bit pixels, got {frame.pixels.dtype}")
+        if frame.pixels.dtype != np.uint8 or frame.packed:
+            raise MessageError(
+                f"motion: expected 8-bit pixels, got {frame.pixels.dtype} of {frame.pixel_format}"
+            )
         mean = self._background.mean
         if mean.shape != frame.pixels.shape:
             mean = frame.pixels.astype(np.float32)

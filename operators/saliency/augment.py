@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.saliency.example import BALL, NAMES, Example
+from operators.saliency.sensor_noise import through_sensor
 from operators.training.photometric import degrade, recolour
 
 BALL_LABEL = NAMES.index(BALL)
@@ -19,14 +20,19 @@ BALL_TO_PERSON = (0.085, 0.17)  # diameter over height; a ball measures 0.22 m
 FINE = 8  # sub-pixels a side of a pasted thing
 
 
-def augment(example: Example, rng: np.random.Generator) -> Example:
-    """Zoom, shift and mirror; clutter; paste; recolour; soften, roughen and compress."""
+def augment(example: Example, rng: np.random.Generator, raw_share: float = 0.0) -> Example:
+    """Zoom, shift and mirror; clutter; paste; recolour; soften, roughen and compress.
+
+    `raw_share` of the pictures are then seen through a raw sensor.
+    """
     example = move(example, rng)
     if rng.random() < 0.6:
         example = replace(example, picture=clutter(example, rng))
     example = paste(example, rng)
-    picture = recolour(example.picture, rng)
-    return replace(example, picture=degrade(picture, rng))
+    picture = degrade(recolour(example.picture, rng), rng)
+    if raw_share and rng.random() < raw_share:  # without it, as the shipped network was trained
+        picture = through_sensor(picture, rng)
+    return replace(example, picture=picture)
 
 
 def move(example: Example, rng: np.random.Generator) -> Example:

@@ -42,8 +42,8 @@ class Rendered(Dataset[Example]):
     and augmented differently, and a resumed training continues exactly.
     """
 
-    def __init__(self, files: Iterable[Path], *, seed: int) -> None:
-        self._seed = seed
+    def __init__(self, files: Iterable[Path], *, seed: int, raw_share: float = 0.0) -> None:
+        self._seed, self._raw_share = seed, raw_share
         self._scenes = [(_pictures(path.with_suffix(".npy")), read(path)) for path in files]
         self._places = [
             (scene, row)
@@ -64,7 +64,7 @@ class Rendered(Dataset[Example]):
             self._order = np.random.default_rng([self._seed, epoch]).permutation(len(self))
             self._epoch = epoch
         rng = np.random.default_rng([self._seed, epoch, step])
-        return augment(self.plain(int(self._order[step])), rng)
+        return augment(self.plain(int(self._order[step])), rng, self._raw_share)
 
     def plain(self, index: int) -> Example:
         """The picture as rendered."""
@@ -112,11 +112,12 @@ def collate(examples: list[Example]) -> Batch:
 
 
 def stream(
-    files: Iterable[Path], size: int, steps: range, *, seed: int, workers: int = 1
-) -> Iterator[Batch]:
+    files: Iterable[Path], size: int, steps: range, *, seed: int, workers: int = 1,
+    raw_share: float = 0.0,
+) -> Iterator[Batch]:  # fmt: skip
     """The batches of some steps of a training, prepared by processes beside it."""
     loader = DataLoader(
-        Rendered(files, seed=seed),
+        Rendered(files, seed=seed, raw_share=raw_share),
         batch_size=size,
         sampler=range(steps.start * size, steps.stop * size),
         num_workers=workers,

@@ -109,7 +109,10 @@ def train(settings: TrainSettings) -> Run:
     # with a GPU, all CPU cores are available for the loader
     workers = 1 if run.device.type == "cpu" else settings.threads
     files = [*drawn(settings), *given(settings)]
-    batches = stream(files, settings.batch, steps, seed=settings.seed, workers=workers)
+    batches = stream(
+        files, settings.batch, steps, seed=settings.seed, workers=workers,
+        raw_share=settings.raw_share,
+    )  # fmt: skip
     with bar(PHASES["train"], settings.steps, run.step) as shown:
         told = ""
         for batch in batches:

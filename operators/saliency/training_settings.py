@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from operators.training.ranges import above_zero, at_least, known_device
+from pipeline.errors import SettingsError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +25,7 @@ class TrainSettings:
     threads: int = 2
     minutes: float = 120.0
     compiled: bool = False
+    raw_share: float = 0.0  # share of the pictures that are seen through a raw sensor
     init: Path | None = None  # a checkpoint to begin with instead of random weights
     device: str = "auto"  # where the network is; scenes are drawn on processors
 
@@ -31,4 +33,6 @@ class TrainSettings:
         at_least(1, self, "moments", "span", "steps", "batch", "threads")
         at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
         above_zero(self, "rate", "minutes")
+        if not 0 <= self.raw_share <= 1:
+            raise SettingsError(f"raw_share: must be within 0..1, got {self.raw_share}")
         known_device(self.device)

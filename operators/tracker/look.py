@@ -5,6 +5,7 @@ where available and from the context elsewhere, at the tracker's input size.
 """
 
 from dataclasses import dataclass, field
+from typing import NoReturn
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline import Frame
 from pipeline.errors import MessageError
+from pipeline.pixel_formats import FORMATS
 
 Picture = NDArray[np.uint8]
 Rect = tuple[float, float, float, float]  # xyxy, sensor pixels
@@ -67,9 +69,11 @@ def common(a: Rect, b: tuple[float, float, float, float]) -> Rect:
 def draw(frame: Frame, square: Rect, out: Picture) -> None:
     """Draw the part of `square` that `frame` shows into its place in `out`, bilinear.
 
-    Nothing is drawn where the frame has no pixels.
+    Nothing is drawn where the frame has no pixels. Raises `MessageError` for a packed frame.
     """
-    height, width = frame.pixels.shape[:2]
+    if frame.packed and frame.pixels.size:
+        refuse(frame.pixel_format)
+    width, height = frame.size_px
     left, top, right, bottom = frame.window
     if not (height and width and right > left and bottom > top):
         return
@@ -105,14 +109,24 @@ def cut(low: float, high: float, size: int) -> tuple[int, int]:
 
 
 def rgb(pixels: NDArray[np.uint8] | NDArray[np.uint16], pixel_format: str) -> Picture:
-    """A piece of a frame as (h, w, 3) RGB of 8 bit; itself when it is that already."""
+    """A piece of a frame as (h, w, 3) RGB of 8 bit; itself when it is that already.
+
+    A piece of a mosaic begins at even pixels of its frame; black level and white balance are those
+    of an `operators.downsample` before this.
+    """
+    form = FORMATS.get(pixel_format)
     if pixel_format == "rgb8":
         return pixels.astype(np.uint8, copy=False)
-    if pixel_format == "grey8":
-        grey = np.ascontiguousarray(pixels.astype(np.uint8, copy=False))
-        return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
-    if pixel_format in ("bayer_rggb8", "bayer_rggb16"):
-        deep = pixel_format == "bayer_rggb16"
-        mosaic = np.ascontiguousarray((pixels >> 8 if deep else pixels).astype(np.uint8))
-        return np.asarray(cv2.cvtColor(mosaic, cv2.COLOR_BayerRGGB2RGB), np.uint8)
-    raise MessageError(f"tracker: expected rgb8, grey8 or bayer_rggb8/16, got {pixel_format}")
+    if form is None or form.packed or form.channels == 3:
+        refuse(pixel_format)
+    light = np.ascontiguousarray((pixels >> form.bits - 8).astype(np.uint8))
+    how = f"COLOR_Bayer{form.order.upper()}2RGB" if form.order else "COLOR_GRAY2RGB"
+    return np.asarray(cv2.cvtColor(light, getattr(cv2, how)), np.uint8)
+
+
+def refuse(pixel_format: str) -> NoReturn:
+    """Raise `MessageError` for a format that no piece can be cut from."""
+    raise MessageError(
+        f"tracker: expected pixels as rgb8, grey8 or an unpacked mosaic, got {pixel_format}; put "
+        "operators.downsample before it"
+    )

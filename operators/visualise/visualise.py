@@ -34,14 +34,10 @@ from pipeline.messages import (
     Scanpath,
     Tracks,
 )
+from pipeline.pixel_formats import FORMATS
 
 TRAIL_FRAMES = 30
 WHITE, YELLOW, GREY, RED = (255, 255, 255), (255, 210, 0), (150, 150, 150), (255, 60, 60)
-COLOURS = {  # OpenCV's conversion to BGR, which its JPEG encoder wants
-    "rgb8": cv2.COLOR_RGB2BGR,
-    "bayer_rggb8": cv2.COLOR_BayerRGGB2BGR,
-    "bayer_rggb16": cv2.COLOR_BayerRGGB2BGR,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +224,7 @@ class Visualise(Operator[VisualiseSettings, None]):
             self._log(path, rr.Clear(recursive=False))
             return
         left, top, right, bottom = frame.window
-        height, width = frame.pixels.shape[:2]
+        width, height = frame.size_px
         scale = ((right - left) / width, (bottom - top) / height, 1.0)
         self._log(path, rr.Transform3D(translation=(left, top, 0), scale=scale))
         contents = jpeg(frame, self.settings.jpeg_quality)
@@ -292,16 +288,22 @@ def named(
 
 
 def jpeg(frame: Frame, quality: int) -> bytes:
-    """A frame as JPEG; raises `MessageError` for a pixel format that has no colours here."""
-    pixels = frame.pixels
-    if pixels.dtype == np.uint16:
-        pixels = (pixels >> 8).astype(np.uint8)
-    if frame.pixel_format in COLOURS:
-        pixels = np.asarray(cv2.cvtColor(pixels, COLOURS[frame.pixel_format]), np.uint8)
-    elif frame.pixel_format != "grey8":
+    """A frame as JPEG; raises `MessageError` for a pixel format that cannot be shown as it is."""
+    form = FORMATS.get(frame.pixel_format)
+    if form is None or form.packed:
         raise MessageError(
-            f"visualise: expected pixels as grey8, {', '.join(COLOURS)}, got {frame.pixel_format}"
+            f"visualise: expected pixels as rgb8, grey8 or an unpacked mosaic, got "
+            f"{frame.pixel_format}; put operators.downsample before it"
         )
+    form.check("visualise", frame.pixels)
+    pixels = frame.pixels
+    if form.bits > 8:
+        pixels = (pixels >> form.bits - 8).astype(np.uint8)
+    if form.order:
+        how = getattr(cv2, f"COLOR_Bayer{form.order.upper()}2BGR")
+        pixels = np.asarray(cv2.cvtColor(pixels, how), np.uint8)
+    elif form.name == "rgb8":
+        pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), np.uint8)
     _, contents = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return contents.tobytes()
 

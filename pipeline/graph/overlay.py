@@ -15,7 +15,7 @@ from pipeline.naming import LONGEST_NAME
 from pipeline.settings import suggest
 from pipeline.wording import shown, shown_key
 
-SOURCE_KEYS = ("operator", "settings")
+SOURCE_KEYS = ("operator", "settings", "nodes", "instead")
 LONGEST_TARGET, LONGEST_VALUE = 2 * LONGEST_NAME + 40, 40  # characters of an argument in an error
 
 
@@ -23,7 +23,7 @@ LONGEST_TARGET, LONGEST_VALUE = 2 * LONGEST_NAME + 40, 40  # characters of an ar
 class Overlay:
     """An overlay from the command line on a graph file."""
 
-    source: Path | None = None  # a YAML file with `settings` and optionally `operator`
+    source: Path | None = None  # a YAML file with `settings` and perhaps other `SOURCE_KEYS`
     changes: tuple[str, ...] = ()  # node.setting=value
     clock: str = ""
     wanted: tuple[str, ...] = ()  # manual nodes to start
@@ -62,8 +62,13 @@ def source_document(path: Path) -> YamlFile:
     """Read a source file and check its keys; raises `GraphError` with file and line."""
     over = YamlFile(path)
     over.only(over.document, SOURCE_KEYS, "source")
-    if "settings" in over.document:
-        over.mapping(over.document, "settings", "source")
+    for key in ("settings", "nodes", "instead"):
+        if key in over.document:
+            over.mapping(over.document, key, "source")
+    for origin, target in over.document.get("instead", {}).items():
+        if not isinstance(target, str):
+            what = f"source.instead.{shown_key(origin)}: expected a node or node.output, got "
+            over.fail(over.document["instead"], origin, what + kind_of(target))
     return over
 
 
@@ -115,8 +120,41 @@ def _lay_source(file: YamlFile, nodes: Any, spec: GraphSpec, path: Path) -> None
             f"{file.path}: --source needs one node that makes frames, got {len(found)}"
         )
     entry: YamlMapping = nodes[found[0]]
-    for key, value in over.document.items():
-        entry.put(key, value, over.document.places[key])
+    for key in ("operator", "settings"):
+        if key in over.document:
+            entry.put(key, over.document[key], over.document.places[key])
+    _reroute(nodes, over)
+    _add_nodes(file, nodes, over, entry.get("host"))
+
+
+def _reroute(nodes: Any, over: YamlFile) -> None:
+    """Let the graph's own nodes read what the source file names `instead` of another output."""
+    instead = over.document.get("instead", {})
+    known = (*nodes, *over.document.get("nodes", {}))
+    for origin, target in instead.items():
+        node = target.partition(".")[0]
+        if node not in known:
+            what = f"source.instead.{shown_key(origin)}: no node {shown_key(node)}"
+            over.fail(instead, origin, what + suggest(node, known))
+    for entry in nodes.values():
+        inputs: YamlMapping = entry.get("inputs") or YamlMapping()
+        for name, edge in list(inputs.items()):
+            parent, key = (edge, "from") if isinstance(edge, YamlMapping) else (inputs, name)
+            origin = str(parent.get(key))
+            if origin in instead:
+                parent.put(key, instead[origin], over.at(instead, origin))
+
+
+def _add_nodes(file: YamlFile, nodes: Any, over: YamlFile, host: str | None) -> None:
+    """Add the nodes of the source file, on the host of the sensor unless they name one."""
+    added = over.document.get("nodes", {})
+    for name, entry in added.items():
+        if name in nodes:
+            what = f"source.nodes.{shown_key(name)}: {file.path} has a node of that name"
+            over.fail(added, name, what)
+        if host is not None and isinstance(entry, YamlMapping) and "host" not in entry:
+            entry.put("host", host, over.at(added, name))
+        nodes.put(name, entry, over.at(added, name))
 
 
 def _makes_frames(node: NodeSpec) -> bool:

@@ -72,7 +72,7 @@ def check_frames_say_what_they_show(make: Make) -> None:
     assert first.header.geometry == grid
     assert first.context.header == first.roi.header == first.header
     assert first.context.window == (0, 0, grid.width_px, grid.height_px)
-    assert first.context.pixels.shape[1::-1] == can.context_px
+    assert first.context.size_px == can.context_px
     assert_addressable(first.roi.window, grid)
     assert not np.array_equal(first.context.pixels, second.context.pixels)
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from operators.capture import Capture, CaptureSettings
-from pipeline.errors import DriverError, SettingsError
+from pipeline.errors import DriverError, FoveaError, SettingsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
+from pipeline.run.inline import InlineRunner
 from pipeline.settings import build
 from tests.drivers.datasets.test_soccernet import GAME, GT
 from tests.drivers.mjpeg_server import MjpegServer
@@ -18,6 +19,7 @@ from tests.drivers.sequences import write_pictures, write_sequence
 from tests.shared_data import Footage
 
 SOURCES = Path(__file__).resolve().parents[2] / "graphs" / "sources"
+SQUARE = "tests.drivers.moving_square:MovingSquare"
 RECORDINGS = ("soccernet", "mot", "video", "images")
 GRAPH = """
 name: eyes
@@ -105,7 +107,7 @@ def test_the_real_sequence_plays(tmp_path: Path, footage: Footage) -> None:
 
 
 def test_every_source_file_is_tested() -> None:
-    assert {path.stem for path in SOURCES.glob("*.yaml")} >= {*RECORDINGS, "soccer"}
+    assert {path.stem for path in SOURCES.glob("*.yaml")} >= {*RECORDINGS, "soccer", "raw"}
 
 
 def test_a_stream_plays_from_the_address_set_on_the_command_line(tmp_path: Path) -> None:
@@ -129,3 +131,88 @@ def test_a_stream_without_an_address_is_an_error_of_its_file(tmp_path: Path) -> 
         SettingsError, match=r"rtsp\.yaml:\d+: .*url or pipeline: expected exactly one"
     ):
         capture_of(graph(tmp_path), "rtsp")
+
+
+def test_a_raw_sensor_runs_in_a_graph_that_knows_rgb_alone(tmp_path: Path) -> None:
+    plan = load(graph(tmp_path), Overlay(source=SOURCES / "raw.yaml"))
+
+    sent = {(e.source, e.output): e.target for e in plan.edges}
+    assert sent[("capture", "context")] == "context_rgb"
+    assert sent[("capture", "roi")] == "roi_rgb"
+    assert sent[("context_rgb", "out")] == "small"
+
+
+def test_the_graph_sees_the_raw_scene_in_its_own_colours(tmp_path: Path) -> None:
+    quiet = ("capture.full_well_e=0", "capture.read_noise_e=0")
+    shown: dict[str, dict[str, Any]] = {}
+    for name, changes in (("raw", quiet), ("soccer", ())):
+        few = (f"capture.scene={SQUARE}", "capture.size_px=[640, 352]", "capture.frames=1")
+        overlay = Overlay(
+            source=SOURCES / f"{name}.yaml", changes=(*few, *changes), clock="lockstep"
+        )
+        seen = shown[name] = {}
+        with InlineRunner(load(graph(tmp_path), overlay), watch=seen.setdefault) as runner:
+            list(runner.run())
+
+    raw, plain = shown["raw"], shown["soccer"]
+    assert raw["capture.context"].packed
+    assert raw["capture.context"].size_px == (160, 88)
+    for seen, wanted in (
+        ("context_rgb.out", "capture.context"),
+        ("roi_rgb.out", "capture.roi"),
+    ):
+        got, truth = raw[seen].pixels.astype(float), plain[wanted].pixels.astype(float)
+        assert raw[seen].window == plain[wanted].window
+        assert np.abs(got.mean((0, 1)) - truth.mean((0, 1))).max() < 2
+
+
+OVERLAY = """
+settings: {options: {scene: "tests.drivers.moving_square:MovingSquare"}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        (
+            "instead: {capture.context: rgb}",
+            r"over.yaml:3: source.instead.'capture.context': no node rgb; there is",
+        ),
+        ("instead: {capture.context: 5}", r"over.yaml:3: .*: expected a node or node.output, got"),
+        ("instead: rgb", r"over.yaml:3: source.instead: expected a mapping, got str"),
+        ("nodes: [1]", r"over.yaml:3: source.nodes: expected a mapping, got list"),
+        ("nodes: {rgb: 5}", r"over.yaml:3: nodes.rgb: expected a mapping, got int"),
+        ("nodes: {small: {operator: a:B}}", r"over.yaml:3: source.nodes.small: .* of that name"),
+        ("through: {}", r"over.yaml:3: source.through: no such key"),
+        (
+            "nodes: {rgb: {operator: operators.downsample:Downsample, inputs: {frame: captur}}}",
+            r"over.yaml:3: rgb.inputs.frame: no node captur, did you mean",
+        ),
+        ("instead: {capture.context: small}", r"eyes.yaml:\d+: .*small"),
+    ],
+)
+def test_what_a_source_file_adds_wrongly_is_refused_with_its_line(
+    more: str, named: str, tmp_path: Path
+) -> None:
+    over = tmp_path / "over.yaml"
+    over.write_text(OVERLAY.lstrip() + f"# a comment\n{more}\n")
+
+    with pytest.raises(FoveaError, match=named):
+        load(graph(tmp_path), Overlay(source=over))
+
+
+def test_long_edges_are_led_elsewhere_too_and_others_stay(tmp_path: Path) -> None:
+    path = graph(tmp_path)
+    long = "{from: capture.context, keep: every}"
+    path.write_text(GRAPH.replace("{frame: capture.context}", f"{{frame: {long}}}"))
+    over = tmp_path / "over.yaml"
+    over.write_text(
+        OVERLAY
+        + "nodes:\n  rgb: {operator: operators.downsample:Downsample, "
+        + "inputs: {frame: capture.context}}\ninstead: {capture.context: rgb}\n"
+    )
+
+    plan = load(path, Overlay(source=over))
+
+    edges = {e.target: (e.source, e.keep) for e in plan.edges}
+    assert edges == {"small": ("rgb", "every"), "rgb": ("capture", "latest")}

@@ -1,11 +1,16 @@
 """Boards for tests: the driver over a virtual board that looks at a small moving square."""
 
+from dataclasses import replace
 from typing import Any
 
 from drivers.sensor import Exposure
 from drivers.usb import DualStreamBoard, DualStreamBoardSettings
+from drivers.usb.frame_header import Window
 from drivers.virtual_board import VirtualBackend, VirtualBoardSettings
+from drivers.virtual_board.board import VirtualBoard
+from drivers.virtual_board.world import World
 from tests.drivers.contract import memory
+from tests.drivers.moving_square import MovingSquare
 
 SQUARE = "tests.drivers.moving_square:MovingSquare"
 BACKEND = "drivers.virtual_board:VirtualBackend"
@@ -35,3 +40,30 @@ def played(subject: DualStreamBoard, *, realtime: bool = False) -> list[Exposure
     finally:
         subject.close()
     return exposures
+
+
+class StepOneBackend(VirtualBackend):
+    """A bus with a virtual board whose windows start at any pixel."""
+
+    def __init__(self, settings: VirtualBoardSettings) -> None:
+        super().__init__(settings)
+        profile = self.board.profile
+        self.board.profile = replace(profile, can=replace(profile.can, step_px=1))
+
+
+class MislabelledBackend(VirtualBackend):
+    """A bus with a virtual board that names another format than that of its pixels."""
+
+    def __init__(self, settings: VirtualBoardSettings) -> None:
+        super().__init__(settings, board=VirtualBoard(settings.scaled(), _mislabelled))
+
+
+class _Mislabelled(World):
+    def code(self, window: Window, size_px: tuple[int, int]) -> int:
+        return 0x01100005  # Mono12, as many bytes as BayerRG12
+
+
+def _mislabelled(pixel_format: int, most_px: int) -> World:
+    return _Mislabelled(
+        MovingSquare(), pixel_format=pixel_format, noise=0.0, seed=0, most_px=most_px
+    )

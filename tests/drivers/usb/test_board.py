@@ -25,6 +25,8 @@ LAST = 39  # exposure of the virtual source
     [
         {},
         {"pixel_format": "bayer_rggb8"},
+        {"pixel_format": "bayer_rggb12p"},
+        {"pixel_format": "bayer_rggb16"},
         {"payload_crc": True},
         {"roi_px": (160, 96)},
         {"in_flight": 1},
@@ -230,7 +232,11 @@ def test_more_than_the_link_carries_is_refused_with_the_figures() -> None:
         ({"mode": "record"}, "mode: expected live, as the board can, got record"),
         ({"roi_px": (81, 48)}, "roi_px: expected 80x48, 160x96, got 81x48"),
         ({"rate_hz": 1e4}, "rate_hz: expected 0.1 to 1000, got 10000"),
-        ({"pixel_format": "bayer_rggb16"}, "pixel_format: expected rgb8, bayer_rggb8, got"),
+        (
+            {"pixel_format": "grey8"},
+            "pixel_format: expected rgb8, bayer_rggb8, bayer_rggb10, bayer_rggb10p, bayer_rggb12, "
+            "bayer_rggb12p, bayer_rggb14, bayer_rggb16, got 'grey8'",
+        ),
         ({"serial": "V9"}, "serial: no board V9; attached: V0001"),
         ({"burst_frames": 3}, "burst_frames: expected at most 0, got 3"),
     ],

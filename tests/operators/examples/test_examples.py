@@ -1,6 +1,7 @@
 """The shipped examples: each graph runs, and each operator computes what it documents."""
 
 import secrets
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ DEEP = fovea.Frame(
     header=fovea.header(0), pixels=np.full((4, 6), 2000, np.uint16), window=(0, 0, 6, 4),
     pixel_format="bayer_rggb16",
 )  # fmt: skip
+PACKED = replace(DEEP, pixels=np.zeros((4, 9), np.uint8), pixel_format="bayer_rggb12p")
 
 
 def delivered(report: dict[str, Any]) -> dict[str, int]:
@@ -108,6 +110,22 @@ def test_examples_for_8_bit_pixels_refuse_others(
     operator: type[fovea.Operator[Any, Any]], given: Any
 ) -> None:
     with pytest.raises(fovea.MessageError, match="expected 8-bit pixels, got uint16"):
+        fovea.drive(operator, [given])
+
+
+@pytest.mark.parametrize(
+    ("operator", "given"),
+    [
+        (Brighten, PACKED),
+        (Motion, PACKED),
+        (Meter, PACKED),
+        (Blend, {"left": PACKED, "right": PACKED}),
+    ],
+)
+def test_examples_take_packed_bytes_for_no_picture(
+    operator: type[fovea.Operator[Any, Any]], given: Any
+) -> None:
+    with pytest.raises(fovea.MessageError, match=r"expected .* got .*bayer_rggb12p"):
         fovea.drive(operator, [given])
 
 

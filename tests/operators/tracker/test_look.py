@@ -84,12 +84,15 @@ def test_outside_the_field_a_look_is_black():
     assert (seen[:, 27:] == 90).all()
 
 
-@pytest.mark.parametrize("depth", [8, 16])
-def test_a_mosaic_is_seen_in_colour(depth):
+@pytest.mark.parametrize("depth", [8, 10, 12, 14, 16])
+@pytest.mark.parametrize("order", ["rggb", "grbg", "gbrg", "bggr"])
+def test_a_mosaic_is_seen_in_colour(depth, order):
     mosaic = np.zeros((270, 480), np.uint16)
-    mosaic[::2, ::2] = 200 << (depth - 8)  # red sites only
+    row, column = divmod(order.index("r"), 2)
+    mosaic[row::2, column::2] = 200 << (depth - 8)  # red sites only
     pixels = mosaic.astype(np.uint8) if depth == 8 else mosaic
-    context = Frame(header=header(), pixels=pixels, window=FIELD, pixel_format=f"bayer_rggb{depth}")
+    name = f"bayer_{order}{depth}"
+    context = Frame(header=header(), pixels=pixels, window=FIELD, pixel_format=name)
 
     seen = Streams(context=context, roi=NO_ROI).look(np.array([901, 403], np.float32), 200, 32)
 
@@ -105,6 +108,15 @@ def test_an_unknown_pixel_format_is_refused():
 
     with pytest.raises(MessageError, match="got yuv"):
         Streams(context=frame, roi=NO_ROI).look(np.array([900, 500], np.float32), 900, 32)
+
+
+def test_packed_bytes_are_refused_wherever_the_look_goes():
+    packed = np.zeros((270, 720), np.uint8)
+    frame = Frame(header=header(), pixels=packed, window=FIELD, pixel_format="bayer_rggb12p")
+
+    for place in (np.array([900, 500], np.float32), np.array([-9000, 500], np.float32)):
+        with pytest.raises(MessageError, match=r"got bayer_rggb12p; put operators.downsample"):
+            Streams(context=frame, roi=NO_ROI).look(place, 900, 32)
 
 
 @settings(max_examples=60, deadline=None)

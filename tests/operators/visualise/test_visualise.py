@@ -183,13 +183,19 @@ def test_the_panels_come_with_the_recording(tmp_path):
     assert len(RrdReader(tmp_path / "seen.rrd").blueprints()) >= 1
 
 
-@pytest.mark.parametrize("pixel_format", ["rgb8", "grey8", "bayer_rggb8", "bayer_rggb16"])
+@pytest.mark.parametrize(
+    "pixel_format",
+    ["rgb8", "bgr8", "grey8", "grey12", "bayer_rggb8", "bayer_bggr10", "bayer_rggb16"],
+)
 def test_every_pixel_format_becomes_a_picture_of_its_colour(pixel_format):
     colour = picture(16, 16, seed=1) * 0 + np.array([200, 100, 50], np.uint8)
     mosaic = np.empty((16, 16), np.uint8)
     mosaic[::2, ::2], mosaic[1::2, 1::2], mosaic[::2, 1::2], mosaic[1::2, ::2] = 200, 50, 100, 100
     pixels, expected = {
         "rgb8": (colour, [200, 100, 50]),
+        "bgr8": (np.full_like(colour, [50, 100, 200]), [200, 100, 50]),
+        "grey12": (np.full((16, 16), 90 << 4, np.uint16), [90, 90, 90]),
+        "bayer_bggr10": (np.roll(mosaic, (1, 1), (0, 1)).astype(np.uint16) << 2, [200, 100, 50]),
         "grey8": (np.full((16, 16), 90, np.uint8), [90, 90, 90]),
         "bayer_rggb8": (mosaic, [200, 100, 50]),
         "bayer_rggb16": (mosaic.astype(np.uint16) << 8, [200, 100, 50]),
@@ -199,6 +205,15 @@ def test_every_pixel_format_becomes_a_picture_of_its_colour(pixel_format):
 
     seen = cv2.imdecode(np.frombuffer(contents, np.uint8), cv2.IMREAD_COLOR_RGB)
     np.testing.assert_allclose(seen[4:-4, 4:-4].mean((0, 1)), expected, atol=4)
+
+
+def test_packed_bytes_are_refused_rather_than_shown_as_a_picture():
+    packed = Frame(
+        header=header(), pixels=np.zeros((8, 12), np.uint8), pixel_format="bayer_rggb12p"
+    )
+
+    with pytest.raises(MessageError, match=r"got bayer_rggb12p; put operators\.downsample before"):
+        jpeg(packed, 80)
 
 
 def test_an_unknown_pixel_format_is_refused():

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from drivers.simulated.readout import to_rggb
+from drivers.mosaic import to_mosaic
 from operators.downsample import Downsample, DownsampleSettings, fitted
 from pipeline.errors import MessageError, SettingsError
 from pipeline.messages import Frame
@@ -35,7 +35,7 @@ def smooth(height: int, width: int) -> NDArray[np.uint8]:
 
 def mosaic_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     mosaic = np.empty(image.shape[:2], np.uint8)
-    to_rggb(image, mosaic)
+    to_mosaic(image, "rggb", mosaic)
     return mosaic
 
 
