@@ -9,6 +9,7 @@ import argparse
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,12 +30,13 @@ from operators.saliency.judging import (
 from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
 from operators.saliency.saliency import SHIPPED, Detector, Saliency, SaliencySettings
 from operators.training.command_line import count, in_a_sentence
-from operators.training.onnx_files import describe
 from operators.training.progress import each_of
 from pipeline import Detections, Frame, SettingsError
 from pipeline.executor import Executor
+from pipeline.extras import LateModule, need
 from pipeline.testing import header
 
+onnx_files: Any = LateModule("operators.training.onnx_files")  # needs the extra `train`
 SEEDS = {"validation": range(50_000, 50_030), "test": range(60_000, 60_040)}
 SPAN = 900  # frames of each scene
 
@@ -142,7 +144,7 @@ def choose(
     low = SaliencySettings(weights=str(weights), confidence=FLOOR, threads=threads)
     tallies = collect(examples, low, side_share)
     limits = {name: best_threshold(tallies[name]) for name in NAMES}
-    describe(weights, {"confidence": str(limits)})
+    onnx_files.describe(weights, {"confidence": str(limits)})
     return limits
 
 
@@ -172,6 +174,8 @@ def main(words: Sequence[str] | None = None) -> None:
     )  # fmt: skip
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args(words)
+    if given.choose:
+        need("onnx", "--choose")
     settings = SaliencySettings(
         weights=str(given.weights), names=given.names, threads=given.threads
     )
