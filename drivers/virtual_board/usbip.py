@@ -189,8 +189,8 @@ class UsbIpDevice:
         return bytes(found)
 
 
-def attach(link: socket.socket, port: int = 8, controller: Path = CONTROLLER) -> None:
-    """Give the kernel's virtual controller its end of a socket; ports from 8 on are SuperSpeed."""
+def attach(link: socket.socket, port: int = 15, controller: Path = CONTROLLER) -> None:
+    """Give the kernel's virtual controller its end of a socket; ports from 15 on are SuperSpeed."""
     try:
         (controller / "attach").write_text(f"{port} {link.fileno()} {1 << 16 | 2} {SUPER_SPEED}")
     except OSError as error:
@@ -217,12 +217,12 @@ def _tried(act: Callable[[], T]) -> tuple[int, T | None]:
         return -errno.EOVERFLOW, None
 
 
-def detach(port: int = 8, controller: Path = CONTROLLER) -> None:
+def detach(port: int = 15, controller: Path = CONTROLLER) -> None:
     """Make the kernel drop the device of a port, as if its cable was pulled."""
     (controller / "detach").write_text(str(port))
 
 
-def serve(board: VirtualBoard, *, port: int = 8) -> None:
+def serve(board: VirtualBoard, *, port: int = 15) -> None:
     """Attach the board, and again whenever it is plugged in again; returns when detached."""
     _serve_once(board, port)
     while board.plugged_in > 1 and _comes_back(board):
@@ -265,7 +265,7 @@ def _await_free(port: int, controller: Path = CONTROLLER) -> None:
 @click.option("--size", nargs=2, type=int, default=(0, 0), help="Width and height of the sensor.")
 @click.option("--frames", default=0, help="Exposures until the end; 0: endless.")
 @click.option("--fault", "faults", multiple=True, help="KIND:EXPOSURE[:STREAM[:SECONDS]]")
-@click.option("--port", default=8, show_default=True, help="Of the virtual controller.")
+@click.option("--port", default=15, show_default=True, help="Of the virtual controller.")
 def main(
     profile: str, scene: str, size: tuple[int, int], frames: int, faults: tuple[str, ...], port: int
 ) -> None:

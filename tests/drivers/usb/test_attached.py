@@ -21,7 +21,7 @@ from tests.drivers.contract import check_sensor, memory, read, started
 from tests.drivers.usb.boards import VIRTUAL, played
 
 pytestmark = pytest.mark.hardware
-PORT = 8  # the first SuperSpeed port of the virtual controller
+PORT = 15  # the first SuperSpeed port of the virtual controller of a Debian kernel
 FOUND_S = 20.0
 
 Attach = Callable[..., None]
