@@ -1,8 +1,8 @@
 """What a virtual board exposes when: its clock, its schedules and the frames that wait.
 
-Nothing runs in the background. Whoever asks the board for something first lets it catch up with
-the time: exposures that were due are latched with the schedules that had arrived by then, and
-wait, unrendered, for the host; the oldest are dropped when too many wait.
+No thread runs in the background: every request and every read first makes the exposures that
+became due since the last one, with the schedules that had arrived by then. They wait for the host
+and are rendered when they are read; when too many wait, the oldest is dropped and counted.
 """
 
 from collections import deque

@@ -4,6 +4,7 @@ A driver's tests call `check_sensor` with a function that makes one; its picture
 frame to frame, and it must have at least ten of them.
 """
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -45,6 +46,17 @@ def command(
 ) -> RoiSchedule:
     header = Header(stream=stream, seq=made_from, stamp_ns=0)
     return RoiSchedule(header=header, first_seq=first, windows=np.array(windows, np.int32))
+
+
+def answers_to_a_stop(sensor: DualStreamSensor) -> list[Exposure | None]:
+    """Stop a sensor while another thread waits in `read`; return what that read returned."""
+    answers: list[Exposure | None] = []
+    reader = threading.Thread(target=lambda: answers.append(sensor.read(memory)))
+    reader.start()
+    sensor.stop()
+    reader.join(30)
+    sensor.close()
+    return answers
 
 
 def check_sensor(make: Make) -> None:

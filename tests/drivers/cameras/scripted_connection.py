@@ -14,8 +14,11 @@ Step = int | str | tuple[int, int] | threading.Event
 
 
 class ScriptedConnection:
-    """Steps: a number is a frame that shows it, a size is one of another size, an event is waited
-    for; "damaged" cannot be decoded, "quiet" is a wait in vain, any other text is the end."""
+    """A connection that takes one step of a script for each frame that is asked for.
+
+    A number is a frame that shows it, a size is a frame of that size, an event blocks until it is
+    set. "damaged" is a frame that cannot be decoded, "quiet" a timeout, any other text the end.
+    """
 
     def __init__(self, steps: Iterator[Step]) -> None:
         self._steps = steps

@@ -15,7 +15,15 @@ from operators.capture import CaptureSettings
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
 from pipeline.settings import build
 from tests.drivers.cameras.synthetic_camera import SyntheticCamera
-from tests.drivers.contract import check_sensor, command, memory, read, refuse, started
+from tests.drivers.contract import (
+    answers_to_a_stop,
+    check_sensor,
+    command,
+    memory,
+    read,
+    refuse,
+    started,
+)
 from tests.drivers.numbered import number_of, picture
 
 CAMERA = "tests.drivers.cameras.synthetic_camera:SyntheticCamera"
@@ -103,14 +111,8 @@ def test_an_exposure_without_memory_is_counted_as_an_overrun() -> None:
 def test_stop_ends_a_read_that_waits_in_another_thread() -> None:
     subject = started(sensor({"frames": 1}))
     read(subject)
-    answers: list[object] = []
-    reader = threading.Thread(target=lambda: answers.append(subject.read(memory)))
-    reader.start()
-    subject.stop()
-    reader.join(30)
-    subject.close()
 
-    assert answers == [None]
+    assert answers_to_a_stop(subject) == [None]
 
 
 def test_stop_ends_a_read_that_waits_for_its_time() -> None:
@@ -118,14 +120,8 @@ def test_stop_ends_a_read_that_waits_for_its_time() -> None:
     subject.open(realtime=True)
     subject.start()
     read(subject)
-    answers: list[object] = []
-    reader = threading.Thread(target=lambda: answers.append(subject.read(memory)))
-    reader.start()
-    subject.stop()
-    reader.join(30)
-    subject.close()
 
-    assert answers == [None]
+    assert answers_to_a_stop(subject) == [None]
 
 
 def test_the_camera_stays_open_while_a_frame_of_it_is_cut() -> None:

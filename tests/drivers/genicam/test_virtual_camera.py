@@ -2,10 +2,8 @@
 
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ import pytest
 from drivers.genicam import GenicamCamera
 from drivers.sensor import Mode
 from pipeline.errors import DriverError
-from tests.drivers.contract import check_sensor, command, memory, read, started
+from tests.drivers.contract import answers_to_a_stop, check_sensor, command, read, started
 from tests.drivers.genicam import description as xml
 from tests.drivers.genicam.mutations import mutated
 from tests.drivers.genicam.streaming import (
@@ -314,14 +312,8 @@ def test_stop_ends_a_read_that_waits_for_a_lost_camera() -> None:
     with VirtualCamera():
         made = started(sensor(answer_s=0.2))
         read(made)
-    answers: list[Any] = []
-    waiting = threading.Thread(target=lambda: answers.append(made.read(memory)))
-    waiting.start()
-    made.stop()
-    waiting.join(20)
-    made.close()
 
-    assert answers == [None]
+    assert answers_to_a_stop(made) == [None]
 
 
 def test_in_real_time_the_rate_is_kept_and_late_exposures_are_left_out() -> None:

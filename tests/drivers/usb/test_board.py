@@ -1,7 +1,6 @@
 """The USB board: the contract of a sensor, and what the driver does when something fails."""
 
 import logging
-import threading
 import time
 from typing import Any
 
@@ -13,7 +12,14 @@ from drivers.usb.connection import Connection
 from drivers.usb.errors import Unplugged
 from drivers.virtual_board.faults import Fault
 from pipeline.errors import DriverError, FoveaError, PoolExhausted, SettingsError
-from tests.drivers.contract import check_sensor, command, memory, read, refuse, started
+from tests.drivers.contract import (
+    answers_to_a_stop,
+    check_sensor,
+    command,
+    read,
+    refuse,
+    started,
+)
 from tests.drivers.moving_square import MovingSquare
 from tests.drivers.usb.boards import SQUARE, VIRTUAL, backend, board, played
 
@@ -75,15 +81,8 @@ def test_in_realtime_exposures_come_at_the_rate_with_stamps_of_this_clock() -> N
 def test_a_stop_ends_a_read_that_waits() -> None:
     subject = board(virtual={"frames": 0, "source_options": {"length": None}}, rate_hz=0.2)
     started(subject, realtime=True)
-    ended: list[object] = []
-    reader = threading.Thread(target=lambda: ended.append(subject.read(memory)))
-    reader.start()
 
-    subject.stop()
-    reader.join(5)
-    subject.close()
-
-    assert ended == [None]
+    assert answers_to_a_stop(subject) == [None]
 
 
 FAULTS = [  # what is lost, how it is counted
