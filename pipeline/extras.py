@@ -43,10 +43,15 @@ def need(package: str, where: str) -> None:
 
 
 class LateModule:
-    """A module that is imported on first use of one of its names."""
+    """A module that is imported on first use of one of its names.
+
+    Not by a name with two underscores: tools that only look at an object ask for those.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
         return getattr(import_module(self._name), name)
