@@ -23,6 +23,7 @@ GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
 FRAMES = 60
 CHANGED = 30  # the frame after which the policy is asked for the referee
 SEEDS = (401, 404, 405)
+FEW_OR_ALL = (SEEDS[:1], pytest.param(SEEDS, marks=pytest.mark.slow))
 MORE_SEEDS = (*SEEDS, 402, 407, 409)
 # The mean over SEEDS; it moves by at most so much with two threads and noise of 1 or 1.4 levels.
 BALL = 0.95  # 1.000, .000
@@ -78,12 +79,15 @@ def check(seeds: Sequence[int], *changes: str) -> None:
     assert np.mean([shares.iou for shares in found]) > FOLLOWED
 
 
-def test_the_roi_and_the_consumer_go_with_what_the_policy_is_asked_for() -> None:
-    check(SEEDS)
+@pytest.mark.parametrize("seeds", FEW_OR_ALL, ids=len)
+def test_the_roi_and_the_consumer_go_with_what_the_policy_is_asked_for(
+    seeds: tuple[int, ...],
+) -> None:
+    check(seeds)
 
 
 @pytest.mark.parametrize("changes", ELSEWHERE.values(), ids=ELSEWHERE)
-@pytest.mark.parametrize("seeds", [SEEDS[:1], pytest.param(SEEDS, marks=pytest.mark.slow)], ids=len)
+@pytest.mark.parametrize("seeds", FEW_OR_ALL, ids=len)
 def test_threads_and_a_grey_level_of_noise_change_little(
     seeds: tuple[int, ...], changes: tuple[str, ...]
 ) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.sample_graphs import LOOP
+from tests.sample_graphs import LOOP, together
 
 ROOT = Path(__file__).resolve().parents[3]
 # a file's age is by that clock, a certificate's, and the moment that a user reads in `ps`
@@ -64,7 +64,7 @@ def jumping(short_path: Path) -> Path:
 
 def test_a_graph_does_not_notice_that_the_wall_clock_jumps(jumping: Path, tmp_path: Path) -> None:
     path = tmp_path / "graph.yaml"
-    path.write_text(f"name: clock-{secrets.token_hex(3)}\n{LOOP}")
+    path.write_text(f"name: clock-{secrets.token_hex(3)}\n{together(LOOP, 'pair', 'steer')}")
 
     done = subprocess.run(
         [sys.executable, "-c", UNDER_JUMPS, str(path)], capture_output=True, text=True,
