@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,37 +43,41 @@ def test_in_line_and_as_processes_the_sensor_gets_the_same_commands(tmp_path: Pa
         assert edge["offered"] == edge["delivered"], edge
 
 
-def test_the_status_line_of_a_running_graph_shows_its_overlap_with_the_truth() -> None:
+@pytest.fixture(scope="module")
+def tracking() -> Iterator[Supervisor]:
+    """Run the graph as processes; tests may replace nodes, but none of them may die."""
     with Supervisor(load(GRAPH)) as supervisor:
-
-        def overlap() -> float:
-            name, _, figure = supervisor.reports.headlines.get("score", "").partition(" ")
-            return float(figure) if name == "IoU" else 0.0
-
         supervisor.start()
-        wait_for(supervisor, lambda: overlap() > 0.2)  # it follows what the policy shows
-        headline, line = supervisor.reports.headlines["score"], status_line(supervisor, 1.0)
-        supervisor.stop()
+        yield supervisor
+        assert (supervisor.failure, supervisor.restarts) == ("", {})
 
-    assert headline in line
+
+def test_the_status_line_of_a_running_graph_shows_its_overlap_with_the_truth(
+    tracking: Supervisor,
+) -> None:
+    def overlap() -> float:
+        name, _, figure = tracking.reports.headlines.get("score", "").partition(" ")
+        return float(figure) if name == "IoU" else 0.0
+
+    wait_for(tracking, lambda: overlap() > 0.2)  # it follows what the policy shows
+
+    assert tracking.reports.headlines["score"] in status_line(tracking, 1.0)
 
 
 def test_a_model_file_is_swapped_like_any_setting_and_a_missing_one_is_refused(
-    tmp_path: Path,
+    tracking: Supervisor, tmp_path: Path
 ) -> None:
     other = shutil.copy(ROOT / "operators" / "saliency" / "detector.onnx", tmp_path / "other.onnx")
     answers: list[Result] = []
-    with Supervisor(load(GRAPH)) as supervisor:
-        supervisor.start()
-        wait_for(supervisor, lambda: handled(supervisor, "saliency") > 3, 60)
-        for weights in (other, tmp_path / "none.onnx"):
-            order = SwapOrder(node="saliency", changes={"weights": str(weights)}, probation=5)
-            wanted = len(answers) + 1
-            supervisor.control.take(order, answers.append)
-            wait_for(supervisor, partial(lambda count: len(answers) >= count, wanted), 60)
-        before = handled(supervisor, "saliency")
-        wait_for(supervisor, lambda: handled(supervisor, "saliency") > before + 5, 60)
-        supervisor.stop()
+    wait_for(tracking, lambda: handled(tracking, "saliency") > 3, 60)
+
+    for weights in (other, tmp_path / "none.onnx"):
+        order = SwapOrder(node="saliency", changes={"weights": str(weights)}, probation=5)
+        wanted = len(answers) + 1
+        tracking.control.take(order, answers.append)
+        wait_for(tracking, partial(lambda count: len(answers) >= count, wanted), 60)
+    before = handled(tracking, "saliency")
+    wait_for(tracking, lambda: handled(tracking, "saliency") > before + 5, 60)
 
     first, second = reasons(answers)
     assert first == ""

@@ -18,7 +18,8 @@ from pipeline.errors import RunError
 from pipeline.node.logfile import MOST_BYTES
 from pipeline.run.run_folder import RunFolder
 from pipeline.run.rundir import folder_of, running
-from tests.sample_graphs import CHAIN, until
+from tests.commands import command
+from tests.sample_graphs import CHAIN, together, until
 
 FOVEA = (sys.executable, "-m", "pipeline.entry")
 
@@ -50,7 +51,7 @@ def fovea(
 @pytest.fixture
 def graph(tmp_path: Path) -> Path:
     path = tmp_path / "graph.yaml"
-    path.write_text(f"name: detach-{secrets.token_hex(3)}\n{CHAIN}")
+    path.write_text(f"name: detach-{secrets.token_hex(3)}\n{together(CHAIN, 'ticker', 'glance')}")
     return path
 
 
@@ -74,12 +75,12 @@ def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name
     where = json.loads(begun.stdout)
     (pids,) = [running()[name]["pids"]]
     again = fovea("run", str(graph), "--detach")
-    stopped = fovea("stop", name, "--json")
-    afterwards = fovea("stop", name, "--json")
+    stopped = command("stop", name, "--json")
+    afterwards = command("stop", name, "--json")
 
     assert begun.returncode == 0, begun.stderr
     assert where["graph"] == name
-    assert set(pids) == {"ticker", "count", "glance"}
+    assert set(pids) == {"hand", "count"}
     assert again.returncode == 1
     assert "already running" in again.stderr
     assert json.loads(stopped.stdout)["exit_status"] == 0, stopped.stderr
@@ -87,26 +88,26 @@ def test_a_detached_run_goes_on_and_is_stopped_with_its_report(graph: Path, name
     until(lambda: not runs(where["pid"]))
     report = json.loads(Path(json.loads(stopped.stdout)["report"]).read_text())
     assert report["graph"] == name
-    assert "rate:" in fovea("logs", name).stdout
-    assert json.loads(fovea("ps", "--json").stdout)[name]["ended"]["exit_status"] == 0
-    assert f"{name}: ended" in fovea("ps").stdout
-    assert f"{name}: ended" in fovea("stop", name).stdout
+    assert "rate:" in command("logs", name).stdout
+    assert json.loads(command("ps", "--json").stdout)[name]["ended"]["exit_status"] == 0
+    assert f"{name}: ended" in command("ps").stdout
+    assert f"{name}: ended" in command("stop", name).stdout
 
 
 def test_what_a_detached_run_prints_is_bounded_and_its_end_is_shown(graph: Path, name: str) -> None:
     words = Path(json.loads(fovea("run", str(graph), "--detach", "--json").stdout)["words"])
     with words.open("ab") as file:
         file.write(b"a line of words\n" * (MOST_BYTES // 16 + 1))
-    shown = fovea("logs", name, "--lines", "2")
+    shown = command("logs", name, "--lines", "2")
     cut = detached.words(name, 10**6)
-    stopped = fovea("stop", name)
+    stopped = command("stop", name)
 
     assert shown.stdout == "a line of words\n" * 2, shown.stderr
     assert set(cut) == {"a line of words"}
     assert stopped.returncode == 0, stopped.stderr
     assert words.with_name("run.out.old").stat().st_size > MOST_BYTES
     assert words.stat().st_size < 100_000
-    assert "rate:" in fovea("logs", name).stdout
+    assert "rate:" in command("logs", name).stdout
 
 
 def test_output_that_cannot_be_read_is_an_error_with_the_reason(name: str) -> None:
@@ -122,14 +123,14 @@ def test_output_that_cannot_be_read_is_an_error_with_the_reason(name: str) -> No
 
 def test_a_run_after_a_detached_one_takes_its_place(graph: Path, name: str) -> None:
     fovea("run", str(graph), "--detach")
-    stopped = fovea("stop", name)
+    stopped = command("stop", name)
     after = fovea("run", str(graph), "--frames", "5")
 
     assert stopped.returncode == after.returncode == 0, after.stderr
     assert detached.noted(name) is None
-    assert f"no graph {name} runs" in fovea("stop", name).stderr
-    assert f"got {name} alone" in fovea("logs", name).stderr
-    assert name not in fovea("ps").stdout
+    assert f"no graph {name} runs" in command("stop", name).stderr
+    assert f"got {name} alone" in command("logs", name).stderr
+    assert name not in command("ps").stdout
     assert not {detached.WORDS, detached.RECORD, detached.REPORT} & set(os.listdir(folder_of(name)))
 
 
@@ -161,19 +162,19 @@ def test_a_killed_run_is_reported_as_killed(graph: Path, name: str) -> None:
     os.kill(pid, signal.SIGKILL)
     until(lambda: name not in running())
 
-    assert fovea("stop", name).stdout == f"{name}: was killed\n"
-    assert f"\n{name}: was killed\n" in fovea("ps").stdout
+    assert command("stop", name).stdout == f"{name}: was killed\n"
+    assert f"\n{name}: was killed\n" in command("ps").stdout
 
 
 def test_a_detached_run_that_cannot_begin_is_an_error_of_its_command(
     graph: Path, name: str
 ) -> None:
-    wrong = fovea("run", str(graph), "--detach", "--set", "ticker.fail_a=3")
-    together = fovea("run", str(graph), "--detach", "--inline")
+    wrong = command("run", str(graph), "--detach", "--set", "ticker.fail_a=3")
+    both = command("run", str(graph), "--detach", "--inline")
 
-    assert (wrong.returncode, together.returncode) == (2, 2)
+    assert (wrong.returncode, both.returncode) == (2, 2)
     assert "did you mean 'fail_at'" in wrong.stderr
-    assert "--detach and --inline: give one of them" in together.stderr
+    assert "--detach and --inline: give one of them" in both.stderr
     assert detached.noted(name) is None
 
 
@@ -190,7 +191,7 @@ def test_a_process_that_a_module_forks_on_import_is_not_waited_for(
 
         assert begun.returncode == (2 if wrong else 0)
         assert (name in running()) is not wrong
-        assert wrong or fovea("stop", name).returncode == 0
+        assert wrong or command("stop", name).returncode == 0
     finally:
         for pid in pids.read_text().split():
             with contextlib.suppress(ProcessLookupError):
@@ -199,7 +200,7 @@ def test_a_process_that_a_module_forks_on_import_is_not_waited_for(
 
 def test_attach_watches_until_ctrl_c_and_the_graph_goes_on(graph: Path, name: str) -> None:
     fovea("run", str(graph), "--detach")
-    shown = json.loads(fovea("attach", name, "--json").stdout)
+    shown = json.loads(command("attach", name, "--json").stdout)
     watching = subprocess.Popen([*FOVEA, "attach", name], stdout=subprocess.PIPE, text=True)
     assert watching.stdout is not None
     assert watching.stdout.readline() == f"{name}: Ctrl-C leaves it running\n"
@@ -210,15 +211,15 @@ def test_attach_watches_until_ctrl_c_and_the_graph_goes_on(graph: Path, name: st
     assert watching.returncode == 0
     assert said.strip() == f"{name}: goes on; `fovea stop {name}` ends it"
     assert name in running()
-    assert fovea("stop", name).returncode == 0
+    assert command("stop", name).returncode == 0
 
 
 def test_stop_and_down_also_end_a_run_in_the_foreground(graph: Path, name: str) -> None:
     for verb in ("stop", "down"):
         run = subprocess.Popen([*FOVEA, "run", str(graph)], stdout=subprocess.PIPE, text=True)
-        until(lambda: name in running() and not fovea("health", name).returncode)
+        until(lambda: name in running() and not command("health", name).returncode)
 
-        stopped = fovea(verb, name)
+        stopped = command(verb, name)
 
         assert stopped.stdout == f"{name}: stopped\n", stopped.stderr
         assert "rate:" in run.communicate(timeout=60)[0]
@@ -227,7 +228,7 @@ def test_stop_and_down_also_end_a_run_in_the_foreground(graph: Path, name: str) 
 
 def test_a_graph_that_does_not_run_cannot_be_stopped_or_watched() -> None:
     for verb in ("stop", "down", "attach"):
-        done = fovea(verb, "nowhere-at-all")
+        done = command(verb, "nowhere-at-all")
 
         assert done.returncode == 1
         assert "no graph nowhere-at-all runs" in done.stderr

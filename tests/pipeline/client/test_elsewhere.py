@@ -78,19 +78,16 @@ def fovea(*words: str, cwd: Path) -> "subprocess.CompletedProcess[str]":
     )
 
 
-@pytest.fixture
-def elsewhere(tmp_path: Path) -> Path:
-    folder = tmp_path / "elsewhere"
-    folder.mkdir()
-    return folder
+@pytest.fixture(scope="module")
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("elsewhere")
 
 
-@pytest.fixture
-def name(tmp_path: Path, elsewhere: Path) -> Iterator[str]:
+@pytest.fixture(scope="module")
+def name(tmp_path_factory: pytest.TempPathFactory, elsewhere: Path) -> Iterator[str]:
     """Run a graph whose operator is in its own folder only; yield the graph's name."""
-    home, module = tmp_path / "home", f"mine_{secrets.token_hex(3)}"
+    home, module = tmp_path_factory.mktemp("home"), f"mine_{secrets.token_hex(3)}"
     name = f"else-{secrets.token_hex(3)}"
-    home.mkdir()
     (home / f"{module}.py").write_text(OPERATOR)
     (home / "graph.yaml").write_text(f"name: {name}\n" + GRAPH.replace("MODULE", module))
     (elsewhere / "meter.yaml").write_text(METER.replace("MODULE", module))
@@ -98,8 +95,10 @@ def name(tmp_path: Path, elsewhere: Path) -> Iterator[str]:
     begun = fovea("run", "graph.yaml", "--detach", cwd=home)
     assert begun.returncode == 0, begun.stderr
     yield name
-    if name in running():
+    nodes = find(name).nodes() if name in running() else ()
+    if nodes:
         find(name).stop()
+    assert nodes == ("ticker", "bright")
 
 
 def test_commands_work_from_a_folder_without_the_operators(elsewhere: Path, name: str) -> None:

@@ -30,6 +30,7 @@ from tests.sample_graphs import (
     go,
     plan_of,
     send_signal,
+    together,
     wait_for,
 )
 
@@ -164,7 +165,7 @@ def started(*words: str) -> "subprocess.Popen[str]":
 def test_taps_that_are_stopped_or_killed_cost_the_graph_nothing_and_leave_nothing(
     tmp_path: Path,
 ) -> None:
-    plan = plan_of(tmp_path, CHAIN, changes=("ticker.side_px=300",))
+    plan = plan_of(tmp_path, together(CHAIN, "ticker", "count"), changes=("ticker.side_px=300",))
     taps: list[subprocess.Popen[str]] = []
     names: list[set[str]] = []
 

@@ -40,7 +40,18 @@ from pipeline.run.memory_folder import MEMORY, path_of
 from pipeline.run.rundir import memory_of, running
 from pipeline.run.supervisor import Supervisor
 from tests.pipeline.run.namespaces import with_small_mounts
-from tests.sample_graphs import CHAIN, KILLED, LOOP, ended, go, handled, plan_of, until, wait_for
+from tests.sample_graphs import (
+    CHAIN,
+    KILLED,
+    LOOP,
+    ended,
+    go,
+    handled,
+    plan_of,
+    together,
+    until,
+    wait_for,
+)
 
 
 def verdicts(findings: list[Finding]) -> dict[str, str]:
@@ -123,7 +134,7 @@ def test_the_requirements_of_this_project_are_installed() -> None:
 
 
 def test_the_pools_of_a_graph_are_as_big_as_estimated(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, CHAIN)
+    plan = plan_of(tmp_path, together(CHAIN, "ticker", "glance"))
     foreseen = pool_bytes(plan, message_bytes(plan))
     sizes = []
 
@@ -157,7 +168,7 @@ def test_a_graph_that_cannot_run_is_reported_without_running_it(tmp_path: Path) 
 
 
 def test_leftovers_of_a_killed_run_are_found_and_removed(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOOP)
+    plan = plan_of(tmp_path, together(LOOP, "work", "steer"))
     command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
     supervisor = subprocess.Popen(command, stdout=subprocess.PIPE)
     assert supervisor.stdout is not None
@@ -197,7 +208,7 @@ def test_a_port_that_something_else_listens_on_is_named() -> None:
 def test_a_graph_whose_folder_is_elsewhere_is_no_leftover(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    plan, told = plan_of(tmp_path, LOOP), []
+    plan, told = plan_of(tmp_path, together(LOOP, "work", "pair", "steer")), []
 
     def during(supervisor: Supervisor) -> None:
         facts = running()[plan.name]

@@ -3,6 +3,7 @@
 import json
 import signal
 import tempfile
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,13 +24,39 @@ pytestmark = pytest.mark.skipif(not permitted(), reason="network namespaces are 
 AHEAD_S = 1000
 
 
+class Watched(World):
+    """Hosts whose states come from one `fovea top`: a command for each look takes a second."""
+
+    def watch(self) -> None:
+        """Start reading the states of the graph, which is up."""
+        words = ("-m", "pipeline.cli", "top", self.plan.name, "--json", "--every-s", "0.1")
+        self._top = self.start(DESK, *words)
+        self._looks: list[str] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._top.stdout is not None
+        for line in self._top.stdout:
+            if line.startswith("{"):
+                self._looks.append(line)
+
+    def states(self) -> dict[str, Any]:
+        """Return what each host now says of the graph, or why it says nothing."""
+        seen = len(self._looks)  # the next one may have begun before
+        until(lambda: len(self._looks) > seen + 1 or not self._reader.is_alive())
+        found: dict[str, Any] = json.loads(self._looks[-1])["hosts"]
+        return found
+
+
 @pytest.fixture(scope="module")
-def world() -> Iterator[World]:
+def world() -> Iterator[Watched]:
     folder = Path(tempfile.mkdtemp(prefix="world"))  # a short path: there are sockets below it
     graph = folder / "graph.yaml"
     graph.write_text(TRIO)
-    with World(folder, graph, compute=AHEAD_S) as world:
+    with Watched(folder, graph, compute=AHEAD_S) as world:
         world.up()
+        world.watch()
         yield world
 
 

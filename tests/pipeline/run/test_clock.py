@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.sample_graphs import LOOP
+from tests.sample_graphs import LOOP, together
 
 ROOT = Path(__file__).resolve().parents[3]
 # ages of files, validity of certificates and times shown by `ps` are by the wall clock
@@ -64,7 +64,7 @@ def jumping(short_path: Path) -> Path:
 
 def test_jumps_of_the_wall_clock_do_not_affect_a_graph(jumping: Path, tmp_path: Path) -> None:
     path = tmp_path / "graph.yaml"
-    path.write_text(f"name: clock-{secrets.token_hex(3)}\n{LOOP}")
+    path.write_text(f"name: clock-{secrets.token_hex(3)}\n{together(LOOP, 'pair', 'steer')}")
 
     done = subprocess.run(
         [sys.executable, "-c", UNDER_JUMPS, str(path)], capture_output=True, text=True,

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.run.memory_folder import MEMORY
 from tests.pipeline.run.namespaces import with_small_mounts
-from tests.sample_graphs import LOOP
+from tests.sample_graphs import LOOP, together
 
 WRITER = """
 import os, sys
@@ -64,7 +64,8 @@ print("failure:", report["failure"])
 @pytest.fixture
 def graph(tmp_path: Path) -> Path:
     path = tmp_path / "graph.yaml"
-    path.write_text(f"name: full-{secrets.token_hex(3)}\n{LOOP}")
+    text = together(LOOP, "ticker", "steer")
+    path.write_text(f"name: full-{secrets.token_hex(3)}\n{text}")
     return path
 
 

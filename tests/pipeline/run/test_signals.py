@@ -239,7 +239,8 @@ def test_an_operator_of_an_inline_run_that_exits_is_an_error(tmp_path: Path) -> 
 @pytest.fixture(scope="module")
 def looked_at(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Run a graph for commands that only look; yield its name. It leaves nothing behind."""
-    graph = written(tmp_path_factory.mktemp("looked-at"), PAIRED)
+    text = PAIRED.replace("rate_hz: 60", "rate_hz: 20")
+    graph = written(tmp_path_factory.mktemp("looked-at"), text)
     name = name_of(graph)
     with fovea("run", str(graph)) as process:
         until(lambda: works(name))

@@ -25,6 +25,7 @@ from tests.sample_graphs import (
     handled,
     plan_of,
     send_signal,
+    together,
     until,
     wait_for,
     wait_for_progress,
@@ -34,15 +35,18 @@ SICK = """\
 nodes:
   ticker:
     operator: tests.samples:Ticker
+    group: ends
     settings: {rate_hz: 20, side_px: 60}
   sick:
     operator: tests.faulty_samples:Sick
     inputs: {frame: {from: ticker.context, depth: 30}}
   after:
     operator: tests.samples:Count
+    group: ends
     inputs: {frame: sick}
   beside:
     operator: tests.samples:Count
+    group: ends
     inputs: {frame: {from: ticker.roi, depth: 60}}
 """
 
@@ -59,7 +63,7 @@ def recovers(supervisor: Supervisor, node: str, last: str) -> None:
 
 @pytest.mark.parametrize("victim", [pytest.param("ticker", marks=pytest.mark.slow), "steer"])
 def test_a_frozen_process_is_replaced_whatever_it_was_doing(tmp_path: Path, victim: str) -> None:
-    plan = plan_of(tmp_path, LOOP)
+    plan = plan_of(tmp_path, together(LOOP, "work", "pair"))
     took: list[float] = []
 
     def freeze(supervisor: Supervisor) -> None:
@@ -188,7 +192,7 @@ def test_a_graph_frozen_as_a_whole_goes_on_without_a_restart(tmp_path: Path) -> 
 
 
 def test_of_two_supervisors_that_start_at_once_one_is_refused(tmp_path: Path) -> None:
-    path = plan_of(tmp_path, LOOP) and tmp_path / "graph.yaml"
+    path = plan_of(tmp_path, together(LOOP, "work", "pair", "steer")) and tmp_path / "graph.yaml"
     command = [sys.executable, "-m", "pipeline.cli", "run", str(path)]
     both = [
         subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)

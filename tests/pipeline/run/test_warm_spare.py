@@ -21,6 +21,7 @@ from tests.sample_graphs import (
     handled,
     plan_of,
     send_signal,
+    together,
     wait_for,
     wait_for_progress,
 )
@@ -61,7 +62,7 @@ def test_a_node_that_cannot_be_started_is_tried_again_and_the_others_go_on(
         wait_for_progress(supervisor, "steer")
         supervisor.finish()
 
-    report = go(plan_of(tmp_path, LOOP), 0, kill)
+    report = go(plan_of(tmp_path, together(LOOP, "work", "pair")), 0, kill)
 
     assert report["failure"] == ""
     assert report["restarts"] == {"steer": 1}
