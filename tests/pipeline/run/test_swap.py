@@ -1,27 +1,20 @@
 """A node is replaced while its graph runs: no frame is lost and none arrives twice."""
 
-import re
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pipeline import GraphError, RunError
-from pipeline.cli.results import swap_lines
+from pipeline import RunError
 from pipeline.client.find import find
 from pipeline.protocol.orders import Refused, Result, SwapOrder
 from pipeline.run.inline import InlineRunner
 from pipeline.run.report import Report
-from pipeline.run.rundir import base
 from pipeline.run.supervisor import Supervisor
 from tests.sample_graphs import (
-    KILLED,
     LOOP,
     LOSSLESS,
     account_of,
@@ -35,7 +28,6 @@ from tests.sample_graphs import (
     send_signal,
     swapped,
     together,
-    until,
     wait_for,
     wait_for_progress,
 )
@@ -323,55 +315,3 @@ def test_a_part_that_shall_never_restart_is_not_started_by_a_swap_that_failed(
 
         assert supervisor.pid("work") == 0
         assert supervisor.restarts == {}
-
-
-def test_an_order_comes_over_the_bus_and_noise_is_refused(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOSSLESS)
-    told: list[str] = []
-
-    def operate() -> None:
-        told.extend(swap_lines(find(plan.name).swap(order("work"))))
-        for wrong in (SwapOrder(node="wrk"), "noise"):
-            with pytest.raises(GraphError) as refusal:
-                find(plan.name).swap(wrong)  # type: ignore[arg-type]
-            told.append(str(refusal.value))
-
-    def during(supervisor: Supervisor) -> None:
-        wait_for(supervisor, lambda: handled(supervisor, "work") > 3)
-        beside(supervisor, operate)
-        supervisor.finish()
-
-    go(plan, 0, during)
-
-    assert re.match(r"work: swapped after frame \d+, paused for \d+\.\d ms", told[0])
-    assert told[-2].endswith("no node wrk, did you mean 'work'?")
-    assert told[-1].startswith("not an order")
-
-
-def test_an_order_to_a_supervisor_that_is_killed_is_not_waited_for(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, LOSSLESS)
-    command = [sys.executable, "-c", KILLED, str(tmp_path / "graph.yaml")]
-    with (
-        subprocess.Popen(command, stdout=subprocess.PIPE) as supervisor,
-        ThreadPoolExecutor(1) as pool,
-    ):
-        assert supervisor.stdout is not None
-        try:
-            supervisor.stdout.readline()
-            asked = pool.submit(find(plan.name).swap, SwapOrder(node="work", at=10**9))
-            until(lambda: asked.done() or any((base() / plan.name).glob("work.2.recv")))
-        finally:
-            supervisor.kill()  # else leaving the context would wait for it for ever
-        with pytest.raises(RunError, match="ended before that was done"):
-            asked.result(60)
-
-
-def test_an_order_that_the_end_of_the_run_overtakes_is_answered(tmp_path: Path) -> None:
-    results: Results = []
-
-    with Supervisor(plan_of(tmp_path, LOSSLESS)) as supervisor:
-        supervisor.start()
-        supervisor.control.take(SwapOrder(node="work"), results.append)
-        supervisor.tick()
-
-    assert "the run ended before that was done" in reasons(results)[0]

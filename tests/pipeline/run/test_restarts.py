@@ -1,0 +1,177 @@
+"""A node that dies or hangs is started again, and no message is lost without being counted."""
+
+import os
+import signal
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from pipeline.run.rundir import base
+from pipeline.run.supervisor import Supervisor
+from tests.sample_graphs import (
+    CHAIN,
+    LOOP,
+    account_of,
+    assert_accounts_add_up,
+    edge,
+    go,
+    handled,
+    plan_of,
+    send_signal,
+    together,
+    until,
+    wait_for,
+    wait_for_progress,
+)
+
+
+def test_killed_operators_come_back_and_the_accounts_still_add_up(tmp_path: Path) -> None:
+    victims = ("ticker", "work", "pair", "steer")
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > 10)
+        for victim in victims:
+            send_signal(supervisor, victim, signal.SIGKILL)
+            wait_for(supervisor, partial(supervisor.restarts.get, victim))
+            account = supervisor.ledger.nodes[supervisor.plan.node(victim).index]
+            wait_for(
+                supervisor,
+                lambda account=account: account.condition in ("waiting", "busy"),  # type: ignore[misc]
+            )
+            wait_for_progress(supervisor, "steer")
+        supervisor.finish()
+
+    report = go(plan_of(tmp_path, LOOP), 0, kill)
+
+    assert_accounts_add_up(report)
+    assert report["restarts"] == dict.fromkeys(victims, 1)
+    assert report["failure"] == ""
+
+
+def test_a_run_ends_while_its_source_is_away(tmp_path: Path) -> None:
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "steer") > 5)
+        send_signal(supervisor, "ticker", signal.SIGKILL)
+        supervisor.finish()
+        assert supervisor.finished
+        assert supervisor.pid("ticker") == 0
+
+    report = go(plan_of(tmp_path, together(LOOP, "work", "pair", "steer")), 0, kill)
+
+    assert (report["failure"], report["restarts"].get("ticker", 1)) == ("", 1)
+
+
+def test_what_was_under_way_to_a_node_that_does_not_come_back_is_lost_in_a_crash(
+    tmp_path: Path,
+) -> None:
+    text = together(CHAIN, "ticker", "glance")
+    text = text.replace("  count:\n", "  count:\n    restart: never\n")
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
+        pid = send_signal(supervisor, "count", signal.SIGSTOP)
+        account = account_of(supervisor, "count.frame")
+        until(lambda: account.in_flight > 2)
+        os.kill(pid, signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.pid("count") == 0)
+        supervisor.finish()
+
+    report = go(plan_of(tmp_path, text), 0, kill)
+
+    assert edge(report, "count.frame")["lost_in_crash"] > 2
+    assert_accounts_add_up(report)
+
+
+def test_a_node_that_shall_never_restart_stays_away_and_the_graph_goes_on(tmp_path: Path) -> None:
+    text = together(CHAIN, "ticker", "glance")
+    text = text.replace("  count:\n", "  count:\n    restart: never\n")
+
+    def kill(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: handled(supervisor, "count") > 5)
+        send_signal(supervisor, "count", signal.SIGKILL)
+        wait_for(supervisor, lambda: supervisor.pid("count") == 0)
+        wait_for_progress(supervisor, "glance", 20)
+        supervisor.finish()
+
+    report = go(plan_of(tmp_path, text), 0, kill)
+
+    assert report["restarts"] == {}
+    assert edge(report, "glance.frame")["offered"] == report["frames"]["exposed"]
+    assert "overrun" not in edge(report, "glance.frame")["dropped"]
+
+
+def test_a_node_that_dies_too_often_ends_the_run(tmp_path: Path) -> None:
+    text = together(LOOP, "pair", "steer")
+    text = text.replace("  work:\n", "  work:\n    restart: {most: 2, backoff_s: 0.01}\n")
+    plan = plan_of(tmp_path, text, changes=("work.every=1", "work.crash_after=3"))
+
+    report = go(plan, 0)
+
+    assert "work died 3 times" in report["failure"]
+
+
+def test_an_exception_is_in_the_log_and_the_graph_goes_on(tmp_path: Path) -> None:
+    text = together(LOOP, "pair", "steer")
+    text = text.replace("frame: ticker.context", "frame: {from: ticker.context, keep: every}")
+    plan = plan_of(tmp_path, text, changes=("work.crash_at=20",))
+
+    def until_it_is_back(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: supervisor.restarts.get("work") == 1)
+        wait_for_progress(supervisor, "work")
+        supervisor.finish()
+
+    report = go(plan, 0, until_it_is_back)
+
+    log = (base() / plan.name / "work.log").read_text()
+    assert "ValueError: told to crash" in log
+    assert "Traceback" in log
+    assert report["restarts"] == {"work": 1}
+    assert_accounts_add_up(report)
+
+
+def test_in_lockstep_a_crash_ends_the_run_with_an_error(tmp_path: Path) -> None:
+    text = together(LOOP, "pair", "steer")
+    report = go(plan_of(tmp_path, text, clock="lockstep", changes=("work.crash_at=5",)), 50)
+
+    assert report["failure"] == (
+        "work ended by exit status 1: a lockstep run cannot go on: ValueError: told to crash"
+    )
+
+
+@pytest.mark.parametrize("clock", ["realtime", "lockstep"])
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [("ticker.fail_at=9", "picture 9: torn"), ("ticker.jam_at=9", "a command: jammed")],
+)
+def test_a_source_that_breaks_ends_the_run_with_its_sentence(
+    tmp_path: Path, clock: str, change: str, said: str
+) -> None:
+    text = together(LOOP, "work", "pair", "steer")
+    report = go(plan_of(tmp_path, text, clock=clock, changes=(change,)), 0)
+
+    assert report["failure"] == said
+    assert report["frames"]["exposed"] >= 9
+
+
+def test_only_the_root_of_a_stall_is_killed(tmp_path: Path) -> None:
+    text = LOOP.replace(
+        "    operator: tests.samples:Pair\n", "    operator: tests.samples:PairEvery\n"
+    )
+    text = text.replace("    inputs: {frame: ticker.context}\n",
+                        "    inputs: {frame: {from: ticker.context, keep: every}}\n"
+                        "    stall_s: 0.5\n")  # fmt: skip
+    plan = plan_of(tmp_path, text, changes=("work.hang_at=20",))
+
+    def until_killed(supervisor: Supervisor) -> None:
+        wait_for(supervisor, lambda: bool(supervisor.restarts))
+        wait_for_progress(supervisor, "pair")
+        supervisor.finish()
+
+    report = go(plan, 0, until_killed)
+
+    assert report["restarts"] == {"work": 1}
+    assert (
+        "time.sleep" in (base() / plan.name / "work.log").read_text()
+        or "samples.py" in (base() / plan.name / "work.log").read_text()
+    )
