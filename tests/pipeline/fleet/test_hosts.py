@@ -37,9 +37,10 @@ class Watched(World):
 
     def _read(self) -> None:
         assert self._top.stdout is not None
-        for line in self._top.stdout:
-            if line.startswith("{"):
-                self._looks.append(line)
+        with self._top.stdout as lines:
+            for line in lines:
+                if line.startswith("{"):
+                    self._looks.append(line)
 
     def states(self) -> dict[str, Any]:
         """Return what each host now says of the graph, or why it says nothing."""
