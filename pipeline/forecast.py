@@ -11,9 +11,7 @@ from typing import Any
 from pipeline.errors import SettingsError
 from pipeline.pixel_formats import pixel_format as format_of
 
-LEAST = {
-    "rate_hz": 0, "lead_frames": 1, "readout_frames": 0, "horizon_frames": 0, "replan_frames": 0,
-}  # fmt: skip
+FIGURES = ("rate_hz", "lead_frames", "readout_frames", "horizon_frames", "replan_frames")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,17 +71,17 @@ class Forecast:
     # of a source
     link: LinkUse | None = None
     rate_hz: float = 0.0  # exposures a second; 0: not known
-    lead_frames: int = 1  # a command made from frame j affects j + lead_frames at the earliest
+    lead_frames: int = 0  # a command made from j affects j + lead_frames first; 0: not known
     readout_frames: float = 0.0  # from the exposure until the host has its frame
     # of a node that sends commands to a source
     horizon_frames: int = 0  # Tp, how far its plans reach; 0: not known
     replan_frames: int = 0  # Ta, from one plan to the next; 0: not known
 
     def __post_init__(self) -> None:
-        for name, least in LEAST.items():
+        for name in FIGURES:
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= least):
-                raise SettingsError(f"{name}: expected a number from {least} on, got {value}")
+            if not (math.isfinite(value) and value >= 0):
+                raise SettingsError(f"{name}: expected a number from 0 on, got {value}")
 
 
 @dataclass(frozen=True, kw_only=True)

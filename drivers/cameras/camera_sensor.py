@@ -132,6 +132,7 @@ class CameraSensor:
             streams={name: pictures(px, "rgb8", rate_hz) for name, px in sides.items()},
             link=link,
             rate_hz=rate_hz,
+            lead_frames=1,
         )
 
     def configure(self, mode: Mode) -> None:

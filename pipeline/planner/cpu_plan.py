@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pipeline.graph.plan import Plan
 from pipeline.planner.machine import Machine
 from pipeline.planner.rates import below
-from pipeline.run.recorded_run import ProcessProfile, RecordedRun, digest
+from pipeline.run.recorded_run import ProcessProfile, RecordedRate, RecordedRun, digest
+from pipeline.run.verdict import HELD_SHARE
 
 BUSY = 0.8  # share of the cores above which peaks have no room
 
@@ -29,6 +30,7 @@ class CpuPlan:
     cores: float | None  # the sum
     rows: tuple[CpuRow, ...]
     recorded: str  # in words
+    short: str  # in words, by how much the recorded run fell short of its rate; empty: it held it
     missing: tuple[str, ...]  # nodes that the profile does not have
     changed: tuple[str, ...]  # nodes that were recorded with other settings
 
@@ -52,6 +54,7 @@ def cpu_plan(plan: Plan, run: RecordedRun, rate_hz: float) -> CpuPlan:
         cores=sum(row.cores or 0.0 for row in rows) if asked_hz else None,
         rows=tuple(sorted(rows, key=lambda row: -row.ms_per_frame)),
         recorded=f"{rate.frames} frames in {run.duration_s:.0f} s on {profile.cores:g} cores",
+        short=_short(rate),
         missing=tuple(name for name in here if name not in measured),
         changed=tuple(
             name for name in here if name in measured and profile.settings.get(name) != here[name]
@@ -68,6 +71,12 @@ def _row(
         process=name, nodes=process.nodes, ms_per_frame=1000 * seconds,
         cores=seconds * rate_hz if rate_hz else None,
     )  # fmt: skip
+
+
+def _short(rate: RecordedRate) -> str:
+    if not rate.asked_hz or rate.achieved_hz >= HELD_SHARE * rate.asked_hz:
+        return ""
+    return f"{rate.achieved_hz:.4g} of {rate.asked_hz:.4g} Hz"
 
 
 def unhandled(plan: Plan, run: RecordedRun, process: ProcessProfile) -> float:
@@ -100,7 +109,12 @@ def refused(found: CpuPlan, machine: Machine) -> Iterator[str]:
 
 
 def doubted(found: CpuPlan, machine: Machine) -> Iterator[str]:
-    """Yield a sentence where little is left."""
+    """Yield a sentence where little is left, or where the profile says little."""
+    if found.short:
+        yield (
+            f"profile: its run fell short of its rate, {found.short}: delay and CPU are those of "
+            "that run, on a machine that was too busy or too slow"
+        )
     if found.cores is not None and BUSY * machine.cores < found.cores <= machine.cores:
         yield (
             f"CPU: {found.cores:.2f} of {machine.cores:g} cores at {found.rate_hz:.4g} Hz leave "

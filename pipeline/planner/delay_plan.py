@@ -19,7 +19,7 @@ class DelayRow:
     """One figure of the delay."""
 
     of: str  # sensor | loop p50 | loop p99
-    frames: int
+    frames: int | None  # None: not known
     ms: float | None  # None: it is not measured
     coverage: float | None  # share of frames with a plan; None: how far plans reach is not known
 
@@ -53,7 +53,8 @@ def delay_plans(
             continue
         sensor, commands = told[edge.target], told[edge.source]
         rate_hz = sensor.rate_hz or (measured.rate_hz if measured else 0.0)
-        waits: list[tuple[str, float | None, float]] = [("sensor", None, sensor.readout_frames)]
+        own = sensor.readout_frames if sensor.lead_frames else None
+        waits: list[tuple[str, float | None, float | None]] = [("sensor", None, own)]
         if measured is not None and rate_hz and plan.clock == "realtime":
             besides = 0.0 if measured.same_sensor else sensor.readout_frames
             for name, ms in measured.latency_ms.items():
@@ -64,7 +65,8 @@ def delay_plans(
             replan_frames=commands.replan_frames,
             rate_hz=rate_hz,
             rows=tuple(
-                _row(of, ms, late(wait, sensor.lead_frames), commands) for of, ms, wait in waits
+                _row(of, ms, None if wait is None else late(wait, sensor.lead_frames), commands)
+                for of, ms, wait in waits
             ),
         )
 
@@ -73,18 +75,19 @@ def late(wait_frames: float, lead_frames: int) -> int:
     """Return the frames that go by undirected after the one that a command was made from.
 
     The command arrives `wait_frames` after that frame and directs the next one to be exposed;
-    `lead_frames` is the sensor's own least distance.
+    `lead_frames` is the sensor's own least distance, 0 where it is not known.
 
     >>> late(0.4, 1), late(1.2, 1), late(28.7, 1), late(0.4, 3)
     (0, 1, 28, 2)
     """
-    return max(lead_frames, math.ceil(wait_frames - SLACK)) - 1
+    return max(1, lead_frames, math.ceil(wait_frames - SLACK)) - 1
 
 
 def refused(found: DelayPlan) -> Iterator[str]:
     """Yield a sentence where the usual plan arrives after the last frame that it speaks of."""
     for row in reversed(found.rows):
-        if row.of != "loop p99" and 0 < found.horizon_frames <= row.frames:
+        usual = row.frames if row.of != "loop p99" else None
+        if usual is not None and 0 < found.horizon_frames <= usual:
             yield (
                 f"{found.node}: delay: expected plans of more than {row.frames} frames, which is "
                 f"the delay ({_told(row)}), got {found.horizon_frames}: every plan arrives too late"
@@ -105,9 +108,10 @@ def doubted(found: DelayPlan) -> Iterator[str]:
             return
 
 
-def _row(of: str, ms: float | None, frames: int, commands: Forecast) -> DelayRow:
+def _row(of: str, ms: float | None, frames: int | None, commands: Forecast) -> DelayRow:
     horizon, replan = commands.horizon_frames, commands.replan_frames
-    share = coverage(frames, replan, horizon) if horizon and replan else None
+    known = frames is not None and horizon and replan
+    share = coverage(frames or 0, replan, horizon) if known else None
     return DelayRow(of=of, frames=frames, ms=ms, coverage=share)
 
 

@@ -23,6 +23,7 @@ class StreamRow:
     """The pictures of one output; None and 0 are not known."""
 
     output: str  # node or node.output
+    made: bool  # by a source
     size_px: tuple[int, int] | None
     pixel_format: str
     frame_bytes: int | None
@@ -40,6 +41,7 @@ class Examination:
     delays: tuple[DelayPlan, ...]
     cpu: CpuPlan | None  # None: there is no profile
     machine: Machine
+    asked: bool  # whether the sensor was
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
     refusals: tuple[str, ...]
@@ -63,12 +65,13 @@ def examine(
     cpu = cpu_plan.cpu_plan(plan, run, rate_of(told, made)) if run else None
     judged = None if plan.hosts else cpu  # the cores of other hosts are not known here
     return Examination(
-        streams=tuple(stream_rows(plan, told)),
+        streams=tuple(stream_rows(plan, told, made)),
         links=tuple(links),
         pools=pools,
         delays=delays,
         cpu=cpu,
         machine=machine,
+        asked=ask,
         notes=tuple(f"{name}: {found.note}" for name, found in told.items() if found.note),
         warnings=tuple(_warnings(links, pools, delays, judged, machine, link)),
         refusals=tuple(_refusals(links, pools, delays, judged, machine)),
@@ -102,7 +105,7 @@ def _warnings(
         yield from cpu_plan.doubted(cpu, machine)
 
 
-def stream_rows(plan: Plan, told: Mapping[str, Forecast]) -> list[StreamRow]:
+def stream_rows(plan: Plan, told: Mapping[str, Forecast], made: Sequence[str]) -> list[StreamRow]:
     """Return every output of pictures, known or not."""
     rows = []
     for node in plan.nodes:
@@ -113,6 +116,7 @@ def stream_rows(plan: Plan, told: Mapping[str, Forecast]) -> list[StreamRow]:
             rows.append(
                 StreamRow(
                     output=node.name if output == "out" else f"{node.name}.{output}",
+                    made=node.name in made,
                     size_px=stream.size_px if stream else None,
                     pixel_format=stream.pixel_format if stream else "",
                     frame_bytes=stream.frame_bytes if stream else None,

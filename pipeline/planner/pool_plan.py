@@ -46,10 +46,10 @@ def pool_plan(
             if not plan.readers(node.name, output):
                 continue  # what nothing reads stays in the process
             row = _row(plan, node, output, told[node.name], recorded or {})
-            if row.bytes is None and message is not Frame:
-                others += 1
-            else:
+            if row.bytes or message is Frame:
                 rows.append(row)
+            elif row.bytes is None:
+                others += 1
     return PoolPlan(
         rows=tuple(rows),
         others=others,

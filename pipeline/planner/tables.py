@@ -23,7 +23,7 @@ COLOUR = {"fits": "green", "marginal": "yellow", "does not fit": "red"}
 
 def tables(found: Examination, graph: str) -> list[RenderableType]:
     """Return all tables, and lines between them; `graph` is the file, for commands in them."""
-    parts: list[RenderableType] = [_streams(found), *_said(found.notes)]
+    parts: list[RenderableType] = [_streams(found), *_said(found.notes), *_said(_hint(found))]
     for link in found.links:
         parts += [Text(), _link(link), *_said(_crossing(link))]
     parts += [Text(), _pools(found.pools), *_said(_pool_lines(found.pools, found.machine))]
@@ -56,6 +56,11 @@ def _streams(found: Examination) -> Table:
             f"{row.rate_hz:.4g}" if row.rate_hz else "–", _mega(row.bytes_per_s),
         )  # fmt: skip
     return table
+
+
+def _hint(found: Examination) -> Iterator[str]:
+    if not found.asked and any(row.made and row.bytes_per_s is None for row in found.streams):
+        yield "with --ask the sensor is opened, and tells what is not known"
 
 
 def _link(found: LinkPlan) -> Table:
@@ -119,7 +124,8 @@ def _delay(found: DelayPlan) -> Table:
     )  # fmt: skip
     for row in found.rows:
         share = UNKNOWN if row.coverage is None else f"{row.coverage:.0%}"
-        _add(table, row.of, "–" if row.ms is None else brief(row.ms), str(row.frames), share)
+        frames = "–" if row.frames is None else str(row.frames)
+        _add(table, row.of, "–" if row.ms is None else brief(row.ms), frames, share)
     return table
 
 

@@ -71,6 +71,6 @@ def test_sides_below_none_are_refused() -> None:
         PictureStream(size_px=(-1, 4), pixel_format="rgb8", frame_bytes=0)
 
 
-def test_a_command_cannot_affect_its_own_frame() -> None:
-    with pytest.raises(SettingsError, match="lead_frames: expected a number from 1 on, got 0"):
-        Forecast(lead_frames=0)
+def test_a_delay_below_none_is_refused() -> None:
+    with pytest.raises(SettingsError, match="readout_frames: expected a number from 0 on, got -1"):
+        Forecast(readout_frames=-1)

@@ -101,6 +101,7 @@ def test_an_asked_sensor_tells_what_its_settings_leave_out(tmp_path: Path) -> No
     assert closed[1]["notes"] == [f"capture: {SQUARE} is not opened for its size_px and rate_hz"]
     assert closed[1]["streams"][0]["size_px"] is None
     assert asked[1]["streams"][0]["size_px"] == [80, 48]
+    assert (closed[1]["asked"], asked[1]["asked"]) == (False, True)
     assert asked[1]["streams"][0]["rate_hz"] == 100
 
 

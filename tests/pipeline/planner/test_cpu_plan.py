@@ -111,3 +111,12 @@ def test_a_process_of_nodes_that_the_graph_no_longer_has_does_not_count(plan: Pl
     found = cpu_plan(plan, msgspec.structs.replace(recorded, profile=profile), 20.0)
 
     assert "gone" not in {row.process for row in found.rows}
+
+
+def test_a_run_that_fell_short_of_its_rate_is_a_doubtful_profile(plan: Plan) -> None:
+    recorded = run(plan)
+    slow = RecordedRate(frames=80, asked_hz=20.0, achieved_hz=8.0)
+
+    found = cpu_plan(plan, msgspec.structs.replace(recorded, rate=slow), 20.0)
+
+    assert next(doubted(found, TWO)).startswith("profile: its run fell short of its rate, 8 of 20")

@@ -30,7 +30,7 @@ def delay(
     latency_ms: tuple[float, float] | None = None, same_sensor: bool = True, **sensor: float,
 ) -> DelayPlan:  # fmt: skip
     told = {
-        "eye": Forecast(rate_hz=30, **sensor),  # type: ignore[arg-type]
+        "eye": Forecast(**{"rate_hz": 30, "lead_frames": 1, **sensor}),  # type: ignore[arg-type]
         "steer": Forecast(horizon_frames=horizon, replan_frames=replan),
     }
     run = None
@@ -105,3 +105,10 @@ def test_plans_of_unknown_length_are_neither_refused_nor_doubted(plans: tuple[in
     assert found.rows[0].coverage is None
     assert not list(doubted(found))
     assert bool(list(refused(found))) == (plans[0] > 0)
+
+
+def test_the_delay_of_a_sensor_that_states_none_is_not_known() -> None:
+    found = delay(lead_frames=0, latency_ms=(40, 40))
+
+    assert [(row.frames, row.coverage) for row in found.rows] == [(None, None), (1, 1.0), (1, 1.0)]
+    assert not [*refused(found), *doubted(found)]
