@@ -15,10 +15,10 @@ class LinkPlan:
     node: str
     streams: str  # in words
     crosses: bool  # False: no link is stated; figures as if its outputs crossed one
-    needed: float | None  # None: not known
+    needed_bytes_per_s: float | None  # None: not known
     frame_bytes: int | None  # of all streams, where they have one rate
     kind: str  # of the link in use; empty: not known
-    stated: float  # what the device carries by its own statement; 0: it states nothing
+    stated_bytes_per_s: float  # what the device carries by its own statement; 0: it states none
     verdicts: dict[str, Verdict]  # by key of `LINKS`
 
 
@@ -38,10 +38,10 @@ def link_plan(node: str, told: Forecast, wanted: str = "") -> LinkPlan | None:
         node=node,
         streams=" + ".join(map(in_words, use.streams)),
         crosses=told.link is not None,
-        needed=needed,
+        needed_bytes_per_s=needed,
         frame_bytes=sum(size or 0 for size in sizes) if together else None,
         kind=wanted or use.kind,
-        stated=use.carries_bytes_per_s,
+        stated_bytes_per_s=use.carries_bytes_per_s,
         verdicts={key: link.verdict(needed) for key, link in LINKS.items()},
     )
 
@@ -59,29 +59,34 @@ def in_words(stream: PictureStream) -> str:
 
 def refused(found: LinkPlan) -> Iterator[str]:
     """Yield a sentence for each limit of the link that the streams exceed."""
-    if found.needed is None:
+    if found.needed_bytes_per_s is None:
         return
-    limits = [(found.stated, "the device's link")] if found.stated else []
+    limits = [(found.stated_bytes_per_s, "the device's link")] if found.stated_bytes_per_s else []
     if found.kind and found.verdicts[found.kind] == "does not fit":
-        limits.append((LINKS[found.kind].most, LINKS[found.kind].name))
+        limits.append((LINKS[found.kind].most_bytes_per_s, LINKS[found.kind].name))
     for most, name in limits:
-        if found.needed > most:
+        if found.needed_bytes_per_s > most:
             yield (
-                f"{found.node}: link: expected up to {most / 1e6:.0f} MB/s over {name}, got "
-                f"{found.needed / 1e6:.0f}: {found.streams}{_possible(found, most)}"
+                f"{found.node}: link: expected up to {_mega(most)} MB/s over {name}, got "
+                f"{_mega(found.needed_bytes_per_s)}: {found.streams}{_possible(found, most)}"
             )
 
 
 def doubted(found: LinkPlan, wanted: str = "") -> Iterator[str]:
     """Yield a sentence where the link may be too small, or where that is not known."""
-    if wanted and found.needed is None:
+    if wanted and found.needed_bytes_per_s is None:
         yield f"{found.node}: link: not known whether {found.streams} fits {LINKS[wanted].name}"
-    if found.kind and found.needed and found.verdicts[found.kind] == "marginal":
+    if found.kind and found.needed_bytes_per_s and found.verdicts[found.kind] == "marginal":
         link = LINKS[found.kind]
         yield (
-            f"{found.node}: link: {found.needed / 1e6:.0f} MB/s is marginal over {link.name}, "
-            f"which carries {link.carries / 1e6:.0f} and {link.most / 1e6:.0f} at best"
+            f"{found.node}: link: {_mega(found.needed_bytes_per_s)} MB/s is marginal over "
+            f"{link.name}, which carries {_mega(link.carries_bytes_per_s)} and "
+            f"{_mega(link.most_bytes_per_s)} at best"
         )
+
+
+def _mega(bytes_per_s: float) -> str:
+    return f"{bytes_per_s / 1e6:.0f}"
 
 
 def _possible(found: LinkPlan, most: float) -> str:

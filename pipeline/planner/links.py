@@ -1,7 +1,7 @@
 """Links between sensor and host: bytes a second in, a verdict by what each carries in practice out.
 
-`carries` may be planned with. Above it and up to `most`, cable, controller and drivers decide:
-marginal. In MB/s:
+What a link carries may be planned with. Above that and up to the most that it can carry, cable,
+controller and drivers decide: marginal. In MB/s:
 
 - USB 2: 40, of 35 to 45 in practice. Most: 53.2, 13 bulk packets of 512 bytes in each of 8,000
   microframes (Universal Serial Bus 2.0, section 5.8.4, table 5-10).
@@ -25,8 +25,8 @@ class Link:
     """What a kind of link carries."""
 
     name: str
-    carries: float  # bytes a second that may be planned with
-    most: float  # bytes a second that good hardware reaches
+    carries_bytes_per_s: float  # that may be planned with
+    most_bytes_per_s: float  # that good hardware reaches
 
     def verdict(self, needed: float | None) -> Verdict:
         """Judge a need in bytes a second; None is not known.
@@ -36,16 +36,16 @@ class Link:
         """
         if needed is None:
             return "not known"
-        if needed <= self.carries:
+        if needed <= self.carries_bytes_per_s:
             return "fits"
-        return "marginal" if needed <= self.most else "does not fit"
+        return "marginal" if needed <= self.most_bytes_per_s else "does not fit"
 
 
 LINKS: Mapping[str, Link] = MappingProxyType(
     {
-        "usb2": Link(name="USB 2", carries=40e6, most=53.2e6),
-        "gige": Link(name="GigE", carries=118e6, most=123.9e6),
-        "usb3.0": Link(name="USB 3.0", carries=400e6, most=450e6),
-        "usb3.1": Link(name="USB 3.1 Gen 2", carries=1000e6, most=1090e6),
+        "usb2": Link(name="USB 2", carries_bytes_per_s=40e6, most_bytes_per_s=53.2e6),
+        "gige": Link(name="GigE", carries_bytes_per_s=118e6, most_bytes_per_s=123.9e6),
+        "usb3.0": Link(name="USB 3.0", carries_bytes_per_s=400e6, most_bytes_per_s=450e6),
+        "usb3.1": Link(name="USB 3.1 Gen 2", carries_bytes_per_s=1000e6, most_bytes_per_s=1090e6),
     }
 )

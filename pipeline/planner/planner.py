@@ -12,6 +12,7 @@ from pipeline.planner import cpu_plan, delay_plan, link_plan, pool_plan
 from pipeline.planner.cpu_plan import CpuPlan
 from pipeline.planner.delay_plan import DelayPlan, Measured
 from pipeline.planner.forecasts import forecasts
+from pipeline.planner.host_plan import HostRow, host_rows
 from pipeline.planner.link_plan import LinkPlan
 from pipeline.planner.machine import Machine
 from pipeline.planner.pool_plan import PoolPlan
@@ -37,6 +38,7 @@ class Examination:
 
     streams: tuple[StreamRow, ...]
     links: tuple[LinkPlan, ...]
+    hosts: tuple[HostRow, ...]
     pools: PoolPlan
     delays: tuple[DelayPlan, ...]
     cpu: CpuPlan | None  # None: there is no profile
@@ -67,6 +69,7 @@ def examine(
     return Examination(
         streams=tuple(stream_rows(plan, told, made)),
         links=tuple(links),
+        hosts=host_rows(plan, told),
         pools=pools,
         delays=delays,
         cpu=cpu,

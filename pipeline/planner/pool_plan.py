@@ -22,7 +22,7 @@ class PoolRow:
     host: str
     slots: int
     frame_bytes: int | None  # None: not known
-    bytes: int | None  # None: not known; 0: its messages are small, they need no pool
+    pool_bytes: int | None  # None: not known; 0: its messages are small, they need no pool
     recorded: bool = False  # by a profile; otherwise it follows from the settings
 
 
@@ -46,15 +46,15 @@ def pool_plan(
             if not plan.readers(node.name, output):
                 continue  # what nothing reads stays in the process
             row = _row(plan, node, output, told[node.name], recorded or {})
-            if row.bytes or message is Frame:
+            if row.pool_bytes or message is Frame:
                 rows.append(row)
-            elif row.bytes is None:
+            elif row.pool_bytes is None:
                 others += 1
     return PoolPlan(
         rows=tuple(rows),
         others=others,
         total_bytes=ledger_bytes(len(plan.edges), len(plan.nodes))
-        + sum(row.bytes or 0 for row in rows),
+        + sum(row.pool_bytes or 0 for row in rows),
         compared=not plan.hosts,
     )
 
@@ -73,28 +73,30 @@ def _row(
         size = recorded.get(f"{node.name}.{output}", 0)
     return PoolRow(
         output=readers[0].origin, host=node.host, slots=slots(readers), frame_bytes=frame_bytes,
-        bytes=size, recorded=from_profile,
+        pool_bytes=size, recorded=from_profile,
     )  # fmt: skip
 
 
 def refused(found: PoolPlan, machine: Machine) -> Iterator[str]:
     """Yield a sentence for pools that cannot be made on this machine."""
     for row in found.rows:
-        if row.slots > MAX_SLOTS and row.bytes:
+        if row.slots > MAX_SLOTS and row.pool_bytes:
             yield f"{row.output}: pool: expected up to {MAX_SLOTS} slots, got {row.slots}"
     needed = found.total_bytes
-    for limit, where in ((machine.shared, str(MEMORY)), (machine.memory, "memory")):
+    for limit, where in ((machine.shared_bytes, str(MEMORY)), (machine.memory_bytes, "memory")):
         if found.compared and limit and needed > limit:
-            largest = max(found.rows, key=lambda row: row.bytes or 0, default=None)
-            most = f"; the largest is {largest.output}, {mega(largest.bytes)} MB" if largest else ""
-            yield f"pools: expected up to {mega(limit)} MB of {where}, got {mega(needed)} MB{most}"
+            largest = max(found.rows, key=lambda row: row.pool_bytes or 0, default=None)
+            said = f"pools: expected up to {mega(limit)} MB of {where}, got {mega(needed)} MB"
+            if largest is not None:
+                said += f"; the largest is {largest.output}, {mega(largest.pool_bytes)} MB"
+            yield said
 
 
 def doubted(found: PoolPlan, machine: Machine) -> Iterator[str]:
     """Yield a sentence where the memory is there, but in use."""
     limits = (
-        (machine.shared, machine.shared_free, str(MEMORY)),
-        (machine.memory, machine.memory_free, "memory"),
+        (machine.shared_bytes, machine.shared_free_bytes, str(MEMORY)),
+        (machine.memory_bytes, machine.memory_free_bytes, "memory"),
     )
     for limit, free, where in limits:
         if found.compared and free < found.total_bytes <= limit:

@@ -1,6 +1,6 @@
 """Tables of an examination for a terminal; what operators state is not interpreted."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from rich.console import RenderableType
 from rich.table import Table
@@ -8,6 +8,7 @@ from rich.text import Text
 
 from pipeline.planner.cpu_plan import CpuPlan
 from pipeline.planner.delay_plan import DelayPlan
+from pipeline.planner.host_plan import HostRow
 from pipeline.planner.link_plan import LinkPlan
 from pipeline.planner.links import LINKS
 from pipeline.planner.machine import Machine
@@ -26,6 +27,8 @@ def tables(found: Examination, graph: str) -> list[RenderableType]:
     parts: list[RenderableType] = [_streams(found), *_said(found.notes), *_said(_hint(found))]
     for link in found.links:
         parts += [Text(), _link(link), *_said(_crossing(link))]
+    if found.hosts:
+        parts += [Text(), _hosts(found.hosts)]
     parts += [Text(), _pools(found.pools), *_said(_pool_lines(found.pools, found.machine))]
     for delay in found.delays:
         parts += [Text(), _delay(delay), *_said(_delay_lines(delay, recorded=bool(found.cpu)))]
@@ -69,21 +72,32 @@ def _link(found: LinkPlan) -> Table:
         f"{found.node}: {what}", names=("link",), words=("verdict",),
         figures=("needs MB/s", "carries MB/s", "at best"), spare=("at best", "needs MB/s"),
     )  # fmt: skip
-    needs = _mega(found.needed)
-    if found.stated:
+    needs = _mega(found.needed_bytes_per_s)
+    if found.stated_bytes_per_s:
         own = UNKNOWN
-        if found.needed is not None:
-            own = "fits" if found.needed <= found.stated else "does not fit"
-        _add(table, "the device's own", _judged(own), needs, mega(found.stated), "–")
+        if found.needed_bytes_per_s is not None:
+            own = "fits" if found.needed_bytes_per_s <= found.stated_bytes_per_s else "does not fit"
+        _add(table, "the device's own", _judged(own), needs, mega(found.stated_bytes_per_s), "–")
     for key, link in LINKS.items():
         name = f"{link.name} (in use)" if key == found.kind else link.name
-        verdict = _judged(found.verdicts[key])
-        _add(table, name, verdict, needs, mega(link.carries), mega(link.most))
+        limits = mega(link.carries_bytes_per_s), mega(link.most_bytes_per_s)
+        _add(table, name, _judged(found.verdicts[key]), needs, *limits)
     return table
 
 
 def _crossing(found: LinkPlan) -> Iterator[str]:
     yield found.streams
+
+
+def _hosts(found: Sequence[HostRow]) -> Table:
+    table = lean_table(
+        "pictures between hosts", names=("from", "to"), words=("over GigE",),
+        figures=("MB/s", "inputs"), spare=("inputs",),
+    )  # fmt: skip
+    for row in found:
+        needs, count = mega(row.bytes_per_s), str(len(row.edges))
+        _add(table, row.source, row.target, _judged(row.gige), needs, count)
+    return table
 
 
 def _pools(found: PoolPlan) -> Table:
@@ -93,25 +107,24 @@ def _pools(found: PoolPlan) -> Table:
         figures=("slots", "MB", "from"), spare=("from", "slots"),
     )  # fmt: skip
     for row in found.rows:
-        origin = "profile" if row.recorded else "settings" if row.bytes is not None else "–"
+        origin = "profile" if row.recorded else "settings" if row.pool_bytes is not None else "–"
         _add(
-            table, row.output, *([row.host] if several else []), str(row.slots), _mega(row.bytes),
-            origin,
+            table, row.output, *([row.host] if several else []), str(row.slots),
+            _mega(row.pool_bytes), origin,
         )  # fmt: skip
     return table
 
 
 def _pool_lines(found: PoolPlan, machine: Machine) -> Iterator[str]:
-    unknown = sum(row.bytes is None for row in found.rows) + found.others
+    unknown = sum(row.pool_bytes is None for row in found.rows) + found.others
     least = "at least " if unknown else ""
     line = f"in all {least}{mega(found.total_bytes)} MB"
     if not found.compared:
         line += ", on several hosts: not compared with their memory"
-    elif machine.shared:
-        line += (
-            f"; {mega(machine.shared_free)} of {mega(machine.shared)} MB free in {MEMORY}, "
-            f"{mega(machine.memory_free)} of {mega(machine.memory)} MB of memory"
-        )
+    elif machine.shared_bytes:
+        shared = f"{mega(machine.shared_free_bytes)} of {mega(machine.shared_bytes)} MB"
+        memory = f"{mega(machine.memory_free_bytes)} of {mega(machine.memory_bytes)} MB"
+        line += f"; {shared} free in {MEMORY}, {memory} of memory"
     yield line
     if unknown:
         yield f"without {unknown} {'output' if unknown == 1 else 'outputs'} that no setting tells"
@@ -176,7 +189,7 @@ def _mega(nbytes: float | None) -> str:
     return "–" if nbytes is None else mega(nbytes)
 
 
-def _said(lines: "tuple[str, ...] | list[str] | Iterator[str]") -> list[RenderableType]:
+def _said(lines: Iterable[str]) -> list[RenderableType]:
     return [Text(harmless(line, 400)) for line in lines]
 
 

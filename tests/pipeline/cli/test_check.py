@@ -148,7 +148,7 @@ def test_a_recorded_run_has_the_pools_that_were_planned_and_tells_the_rest(
     status, plan, said = planned("check", str(path), "--profile", str(file))
 
     assert status == 0, said
-    predicted = {row["output"]: row["bytes"] for row in plan["pools"]["rows"]}
+    predicted = {row["output"]: row["pool_bytes"] for row in plan["pools"]["rows"]}
     made = {name.removesuffix(".out"): size for name, size in recorded["pools"].items()}
     assert made == {name: size for name, size in predicted.items() if size}
     assert set(made) == {"capture.context", "capture.roi", "small"}

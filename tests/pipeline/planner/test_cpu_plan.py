@@ -22,7 +22,7 @@ from pipeline.run.recorded_run import (
 )
 from tests.sample_graphs import CHAIN
 
-TWO = Machine(cores=2, shared=0, shared_free=0, memory=0, memory_free=0)
+TWO = Machine(cores=2, shared_bytes=0, shared_free_bytes=0, memory_bytes=0, memory_free_bytes=0)
 
 
 @pytest.fixture(scope="module")

@@ -27,8 +27,8 @@ def test_the_board_of_the_paper_on_usb_3(depth: str, needed: int, verdict: str) 
     found = link_plan("capture", paper(depth, kind="usb3.0"))
 
     assert found is not None
-    assert found.needed is not None
-    assert round(found.needed / 1e6) == needed
+    assert found.needed_bytes_per_s is not None
+    assert round(found.needed_bytes_per_s / 1e6) == needed
     assert found.verdicts["usb3.0"] == verdict
     assert bool(list(refused(found))) == (verdict == "does not fit")
     assert bool(list(doubted(found))) == (verdict == "marginal")
@@ -86,5 +86,5 @@ def test_a_larger_need_is_never_judged_better(needs: list[float], kind: str) -> 
     small, large = sorted(needs)
     link = LINKS[kind]
 
-    assert link.carries < link.most
+    assert link.carries_bytes_per_s < link.most_bytes_per_s
     assert ORDER.index(link.verdict(small)) <= ORDER.index(link.verdict(large))

@@ -37,7 +37,13 @@ nodes:
     inputs: {{frame: half}}
 """
 GIB = 1 << 30
-LARGE = Machine(cores=4, shared=GIB, shared_free=GIB, memory=4 * GIB, memory_free=2 * GIB)
+LARGE = Machine(
+    cores=4,
+    shared_bytes=GIB,
+    shared_free_bytes=GIB,
+    memory_bytes=4 * GIB,
+    memory_free_bytes=2 * GIB,
+)
 
 
 def planned(path: Path, *changes: str, text: str = GRAPH) -> Plan:
@@ -88,7 +94,13 @@ def test_a_link_given_with_the_command_counts_instead_of_the_stated_one(tmp_path
 
 def test_everything_that_cannot_work_is_refused_at_once(tmp_path: Path) -> None:
     plan = planned(tmp_path, "eye.kind=usb2", "eye.rate_hz=100")
-    small = Machine(cores=0.1, shared=10_000, shared_free=9, memory=10_000, memory_free=9)
+    small = Machine(
+        cores=0.1,
+        shared_bytes=10_000,
+        shared_free_bytes=9,
+        memory_bytes=10_000,
+        memory_free_bytes=9,
+    )
     run = recorded(plan)
 
     found = examined(plan, small, run=run)
@@ -99,10 +111,13 @@ def test_everything_that_cannot_work_is_refused_at_once(tmp_path: Path) -> None:
 def test_a_rate_that_is_not_known_leaves_the_link_open(tmp_path: Path) -> None:
     found = examined(planned(tmp_path, "eye.rate_hz=0", "eye.kind=usb2"))
 
-    assert found.links[0].needed is None
+    assert found.links[0].needed_bytes_per_s is None
     assert set(found.links[0].verdicts.values()) == {"not known"}
     assert not found.refusals
-    assert [row.bytes for row in found.pools.rows] == [4096 + 11 * 921_600, 4096 + 20 * 462_848]
+    assert [row.pool_bytes for row in found.pools.rows] == [
+        4096 + 11 * 921_600,
+        4096 + 20 * 462_848,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -191,3 +206,16 @@ def test_without_a_profile_the_command_that_records_one_is_shown() -> None:
 
     assert "CPU: no profile: run `fovea run graphs/tracking.yaml --duration-s 30 --report" in text
     assert "what the loop adds is not known without a profile" in text
+
+
+def test_pictures_that_cross_to_another_host_are_summed_by_pair() -> None:
+    found = examined(load(ROOT / "graphs" / "multi_host.yaml"))
+
+    pairs = {(row.source, row.target): row for row in found.hosts}
+    one = 480 * 270 * 3 * 30
+    assert {pair: row.bytes_per_s for pair, row in pairs.items()} == {
+        ("sensor", "compute"): 2 * one,
+        ("sensor", "viewer"): 2 * one,
+    }
+    assert pairs["sensor", "compute"].edges == ("saliency.frame", "roi_features.roi")
+    assert "over GigE" in "\n".join(lines_of(found, 80))

@@ -16,7 +16,13 @@ from pipeline.run.memory_folder import MemoryFolder
 from tests.sample_graphs import CHAIN
 
 GIB = 1 << 30
-LARGE = Machine(cores=4, shared=GIB, shared_free=GIB, memory=4 * GIB, memory_free=2 * GIB)
+LARGE = Machine(
+    cores=4,
+    shared_bytes=GIB,
+    shared_free_bytes=GIB,
+    memory_bytes=4 * GIB,
+    memory_free_bytes=2 * GIB,
+)
 
 
 @pytest.fixture(scope="module")
@@ -40,14 +46,14 @@ def test_a_pool_takes_what_its_file_takes(plan: Plan, side_px: int) -> None:
 
     folder = MemoryFolder.claim()
     try:
-        if row.bytes:
+        if row.pool_bytes:
             PoolWriter(folder, "ticker.roi", row.slots, lambda _ordinal: DONE).lease(nbytes)
         made = folder.pool_bytes()
     finally:
         folder.empty()
 
-    assert made == ({"ticker.roi": row.bytes} if row.bytes else {})
-    assert bool(row.bytes) == (nbytes > 8192)
+    assert made == ({"ticker.roi": row.pool_bytes} if row.pool_bytes else {})
+    assert bool(row.pool_bytes) == (nbytes > 8192)
 
 
 def test_an_output_that_nothing_reads_has_no_pool(plan: Plan) -> None:
@@ -62,16 +68,16 @@ def test_a_profile_tells_what_the_settings_do_not(plan: Plan) -> None:
     unknown = pool_plan(plan, nothing)
     recorded = pool_plan(plan, nothing, {"ticker.roi": 123_456})
 
-    assert [row.bytes for row in unknown.rows] == [None]
-    assert [(row.bytes, row.recorded) for row in recorded.rows] == [(123_456, True)]
+    assert [row.pool_bytes for row in unknown.rows] == [None]
+    assert [(row.pool_bytes, row.recorded) for row in recorded.rows] == [(123_456, True)]
     assert recorded.total_bytes - unknown.total_bytes == 123_456
 
 
 @pytest.mark.parametrize(
     ("machine", "where"),
     [
-        (replace(LARGE, shared=20_000_000), "/dev/shm"),
-        (replace(LARGE, memory=20_000_000), "memory"),
+        (replace(LARGE, shared_bytes=20_000_000), "/dev/shm"),
+        (replace(LARGE, memory_bytes=20_000_000), "memory"),
     ],
 )
 def test_pools_that_the_machine_has_no_room_for_are_refused(
@@ -86,7 +92,7 @@ def test_pools_that_the_machine_has_no_room_for_are_refused(
 
 def test_room_that_is_in_use_now_is_a_warning(plan: Plan) -> None:
     found = pool_plan(plan, told(plan, 1000))
-    crowded = replace(LARGE, shared_free=1_000_000)
+    crowded = replace(LARGE, shared_free_bytes=1_000_000)
 
     assert not list(refused(found, crowded))
     assert "1.0 of the 1074 MB of /dev/shm are free now" in next(doubted(found, crowded))
@@ -97,11 +103,11 @@ def test_memory_of_other_hosts_is_not_judged_here(plan: Plan) -> None:
     found = pool_plan(replace(plan, nodes=nodes, hosts=("far",)), told(plan, 1000))
 
     assert {row.host for row in found.rows} == {"far"}
-    assert not list(refused(found, replace(LARGE, shared=1)))
+    assert not list(refused(found, replace(LARGE, shared_bytes=1)))
 
 
 def test_a_machine_that_does_not_tell_its_memory_refuses_nothing(plan: Plan) -> None:
     found: PoolPlan = pool_plan(plan, told(plan, 1000))
-    silent = replace(LARGE, shared=0, shared_free=0)
+    silent = replace(LARGE, shared_bytes=0, shared_free_bytes=0)
 
     assert not [*refused(found, silent), *doubted(found, silent)]
