@@ -72,10 +72,15 @@ def refused(found: LinkPlan) -> Iterator[str]:
             )
 
 
-def doubted(found: LinkPlan, wanted: str = "") -> Iterator[str]:
-    """Yield a sentence where the link may be too small, or where that is not known."""
-    if wanted and found.needed_bytes_per_s is None:
-        yield f"{found.node}: link: not known whether {found.streams} fits {LINKS[wanted].name}"
+def unknown(node: str, found: LinkPlan | None, wanted: str) -> Iterator[str]:
+    """Yield a sentence where it is not known whether a source fits the wanted link, if any."""
+    if wanted and (found is None or found.needed_bytes_per_s is None):
+        streams = found.streams if found else "what it sends"
+        yield f"{node}: link: not known whether {streams} fits {LINKS[wanted].name}"
+
+
+def doubted(found: LinkPlan) -> Iterator[str]:
+    """Yield a sentence where the link may be too small."""
     if found.kind and found.needed_bytes_per_s and found.verdicts[found.kind] == "marginal":
         link = LINKS[found.kind]
         yield (

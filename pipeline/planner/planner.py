@@ -60,7 +60,9 @@ def examine(
     """
     told = forecasts(plan, settings, ask=ask)
     made = [node.name for node in sources(plan)]
-    links = [found for name in made if (found := link_plan.link_plan(name, told[name], link))]
+    by_source = {name: link_plan.link_plan(name, told[name], link) for name in made}
+    links = [found for found in by_source.values() if found is not None]
+    unsure = (s for name, found in by_source.items() for s in link_plan.unknown(name, found, link))
     profile = run.profile if run else None
     pools = pool_plan.pool_plan(plan, told, profile.pools if profile else None)
     delays = tuple(delay_plan.delay_plans(plan, told, measured(plan, made, run)))
@@ -76,7 +78,7 @@ def examine(
         machine=machine,
         asked=ask,
         notes=tuple(f"{name}: {found.note}" for name, found in told.items() if found.note),
-        warnings=tuple(_warnings(links, pools, delays, judged, machine, link)),
+        warnings=(*unsure, *_warnings(links, pools, delays, judged, machine)),
         refusals=tuple(_refusals(links, pools, delays, judged, machine)),
     )
 
@@ -96,10 +98,10 @@ def _refusals(
 
 def _warnings(
     links: Sequence[LinkPlan], pools: PoolPlan, delays: Sequence[DelayPlan], cpu: CpuPlan | None,
-    machine: Machine, wanted: str,
+    machine: Machine,
 ) -> Iterator[str]:  # fmt: skip
     for link in links:
-        yield from link_plan.doubted(link, wanted)
+        yield from link_plan.doubted(link)
     yield from pool_plan.doubted(pools, machine)
     for delay in delays:
         if not any(delay_plan.refused(delay)):

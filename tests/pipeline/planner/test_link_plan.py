@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.forecast import Forecast, LinkUse, PictureStream, pictures
-from pipeline.planner.link_plan import doubted, link_plan, refused
+from pipeline.planner.link_plan import doubted, link_plan, refused, unknown
 from pipeline.planner.links import LINKS
 
 ORDER = ["fits", "marginal", "does not fit"]
@@ -62,13 +62,17 @@ def test_a_compressed_stream_has_no_verdict_and_no_refusal() -> None:
     assert found is not None
     assert set(found.verdicts.values()) == {"not known"}
     assert not list(refused(found))
-    assert list(doubted(found, "usb2")) == [
+    assert list(unknown("capture", found, "usb2")) == [
         "capture: link: not known whether 1920x1080 MJPG fits USB 2"
     ]
 
 
 def test_a_source_without_streams_has_no_link() -> None:
     assert link_plan("capture", Forecast()) is None
+    assert list(unknown("capture", None, "")) == []
+    assert list(unknown("capture", None, "gige")) == [
+        "capture: link: not known whether what it sends fits GigE"
+    ]
 
 
 def test_a_source_that_states_no_link_is_judged_by_its_outputs() -> None:

@@ -159,6 +159,9 @@ def test_operators_that_state_nothing_are_shown_as_not_known(tmp_path: Path) -> 
 
     found = examined(plan)
 
+    assert examined(plan, link="usb2").warnings == (
+        "eye: link: not known whether what it sends fits USB 2",
+    )
     assert {(row.size_px, row.bytes_per_s) for row in found.streams} == {(None, None)}
     assert not [*found.links, *found.refusals, *found.warnings]
     assert "not known" in "\n".join(lines_of(found, 80))
