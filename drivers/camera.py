@@ -6,10 +6,12 @@ context and ROI from its frames in software, so that every graph runs on it unch
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.forecast import LinkUse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,4 +56,24 @@ class Camera(Protocol):
 
     def summary(self) -> Mapping[str, Any]:
         """Figures of the run so far; also after `close`."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expected:
+    """What a camera will deliver, and what crosses its link."""
+
+    negotiated: Negotiated
+    link: LinkUse
+
+
+@runtime_checkable
+class StatesPictures(Protocol):
+    """What a camera may offer beside the contract, for the tables of `fovea check`."""
+
+    def expected(self) -> Expected | None:
+        """What it delivers: before `open` if it does what is asked of it, then as negotiated.
+
+        None where neither tells.
+        """
         ...

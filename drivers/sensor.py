@@ -7,10 +7,11 @@ same tests; `operators.capture` depends only on it.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from drivers.source import Annotations
 from pipeline.contract import Loan
+from pipeline.forecast import Forecast
 from pipeline.messages import Frame, Geometry, Header, RoiSchedule
 
 EMPTY_WINDOW = (0, 0, 0, 0)
@@ -111,4 +112,18 @@ class DualStreamSensor(Protocol):
 
     def summary(self) -> Mapping[str, Any]:
         """Figures of the run so far; also after `close`."""
+        ...
+
+
+@runtime_checkable
+class StatesStreams(Protocol):
+    """What a sensor may offer beside the contract, for the tables of `fovea check`."""
+
+    def forecast(self) -> Forecast:
+        """What it will send as `context` and `roi`, and what crosses its link.
+
+        Before `open` as far as the settings tell, without touching the device; between `open` and
+        `close` as the device says. What neither tells is left out, never guessed. Raises
+        `SettingsError` for a mode that the device is known not to have.
+        """
         ...

@@ -9,10 +9,11 @@ from typing import Any
 
 from numpy.typing import DTypeLike, NDArray
 
-from drivers.sensor import DualStreamSensor
+from drivers.sensor import DualStreamSensor, StatesStreams
 from drivers.source import Annotations
 from pipeline.contract import Input, Output, Source
 from pipeline.errors import DriverError, SettingsError
+from pipeline.forecast import Forecast, Upstream
 from pipeline.import_path import imported
 from pipeline.messages import Frame, Header, Message, RoiSchedule, Truth
 from pipeline.settings import build
@@ -54,6 +55,20 @@ class Capture(Source[CaptureSettings, Frame]):
     truth = Output(Truth)
 
     _sensor: DualStreamSensor | None = None
+
+    @classmethod
+    def forecast(cls, settings: CaptureSettings, upstream: Upstream) -> Forecast:
+        """Return what the sensor states: from its options or, if it may be asked, once open."""
+        sensor = settings.build()
+        if not isinstance(sensor, StatesStreams):
+            return Forecast(note=f"{settings.sensor} does not state its streams")
+        if not upstream.ask:
+            return sensor.forecast()
+        try:
+            sensor.open(realtime=False)
+            return sensor.forecast()
+        finally:
+            sensor.close()
 
     def open(self) -> None:
         """Open and start the device."""

@@ -11,6 +11,7 @@ from drivers.scan import scan_window
 from pipeline.boxes import centres, roi_window
 from pipeline.contract import Input, Operator
 from pipeline.errors import SettingsError
+from pipeline.forecast import Forecast, Upstream, coverage
 from pipeline.messages import Geometry, Header, RoiSchedule, Scanpath
 
 Fill = Literal["hold", "centre", "scan"]
@@ -65,6 +66,15 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
         yield (
             f"plans reach {horizon} frames, a new one every {every}: every frame has one up to "
             f"{horizon - every} frames of delay; share of frames with a plan by delay {shares}"
+        )
+
+    @classmethod
+    def forecast(cls, settings: DispatchSettings, upstream: Upstream) -> Forecast:
+        """Return how far plans reach, and how often one is used."""
+        horizon = getattr(upstream.settings.get("scanpath"), "horizon", 0)
+        return Forecast(
+            horizon_frames=horizon if isinstance(horizon, int) else 0,
+            replan_frames=settings.replan_every,
         )
 
     def open(self) -> None:
@@ -142,18 +152,6 @@ def plan_windows(
 def is_box(box: NDArray[np.float32]) -> bool:
     """Whether a row (4,) is a box with area."""
     return bool(np.isfinite(box).all() and box[2] > box[0] and box[3] > box[1])
-
-
-def coverage(delay_frames: int, replan_every: int, horizon: int) -> float:
-    """Return the share of frames for which the current plan has a window.
-
-    A plan made from frame j covers j+1 … j+horizon and takes effect after `delay_frames`; the next
-    one replaces it `replan_every` frames later.
-
-    >>> coverage(8, 8, 16), coverage(13, 8, 16), coverage(20, 8, 16)
-    (1.0, 0.375, 0.0)
-    """
-    return min(max(horizon - delay_frames, 0), replan_every) / replan_every
 
 
 def _no_plan(stream: str) -> DispatchState:

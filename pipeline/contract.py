@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import SettingsError
+from pipeline.forecast import Forecast, Upstream
 from pipeline.messages import Header, Message
 
 S = TypeVar("S")
@@ -131,6 +132,15 @@ class Operator(Generic[S, Out]):
         cannot work, such as missing weights.
         """
         return ()
+
+    @classmethod
+    def forecast(cls, settings: S, upstream: Upstream) -> Forecast:
+        """Return what it will send with these settings, for the tables of `fovea check`.
+
+        An override opens no device unless `upstream.ask`, and states only what is certain. Raises
+        `FoveaError` for settings that cannot work.
+        """
+        return Forecast()
 
     def loan(self, shape: tuple[int, ...], dtype: DTypeLike, output: str = "out") -> NDArray[Any]:
         """Return memory of an output; an array written there is sent without a copy."""

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from drivers.camera import Camera, Negotiated, Picture
+from drivers.camera import Camera, Negotiated, Picture, StatesPictures
 from drivers.cameras.cutting import Cutter
 from drivers.cameras.numbering import ExposureNumbers
 from drivers.commands import CommandTable, counts_of
@@ -23,6 +23,7 @@ from drivers.sensor import Capabilities, Exposure, Mode
 from pipeline.boxes import roi_window
 from pipeline.contract import HEADLINE, RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
+from pipeline.forecast import Forecast, pictures
 from pipeline.import_path import imported
 from pipeline.messages import Geometry, Header, RoiSchedule
 from pipeline.settings import build
@@ -112,6 +113,25 @@ class CameraSensor:
             roi_binning=window_px[0] / self._roi_px[0],
             rates_hz=(RATES_HZ[0], told.rate_hz or RATES_HZ[1]),
             pixel_formats=("rgb8",),
+            lead_frames=1,
+        )
+
+    def forecast(self) -> Forecast:
+        """The streams, as far as the camera tells what it delivers."""
+        camera, link, told = self._camera, None, self._negotiated
+        if isinstance(camera, StatesPictures) and (found := camera.expected()) is not None:
+            link, told = found.link, found.negotiated
+        if told is None:
+            return Forecast(note=f"{self.source} tells its size and rate once it is open")
+        cutter = Cutter(told.pixel_format, told.size_px)
+        _, context_px, roi_px = self._sizes(told.size_px, cutter.multiple_px)
+        known = [rate_hz for rate_hz in (self._settings.rate_hz, told.rate_hz) if rate_hz]
+        rate_hz = min(known, default=0.0)
+        sides = {"context": context_px, "roi": roi_px}
+        return Forecast(
+            streams={name: pictures(px, "rgb8", rate_hz) for name, px in sides.items()},
+            link=link,
+            rate_hz=rate_hz,
             lead_frames=1,
         )
 
@@ -236,18 +256,23 @@ class CameraSensor:
             raise DriverError(f"{self.source}: {error}") from error
         if settings.step_px % cutter.multiple_px:
             raise SettingsError(f"step_px: a mosaic needs an even step, got {settings.step_px}")
-        self._geometry = grid = geometry_of(
-            told.size_px,
-            roi_area=settings.roi_area,
-            step_px=settings.step_px,
-            multiple_px=cutter.multiple_px,
-        )
-        self._context_px = scaled(told.size_px, settings.context_scale)
-        self._roi_px = scaled((grid.roi_width_px, grid.roi_height_px), settings.roi_scale)
+        grid, self._context_px, self._roi_px = self._sizes(told.size_px, cutter.multiple_px)
+        self._geometry = grid
         self._commands = CommandTable(self._stream, grid)
         self._window = _middle(grid)
         self._negotiated = self._told = told
         self._stopped.clear()
+
+    def _sizes(
+        self, size_px: tuple[int, int], multiple_px: int
+    ) -> tuple[Geometry, tuple[int, int], tuple[int, int]]:
+        """Geometry, and sizes of context and ROI as sent, of a picture of this size."""
+        settings = self._settings
+        grid = geometry_of(
+            size_px, roi_area=settings.roi_area, step_px=settings.step_px, multiple_px=multiple_px
+        )
+        roi_px = scaled((grid.roi_width_px, grid.roi_height_px), settings.roi_scale)
+        return grid, scaled(size_px, settings.context_scale), roi_px
 
     def _await_due(self, now_ns: int) -> bool:
         """Wait until the next exposure is due; False when stopped."""

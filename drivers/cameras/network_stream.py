@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
-from drivers.camera import Negotiated, Picture
+from drivers.camera import Expected, Negotiated, Picture
 from drivers.cameras import opencv
 from drivers.cameras.address import address, pipeline_shown, read_credentials, with_user
 from drivers.cameras.diagnosis import why_not
 from drivers.cameras.link import LinkSettings
 from drivers.cameras.opencv_camera import OpenCvCamera
 from pipeline.errors import DriverError, SettingsError
+from pipeline.forecast import LinkUse, PictureStream
 
 MOST_THREADS = 64
 LONGEST_PIPELINE = 8192  # characters
@@ -67,10 +68,18 @@ class NetworkStream:
                 f"pipeline: expected an OpenCV with GStreamer, got {opencv.version()}, which was "
                 "built without it: use url, or an OpenCV of your distribution"
             )
-        told = self._camera.open()
-        if self._camera.told.fourcc == "MJPG":  # JPEG tells no rate, and FFmpeg makes one up
-            told = replace(told, rate_hz=0.0)
-        return told
+        return self._honest(self._camera.open())
+
+    def expected(self) -> Expected | None:
+        """What the stream turned out to be; None before it was open. What crosses is compressed."""
+        if self._camera.negotiated is None:
+            return None
+        told = self._honest(self._camera.negotiated)
+        crossing = PictureStream(
+            size_px=told.size_px, pixel_format=self._camera.told.fourcc or "compressed",
+            frame_bytes=None, rate_hz=told.rate_hz,
+        )  # fmt: skip
+        return Expected(negotiated=told, link=LinkUse(streams=(crossing,)))
 
     def read(self, timeout_s: float) -> Picture | None:
         """The newest frame that was not read yet."""
@@ -83,6 +92,10 @@ class NetworkStream:
     def summary(self) -> Mapping[str, Any]:
         """What the stream says of itself, and what happened on the link."""
         return self._camera.summary()
+
+    def _honest(self, told: Negotiated) -> Negotiated:
+        """Without a rate where it is made up: JPEG tells none, and FFmpeg invents one."""
+        return replace(told, rate_hz=0.0) if self._camera.told.fourcc == "MJPG" else told
 
     def _connect(self) -> opencv.OpenCvConnection:
         settings = self._settings

@@ -23,6 +23,7 @@ class OpenCvCamera:
         self._frames: NewestFrame | None = None
         self._size_px = (0, 0)
         self.told = Told()  # by the newest connection
+        self.negotiated: Negotiated | None = None  # since the first `open`
 
     def open(self) -> Negotiated:
         """Acquire the camera and wait for its first frame, whose size and format count."""
@@ -30,12 +31,13 @@ class OpenCvCamera:
         pixels = self._frames.open()
         self._size_px = (pixels.shape[1], pixels.shape[0])
         told = self.told
-        return Negotiated(
+        self.negotiated = Negotiated(
             size_px=self._size_px,
             rate_hz=told.rate_hz,
             pixel_format=self._format_of(pixels),
             transport=", ".join(filter(None, (told.backend, told.fourcc))),
         )
+        return self.negotiated
 
     def read(self, timeout_s: float) -> Picture | None:
         """The newest frame that was not read yet; None: none in time, or closed."""

@@ -13,6 +13,7 @@ import struct
 from pathlib import Path
 
 from pipeline.errors import DriverError
+from pipeline.forecast import PictureStream
 from pipeline.text import harmless
 
 QUERYCAP, REQBUFS = 0x80685600, 0xC0145608  # _IOR('V', 0, 104 bytes), _IOWR('V', 8, 20 bytes)
@@ -20,6 +21,13 @@ CAPABILITY = struct.Struct("=16s32s32sIII12x")  # driver, card, bus, version, al
 CAPTURE, CAPTURE_MPLANE, META_CAPTURE, STREAMING = 0x1, 0x1000, 0x0080_0000, 0x0400_0000
 HAS_DEVICE_CAPS = 0x8000_0000
 CAPTURE_TYPE, MEMORY_MAPPED = 1, 1
+# of a pixel, by fourcc (Linux media documentation, "Image Formats"); the others are compressed
+BITS = {
+    **dict.fromkeys(("YUYV", "UYVY", "YVYU", "VYUY", "Y16"), 16),
+    **dict.fromkeys(("NV12", "NV21", "YU12", "YV12"), 12),
+    **dict.fromkeys(("GREY", "RGGB", "GRBG", "GBRG", "BA81"), 8),
+    **dict.fromkeys(("RGB3", "BGR3"), 24),
+}
 MOST_CHARS = 60  # of a name
 NAMES = Path("/sys/class/video4linux")
 
@@ -31,6 +39,21 @@ def path_of(device: int | str) -> str:
     ('/dev/video2', '/dev/v4l/by-id/usb-cam')
     """
     return f"/dev/video{device}" if isinstance(device, int) else device
+
+
+def link_stream(fourcc: str, size_px: tuple[int, int], rate_hz: float) -> PictureStream:
+    """What crosses the link in a V4L2 format; one that is compressed or not known has no bytes.
+
+    >>> [link_stream(fourcc, (640, 480), 30).frame_bytes for fourcc in ("YUYV", "MJPG")]
+    [614400, None]
+    """
+    bits = BITS.get(fourcc.strip())
+    return PictureStream(
+        size_px=size_px,
+        pixel_format=fourcc.strip() or "any",
+        frame_bytes=None if bits is None else -(-size_px[0] * size_px[1] * bits // 8),
+        rate_hz=rate_hz,
+    )
 
 
 def look_at(path: str) -> str:

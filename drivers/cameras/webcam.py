@@ -5,12 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from drivers.camera import Negotiated, Picture
+from drivers.camera import Expected, Negotiated, Picture
 from drivers.cameras import opencv
 from drivers.cameras.link import LinkSettings
 from drivers.cameras.opencv_camera import OpenCvCamera
-from drivers.cameras.v4l2 import look_at, path_of
+from drivers.cameras.v4l2 import link_stream, look_at, path_of
 from pipeline.errors import DriverError, SettingsError
+from pipeline.forecast import LinkUse
 
 MOST_DEVICES, SIDE_PX = 255, 32_768
 
@@ -54,6 +55,20 @@ class Webcam:
     def open(self) -> Negotiated:
         """Acquire the device; raises `DriverError` with the reason in one sentence."""
         return self._camera.open()
+
+    def expected(self) -> Expected | None:
+        """What was asked of it or, once it was open, what it chose."""
+        wanted, told, fourcc = self._settings, self._camera.negotiated, self._camera.told.fourcc
+        if told is None:
+            if wanted.size_px == (0, 0):
+                return None
+            fourcc = wanted.fourcc
+            told = Negotiated(
+                size_px=wanted.size_px, rate_hz=wanted.rate_hz, pixel_format="bgr8",
+                transport=f"V4L2, {fourcc}",
+            )  # fmt: skip
+        crossing = link_stream(fourcc, told.size_px, told.rate_hz)
+        return Expected(negotiated=told, link=LinkUse(streams=(crossing,)))
 
     def read(self, timeout_s: float) -> Picture | None:
         """The newest frame that was not read yet."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from drivers.camera import Negotiated, Picture
+from drivers.camera import Expected, Negotiated, Picture
 from drivers.genicam.clock import CameraClock
 from drivers.genicam.connection import Connection
 from drivers.genicam.device import Device, FeatureValue
@@ -18,6 +18,7 @@ from drivers.genicam.formats import BY_CODE, BY_NAME, PixelFormat, entry_of, off
 from drivers.genicam.intake import Intake, Shape
 from drivers.genicam.stream import COUNTED, Arrived
 from pipeline.errors import DriverError, SettingsError
+from pipeline.forecast import LinkUse, pictures
 
 SLICE_S = 0.05  # a `read` that waits notices `close` this soon
 WRAP = 0xFFFF  # frame numbers of GigE Vision 1 go from here to 1
@@ -104,6 +105,8 @@ class GenicamCamera:
         self._counts: Counter[str] = Counter()
         self._stamps = "arrival"
         self._id = ""  # of the camera once it was listed
+        self._told: Negotiated | None = None  # since the first `open`
+        self._link = ""
 
     @property
     def source(self) -> str:
@@ -117,12 +120,29 @@ class GenicamCamera:
         connection = Connection(self.source, self._start, absent_s=self._settings.absent_s)
         self._connection = connection
         running = connection.open()
-        return Negotiated(
+        self._link = running.device.link
+        self._told = Negotiated(
             size_px=running.shape.size_px,
             rate_hz=running.device.rate(),
             pixel_format=running.shape.form.ours,
             transport=running.device.protocol + f" Vision, {running.shape.form.name}",
         )
+        return self._told
+
+    def expected(self) -> Expected | None:
+        """What was negotiated; before it was open what is asked of it, if that is everything."""
+        wanted, told = self._settings, self._told
+        if told is None:
+            if wanted.size_px == (0, 0) or not wanted.pixel_format:
+                return None
+            told = Negotiated(
+                size_px=wanted.size_px,
+                rate_hz=wanted.rate_hz,
+                pixel_format=BY_NAME[wanted.pixel_format].ours,
+                transport=wanted.pixel_format,
+            )
+        crossing = pictures(told.size_px, told.pixel_format, told.rate_hz)
+        return Expected(negotiated=told, link=LinkUse(streams=(crossing,), kind=self._link))
 
     def read(self, timeout_s: float) -> Picture | None:
         """The newest frame, without a copy: a view of the buffer, valid until the next call."""

@@ -50,6 +50,12 @@ class Device:
         return "GigE" if self.network else "USB3"
 
     @property
+    def link(self) -> str:
+        """The link as `pipeline.planner.links` names it; empty: the camera does not tell."""
+        speed, mbits = self.known("DeviceLinkSpeed"), self.known("GevLinkSpeed")
+        return link_kind(self.protocol, float(speed or (mbits or 0) * 125_000))
+
+    @property
     def network(self) -> bool:
         """Whether it is a GigE Vision camera."""
         return isinstance(self._device, library().aravis.GvDevice)
@@ -238,6 +244,16 @@ class Device:
         low, high = bounds[0], bounds[1]
         if low <= high and not low <= value <= high:
             raise DriverError(f"{where}: expected {low:g} to {high:g}, got {value:g}")
+
+
+def link_kind(protocol: str, speed: float) -> str:
+    """Return the kind of link by its raw speed in bytes a second (SFNC: DeviceLinkSpeed).
+
+    >>> link_kind("GigE", 125e6), link_kind("GigE", 1250e6), link_kind("USB3", 625e6)
+    ('gige', '', 'usb3.0')
+    """
+    kinds = {"GigE": ((125e6, "gige"),), "USB3": ((625e6, "usb3.0"), (1250e6, "usb3.1"))}
+    return next((kind for most, kind in kinds.get(protocol, ()) if 0 < speed <= most), "")
 
 
 def _near(name: str, features: list[str]) -> str:

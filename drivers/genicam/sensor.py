@@ -30,6 +30,7 @@ from drivers.sensor import Capabilities, Exposure, Mode
 from pipeline.boxes import roi_window
 from pipeline.contract import RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
+from pipeline.forecast import Forecast, LinkUse, pictures
 from pipeline.messages import Frame, Geometry, Header, RoiSchedule
 
 WAIT_S = 0.1  # how soon a waiting `read` notices `stop`
@@ -73,6 +74,22 @@ class GenicamSensor:
         if self._can is None:
             raise DriverError(f"{self.source}: not open")
         return self._can
+
+    def forecast(self) -> Forecast:
+        """Both streams of an open camera: its sizes follow from its own field and steps."""
+        connection, can, rate_hz = self._connection, self._can, self._settings.rate_hz
+        rig = connection.held(0.0) if connection is not None else None
+        if rig is None or can is None:
+            note = f"{self.source} tells its field once it is open"
+            return Forecast(note=note, rate_hz=rate_hz)
+        stream = pictures(can.context_px, rig.form.ours, rate_hz)
+        return Forecast(
+            streams={"context": stream, "roi": stream},
+            note="" if rate_hz else "rate_hz 0 is as fast as the camera answers",
+            link=LinkUse(streams=(stream, stream), kind=rig.device.link),
+            rate_hz=rate_hz,
+            lead_frames=can.lead_frames,
+        )
 
     def configure(self, mode: Mode) -> None:
         """Change rate, window size or pixel format; the camera is opened again for it."""

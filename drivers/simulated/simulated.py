@@ -27,6 +27,7 @@ from drivers.source import Annotations, FrameSource
 from pipeline.boxes import roi_window
 from pipeline.contract import HEADLINE, RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
+from pipeline.forecast import Forecast, PictureStream, pictures
 from pipeline.messages import Header, RoiSchedule
 from pipeline.pixel_formats import FORMATS
 
@@ -84,6 +85,27 @@ class SimulatedSensor:
             rates_hz=RATES_HZ,
             pixel_formats=("rgb8", *self._mosaics()),
             lead_frames=1 + self._settings.latency_frames,
+        )
+
+    def forecast(self) -> Forecast:
+        """The streams, by the settings as far as they tell without the source."""
+        settings, source = self._settings, self._source
+        size_px = source.size_px if source else settings.size_px
+        rate_hz = settings.rate_hz or (source.rate_hz or USUAL_RATE_HZ if source else 0.0)
+        streams: dict[str, PictureStream] = {}
+        interval, missing = 1, "" if rate_hz else "rate_hz"
+        if size_px == (0, 0):
+            missing = "size_px and rate_hz" if missing else "size_px"
+        else:
+            found, form = settings.sampling(size_px), settings.form.name
+            interval = found.interval
+            sides = {"context": found.context_px, "roi": found.roi_px}
+            streams = {n: pictures(px, form, rate_hz / interval) for n, px in sides.items()}
+        return Forecast(
+            streams=streams,
+            note=f"{self.source} is not opened for its {missing}" if missing else "",
+            rate_hz=rate_hz / interval,
+            lead_frames=1 + settings.latency_frames,
         )
 
     def configure(self, mode: Mode) -> None:

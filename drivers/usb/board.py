@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
+from drivers.usb.board_forecast import UNKNOWN, board_of, forecast_of
 from drivers.usb.board_settings import DualStreamBoardSettings, known_formats
 from drivers.usb.errors import LinkError
 from drivers.usb.frame_header import FrameFlag, FrameHeader
 from drivers.usb.session import Session
 from pipeline.contract import RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted
+from pipeline.forecast import Forecast
 from pipeline.messages import Frame, Header, RoiSchedule
 
 COMMANDS = ("accepted", "late", "foreign")
@@ -58,6 +60,19 @@ class DualStreamBoard:
             pixel_formats=tuple(form.name for form in known_formats(can)),
             lead_frames=can.lead_frames,
         )
+
+    def forecast(self) -> Forecast:
+        """The streams of the open board, or of the one that its backend is known to have."""
+        settings, session = self._settings, self._session
+        known = board_of(settings)
+        if session is not None:
+            connection = session.connection
+            delay = known.readout_frames if known else 0.0
+            kind = "" if settings.backend else connection.link.kind
+            return forecast_of(settings, connection.can, readout_frames=delay, kind=kind)
+        if known is not None:
+            return forecast_of(settings, known.can, readout_frames=known.readout_frames)
+        return Forecast(note=UNKNOWN, rate_hz=settings.rate_hz)
 
     def configure(self, mode: Mode) -> None:
         """Change rate, window or format; raises `SettingsError` with the figures."""

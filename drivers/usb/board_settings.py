@@ -49,6 +49,14 @@ class DualStreamBoardSettings:
 
 def configuration(settings: DualStreamBoardSettings, can: BoardCapabilities) -> Configuration:
     """Return what to ask of a board; raises `SettingsError` for what it or the link cannot do."""
+    wanted = asked(settings, can)
+    if wanted.mode is CaptureMode.LIVE:
+        _check_link(settings, can, wanted)
+    return wanted
+
+
+def asked(settings: DualStreamBoardSettings, can: BoardCapabilities) -> Configuration:
+    """Return what to ask of a board, whatever its link; raises `SettingsError`."""
     mode = CaptureMode[settings.mode.upper()]
     if mode not in can.modes:
         modes = ", ".join(m.name.lower() for m in can.modes)
@@ -58,7 +66,7 @@ def configuration(settings: DualStreamBoardSettings, can: BoardCapabilities) -> 
             f"burst_frames: expected at most {can.burst_frames}, got {settings.burst_frames}"
         )
     size, form = roi_size(settings, can), pixel_format(settings, can)
-    wanted = Configuration(
+    return Configuration(
         rate_mhz=_rate_mhz(settings, can),
         roi_px=(size.width_px, size.height_px),
         pixel_format=form.code,
@@ -66,9 +74,6 @@ def configuration(settings: DualStreamBoardSettings, can: BoardCapabilities) -> 
         payload_crc=settings.payload_crc,
         burst_frames=settings.burst_frames,
     )
-    if mode is CaptureMode.LIVE:
-        _check_link(settings, can, wanted)
-    return wanted
 
 
 def roi_size(settings: DualStreamBoardSettings, can: BoardCapabilities) -> RoiSize:

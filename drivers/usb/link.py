@@ -34,6 +34,7 @@ CHUNK_BYTES = 512 << 10  # of one bulk read
 MOST_IN_FLIGHT = 24  # 12 of the 16 MiB that Linux grants all devices by default
 VENDOR_IN, VENDOR_OUT = 0xC1, 0x41  # vendor requests to the interface
 VENDOR_CLASS = 0xFF
+KINDS = {3: "usb2", 4: "usb3.0", 5: "usb3.1"}  # of link, by libusb's speed: high, super, super plus
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +70,11 @@ class Link:
         except BaseException:
             usb.util.dispose_resources(self._device)
             raise
+
+    @property
+    def kind(self) -> str:
+        """The link as `pipeline.planner.links` names it; empty: libusb does not tell its speed."""
+        return KINDS.get(self._device.speed or 0, "")
 
     @property
     def in_flight(self) -> int:

@@ -14,6 +14,7 @@ import usb.core
 from numpy.typing import NDArray
 
 from drivers.simulated.sources import open_recording, open_scene
+from drivers.usb.board_forecast import KnownBoard
 from drivers.usb.capabilities import BoardCapabilities
 from drivers.usb.frame_header import Stream
 from drivers.virtual_board.board import OpenWorld, VirtualBoard
@@ -69,6 +70,11 @@ class VirtualBoardSettings:
                 f"size_px: expected multiples of 16 from 64 to 65520, got {width}x{height}"
             )
         return replace(profile, can=_scaled(profile.can, width, height))
+
+    def known_board(self) -> KnownBoard:
+        """The board of this profile, for what is planned without opening it."""
+        profile = self.scaled()
+        return KnownBoard(can=profile.can, readout_frames=profile.readout_frames)
 
 
 class VirtualBackend(usb.backend.IBackend):  # type: ignore[misc]

@@ -6,8 +6,9 @@ from types import MappingProxyType
 
 from drivers.usb.capabilities import BoardCapabilities, CaptureMode, RoiSize
 from pipeline.pixel_formats import FORMATS
+from pipeline.planner.links import LINKS
 
-USB3_BYTES_PER_S = 400_000_000  # what a USB 3.0 camera reaches in practice
+USB3_BYTES_PER_S = round(LINKS["usb3.0"].carries_bytes_per_s)  # what a camera reaches in practice
 # PFNC codes of what a colour sensor sends whose first pixel is red
 CODES = tuple(form.code for form in FORMATS.values() if form.name == "rgb8" or form.order == "rggb")
 

@@ -20,6 +20,7 @@ from operators.downsample.tone import Curve, Gains, Levels, Tone
 from operators.downsample.white_balance import Balance, grey_world
 from pipeline.contract import Input, Operator
 from pipeline.errors import MessageError, SettingsError
+from pipeline.forecast import Forecast, Upstream, pictures
 from pipeline.messages import Frame, Header
 from pipeline.pixel_formats import PixelFormat, pixel_format
 
@@ -76,6 +77,15 @@ class Downsample(Operator[DownsampleSettings, Frame]):
         if settings.white_balance == "reference" and "reference" not in upstream:
             raise SettingsError("white_balance: expected the input reference connected, got none")
         return ()
+
+    @classmethod
+    def forecast(cls, settings: DownsampleSettings, upstream: Upstream) -> Forecast:
+        """Return the stream that follows from the one it reads, where that is known."""
+        taken = upstream.streams.get("frame")
+        if taken is None:
+            return Forecast()
+        height, width = fitted((taken.size_px[1], taken.size_px[0]), settings.width_px)
+        return Forecast(streams={"out": pictures((width, height), "rgb8", taken.rate_hz)})
 
     def open(self) -> None:
         """Allocate nothing yet: sizes are known with the first frame."""

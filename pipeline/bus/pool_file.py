@@ -108,9 +108,21 @@ def is_pool(name: str, stem: str) -> bool:
     return _SUFFIX.fullmatch(name.removeprefix(stem)) is not None and name.startswith(stem)
 
 
+def pool_bytes(slots: int, nbytes: int) -> int:
+    """Return the size of a pool's file whose messages have that many bytes.
+
+    >>> pool_bytes(4, 5000)
+    36864
+    """
+    return PAGE_BYTES + slots * _slot_bytes(nbytes)
+
+
+def _slot_bytes(nbytes: int) -> int:
+    return -(-max(nbytes, 1) // PAGE_BYTES) * PAGE_BYTES
+
+
 def _create(folder: PrivateFolder, stem: str, slots: int, nbytes: int) -> PoolFile:
-    slot_bytes = -(-max(nbytes, 1) // PAGE_BYTES) * PAGE_BYTES
-    size = PAGE_BYTES + slots * slot_bytes
+    slot_bytes, size = _slot_bytes(nbytes), pool_bytes(slots, nbytes)
     name = f"{stem}.{secrets.token_hex(4)}"
     part = f"{name}.part"
     handle = folder.create(part)

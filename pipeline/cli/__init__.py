@@ -24,7 +24,7 @@ TABLE = {
     "add": (f"{CONTROL}:add", "Add the nodes of a FILE to a running graph."),
     "agent": (f"{FLEET}:agent_command", "Run parts of graphs on this host for its users."),
     "attach": (f"{FLEET}:attach_command", "Watch a running graph, or adopt one on hosts."),
-    "check": (f"{RUN}:check", "Check a graph without starting anything."),
+    "check": ("pipeline.cli.check:check", "Check a graph without starting anything."),
     "completion": ("pipeline.cli.completion:completion", "Print completion code for a SHELL."),
     "doctor": ("pipeline.doctor:doctor_command", "Diagnose this installation, or a graph on it."),
     "down": (f"{FLEET}:down_command", "Stop a graph on all its hosts."),

@@ -1,4 +1,4 @@
-"""`fovea run | check | draw`: load a graph file with overlays, and run, check or draw it."""
+"""`fovea run | draw`: load a graph file with overlays, and run or draw it."""
 
 import json
 import sys
@@ -10,19 +10,13 @@ import click
 
 from pipeline import output, signals, terminal
 from pipeline.cli import running
-from pipeline.cli.arguments import DURATION_S, FRAMES, JSON, print_json
+from pipeline.cli.arguments import DURATION_S, FRAMES, print_json
 from pipeline.cli.detached import DetachedRun, start
 from pipeline.cli.files import try_recording, try_report, write_report
+from pipeline.cli.overlaid import GRAPH, load_overlaid, overlaid
 from pipeline.client.detached import WORDS
 from pipeline.contract import INCOMPLETE
-from pipeline.errors import GraphError
-from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 from pipeline.graph.drawing import mermaid
-from pipeline.graph.loader import load
-from pipeline.graph.overlay import Overlay, manual_nodes
-from pipeline.graph.plan import Plan
-from pipeline.graph.schema import graph_schema
-from pipeline.graph.survey import survey
 from pipeline.run.reaper import Reaper
 from pipeline.run.report import Report, print_report
 from pipeline.run.rundir import folder_of
@@ -31,21 +25,6 @@ from pipeline.text import harmless
 
 CRASHED = 3  # exit status of a run that completed although processes crashed
 console = terminal.console()
-GRAPH = click.argument("graph", type=GRAPH_FILE)
-
-
-def overlaid(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that overlay a graph file."""
-    for option in (
-        click.option(
-            "--source", type=SOURCE_FILE, help="Source of frames: a shipped one or a file."
-        ),
-        click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE"),
-        click.option("--clock", type=click.Choice(["realtime", "lockstep"])),
-        click.option("--with", "wanted", multiple=True, metavar="NODE", help="Manual node to run."),
-    ):
-        command = option(command)
-    return command
 
 
 @click.command()
@@ -96,7 +75,7 @@ def _run(
         try_report(report, "--report")
     if save:
         try_recording(save, "--save")
-    plan, unwritten = _load(graph, save=save, **laid), ""
+    plan, unwritten = load_overlaid(graph, save=save, **laid), ""
     for line in running.advice(plan):
         console.print(line, markup=False, soft_wrap=not console.is_terminal)
     with signals.Interruption(last=True) as asked:
@@ -146,77 +125,8 @@ def _detach(given: Mapping[str, Any], *, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("graph", required=False, type=GRAPH_FILE)
-@overlaid
-@click.option("--schema", is_flag=True, help="Print the JSON Schema of graph files.")
-@click.option("--no-import", is_flag=True, help="Check only the files, without running any code.")
-@JSON
-def check(graph: Path | None, schema: bool, no_import: bool, as_json: bool, **laid: Any) -> None:
-    """Check a graph without starting anything."""
-    if no_import:
-        _survey(graph, schema=schema, as_json=as_json, **laid)
-        return
-    plan = _load(graph, **laid) if graph else None
-    if schema:
-        click.echo(json.dumps(graph_schema(plan), indent=1))
-    elif plan is None:
-        raise click.UsageError("Missing argument 'GRAPH'.")
-    elif as_json:
-        print_json(
-            {
-                "file": str(graph),
-                "name": plan.name,
-                "clock": plan.clock,
-                "nodes": {node.name: node.operator for node in plan.nodes},
-                "processes": {p: [n.name for n in nodes] for p, nodes in plan.processes().items()},
-                "edges": [{"from": edge.origin, "to": edge.end} for edge in plan.edges],
-                "advice": list(running.advice(plan)),
-            }
-        )
-    else:
-        console.print(
-            f"{harmless(str(graph))}: {plan.name}, {len(plan.nodes)} nodes in "
-            f"{len(plan.processes())} processes, {len(plan.edges)} edges, {plan.clock}",
-            markup=False,
-            soft_wrap=not console.is_terminal,
-        )
-        for line in running.advice(plan):
-            console.print(line, markup=False, soft_wrap=not console.is_terminal)
-
-
-@click.command()
 @GRAPH
 @overlaid
 def draw(graph: Path, **laid: Any) -> None:
     """Print the graph as a Mermaid flow chart."""
-    click.echo(mermaid(_load(graph, **laid)))
-
-
-def _survey(
-    graph: Path | None, *, schema: bool, as_json: bool, source: Path | None,
-    changes: tuple[str, ...], clock: str | None, wanted: tuple[str, ...],
-) -> None:  # fmt: skip
-    if graph is None:
-        raise click.UsageError("Missing argument 'GRAPH'.")
-    if schema or changes or wanted:
-        raise click.UsageError("--no-import: goes with --source and --clock alone")
-    lines = list(survey(graph, source=source, clock=clock or ""))
-    if as_json:
-        print_json({"file": str(graph), "survey": [line.strip() for line in lines]})
-        return
-    for line in lines:
-        console.print(harmless(line), markup=False, highlight=False, soft_wrap=True)
-
-
-def _load(
-    graph: Path, *, save: Path | None = None, source: Path | None, changes: tuple[str, ...],
-    clock: str | None, wanted: tuple[str, ...],
-) -> Plan:  # fmt: skip
-    values: tuple[tuple[str, str, Any], ...] = ()
-    if save:
-        viewer = manual_nodes(graph, "save")
-        if not viewer:
-            raise GraphError(f"{graph}: --save needs a node with a setting `save`, got none")
-        wanted = (*wanted, viewer[0])
-        values = ((viewer[0], "save", str(save)),)
-    return load(graph, Overlay(source, changes, clock or "", wanted, values))
+    click.echo(mermaid(load_overlaid(graph, **laid)))

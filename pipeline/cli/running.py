@@ -3,7 +3,7 @@
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -154,9 +154,9 @@ def status_line(supervisor: Supervisor, elapsed_s: float) -> str:
     return "  ".join([*parts, *(["broken: " + ", ".join(broken)] if broken else [])])
 
 
-def advice(plan: Plan) -> Iterator[str]:
+def advice(plan: Plan, settings: Mapping[str, Any] | None = None) -> Iterator[str]:
     """Yield what the operators advise before the run (`Operator.advise`)."""
-    settings = {node.name: _settings(node) for node in plan.nodes}  # once: some load a network
+    settings = built_settings(plan) if settings is None else settings
     source = {SOURCE: settings[next(sources(plan)).name]} if any(sources(plan)) else {}
     for node in plan.nodes:
         edges = plan.inputs(node.name).values()
@@ -188,6 +188,11 @@ def before(plan: Plan, node: str) -> list[str]:
         readers = (edge.source for edge in plan.inputs(name).values())
         found += [source for source in readers if source not in found]
     return found[1:]
+
+
+def built_settings(plan: Plan) -> dict[str, Any]:
+    """Return the settings of every node as its operator gets them; some load a network."""
+    return {node.name: _settings(node) for node in plan.nodes}
 
 
 def _settings(node: Node) -> Any:

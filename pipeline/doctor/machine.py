@@ -13,6 +13,7 @@ from pathlib import Path
 import psutil
 
 from pipeline.bus.network import AGENT_PORT, NODE_PORTS
+from pipeline.cores import available_cores
 from pipeline.doctor.finding import Finding, ok, warning, wrong
 from pipeline.run.memory_folder import MEMORY
 
@@ -120,16 +121,6 @@ def open_files(limits: tuple[int, int], needed: int) -> Finding:
         return ok("open files", found)
     todo = f"ulimit -n {4096 if hard in (-1,) or hard >= 4096 else hard}"
     return (warning if soft >= needed else wrong)("open files", found, todo)
-
-
-def available_cores(group: Path = Path("/sys/fs/cgroup/cpu.max")) -> float:
-    """Return the cores available to this process, by affinity and by its cgroup quota."""
-    cores = float(len(os.sched_getaffinity(0)))
-    try:
-        quota, period = group.read_text().split()
-        return min(cores, int(quota) / int(period))
-    except (OSError, ValueError):
-        return cores
 
 
 def cores(count: float) -> Finding:

@@ -11,10 +11,11 @@ import psutil
 
 from pipeline.bus.ledger import ledger_bytes
 from pipeline.bus.outport import INLINE_BYTES
-from pipeline.bus.pool_file import PAGE_BYTES
+from pipeline.bus.pool_file import pool_bytes as pool_file_bytes
 from pipeline.contract import outputs_of
+from pipeline.cores import available_cores
 from pipeline.doctor.finding import Finding, ok, warning, wrong
-from pipeline.doctor.machine import available_cores, open_files
+from pipeline.doctor.machine import open_files
 from pipeline.errors import FoveaError, WeightsError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -86,8 +87,7 @@ def pool_bytes(plan: Plan, sizes: Mapping[str, int]) -> int:
         for output in outputs_of(load_operator(node.operator)):
             size = sizes.get(f"{node.name}.{output}", 0)
             if size:
-                slot = -(-size // PAGE_BYTES) * PAGE_BYTES
-                total += PAGE_BYTES + slots(plan.readers(node.name, output)) * slot
+                total += pool_file_bytes(slots(plan.readers(node.name, output)), size)
     return total
 
 

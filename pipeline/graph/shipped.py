@@ -41,6 +41,16 @@ def source_path(word: str | os.PathLike[str]) -> Path:
     return _path(os.fspath(word), "source", SOURCES, source_names())
 
 
+def name_of(path: Path) -> str:
+    """Return the name of a shipped graph by its path; of any other file the path.
+
+    >>> name_of(FOLDER / "examples" / "blend.yaml"), name_of(Path("my/graph.yaml"))
+    ('examples/blend', 'my/graph.yaml')
+    """
+    inside = path.suffix in SUFFIXES and path.is_absolute() and path.is_relative_to(FOLDER)
+    return path.relative_to(FOLDER).with_suffix("").as_posix() if inside else str(path)
+
+
 def _names(folder: Path) -> list[str]:
     found = (path.relative_to(folder).with_suffix("") for path in folder.rglob("*.yaml"))
     return sorted(path.as_posix() for path in found)

@@ -5,12 +5,14 @@ import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
+from pipeline.cores import available_cores
 from pipeline.errors import RunError, SettingsError
 from pipeline.graph.loader import load as load_plan
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Clock, Plan
 from pipeline.graph.shipped import graph_path, source_path
 from pipeline.run.inline import InlineRunner, Watch
+from pipeline.run.recorded_run import as_data, profile_of
 from pipeline.run.report import Report, compose
 from pipeline.run.supervisor import Supervisor
 
@@ -108,14 +110,19 @@ def run_processes(plan: Plan, frames: int, duration_s: float) -> Report:
 
 def account_of(supervisor: Supervisor, duration_s: float) -> Report:
     """Return the report of a run whose processes have stopped."""
-    return compose(
+    report = compose(
         supervisor.plan,
         supervisor.ledger,
         supervisor.reports.summaries,
-        {name: supervisor.samples(name) for name in supervisor.plan.processes()},
+        samples := {name: supervisor.samples(name) for name in supervisor.plan.processes()},
         duration_s=duration_s,
         restarts=supervisor.restarts,
         crashes=supervisor.crashes,
         source_names=supervisor.manager.source_names,
         left_out=supervisor.reports.left_out,
     )
+    profile = profile_of(
+        supervisor.plan, samples, supervisor.manager.run_folder.memory.pool_bytes(),
+        cores=available_cores(), since_s=supervisor.manager.exposing_since_s,
+    )  # fmt: skip
+    return {**report, "profile": as_data(profile)}

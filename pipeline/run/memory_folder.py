@@ -23,6 +23,7 @@ RUN_ID = re.compile(r"[0-9a-f]{16}")
 _FILES = re.compile(
     rf"ledger|{GRAMMAR}\.{GRAMMAR}\.[0-9a-f]{{8}}(\.part)?|{GRAMMAR}\.\d+\.state(\.part)?"
 )
+_POOL = re.compile(rf"({GRAMMAR}\.{GRAMMAR})\.[0-9a-f]{{8}}")
 
 
 class MemoryFolder(PrivateFolder):
@@ -61,6 +62,15 @@ class MemoryFolder(PrivateFolder):
             if _FILES.fullmatch(name):
                 self.remove(name)
         self.remove_itself()
+
+    def pool_bytes(self) -> dict[str, int]:
+        """Return the sizes of the frame pools in bytes, by `node.output`."""
+        found: dict[str, int] = {}
+        for name in self.names():
+            pool, seen = _POOL.fullmatch(name), self._seen(name)
+            if pool and seen:
+                found[pool[1]] = found.get(pool[1], 0) + seen.st_size
+        return found
 
     def size_bytes(self) -> int:
         """Return the total size of its files in bytes."""

@@ -18,7 +18,7 @@ from pipeline.text import harmless
 
 MOST_FIGURES = 64  # under one name, in a line of the report
 # what no operator's summary can say of the run
-OWN = ("failure", "left_out", "loop", "headlines", "verdict", HEADLINE, RATE)
+OWN = ("failure", "left_out", "loop", "headlines", "profile", "verdict", HEADLINE, RATE)
 TABLED = (
     "graph",
     "clock",

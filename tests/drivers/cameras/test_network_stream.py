@@ -78,6 +78,20 @@ def test_a_stream_keeps_the_contract_of_a_sensor(server: MjpegServer) -> None:
     check_sensor(make)
 
 
+def test_an_open_stream_states_its_size_and_not_how_many_bytes_cross(server: MjpegServer) -> None:
+    camera = stream(server.url)
+    told = camera.open()
+    expected = camera.expected()
+    camera.close()
+
+    assert expected is not None
+    assert expected.negotiated == told
+    (crossing,) = expected.link.streams
+    assert (crossing.size_px, crossing.pixel_format, crossing.frame_bytes) == (
+        (320, 192), "MJPG", None,
+    )  # fmt: skip
+
+
 def test_it_says_what_was_negotiated_and_shows_the_frames_that_were_sent(
     server: MjpegServer,
 ) -> None:

@@ -159,3 +159,32 @@ def test_a_camera_that_dies_comes_back(fake: FakeCamera) -> None:
 
 def test_aravis_fake_camera_keeps_the_contract_of_a_sensor(fake: FakeCamera) -> None:
     check_sensor(lambda: sensor(FAKE, binning=16, pixel_format="Mono8"))
+
+
+def test_what_was_asked_of_a_camera_is_what_it_tells_once_it_is_open(fake: FakeCamera) -> None:
+    made = camera(pixel_format="Mono16", size_px=(64, 48), rate_hz=100)
+    asked = made.expected()
+    with streaming(made):
+        told = made.expected()
+        nbytes = next_picture(made).pixels.nbytes
+
+    assert asked is not None
+    assert told is not None
+    assert (told.link.streams, told.link.kind) == (asked.link.streams, "")  # it tells no speed
+    assert told.link.streams[0].frame_bytes == nbytes == 6144
+
+
+def test_a_foveating_camera_states_the_pictures_that_it_sends(fake: FakeCamera) -> None:
+    made = sensor(FAKE, binning=16, pixel_format="Mono8", rate_hz=5)
+    made.open(realtime=False)
+    told = made.forecast()
+    made.start()
+    exposure = made.read(lambda _output, shape, dtype: np.empty(shape, dtype))
+    made.close()
+
+    assert exposure is not None
+    assert told.link is not None
+    sent = [frame.pixels.nbytes for frame in (exposure.context, exposure.roi)]
+    assert [stream.frame_bytes for stream in told.link.streams] == sent
+    assert {stream.rate_hz for stream in told.streams.values()} == {5}
+    assert told.lead_frames >= 1

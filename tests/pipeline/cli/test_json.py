@@ -38,7 +38,7 @@ nodes:
 """
 STILL = {
     "version": {"version", "commit"},
-    "check tracking": {"file", "name", "clock", "nodes", "processes", "edges", "advice"},
+    "check tracking": {"file", "name", "clock", "nodes", "processes", "edges", "advice", "plan"},
     "check tracking --no-import": {"file", "survey"},
 }
 # attach, run --detach, up, down, rewire, doctor: in the tests of their own

@@ -179,6 +179,7 @@ def test_a_terminal_has_colours_unless_they_are_not_wanted(name: str, words: str
         ("run", "tracking", "--inline", "--frames", "1", "--verbose"),
         ("run", "GRAPH.yaml", "--frames", "5"),
         ("run", "GRAPH.yaml", "--frames", "9", "--set", "count.sleep_s=-1"),
+        ("check", "tracking"),
         ("weights", "list"),
         ("doctor",),
         ("rum",),
