@@ -9,11 +9,11 @@ import ctypes
 import sys
 from typing import Any
 
+from bench.fuzz.descriptions import mutated
 from drivers.genicam.aravis import library
 from drivers.genicam.foveation import foveation
 from drivers.genicam.vetting import vetted_nodes
 from pipeline.errors import DriverError
-from tests.drivers.genicam.mutations import mutated
 from tests.drivers.genicam.virtual_camera import Nature, VirtualCamera, describe
 
 ASKED = ("Width", "OffsetX", "BinningHorizontal", "PixelFormat", "TriggerSoftware", "SensorWidth")

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from bench.fuzz.descriptions import mutated
 from drivers.genicam import GenicamCamera
 from drivers.sensor import Mode
 from pipeline.errors import DriverError
 from tests.drivers.contract import answers_to_a_stop, check_sensor, command, read, started
 from tests.drivers.genicam import description as xml
-from tests.drivers.genicam.mutations import mutated
 from tests.drivers.genicam.streaming import (
     ROOT,
     VIRTUAL,
