@@ -15,6 +15,7 @@ from pipeline.contract import RATE
 
 LEAST_RATE = 0.95  # share of the rate asked for that has to be kept
 PATIENCE = 32  # frames beyond `lead_frames` in which a command has to take effect
+SETTLING = 5  # first frames, which may be slow: neither rate nor commands are measured on them
 PAUSE = 3  # frames between a command's effect and the next command
 WITHIN = ("late",)  # counts that are part of `skipped`, where a sensor has that
 NO_LOSSES = ("exposed", "elapsed")
@@ -81,7 +82,10 @@ class _Commands:
 
 
 def run_in_real_time(make: Make, duration_s: float) -> Run:
-    """Read a sensor at its own rate and command it all the time; it may end before."""
+    """Read a sensor at its own rate and command it all the time; it may end before.
+
+    The duration begins when the sensor has settled, or with the first frame of one that ends.
+    """
     with running(make, realtime=True) as sensor:
         can = sensor.capabilities()
         run = Run(lead_frames=can.lead_frames, reads_regions=bool(can.roi_sizes_px))
@@ -91,7 +95,9 @@ def run_in_real_time(make: Make, duration_s: float) -> Run:
             run.seqs.append(exposure.header.seq)
             run.stamps_ns.append(exposure.header.stamp_ns)
             run.streams.add(exposure.header.stream)
-            if commands is not None:
+            if len(run.seqs) <= SETTLING:
+                end_s = time.monotonic() + duration_s
+            elif commands is not None:
                 commands.after(exposure)
     run.summary = sensor.summary()
     return run
@@ -100,11 +106,13 @@ def run_in_real_time(make: Make, duration_s: float) -> Run:
 def rate(run: Run) -> Figures:
     """Rate asked for and measured by the stamps; raises `ContractBroken` for one that is not kept.
 
-    A sensor that is asked for none tells only the measured one.
+    A sensor that is asked for none tells only the measured one. The first frames do not count
+    where there are enough others.
     """
     if len(run.seqs) < 2:
         raise ContractBroken(f"rate: expected at least two frames, got {len(run.seqs)}")
-    gaps_ns = np.diff(np.array(run.stamps_ns, np.int64))
+    first = SETTLING if len(run.seqs) > 2 * SETTLING else 0
+    gaps_ns = np.diff(np.array(run.stamps_ns[first:], np.int64))
     if gaps_ns.min() <= 0:
         raise ContractBroken("stamps: expected each after the one before, got one that is not")
     measured_hz = len(gaps_ns) / (gaps_ns.sum() / 1e9)
@@ -112,11 +120,12 @@ def rate(run: Run) -> Figures:
     figures = {
         "asked_hz": round(asked_hz, 3),
         "measured_hz": round(float(measured_hz), 3),
-        "frames": len(run.seqs),
+        "frames": len(gaps_ns) + 1,
         "longest_gap_ms": round(float(gaps_ns.max()) / 1e6, 1),
     }
     if measured_hz < LEAST_RATE * asked_hz:
-        raise ContractBroken(f"rate: expected {asked_hz:g} Hz, got {measured_hz:.2f} Hz")
+        longest = f"with a gap of {figures['longest_gap_ms']:g} ms"
+        raise ContractBroken(f"rate: expected {asked_hz:g} Hz, got {measured_hz:.2f} Hz {longest}")
     return figures
 
 

@@ -51,7 +51,7 @@ def test_a_virtual_board_passes_with_its_figures() -> None:
     assert found[OPENS]["figures"]["field_px"] == [320, 192]
     assert found["the rate is kept"]["figures"]["asked_hz"] == 10.0
     assert found["commands take effect"]["figures"]["told"] == 1
-    assert found["every frame is accounted for"]["figures"]["delivered"] > 5
+    assert found["every frame is accounted for"]["figures"]["delivered"] > 10
 
 
 def test_the_verdict_is_read_line_by_line_and_is_the_exit_status() -> None:
@@ -183,11 +183,15 @@ def test_the_rate_is_that_of_the_stamps() -> None:
     asked = {RATE: {"asked_hz": 100.0, "achieved_hz": 100.0}}
 
     assert rate(ran(range(50), **asked)) == {
-        "asked_hz": 100.0, "measured_hz": 100.0, "frames": 50, "longest_gap_ms": 10.0
+        "asked_hz": 100.0, "measured_hz": 100.0, "frames": 45, "longest_gap_ms": 10.0
     }  # fmt: skip
+    assert rate(ran([0, 400, *range(401, 450)], **asked))["measured_hz"] == 100.0  # it settles
     assert rate(ran([0, 1, 4]))["asked_hz"] == 0.0
     for run, said in (
-        (ran(range(50), period_ms=11, **asked), "rate: expected 100 Hz, got 90.91 Hz"),
+        (
+            ran(range(50), period_ms=11, **asked),
+            "rate: expected 100 Hz, got 90.91 Hz with a gap of 11 ms",
+        ),
         (ran([0]), "rate: expected at least two frames, got 1"),
         (ran([0, 0]), "stamps: expected each after the one before, got one that is not"),
     ):
