@@ -10,7 +10,7 @@ from pathlib import Path
 
 from drivers.attached.listing import AttachedSensor
 from drivers.attached.rules import REMEDY
-from drivers.usb.ids import PRODUCT_ID, VENDOR_ID
+from drivers.board_ids import PRODUCT_ID, VENDOR_ID
 from pipeline.text import harmless
 
 SYSTEM = Path("/sys/bus/usb/devices")

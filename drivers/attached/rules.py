@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from drivers.usb.ids import PRODUCT_ID, VENDOR_ID
+from drivers.board_ids import PRODUCT_ID, VENDOR_ID
 
 # before 73-seat-late.rules, which grants access to what has the tag `uaccess`, and after
 # 50-udev-default.rules, which reads the interfaces of a device

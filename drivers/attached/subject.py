@@ -5,8 +5,10 @@ sensor.
 """
 
 import contextlib
+import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +21,11 @@ from pipeline.graph.shipped import source_names, source_path
 from pipeline.graph.yaml_lines import plain
 from pipeline.import_path import imported, is_import_path
 from pipeline.settings import build
+from pipeline.text import harmless
 from pipeline.wording import shown
 
 FORMS = "usb:SERIAL, genicam:ID, /dev/videoN, a URL, virtual, fake, module:Class or a source file"
+MOST_BYTES = 1000  # of what the fake camera says when it ends
 FAKE = "Aravis-Fake-F1"  # what Aravis' own camera is called
 
 
@@ -119,15 +123,16 @@ def _put(options: dict[str, Any], name: str, value: Any, place: str = "") -> Non
 @contextlib.contextmanager
 def _fake_camera() -> Iterator[None]:
     command = [sys.executable, "-m", "drivers.genicam.fake_camera"]
-    pipe = subprocess.PIPE
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe)
-    try:
-        assert process.stdout is not None
-        assert process.stderr is not None
-        if process.stdout.readline().strip() != b"ready":
-            said = process.stderr.read(1000).decode(errors="replace").strip()
-            raise DriverError(f"fake: {said or 'the fake camera ended'}")
-        yield
-    finally:
-        process.kill()
-        process.communicate()
+    nothing, pipe = subprocess.DEVNULL, subprocess.PIPE
+    with tempfile.TemporaryFile() as words:
+        process = subprocess.Popen(command, stdin=nothing, stdout=pipe, stderr=words)
+        try:
+            assert process.stdout is not None
+            if process.stdout.readline().strip() != b"ready":
+                process.wait()
+                said = os.pread(words.fileno(), MOST_BYTES, 0).decode(errors="replace").strip()
+                raise DriverError(f"fake: {harmless(said) or 'the fake camera ended'}")
+            yield
+        finally:
+            process.kill()
+            process.communicate()

@@ -1,7 +1,7 @@
 """Look for webcams: devices of V4L2 in, what each can do out."""
 
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +23,21 @@ def look(names: str = "") -> Iterator[dict[str, Any]]:
             found = _described(path, look_at(path))
         except NoCamera:  # many webcams have a second device, for data about pictures
             continue
-        except DriverError as error:
-            found = AttachedSensor(
-                name=path, title="a video device", where=by_id(path), problem=str(error)
-            )
+        except DriverError as error:  # one that another program uses tells all the same
+            found = replace(_described(path, "a video device"), problem=str(error))
         yield asdict(found)
 
 
 def _described(path: str, title: str) -> AttachedSensor:
+    try:
+        listed = offers(path)
+    except DriverError:  # `look_at` has told why
+        listed = ()
     found = tuple(
         Offer(
             pixel_format=one.fourcc, size_px=one.size_px, rates_hz=one.rates_hz, ranged=one.ranged
         )
-        for one in offers(path)
+        for one in listed
     )
     return AttachedSensor(
         name=path,

@@ -17,6 +17,7 @@ import usb.core
 import usb.util
 from numpy.typing import NDArray
 
+from drivers.board_ids import PRODUCT_ID, VENDOR_ID
 from drivers.usb.errors import (
     LinkError,
     NoAnswer,
@@ -25,7 +26,6 @@ from drivers.usb.errors import (
     Stalled,
     Unplugged,
 )
-from drivers.usb.ids import PRODUCT_ID, VENDOR_ID
 from drivers.usb.part import Part
 from drivers.usb.transfers import InFlight
 from pipeline.errors import DriverError, InstallError

@@ -1,5 +1,8 @@
 """Looking for sensors: a kind that fails, hangs or crashes hides no other."""
 
+import json
+import subprocess
+import sys
 import time
 
 import pytest
@@ -7,6 +10,7 @@ import pytest
 from drivers.attached.listing import AttachedSensor, KindFound, Offer
 from drivers.attached.report import NOTHING, described, figures_line, listing
 from drivers.attached.search import KINDS, Kind, search
+from tests.conftest import ROOT
 
 KIND = "tests.drivers.attached.kinds"
 
@@ -102,6 +106,53 @@ def test_figures_are_told_on_one_line() -> None:
     figures = {"rates_hz": (0.1, 1000.0), "pixel_formats": ["rgb8", "grey8"], "told": 2}
 
     assert figures_line(figures) == "rates_hz 0.1 to 1000, pixel_formats rgb8 grey8, told 2"
+
+
+WITHOUT_EXTRAS = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class Nowhere(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("usb", "gi"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Nowhere())
+"""
+
+
+def without_extras(code: str) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-c", WITHOUT_EXTRAS + code]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("look", "said"),
+    [
+        ("boards", "expected the package pyusb, got none: pip install 'fovea[usb]'"),
+        ("industrial", "expected the package PyGObject, got none: apt-get install gir1.2-aravis"),
+    ],
+)
+def test_a_missing_extra_is_told_with_the_command_that_installs_it(look: str, said: str) -> None:
+    done = without_extras(
+        f"from drivers.attached.child import main; main('drivers.attached.{look}:look', '9')"
+    )
+
+    first, last = map(json.loads, done.stdout.splitlines())
+    assert first["family"] == "InstallError"
+    assert said in first["failed"]
+    assert last == {"ended": True}
+
+
+def test_the_command_the_rule_and_the_doctor_need_no_extra() -> None:
+    done = without_extras(
+        "from drivers.attached.command import sensors_command\n"
+        "from drivers.attached import diagnosis, subject, trial\n"
+        "sensors_command(['rules'])"
+    )
+
+    assert done.returncode == 0, done.stderr
+    assert 'ATTR{idVendor}=="1209"' in done.stdout
 
 
 @pytest.mark.parametrize("kind", KINDS)
