@@ -23,6 +23,7 @@ from pipeline.text import error_text, harmless, said_by
 
 MOST_BYTES = 1 << 20  # of one object
 PIECE_BYTES = 1 << 16
+POLL_S = 0.02  # while it ends
 GRACE_S = 5  # of an orphan beyond the limit of its parent
 ENDED = "ended"  # key of the last object, which tells that nothing is missing
 FAILED, FAMILY = "failed", "family"  # keys of an error: its sentence and its class in errors.py
@@ -86,14 +87,16 @@ class Child:
         return os.read(descriptor, PIECE_BYTES)
 
     def _end(self) -> str:
-        try:
-            status = self._process.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
-            return "it closed its output before it was done"
-        if status < 0:
-            with contextlib.suppress(ValueError):
-                return f"the library crashed ({signal.Signals(-status).name})"
-        return f"it ended early, with exit status {status}"
+        """Say how it ended. It is not reaped yet: its number is still that of its group."""
+        deadline_s = time.monotonic() + GRACE_S
+        how = os.WEXITED | os.WNOWAIT | os.WNOHANG
+        while (ended := os.waitid(os.P_PID, self._process.pid, how)) is None:
+            if time.monotonic() > deadline_s:
+                return "it closed its output before it was done"
+            time.sleep(POLL_S)
+        if ended.si_code == os.CLD_EXITED:
+            return f"it ended early, with exit status {ended.si_status}"
+        return f"the library crashed ({signal.Signals(ended.si_status).name})"
 
 
 def main(path: str, limit_s: str, *words: str) -> None:

@@ -44,9 +44,7 @@ class CameraSensorSettings:
     roi_scale: float = 1.0  # read-out side per ROI side
     step_px: int = 0  # windows start at multiples of it; 0: 1, or 2 on a mosaic
     rate_hz: float = 0.0  # exposures per second, each the newest frame; 0: every frame
-    read_timeout_s: float = (
-        9.0  # longest wait for a frame; a camera that was lost has its own limit
-    )
+    read_timeout_s: float = 9.0  # longest wait for a frame; a lost camera has its own limit
 
     def __post_init__(self) -> None:
         for name in ("context_scale", "roi_area", "roi_scale"):
