@@ -34,7 +34,10 @@ class Picture:
 
 
 class Camera(Protocol):
-    """`open read* close`; built as `Camera(settings)`; `close` is safe after any outcome."""
+    """`open read* close`; built as `Camera(settings)`; `close` is safe after any outcome.
+
+    One that looks for its lost device says so in an attribute `absent_until_s`, as a sensor does.
+    """
 
     settings_type: ClassVar[type[Any]]
 

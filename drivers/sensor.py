@@ -61,7 +61,9 @@ class Exposure:
 class DualStreamSensor(Protocol):
     """`open configure start (set_rois | read)* stop close`; `close` is safe after any outcome.
 
-    Built as `Sensor(settings)` with an instance of `settings_type`, a frozen dataclass.
+    Built as `Sensor(settings)` with an instance of `settings_type`, a frozen dataclass. One that
+    looks for its lost device while `read` waits has an attribute `absent_until_s`, until when it
+    does, in `time.monotonic()`, 0 otherwise: the node is then not stalled.
     """
 
     settings_type: ClassVar[type[Any]]

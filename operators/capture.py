@@ -70,6 +70,11 @@ class Capture(Source[CaptureSettings, Frame]):
         finally:
             sensor.close()
 
+    @property
+    def absent_until_s(self) -> float:
+        """Until when the sensor looks for its lost device; 0 too for one that does not tell."""
+        return float(getattr(self._sensor, "absent_until_s", 0.0))
+
     def open(self) -> None:
         """Open and start the device."""
         self._sensor = sensor = self.settings.build()

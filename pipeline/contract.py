@@ -165,6 +165,15 @@ class Source(Operator[S, Out]):
 
     realtime: bool = True
 
+    @property
+    def absent_until_s(self) -> float:
+        """Until when it waits for a device that was lost, in `time.monotonic()`; 0: none is lost.
+
+        Until then a `produce` that does not return is no stall, for a day at most; afterwards the
+        `stall_s` of the node counts anew. Read every second by another thread.
+        """
+        return 0.0
+
     def produce(self) -> Mapping[str, Message] | None:
         """Return the next exposure, one message per output; None at the end of the stream.
 

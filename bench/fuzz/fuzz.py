@@ -1,7 +1,8 @@
 """The command of the fuzzers: it counts cases, refusals, and failures (none are expected).
 
 python -m bench.fuzz graphs --count 10000; python -m bench.fuzz orders --count 10000;
-python -m bench.fuzz wire --count 1000000; python -m bench.fuzz usb --count 1000000
+python -m bench.fuzz wire --count 1000000; python -m bench.fuzz usb --count 1000000;
+python -m bench.fuzz genicam FILE… --count 10000
 """
 
 import json
@@ -15,6 +16,7 @@ from typing import Any
 import click
 
 from bench import machine
+from bench.fuzz.genicam import fuzz_genicam
 from bench.fuzz.graphs import fuzz_graphs
 from bench.fuzz.orders import fuzz_orders
 from bench.fuzz.tally import Tally
@@ -72,6 +74,16 @@ def wire(count: int, seed: int, path: Path | None) -> None:
 def usb(count: int, seed: int, path: Path | None) -> None:
     """Read malformed blocks of the USB board's protocol."""
     tell("usb", fuzz_usb(count, seed=seed), seed, path)
+
+
+@fuzz.command(cls=Bench)
+@click.argument(
+    "descriptions", nargs=-1, type=click.Path(path_type=Path, exists=True, dir_okay=False)
+)
+@options(10_000)
+def genicam(descriptions: Sequence[Path], count: int, seed: int, path: Path | None) -> None:
+    """Read malformed DESCRIPTIONS of cameras, GenICam XML (default: a small one of its own)."""
+    tell("genicam", fuzz_genicam(count, descriptions, seed=seed), seed, path)
 
 
 def tell(what: str, tally: Tally, seed: int, path: Path | None) -> None:

@@ -50,23 +50,34 @@ def fuzz_usb(count: int, *, seed: int = 0) -> Tally:
 
 
 def blocks() -> Mapping[str, Any]:
-    """Return one block of each kind that crosses the link, by name."""
+    """Return one block of each kind that crosses the link, by name; no two fields are alike."""
     found = (
-        FrameHeader(
-            stream=Stream.ROI, flags=FrameFlag.PAYLOAD_CRC, window_status=WindowStatus.OK,
-            exposure=7, stamp_ns=1 << 40, window=(0, 0, 4080, 2296), size_px=(4080, 2296),
-            pixel_format=0x01080009, row_bytes=4080, payload_bytes=4080 * 2296, payload_crc=1,
-            schedule_id=2, entry=3, dropped=0,
-        ),
-        Acknowledgement(schedule_id=2, answer=Answer.ACCEPTED, first_entry=0, next_exposure=8),
-        Schedule(schedule_id=2, first=8, made_from=7, corners=((0, 0), (2, 2))),
-        BoardTime(now_ns=1 << 40, next_exposure=8),
-        BoardStatus(state=State.LIVE, fault=Fault.NONE, next_exposure=8, dropped=(0, 1)),
-        Configuration(rate_mhz=30_000, roi_px=(4080, 2296), pixel_format=0x01080009),
         BoardCapabilities(
-            width_px=16_320, height_px=9_184, context_px=(2040, 1148), step_px=2, lead_frames=1,
-            modes=(CaptureMode.LIVE,), rates_mhz=(1000, 30_000), preview_mhz=0, burst_frames=0,
-            link_bytes_per_s=0, roi_sizes=(RoiSize(4080, 2296),), formats=(0x01080009,),
+            width_px=16_320, height_px=9_184, context_px=(2040, 1148), step_px=2, lead_frames=3,
+            modes=(CaptureMode.LIVE, CaptureMode.RECORD), rates_mhz=(1000, 30_000),
+            preview_mhz=7500, burst_frames=105, link_bytes_per_s=400_000_000,
+            roi_sizes=(RoiSize(4080, 2296), RoiSize(8160, 4592, 2)),
+            formats=(0x01080009, 0x02180014), model="board", serial="S1", firmware="2.1",
+        ),
+        Configuration(
+            rate_mhz=30_000, roi_px=(4080, 2296), pixel_format=0x01080009,
+            mode=CaptureMode.RECORD, payload_crc=True, burst_frames=105, context_bytes=2_341_920,
+            roi_bytes=9_367_680,
+        ),
+        Schedule(schedule_id=7, first=1001, made_from=1000, corners=((2, 4), (6, 8))),
+        Acknowledgement(
+            schedule_id=7, answer=Answer.PARTLY_LATE, first_entry=3, next_exposure=1004
+        ),
+        BoardTime(now_ns=1 << 40, next_exposure=12),
+        BoardStatus(
+            state=State.RECORDING, fault=Fault.MEMORY, next_exposure=99, dropped=(5, 6)
+        ),
+        FrameHeader(
+            stream=Stream.ROI, flags=FrameFlag.RECORDED | FrameFlag.PAYLOAD_CRC,
+            window_status=WindowStatus.STALE, exposure=1 << 33, stamp_ns=1 << 41,
+            window=(16, 18, 4096, 2314), size_px=(4080, 2296), pixel_format=0x01080009,
+            row_bytes=4080, payload_bytes=4080 * 2296, payload_crc=0xDEADBEEF, schedule_id=41,
+            entry=17, dropped=3,
         ),
     )  # fmt: skip
     return {type(block).__name__: block for block in found}

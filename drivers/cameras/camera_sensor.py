@@ -45,7 +45,7 @@ class CameraSensorSettings:
     roi_scale: float = 1.0  # read-out side per ROI side
     step_px: int = 0  # windows start at multiples of it; 0: 1, or 2 on a mosaic
     rate_hz: float = 0.0  # exposures per second, each the newest frame; 0: every frame
-    read_timeout_s: float = 9.0  # longest wait for a frame, whatever the camera does meanwhile
+    read_timeout_s: float = 9.0  # longest wait for a frame; a lost camera has its own limit
 
     def __post_init__(self) -> None:
         for name in ("context_scale", "roi_area", "roi_scale"):
@@ -91,6 +91,11 @@ class CameraSensor:
     def source(self) -> str:
         """What the pictures come from, for a sentence about it."""
         return str(getattr(self._camera, "source", self._settings.camera))
+
+    @property
+    def absent_until_s(self) -> float:
+        """Until when the camera is looked for; 0: it is not lost, or does not tell."""
+        return float(getattr(self._camera, "absent_until_s", 0.0))
 
     def open(self, *, realtime: bool) -> None:
         """Open the camera; raises `DriverError`. In lockstep each exposure is the newest frame."""
@@ -284,6 +289,8 @@ class CameraSensor:
         limit_s = self._settings.read_timeout_s
         deadline_s = time.monotonic() + limit_s
         while not self._stopped.is_set():
+            if absent_until_s := self.absent_until_s:
+                deadline_s = max(deadline_s, absent_until_s + limit_s)
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
                 raise DriverError(f"{self.source}: expected a frame within {limit_s:g} s, got none")

@@ -12,26 +12,26 @@ from numpy.typing import NDArray
 
 from drivers.commands import Window
 from drivers.readout import average
+from pipeline import pixel_formats
 from pipeline.errors import DriverError
 
 # OpenCV names a Bayer pattern by the second row's second and third pixel
 _DEMOSAIC = {
-    "bayer_rggb": cv2.COLOR_BayerBG2RGB,
-    "bayer_grbg": cv2.COLOR_BayerGB2RGB,
-    "bayer_gbrg": cv2.COLOR_BayerGR2RGB,
-    "bayer_bggr": cv2.COLOR_BayerRG2RGB,
+    "rggb": cv2.COLOR_BayerBG2RGB,
+    "grbg": cv2.COLOR_BayerGB2RGB,
+    "gbrg": cv2.COLOR_BayerGR2RGB,
+    "bggr": cv2.COLOR_BayerRG2RGB,
 }
-_TO_RGB = {"bgr8": cv2.COLOR_BGR2RGB, "grey8": cv2.COLOR_GRAY2RGB, "grey16": cv2.COLOR_GRAY2RGB}
-MOSAICS = tuple(f"{order}{bits}" for order in _DEMOSAIC for bits in (8, 16))
-FORMATS = ("rgb8", *_TO_RGB, *MOSAICS)
+FORMATS = tuple(name for name, form in pixel_formats.FORMATS.items() if not form.packed)
+MOSAICS = tuple(name for name in FORMATS if pixel_formats.FORMATS[name].order)
 MARGIN_PX = 2  # neighbours that the colours at the edge of a crop are interpolated from
 
 
 class Cutter:
     """Cuts pictures of one format, with scratch memory of at most a ROI's or a context's size.
 
-    16-bit pixels use all 16 bits, so their upper 8 are what is shown. The sides of a mosaic must
-    be even, and so must the corner of a window on it.
+    Of samples of more than 8 bits the upper 8 are what is shown. The sides of a mosaic must be
+    even, and so must the corner of a window on it.
     """
 
     def __init__(self, pixel_format: str, size_px: tuple[int, int]) -> None:
@@ -39,12 +39,14 @@ class Cutter:
             raise DriverError(f"pixels: expected {', '.join(FORMATS)}, got {pixel_format!r}")
         if not all(side >= 1 for side in size_px):
             raise DriverError(f"picture: expected sides of at least 1, got {_by(size_px)}")
+        form = pixel_formats.FORMATS[pixel_format]
         self._format, self._size_px = pixel_format, size_px
-        self.mosaic = pixel_format in MOSAICS
+        self._channels, self._order, self._dtype = form.channels, form.order, np.dtype(form.dtype)
+        self._shift = form.bits - 8
+        self.mosaic = bool(form.order)
         if self.mosaic and any(side % 2 or side < 4 for side in size_px):
             got = f"{_by(size_px)} of {pixel_format}"
             raise DriverError(f"picture: a mosaic needs even sides of at least 4, got {got}")
-        self._dtype = np.uint16 if pixel_format.endswith("16") else np.uint8
         self._scratch: dict[str, NDArray[Any]] = {}
 
     @property
@@ -55,8 +57,7 @@ class Cutter:
     def check(self, pixels: NDArray[Any]) -> None:
         """Raise `DriverError` unless a picture is what was negotiated."""
         width, height = self._size_px
-        colour = self._format in ("rgb8", "bgr8")
-        wanted = (height, width, 3) if colour else (height, width)
+        wanted = (height, width) if self._channels == 1 else (height, width, self._channels)
         if pixels.shape != wanted or pixels.dtype != self._dtype:
             raise DriverError(
                 f"picture: expected {self._format} of {_by(self._size_px)} as at the start, got "
@@ -91,7 +92,8 @@ class Cutter:
         return found
 
     def _colour(self, pixels: NDArray[Any], out: NDArray[np.uint8]) -> None:
-        cv2.cvtColor(self._eight_bits(pixels, "eight"), _TO_RGB[self._format], dst=out)
+        code = cv2.COLOR_BGR2RGB if self._channels == 3 else cv2.COLOR_GRAY2RGB
+        cv2.cvtColor(self._eight_bits(pixels, "eight"), code, dst=out)
 
     def _demosaic(self, pixels: NDArray[Any], window: Window) -> NDArray[np.uint8]:
         """The window in RGB, interpolated from a crop that is a margin larger."""
@@ -101,13 +103,12 @@ class Cutter:
         x1, y1 = min(width, right + MARGIN_PX), min(height, bottom + MARGIN_PX)
         crop = self._eight_bits(pixels[y0:y1, x0:x1], "eight")
         colours = self._memory("colours", (*crop.shape, 3), np.uint8)
-        cv2.cvtColor(crop, _DEMOSAIC[self._format.rstrip("0123456789")], dst=colours)
+        cv2.cvtColor(crop, _DEMOSAIC[self._order], dst=colours)
         return colours[top - y0 : bottom - y0, left - x0 : right - x0]
 
     def _mosaic_context(self, pixels: NDArray[Any], out: NDArray[np.uint8]) -> None:
         """Average the colours one by one: every second row is a picture of two channels."""
         width, height = self._size_px
-        order = self._format.removeprefix("bayer_")
         sums: dict[str, list[NDArray[np.uint8]]] = {"r": [], "g": [], "b": []}
         for row in (0, 1):
             cells = pixels[row::2].reshape(height // 2, width // 2, 2)
@@ -115,7 +116,7 @@ class Cutter:
             average(cells, means)
             eight = self._eight_bits(means, f"eight{row}")
             for column in (0, 1):
-                sums[order[2 * row + column]].append(eight[..., column])
+                sums[self._order[2 * row + column]].append(eight[..., column])
         out[..., 0], out[..., 2] = sums["r"][0], sums["b"][0]
         out[..., 1] = cv2.addWeighted(sums["g"][0], 0.5, sums["g"][1], 0.5, 0)
 
@@ -123,7 +124,7 @@ class Cutter:
         if pixels.dtype == np.uint8:
             return pixels
         out = self._memory(name, pixels.shape, np.uint8)
-        np.right_shift(pixels, 8, out=out, casting="unsafe")
+        np.right_shift(pixels, self._shift, out=out, casting="unsafe")
         return out
 
     def _memory(self, name: str, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:

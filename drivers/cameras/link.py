@@ -15,8 +15,7 @@ class LinkSettings:
     open_timeout_s: float = 5.0  # for one attempt to open the camera and get its first frame
     open_wait_s: float = 0.0  # how long `open` tries again when the camera is not there; 0: once
     read_timeout_s: float = 3.0  # without a frame for longer, the link counts as lost
-    # longest outage, after which `read` raises; the node of a graph is ended after `stall_s`, 10
-    outage_s: float = 8.0
+    outage_s: float = 8.0  # longest outage, after which `read` raises
     backoff_s: tuple[float, float] = (0.2, 2.0)  # pause between attempts: first, longest
 
     def __post_init__(self) -> None:

@@ -61,6 +61,11 @@ class NetworkStream:
             self.source = pipeline_shown(settings.pipeline)
         self._camera = OpenCvCamera(self._connect, settings, name=self.source)
 
+    @property
+    def absent_until_s(self) -> float:
+        """Until when it looks for a lost camera, in `time.monotonic()`; 0: none is lost."""
+        return self._camera.absent_until_s
+
     def open(self) -> Negotiated:
         """Open the stream; raises `DriverError` with the reason in one sentence."""
         if self._settings.pipeline and not opencv.has(opencv.GSTREAMER):

@@ -76,6 +76,12 @@ class NewestFrame:
         self._cause = self._reason = ""  # why it was lost, and why the last attempt failed
         self.history = LinkHistory()
 
+    @property
+    def absent_until_s(self) -> float:
+        """Until when it looks for a lost camera, in `time.monotonic()`; 0: none is lost."""
+        lost = self._open and not self._connected and self._last_ns
+        return self._last_ns / 1e9 + self._limits.outage_s if lost else 0.0
+
     def open(self) -> NDArray[Any]:
         """Start the thread and return the first frame, which stays to be read.
 

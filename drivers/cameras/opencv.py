@@ -12,10 +12,18 @@ from numpy.typing import NDArray
 
 from drivers.cameras.newest import Connection
 from pipeline.errors import DriverError
+from pipeline.pixel_formats import FORMATS, PixelFormat
 
 V4L2, FFMPEG, GSTREAMER = cv2.CAP_V4L2, cv2.CAP_FFMPEG, cv2.CAP_GSTREAMER
 NAMES = {V4L2: "V4L2", FFMPEG: "FFmpeg", GSTREAMER: "GStreamer"}
 MOST_HZ = 1000.0  # a rate beyond it is the time base of a container, not a rate
+RAW = {  # mosaics by the names of linux/videodev2.h, least significant bits first in uint16
+    "BA81": "bayer_bggr8", "GBRG": "bayer_gbrg8", "GRBG": "bayer_grbg8", "RGGB": "bayer_rggb8",
+    "BG10": "bayer_bggr10", "GB10": "bayer_gbrg10", "BA10": "bayer_grbg10", "RG10": "bayer_rggb10",
+    "BG12": "bayer_bggr12", "GB12": "bayer_gbrg12", "BA12": "bayer_grbg12", "RG12": "bayer_rggb12",
+    "BG14": "bayer_bggr14", "GB14": "bayer_gbrg14", "GR14": "bayer_grbg14", "RG14": "bayer_rggb14",
+    "BYR2": "bayer_bggr16", "GB16": "bayer_gbrg16", "GR16": "bayer_grbg16", "RG16": "bayer_rggb16",
+}  # fmt: skip
 START_OF_IMAGE, END_OF_IMAGE = b"\xff\xd8", b"\xff\xd9"  # ITU-T T.81, table B.1
 SOON = 0.9  # share of a timeout after which a failed read counts as a timeout
 
@@ -28,6 +36,7 @@ class Told:
     fourcc: str = ""
     rate_hz: float = 0.0
     length: int = 0  # frames; a live stream has none
+    pixel_format: str = ""  # of a mosaic; empty: what OpenCV makes of it tells
 
 
 def version() -> str:
@@ -63,6 +72,7 @@ class OpenCvConnection(Connection):
         self._capture, self._name, self._timeout_s = capture, name, read_timeout_s
         self._backend = int(capture.get(cv2.CAP_PROP_BACKEND))
         self._jpeg = False  # a frame is the bytes of a JPEG
+        self._raw: PixelFormat | None = None  # a frame is a mosaic
 
     def told(self) -> Told:
         """What it says of itself now."""
@@ -74,6 +84,7 @@ class OpenCvConnection(Connection):
             fourcc=fourcc_of(get(cv2.CAP_PROP_FOURCC)),
             rate_hz=float(rate_hz) if 0 < rate_hz <= MOST_HZ else 0.0,
             length=max(0, int(length)) if math.isfinite(length) else 0,
+            pixel_format=self._raw.name if self._raw else "",
         )
 
     def wait(self, timeout_s: float) -> bool:
@@ -100,6 +111,8 @@ class OpenCvConnection(Connection):
         found = np.asarray(pixels)
         if self._jpeg:
             return decoded(np.asarray(found, np.uint8).reshape(-1))
+        if self._raw is not None:
+            return self._mosaic(found, self._raw)
         return found[..., 0] if found.ndim == 3 and found.shape[2] == 1 else found
 
     def ask(self, *, size_px: tuple[int, int], rate_hz: float, fourcc: str) -> None:
@@ -112,12 +125,27 @@ class OpenCvConnection(Connection):
             capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
         if rate_hz:
             capture.set(cv2.CAP_PROP_FPS, rate_hz)
-        if self.told().fourcc in ("MJPG", "JPEG"):  # OpenCV's own decoding hides damaged frames
+        chosen = self.told().fourcc
+        if chosen in ("MJPG", "JPEG"):  # OpenCV's own decoding hides damaged frames
             self._jpeg = bool(capture.set(cv2.CAP_PROP_CONVERT_RGB, 0))
+        elif chosen in RAW and capture.set(cv2.CAP_PROP_CONVERT_RGB, 0):
+            self._raw = FORMATS[RAW[chosen]]
 
     def close(self) -> None:
         """Release device or connection."""
         self._capture.release()
+
+    def _mosaic(self, found: NDArray[Any], form: PixelFormat) -> NDArray[Any]:
+        """The bytes of a frame as (h, w) samples; raises `DriverError` for rows with padding."""
+        get = self._capture.get
+        width, height = int(get(cv2.CAP_PROP_FRAME_WIDTH)), int(get(cv2.CAP_PROP_FRAME_HEIGHT))
+        expected = form.row_bytes(width) * height
+        if found.nbytes != expected:
+            raise DriverError(
+                f"{self._name}: expected {expected} bytes of {width}x{height} {form.name}, got "
+                f"{found.nbytes}"
+            )
+        return found.reshape(-1).view(form.dtype).reshape(height, width)
 
     def _poll(self, timeout_s: float) -> bool:
         try:

@@ -25,6 +25,11 @@ class OpenCvCamera:
         self.told = Told()  # by the newest connection
         self.negotiated: Negotiated | None = None  # since the first `open`
 
+    @property
+    def absent_until_s(self) -> float:
+        """Until when it looks for a lost camera, in `time.monotonic()`; 0: none is lost."""
+        return self._frames.absent_until_s if self._frames else 0.0
+
     def open(self) -> Negotiated:
         """Acquire the camera and wait for its first frame, whose size and format count."""
         self._frames = NewestFrame(self._connected, self._limits, name=self._name)
@@ -69,6 +74,8 @@ class OpenCvCamera:
         return connection
 
     def _format_of(self, pixels: NDArray[Any]) -> str:
+        if self.told.pixel_format:
+            return self.told.pixel_format
         if pixels.ndim == 3 and pixels.shape[2] == 3 and pixels.dtype == np.uint8:
             return "bgr8"
         if pixels.ndim == 2 and pixels.dtype in (np.uint8, np.uint16):

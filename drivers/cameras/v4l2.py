@@ -32,6 +32,10 @@ MOST_CHARS = 60  # of a name
 NAMES = Path("/sys/class/video4linux")
 
 
+class NoCamera(DriverError):
+    """A video device that does not capture pictures."""
+
+
 def path_of(device: int | str) -> str:
     """The path of a device by number or path.
 
@@ -71,9 +75,9 @@ def look_at(path: str) -> str:
         os.close(descriptor)
     if not can & (CAPTURE | CAPTURE_MPLANE):
         what = "carries data about pictures" if can & META_CAPTURE else "does not capture"
-        raise DriverError(f"{path}: expected a camera, got {name}, which {what}; {attached()}")
+        raise NoCamera(f"{path}: expected a camera, got {name}, which {what}; {attached()}")
     if not can & STREAMING:
-        raise DriverError(f"{path}: expected a camera that streams, got {name}, which does not")
+        raise NoCamera(f"{path}: expected a camera that streams, got {name}, which does not")
     return name
 
 
@@ -97,9 +101,15 @@ def why_not(path: str, error: OSError) -> str:
 
 def attached() -> str:
     """Video devices of this host, for the end of a sentence."""
-    found = sorted(NAMES.glob("video*"), key=lambda p: int(p.name.removeprefix("video") or 0))
-    told = [f"/dev/{entry.name} ({_name_of(entry)})" for entry in found[:8]]
+    found = numbers()[:8]
+    told = [f"/dev/video{number} ({_name_of(NAMES / f'video{number}')})" for number in found]
     return f"there is {', '.join(told)}" if told else "this host has no video device"
+
+
+def numbers(names: Path = NAMES) -> list[int]:
+    """Numbers N of the devices /dev/videoN, ascending."""
+    found = (entry.name.removeprefix("video") for entry in names.glob("video*"))
+    return sorted(int(number) for number in found if number.isdecimal())
 
 
 def _name_of(entry: Path) -> str:

@@ -52,6 +52,11 @@ class Webcam:
         self._device = ""  # its name
         self._camera = OpenCvCamera(self._connect, settings, name=self.source)
 
+    @property
+    def absent_until_s(self) -> float:
+        """Until when it looks for a lost camera, in `time.monotonic()`; 0: none is lost."""
+        return self._camera.absent_until_s
+
     def open(self) -> Negotiated:
         """Acquire the device; raises `DriverError` with the reason in one sentence."""
         return self._camera.open()

@@ -9,16 +9,26 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+import numpy as np
+
 from drivers.camera import Expected, Negotiated, Picture
 from drivers.genicam.clock import CameraClock
 from drivers.genicam.connection import Connection
 from drivers.genicam.device import Device, FeatureValue
 from drivers.genicam.discovery import opened
-from drivers.genicam.formats import BY_CODE, BY_NAME, PixelFormat, entry_of, offered, view
+from drivers.genicam.formats import (
+    BY_CODE,
+    BY_NAME,
+    CameraFormat,
+    entry_of,
+    offered,
+    unpack,
+    view,
+)
 from drivers.genicam.intake import Intake, Shape
 from drivers.genicam.stream import COUNTED, Arrived
 from pipeline.errors import DriverError, SettingsError
-from pipeline.forecast import LinkUse, pictures
+from pipeline.forecast import LinkUse
 
 SLICE_S = 0.05  # a `read` that waits notices `close` this soon
 WRAP = 0xFFFF  # frame numbers of GigE Vision 1 go from here to 1
@@ -37,7 +47,7 @@ class GenicamCameraSettings:
     buffers: int = 8  # in flight
     chunks: bool = True  # ask for the time stamp as a chunk where the camera has chunks
     packet_bytes: int = 0  # GigE Vision; 0: the largest that arrives
-    absent_s: float = 6.0  # a lost camera that stays away longer is an error; below `stall_s`
+    absent_s: float = 6.0  # a lost camera that stays away longer is an error
 
     def __post_init__(self) -> None:
         if self.size_px != (0, 0) and not all(1 <= side <= 65_535 for side in self.size_px):
@@ -71,7 +81,14 @@ class _Running:
         self.device, self.clock, self.last_id = device, CameraClock(), -1
         form = configure(device, settings)
         parser = device.enable_chunks() if settings.chunks else None
-        self.shape = Shape(size_px=(device.integer("Width"), device.integer("Height")), form=form)
+        size_px = device.integer("Width"), device.integer("Height")
+        if size_px[0] % form.multiple_px:
+            raise DriverError(
+                f"{device.key}: Width: expected a multiple of {form.multiple_px} for {form.name}, "
+                f"got {size_px[0]}: set size_px, or another pixel_format"
+            )
+        self.shape = Shape(size_px=size_px, form=form)
+        self.samples = np.empty(size_px[::-1], np.uint16) if form.packs else None
         self.stream = device.stream(settings.buffers, parser, settings.packet_bytes)
         device.acquire(True)
         self.intake = Intake(device, self.stream, self.shape, faults=counts, lost=lost)
@@ -106,12 +123,18 @@ class GenicamCamera:
         self._stamps = "arrival"
         self._id = ""  # of the camera once it was listed
         self._told: Negotiated | None = None  # since the first `open`
+        self._form: CameraFormat | None = None
         self._link = ""
 
     @property
     def source(self) -> str:
         """What the pictures come from, for a sentence about it."""
         return f"camera {self._settings.camera}".strip()
+
+    @property
+    def absent_until_s(self) -> float:
+        """Until when it looks for a lost camera, in `time.monotonic()`; 0: none is lost."""
+        return self._connection.absent_until_s if self._connection else 0.0
 
     def open(self) -> Negotiated:
         """Open and start; raises `DriverError`, or `InstallError` without Aravis."""
@@ -120,32 +143,33 @@ class GenicamCamera:
         connection = Connection(self.source, self._start, absent_s=self._settings.absent_s)
         self._connection = connection
         running = connection.open()
-        self._link = running.device.link
+        self._form, self._link = running.shape.form, running.device.link
         self._told = Negotiated(
             size_px=running.shape.size_px,
             rate_hz=running.device.rate(),
-            pixel_format=running.shape.form.ours,
+            pixel_format=running.shape.form.unpacked.name,
             transport=running.device.protocol + f" Vision, {running.shape.form.name}",
         )
         return self._told
 
     def expected(self) -> Expected | None:
         """What was negotiated; before it was open what is asked of it, if that is everything."""
-        wanted, told = self._settings, self._told
-        if told is None:
+        wanted, told, form = self._settings, self._told, self._form
+        if told is None or form is None:
             if wanted.size_px == (0, 0) or not wanted.pixel_format:
                 return None
+            form = BY_NAME[wanted.pixel_format]
             told = Negotiated(
                 size_px=wanted.size_px,
                 rate_hz=wanted.rate_hz,
-                pixel_format=BY_NAME[wanted.pixel_format].ours,
-                transport=wanted.pixel_format,
+                pixel_format=form.unpacked.name,
+                transport=form.name,
             )
-        crossing = pictures(told.size_px, told.pixel_format, told.rate_hz)
+        crossing = form.crossing(told.size_px, told.rate_hz)
         return Expected(negotiated=told, link=LinkUse(streams=(crossing,), kind=self._link))
 
     def read(self, timeout_s: float) -> Picture | None:
-        """The newest frame, without a copy: a view of the buffer, valid until the next call."""
+        """The newest frame, valid until the next call: a view of its buffer, or unpacked."""
         deadline_s = time.monotonic() + timeout_s
         with self._reading:
             self._return_hand()
@@ -203,6 +227,9 @@ class GenicamCamera:
         self._counts.update(delivered=1, skipped=skipped)
         stamp_ns = running.clock.monotonic_ns(stamp_ns, arrived.arrived_ns)
         self._stamps = "camera" if running.clock.trusted else "arrival"
+        if running.samples is not None:
+            unpack(pixels, running.shape.form, running.samples)
+            pixels = running.samples
         return Picture(pixels=pixels, stamp_ns=stamp_ns, skipped=skipped)
 
     def _return_hand(self) -> None:
@@ -211,7 +238,7 @@ class GenicamCamera:
             hand[0].drop(hand[1])
 
 
-def configure(device: Device, settings: GenicamCameraSettings) -> PixelFormat:
+def configure(device: Device, settings: GenicamCameraSettings) -> CameraFormat:
     """Write the settings to the camera: features in their order, then format, size and rate."""
     for name, value in settings.features.items():
         device.write(name, value)
@@ -226,7 +253,7 @@ def configure(device: Device, settings: GenicamCameraSettings) -> PixelFormat:
     return form
 
 
-def set_format(device: Device, wanted: str) -> PixelFormat:
+def set_format(device: Device, wanted: str) -> CameraFormat:
     """Set a PFNC format; without a wish the camera's own stays if it can be read."""
     nodes = device.nodes
     present = BY_CODE.get(int(device.known("PixelFormat") or 0) & 0xFFFFFFFF)

@@ -37,6 +37,7 @@ class Connection(Generic[T]):
         self._closed = False
         self._worker: threading.Thread | None = None
         self.losses = 0
+        self.absent_until_s = 0.0  # until when what was lost is opened again; 0: nothing is lost
 
     @property
     def alive(self) -> bool:
@@ -67,6 +68,7 @@ class Connection(Generic[T]):
             if held is None or self._closed:
                 return
             self.losses += 1
+            self.absent_until_s = time.monotonic() + self._absent_s
         log.warning("%s: lost: %s", self._name, why)
         self._worker = threading.Thread(
             target=self._reopen, args=(held, why), name="reconnect", daemon=True
@@ -113,7 +115,7 @@ class Connection(Generic[T]):
 
     def _set(self, held: T) -> None:
         with self._changed:
-            self._held = held
+            self._held, self.absent_until_s = held, 0.0
             self._changed.notify_all()
 
     def _fail(self, sentence: str) -> None:

@@ -153,6 +153,14 @@ class Device:
                 )
             self._camera.set_frame_rate(rate_hz)
 
+    def rates(self) -> tuple[float, float]:
+        """Lowest and highest frame rate; 0: the camera does not tell."""
+        try:
+            low, high = self._camera.get_frame_rate_bounds()
+        except library().error:
+            return 0.0, 0.0
+        return float(low), float(high)
+
     def rate(self) -> float:
         """Frame rate; 0: the camera does not tell."""
         try:

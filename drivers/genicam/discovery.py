@@ -23,6 +23,7 @@ class AttachedCamera:
     address: str
     field_px: tuple[int, int] = (0, 0)  # width, height; 0: not told
     pixel_formats: tuple[str, ...] = ()  # PFNC names that can be read
+    rates_hz: tuple[float, float] = (0.0, 0.0)  # lowest and highest; 0: not told
     foveation: Foveation = field(default_factory=Foveation)
     problem: str = ""  # why it could not be asked, in one sentence
 
@@ -97,6 +98,7 @@ def _asked(found: Listed) -> AttachedCamera:
             plain,
             field_px=(int(width), int(height)),
             pixel_formats=offered(device.nodes),
+            rates_hz=device.rates(),
             foveation=foveation(device.nodes, device.known),
         )
     finally:

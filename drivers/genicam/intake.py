@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.genicam.device import Device
-from drivers.genicam.formats import PixelFormat, view
+from drivers.genicam.formats import CameraFormat, view
 from drivers.genicam.stream import Arrived, Stream
 
 POP_S = 0.05  # how soon the thread notices that it shall end
@@ -23,7 +23,7 @@ class Shape:
     """What a good frame looks like."""
 
     size_px: tuple[int, int]  # width, height
-    form: PixelFormat
+    form: CameraFormat
 
     def fault(self, arrived: Arrived) -> str:
         """Why a frame is not delivered: incomplete or unfitting; empty: it is good."""

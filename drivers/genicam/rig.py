@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 
 from drivers.genicam.clock import CameraClock
 from drivers.genicam.device import Device
-from drivers.genicam.formats import PixelFormat
+from drivers.genicam.formats import CameraFormat
 from drivers.genicam.foveation import Foveation, reduced
 from drivers.genicam.intake import Shape
 from drivers.genicam.steering import Offset, Sets, Steering, Writes
@@ -46,9 +46,13 @@ class Layout:
         return width - self.size_px[0], height - self.size_px[1]
 
 
-def layout(key: str, can: Foveation, factor: int, *, mosaic: bool) -> Layout:
-    """Choose the factor nearest to the wish; raises `DriverError` where there is none."""
-    usable = [f for f in can.factors if all(reduced(can.field_px, f, can.size_step_px))]
+def layout(key: str, can: Foveation, factor: int, *, mosaic: bool, multiple_px: int = 1) -> Layout:
+    """Choose the factor nearest to the wish; raises `DriverError` where there is none.
+
+    Widths are multiples of `multiple_px`, besides the camera's own steps.
+    """
+    steps = math.lcm(can.size_step_px[0], multiple_px), can.size_step_px[1]
+    usable = [f for f in can.factors if all(reduced(can.field_px, f, steps))] if all(steps) else []
     if not (usable and all(can.field_px) and all(can.size_step_px) and all(can.offset_step_px)):
         raise DriverError(
             f"{key}: expected a field, steps and a {can.reduction.lower()} above 1, got field "
@@ -59,9 +63,7 @@ def layout(key: str, can: Foveation, factor: int, *, mosaic: bool) -> Layout:
     chosen = factor or min(usable, key=lambda f: (abs(f - 4), f))
     # a step that both axes have; an even one keeps the phase of a mosaic
     step = math.lcm(*can.offset_step_px, 2 if mosaic else 1)
-    return Layout(
-        factor=chosen, size_px=reduced(can.field_px, chosen, can.size_step_px), step_px=step
-    )
+    return Layout(factor=chosen, size_px=reduced(can.field_px, chosen, steps), step_px=step)
 
 
 class Lost(DriverError):
@@ -75,7 +77,7 @@ class Rig(Generic[A]):
         self,
         device: Device,
         can: Foveation,
-        form: PixelFormat,
+        form: CameraFormat,
         plan: Layout,
         *,
         buffers: int,

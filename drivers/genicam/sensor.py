@@ -21,7 +21,7 @@ from drivers.genicam.aravis import NoAnswer
 from drivers.genicam.camera import configure
 from drivers.genicam.connection import Connection
 from drivers.genicam.discovery import opened
-from drivers.genicam.formats import BY_NAME, offered, view
+from drivers.genicam.formats import BY_NAME, CameraFormat, copy_frame, offered, view
 from drivers.genicam.foveation import foveation, plain_hint
 from drivers.genicam.rig import Layout, Lost, Rig, layout, shown
 from drivers.genicam.sensor_settings import GenicamSensorSettings
@@ -63,6 +63,11 @@ class GenicamSensor:
         """What the pictures come from, for a sentence about it."""
         return f"camera {self._settings.camera}".strip()
 
+    @property
+    def absent_until_s(self) -> float:
+        """Until when it looks for a lost camera, in `time.monotonic()`; 0: none is lost."""
+        return self._connection.absent_until_s if self._connection else 0.0
+
     def open(self, *, realtime: bool) -> None:
         """Open, judge and try the camera; raises `DriverError` for one that cannot foveate."""
         self._realtime, self._stream_id = realtime, uuid.uuid4().hex
@@ -83,10 +88,11 @@ class GenicamSensor:
             note = f"{self.source} tells its field once it is open"
             return Forecast(note=note, rate_hz=rate_hz)
         stream = pictures(can.context_px, rig.form.ours, rate_hz)
+        crossing = rig.form.crossing(can.context_px, rate_hz)
         return Forecast(
             streams={"context": stream, "roi": stream},
             note="" if rate_hz else "rate_hz 0 is as fast as the camera answers",
-            link=LinkUse(streams=(stream, stream), kind=rig.device.link),
+            link=LinkUse(streams=(crossing, crossing), kind=rig.device.link),
             rate_hz=rate_hz,
             lead_frames=can.lead_frames,
         )
@@ -109,7 +115,7 @@ class GenicamSensor:
             known = ", ".join(can.pixel_formats)
             raise SettingsError(f"pixel_format: expected {known}, got {mode.pixel_format}")
         if mode.pixel_format:
-            names = {form.ours: name for name, form in BY_NAME.items()}
+            names = {BY_NAME[name].ours: name for name in reversed(self._offered)}
             changes["pixel_format"] = names[mode.pixel_format]
         self._settings = replace(self._settings, **changes)
         self._release()
@@ -217,7 +223,8 @@ class GenicamSensor:
                 raise DriverError(f"{device.key}: cannot foveate: {verdict.reason}; {hint}")
             form = configure(device, replace(settings.camera_settings(), binning=0))
             mosaic = form.ours.startswith("bayer")
-            plan = layout(device.key, verdict, settings.binning, mosaic=mosaic)
+            wide = form.multiple_px
+            plan = layout(device.key, verdict, settings.binning, mosaic=mosaic, multiple_px=wide)
         except BaseException:
             device.close()
             raise
@@ -229,6 +236,7 @@ class GenicamSensor:
 
     def _described(self, rig: Rig[Aim]) -> Capabilities:
         plan, verdict = rig.plan, rig.verdict
+        self._offered = offered(rig.device.nodes)
         sizes = verdict.roi_sizes_px()
         self._factor_of = dict(zip(sizes, verdict.factors, strict=False))
         (width, height), (roi_width, roi_height) = plan.field_px, plan.size_px
@@ -246,7 +254,7 @@ class GenicamSensor:
             roi_sizes_px=sizes,
             roi_binning=1.0,
             rates_hz=(SLOWEST_HZ, fastest_hz),
-            pixel_formats=tuple(BY_NAME[name].ours for name in offered(rig.device.nodes)),
+            pixel_formats=tuple(dict.fromkeys(BY_NAME[name].ours for name in self._offered)),
             lead_frames=1 + rig.latency // 2,
             same_exposure=False,
         )
@@ -286,7 +294,7 @@ class GenicamSensor:
             stamp_ns, stream = rig.stamp_ns(arrived), self._stream_id
             return Frame(
                 header=Header(stream=stream, seq=aim.seq, stamp_ns=stamp_ns, geometry=grid),
-                pixels=self._copied(loan, "context", pixels),
+                pixels=self._copied(loan, "context", pixels, rig.form),
                 pixel_format=rig.form.ours,
                 window=(0, 0, grid.width_px, grid.height_px),
             )
@@ -296,7 +304,7 @@ class GenicamSensor:
         obeyed = window == aim.roi.window
         return Frame(
             header=context.header,
-            pixels=self._copied(loan, "roi", pixels),
+            pixels=self._copied(loan, "roi", pixels, rig.form),
             pixel_format=rig.form.ours,
             window=window,
             command_seq=aim.roi.command_seq if obeyed else -1,
@@ -304,13 +312,16 @@ class GenicamSensor:
             delay_ns=max(rig.stamp_ns(arrived) - context.header.stamp_ns, 0),
         )
 
-    def _copied(self, loan: Loan, output: str, pixels: NDArray[Any]) -> NDArray[Any]:
+    def _copied(
+        self, loan: Loan, output: str, pixels: NDArray[Any], form: CameraFormat
+    ) -> NDArray[Any]:
+        size_px = self.capabilities().context_px  # the ROI has as many pixels
         try:
-            memory = loan(output, pixels.shape, pixels.dtype)
+            memory = loan(output, form.form.shape(size_px), form.form.dtype)
         except PoolExhausted:
             self._counts["overrun"] += 1
             raise
-        np.copyto(memory, pixels)
+        copy_frame(pixels, form, memory)
         return memory
 
     def _exposed(self, context: Frame, roi: Frame) -> Exposure:

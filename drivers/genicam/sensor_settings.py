@@ -20,7 +20,7 @@ class GenicamSensorSettings:
     buffers: int = 4  # in flight
     packet_bytes: int = 0  # GigE Vision; 0: the largest that arrives
     answer_s: float = 2.0  # a frame that takes longer after its trigger is lost
-    absent_s: float = 6.0  # a lost camera that stays away longer is an error; below `stall_s`
+    absent_s: float = 6.0  # a lost camera that stays away longer is an error
 
     def __post_init__(self) -> None:
         self.camera_settings()

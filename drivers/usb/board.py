@@ -40,6 +40,11 @@ class DualStreamBoard:
         self._delivered = self._overrun = self._foreign = 0
         self._started_ns = self._last_ns = 0
 
+    @property
+    def absent_until_s(self) -> float:
+        """Until when it looks for a lost board, in `time.monotonic()`; 0: none is lost."""
+        return self._session.absent_until_s if self._session else 0.0
+
     def open(self, *, realtime: bool) -> None:
         """Acquire the board; raises `DriverError` or `SettingsError` when it cannot."""
         self._realtime, self._stream = realtime, uuid.uuid4().hex

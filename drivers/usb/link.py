@@ -17,6 +17,7 @@ import usb.core
 import usb.util
 from numpy.typing import NDArray
 
+from drivers.board_ids import PRODUCT_ID, VENDOR_ID
 from drivers.usb.errors import (
     LinkError,
     NoAnswer,
@@ -27,9 +28,8 @@ from drivers.usb.errors import (
 )
 from drivers.usb.part import Part
 from drivers.usb.transfers import InFlight
-from pipeline.errors import DriverError
+from pipeline.errors import DriverError, InstallError
 
-VENDOR_ID, PRODUCT_ID = 0x1209, 0x0001  # for tests only; a maker has its own
 CHUNK_BYTES = 512 << 10  # of one bulk read
 MOST_IN_FLIGHT = 24  # 12 of the 16 MiB that Linux grants all devices by default
 VENDOR_IN, VENDOR_OUT = 0xC1, 0x41  # vendor requests to the interface
@@ -219,8 +219,8 @@ def _libusb() -> Any:
     usb.backend.libusb1._lib_object = None
     backend = usb.backend.libusb1.get_backend()
     if backend is None:
-        raise DriverError(
-            "usb: libusb is not installed; Debian and Ubuntu: apt-get install libusb-1.0-0"
+        raise InstallError(
+            "usb: expected the library libusb, got none: apt-get install libusb-1.0-0"
         )
     return backend
 

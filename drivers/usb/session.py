@@ -60,6 +60,7 @@ class Session:
         self._schedule_id = self._silences = 0
         self._heard_s = self._stalled_s = 0.0
         self._triggered = False  # an exposure was asked for that has not come
+        self.absent_until_s = 0.0  # until when a lost board is looked for; 0: none is lost
         self.stopped = threading.Event()
         self.clock = BoardClock()
         self.counts: Counter[str] = Counter()
@@ -308,6 +309,7 @@ class Session:
         self.counts["outages"] += 1
         log.warning("%s: looking for the board again", error)
         lost_s, pause_s = time.monotonic(), BACKOFF_S[0]
+        self.absent_until_s = lost_s + self._settings.reconnect_s
         with self._lock:
             connection, self._connection = self._connection, None
         if connection is not None:
@@ -322,6 +324,7 @@ class Session:
                     away = f"not back after {away_s:.0f} s"
                     raise DriverError(f"{error}; {away}: {failure}") from None
             else:
+                self.absent_until_s = 0.0
                 log.warning("%s: the board is back after %.2f s", self.connection.where, away_s)
                 return
 

@@ -3,7 +3,8 @@
 import struct
 from collections.abc import Mapping
 
-from drivers.usb.link import PRODUCT_ID, VENDOR_CLASS, VENDOR_ID
+from drivers.board_ids import PRODUCT_ID, VENDOR_ID
+from drivers.usb.link import VENDOR_CLASS
 from drivers.virtual_board.errors import Refused
 
 MAX_PACKET_BYTES = 1024

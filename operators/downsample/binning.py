@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.downsample.samples import STRIP, Samples
+from drivers.samples import STRIP, Samples
 from pipeline.pixel_formats import PixelFormat
 
 LEAST_BLOCKS = 4

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.samples import STRIP, Samples
 from operators.downsample.binning import Binning, can_bin
-from operators.downsample.samples import STRIP, Samples
 from operators.downsample.tone import Curve, Gains, Levels, Tone
 from operators.downsample.white_balance import Balance, grey_world
 from pipeline.contract import Input, Operator

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.samples import STRIP
 from operators.downsample.binning import unit_of
-from operators.downsample.samples import STRIP
 from pipeline.pixel_formats import PixelFormat
 
 FULL = 255 * 256  # white on the linear scale of 16 bit that gamma starts from

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.downsample.samples import Samples
+from drivers.samples import Samples
 from operators.downsample.tone import Gains
 from pipeline.pixel_formats import PixelFormat
 

@@ -135,13 +135,17 @@ class NodeAccount(ctypes.Structure):
     busy_since_ns: int
     handled: int
     last_seq: int
+    absent_until_ns: int  # until when a source waits for a lost device, or when it last did
 
     histograms: dict[str, Histogram]
 
     _fields_ = [
         (name, ctypes.c_uint64)
-        for name in ("epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq")
-    ]
+        for name in (
+            "epoch", "state", "heartbeat_ns", "busy_since_ns", "handled", "last_seq",
+            "absent_until_ns",
+        )
+    ]  # fmt: skip
 
     @staticmethod
     def over(memory: memoryview) -> "NodeAccount":

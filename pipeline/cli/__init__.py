@@ -20,6 +20,7 @@ INTERRUPTED = 130
 USAGE = (GraphError, InstallError, SettingsError, WeightsError)  # exit status 2
 RUN, INSPECTION, CONTROL = "pipeline.cli.run", "pipeline.cli.inspection", "pipeline.cli.control"
 FLEET, TASKS = "pipeline.cli.fleet", "pipeline.cli.tasks"
+SENSORS = "drivers.attached.command:sensors_command"  # by its path: no import of a driver here
 TABLE = {
     "add": (f"{CONTROL}:add", "Add the nodes of a FILE to a running graph."),
     "agent": (f"{FLEET}:agent_command", "Run parts of graphs on this host for its users."),
@@ -41,6 +42,7 @@ TABLE = {
     "run": (f"{RUN}:run", "Run a graph until its source ends, a limit or Ctrl-C."),
     "schema": (f"{INSPECTION}:schema_command", "Print inputs and outputs of a running node."),
     "secure": (f"{FLEET}:secure_commands", "Manage a certificate authority for hosts and users."),
+    "sensors": (SENSORS, "List the attached sensors; test one."),
     "set": (f"{CONTROL}:set_command", "Change live settings of a running graph."),
     "stop": (f"{CONTROL}:stop", "Stop a running graph, here or on all its hosts."),
     "swap": (f"{CONTROL}:swap", "Replace a node's operator, settings or model file."),

@@ -14,11 +14,14 @@ from pipeline.doctor.finding import Finding
 from pipeline.doctor.installation import examine_installation
 from pipeline.doctor.machine import examine_machine
 from pipeline.doctor.needs import examine_graph
+from pipeline.errors import InstallError
 from pipeline.file_arguments import GRAPH_FILE, SOURCE_FILE
 from pipeline.graph.overlay import Overlay
+from pipeline.import_path import imported
 from pipeline.renamed import renamed_option
 from pipeline.run.leftovers import cleanup
 
+SENSORS = "drivers.attached.diagnosis:examine_sensors"  # by its path: it knows the drivers
 STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red"}
 
 
@@ -49,6 +52,7 @@ def examine(graph: Path | None, overlay: Overlay, *, trial: bool) -> Iterator[Fi
     """Yield all findings, those of the machine first."""
     yield from examine_machine()
     yield from examine_installation()
+    yield from imported(SENSORS, InstallError)()
     if graph is not None:
         yield from examine_graph(graph, overlay, trial=trial)
 

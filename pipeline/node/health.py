@@ -1,7 +1,8 @@
 """Health of a node, from its accounts alone, so that it is known even for a node that hangs.
 
 Progress is the criterion. A node is stalled when it does not finish a message, or when it has no
-heartbeat; waiting for input, for credit or for a model is healthy.
+heartbeat; waiting for input, for credit, for a model or, as long as it says, for a lost device is
+healthy.
 """
 
 import os
@@ -23,7 +24,7 @@ def problem(node: Node, account: NodeAccount, now_ns: int) -> str:
     before these times.
     """
     state = account.condition
-    busy_s = (now_ns - account.busy_since_ns) / 1e9
+    busy_s = busy_ns(account, now_ns) / 1e9
     silent_s = (now_ns - account.heartbeat_ns) / 1e9
     if state == "busy" and busy_s > node.stall_s:
         return f"{node.name} has worked on frame {account.last_seq} for {busy_s:.1f} s"
@@ -38,7 +39,9 @@ def examine(plan: Plan, node: Node, ledger: Ledger, words: str = "") -> Health:
     state = account.condition
     ins = {name: ledger.edges[e.index] for name, e in plan.inputs(node.name).items()}
     outs = [e for e in plan.edges if e.source == node.name and ledger.edges[e.index].broken]
-    busy_ns = max(0, now_ns - account.busy_since_ns) if state == "busy" else 0
+    worked_ns = busy_ns(account, now_ns) if state == "busy" else 0
+    if state == "busy" and account.absent_until_ns > now_ns:
+        state = "absent"
     return Health(
         node=node.name,
         process=node.process,
@@ -49,7 +52,7 @@ def examine(plan: Plan, node: Node, ledger: Ledger, words: str = "") -> Health:
         problem=problem(node, account, now_ns),
         handled=account.handled,
         last_seq=account.last_seq,
-        busy_s=round(busy_ns / 1e9, 3),
+        busy_s=round(worked_ns / 1e9, 3),
         silent_s=round(max(0, now_ns - account.heartbeat_ns) / 1e9, 3),
         own_mb=round(own_mb(psutil.Process()), 1),
         words=words,
@@ -57,6 +60,11 @@ def examine(plan: Plan, node: Node, ledger: Ledger, words: str = "") -> Health:
         dropped={name: edge.report()["dropped"] for name, edge in ins.items()},
         broken=tuple(e.end for e in outs),
     )
+
+
+def busy_ns(account: NodeAccount, now_ns: int) -> int:
+    """Return how long a message has been in work; waiting for a lost device does not count."""
+    return max(0, now_ns - max(account.busy_since_ns, account.absent_until_ns))
 
 
 def own_mb(process: psutil.Process) -> float:

@@ -180,6 +180,9 @@ class Process:
                     thread.join(HEADLINE_S)
                     self._look()
                     self._tell_headlines()
+                    for runner in self._runners:
+                        if isinstance(runner, SourceRunner):
+                            runner.note_absence()
         finally:
             self.stop()
             for thread in threads:

@@ -19,6 +19,7 @@ from pipeline.bus.outport import OutPort
 from pipeline.contract import Source
 from pipeline.errors import PoolExhausted
 from pipeline.executor import Answers, header_of
+from pipeline.graph.limits import DAY_S
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.node.operator_runner import DELAY_EVERY, IDLE_S, OperatorRunner, delay_on_the_way
 
@@ -42,6 +43,7 @@ class SourceRunner(OperatorRunner):
         The operator's exceptions pass through, also those from the thread for commands.
         """
         assert isinstance(self.operator, Source)
+        self.account.absent_until_ns = 0  # not that of an instance before
         commands = threading.Thread(target=self._command_loop, name=f"{self.name}-commands")
         commands.start()
         self.alive("waiting")
@@ -76,6 +78,13 @@ class SourceRunner(OperatorRunner):
         """Make `run` return after the current exposure."""
         self._ending.set()
         super().stop()
+
+    def note_absence(self) -> None:
+        """Record whether the source waits for a lost device; called by another thread."""
+        assert isinstance(self.operator, Source)
+        self.account.absent_until_ns = absence_ns(
+            self.operator.absent_until_s, self.account.absent_until_ns, time.monotonic_ns()
+        )
 
     def figures(self) -> dict[str, Any]:
         """Return the report's figures on received commands."""
@@ -167,6 +176,22 @@ class SourceRunner(OperatorRunner):
         histograms = self.account.histograms
         histograms["scheduling_delay"].add(waited)
         histograms["overhead"].add(max(0, latency - handlers - waited))
+
+
+def absence_ns(until_s: float, before_ns: int, now_ns: int) -> int:
+    """Return until when a source waits for its device, as its account has it.
+
+    A source that waits no longer gets the time of now, from which on a stall counts.
+
+    >>> absence_ns(5.0, 0, 2_000_000_000), absence_ns(0.0, 5_000_000_000, 3_000_000_000)
+    (5000000000, 3000000000)
+    >>> absence_ns(0.0, 5_000_000_000, 9_000_000_000), absence_ns(float("inf"), 0, 0)
+    (5000000000, 86400000000000)
+    """
+    now_s = now_ns / 1e9
+    if until_s > now_s:
+        return round(min(until_s, now_s + DAY_S) * 1e9)
+    return min(before_ns, now_ns)
 
 
 def fold(digest: Any, message: Message) -> None:

@@ -9,11 +9,13 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from bench.fuzz import tally
+from bench.fuzz import genicam, tally
+from bench.fuzz.descriptions import PROLOGUES, SMALL
 from bench.fuzz.fuzz import fuzz
+from bench.fuzz.genicam import fuzz_genicam, judged
 from bench.fuzz.orders import fuzz_orders
 from bench.fuzz.tally import Tally, Watch, alone
-from pipeline import GraphError
+from pipeline import DriverError, GraphError
 from pipeline.run.control_server import ControlServer
 
 
@@ -73,7 +75,13 @@ def test_a_program_that_is_started_is_noticed_and_this_python_is_not(tmp_path: P
 
 
 @pytest.mark.parametrize(
-    "words", [("wire", "--count", "50"), ("usb", "--count", "50"), ("orders", "--count", "8")]
+    "words",
+    [
+        ("wire", "--count", "50"),
+        ("usb", "--count", "50"),
+        ("genicam", "--count", "20"),
+        ("orders", "--count", "8"),
+    ],
 )
 def test_files_are_watched_whatever_is_fuzzed(
     words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -111,6 +119,41 @@ def test_the_command_counts_kinds_of_tracebacks_and_fails(monkeypatch: pytest.Mo
 
     assert done.exit_code == 1
     assert '"ZeroDivisionError": 3' in done.output
+
+
+def test_descriptions_are_read_judged_or_refused_in_a_sentence(tmp_path: Path) -> None:
+    written = tmp_path / "camera.xml"
+    written.write_bytes(SMALL)
+    began_s = time.process_time()
+
+    own, named = fuzz_genicam(300), fuzz_genicam(100, [written], seed=3)
+
+    for found in (own, named):
+        assert found.sound, found.examples
+        assert min(found.accepted, found.refused) > 10
+    assert time.process_time() - began_s < 30
+    assert judged(SMALL) == "writes"
+
+
+@pytest.mark.parametrize("prologue", PROLOGUES[:2])
+def test_no_entity_is_expanded_and_no_file_is_read(prologue: bytes) -> None:
+    text = SMALL.replace(b"<RegisterDescription", prologue + b"<RegisterDescription", 1)
+    text = text.replace(b"<Value>640</Value>", b"<Value>&y;</Value>")
+
+    with pytest.raises(DriverError, match="description of the camera: expected no document type"):
+        judged(text)
+
+
+def test_a_description_that_breaks_the_reader_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    def deep(_text: bytes) -> None:
+        raise RecursionError("by design")
+
+    monkeypatch.setattr(genicam, "vetted_nodes", deep)
+    found = fuzz_genicam(5)
+
+    assert (found.tracebacks, found.sound) == (5, False)
+    assert found.kinds == {"RecursionError": 5}
+    assert "('small', 0)" in found.examples[0]
 
 
 def test_the_command_prints_figures(tmp_path: Path) -> None:

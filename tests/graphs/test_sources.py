@@ -107,7 +107,9 @@ def test_the_real_sequence_plays(tmp_path: Path, footage: Footage) -> None:
 
 
 def test_every_source_file_is_tested() -> None:
-    assert {path.stem for path in SOURCES.glob("*.yaml")} >= {*RECORDINGS, "soccer", "raw"}
+    assert {path.stem for path in SOURCES.glob("*.yaml")} >= {
+        *RECORDINGS, "soccer", "raw", "usb", "usb_raw"
+    }  # fmt: skip
 
 
 def test_a_stream_plays_from_the_address_set_on_the_command_line(tmp_path: Path) -> None:
@@ -164,6 +166,31 @@ def test_the_graph_sees_the_raw_scene_in_its_own_colours(tmp_path: Path) -> None
         got, truth = raw[seen].pixels.astype(float), plain[wanted].pixels.astype(float)
         assert raw[seen].window == plain[wanted].window
         assert np.abs(got.mean((0, 1)) - truth.mean((0, 1))).max() < 2
+
+
+def test_a_raw_board_on_usb_runs_in_a_graph_that_knows_rgb_alone(tmp_path: Path) -> None:
+    board = (
+        "capture.backend=drivers.virtual_board:VirtualBackend",
+        f"capture.backend_options={{scene: '{SQUARE}', size_px: [320, 192], frames: 2}}",
+        "capture.rate_hz=100",
+    )
+    linear = ("context_rgb.gamma=1", "roi_rgb.gamma=1")  # the samples of the virtual board are not
+    shown: dict[str, dict[str, Any]] = {}
+    for name, changes in (("usb_raw", linear), ("usb", ())):
+        overlay = Overlay(
+            source=SOURCES / f"{name}.yaml", changes=(*board, *changes), clock="lockstep"
+        )
+        seen = shown[name] = {}
+        with InlineRunner(load(graph(tmp_path), overlay), watch=seen.setdefault) as runner:
+            assert list(runner.run()) == [0, 1]
+
+    raw, plain = shown["usb_raw"], shown["usb"]
+    assert raw["capture.context"].pixel_format == "bayer_rggb12p"
+    assert raw["capture.context"].size_px == plain["capture.context"].size_px
+    for seen, wanted in (("context_rgb.out", "capture.context"), ("roi_rgb.out", "capture.roi")):
+        got, truth = raw[seen], plain[wanted]
+        assert (got.pixel_format, got.window) == ("rgb8", truth.window)
+        assert np.abs(got.pixels.mean((0, 1)) - truth.pixels.mean((0, 1))).max() < 4
 
 
 OVERLAY = """

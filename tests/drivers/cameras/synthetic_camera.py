@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.camera import Negotiated, Picture
 from pipeline.errors import DriverError
+from pipeline.pixel_formats import FORMATS
 from tests.drivers.numbered import picture
 
 
@@ -83,7 +84,8 @@ def as_format(rgb: NDArray[np.uint8], pixel_format: str) -> NDArray[Any]:
         found = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
     else:
         found = mosaic(rgb, pixel_format.removeprefix("bayer_")[:4])
-    return found if pixel_format.endswith("8") else found.astype(np.uint16) << 8 | 0x5A
+    lower = FORMATS[pixel_format].bits - 8
+    return found if not lower else found.astype(np.uint16) << lower | 0x5A % (1 << lower)
 
 
 def mosaic(rgb: NDArray[np.uint8], order: str) -> NDArray[np.uint8]:

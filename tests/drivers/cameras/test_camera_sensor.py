@@ -48,6 +48,36 @@ def test_it_keeps_the_contract_of_a_sensor_with_any_settings(settings: dict[str,
     check_sensor(lambda: sensor(**settings))
 
 
+class Absent(SyntheticCamera):
+    """It sends one frame and is then lost, and looked for, for half a second."""
+
+    lost_s = 0.0
+
+    def read(self, timeout_s: float) -> Picture | None:
+        found = super().read(timeout_s)
+        self.lost_s = self.lost_s or time.monotonic()
+        return found
+
+    @property
+    def absent_until_s(self) -> float:
+        return self.lost_s + 0.5 if self.lost_s else 0.0
+
+
+def test_a_lost_camera_has_its_own_limit_and_then_that_of_a_frame() -> None:
+    subject = started(
+        sensor({"frames": 1}, camera=f"{__name__}:Absent", read_timeout_s=0.2), realtime=True
+    )
+    assert subject.absent_until_s == 0.0
+    read(subject)
+    told_s = subject.absent_until_s
+    with pytest.raises(DriverError, match=r"expected a frame within 0\.2 s, got none"):
+        read(subject)
+    ended_s = time.monotonic()
+    subject.close()
+
+    assert ended_s >= told_s + 0.2
+
+
 def test_context_and_roi_are_cut_from_the_same_frame() -> None:
     subject = started(sensor())
     read(subject)

@@ -168,6 +168,35 @@ def test_a_silent_camera_is_opened_again() -> None:
     assert outage["reason"] == "it is open but sends no frame"
 
 
+def test_a_lost_camera_is_waited_for_until_a_time_that_is_told() -> None:
+    read_first, back = threading.Event(), threading.Event()
+
+    def before() -> Iterator[Step]:
+        yield 1
+        yield read_first
+        yield "the stream ended"
+
+    def after() -> Iterator[Step]:
+        yield back
+        yield 2
+        yield from forever("quiet")
+
+    subject = opened(before, after)
+    first = next_of(subject)
+    told = [subject.absent_until_s]
+    read_first.set()
+    while not subject.absent_until_s:
+        subject.read(0.01)
+    told.append(subject.absent_until_s)
+    back.set()
+    next_of(subject)
+    told.append(subject.absent_until_s)
+    subject.close()
+
+    assert told == [0.0, first.stamp_ns / 1e9 + PATIENT.outage_s, 0.0]
+    assert subject.absent_until_s == 0.0
+
+
 def test_a_camera_that_stays_away_is_given_up_with_the_reason() -> None:
     def script() -> Iterator[Step]:
         yield 1

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 from drivers.cameras import CameraSensor, CameraSensorSettings, NetworkStream, NetworkStreamSettings
-from pipeline.errors import DriverError
-from tests.drivers.contract import (
+from drivers.contract import (
     Make,
     check_commands_shape_the_frames_they_name,
     check_sensor,
 )
+from pipeline.errors import DriverError
 
 SYSTEM_PYTHON = "/usr/bin/python3"  # Debian's bindings of GStreamer belong to it
 RTSP_SERVER = """

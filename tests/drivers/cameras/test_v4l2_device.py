@@ -45,6 +45,21 @@ print(json.dumps({"size_px": told.size_px, "transport": told.transport, **camera
 """
 
 
+MOSAICS = """
+import json, sys
+from drivers.cameras import Webcam, WebcamSettings
+found = {}
+for fourcc in ("RGGB", "RG10", "pRAA"):
+    camera = Webcam(WebcamSettings(device=sys.argv[1], fourcc=fourcc, size_px=(640, 480)))
+    told = camera.open()
+    pixels = camera.read(30).pixels
+    cell = pixels[2:4, 4:6].tolist() if pixels.ndim == 2 else []
+    found[fourcc] = [told.pixel_format, told.transport, pixels.shape, cell]
+    camera.close()
+print(json.dumps(found))
+"""
+
+
 @pytest.fixture
 def device(tmp_path: Path) -> dict[str, str]:
     """The environment in which there is such a device, at `DEVICE`."""
@@ -76,6 +91,20 @@ def test_what_holds_on_a_device_on_the_desk_holds_here(device: dict[str, str]) -
 
     assert done.returncode == 0, done.stdout
     assert "skipped" not in done.stdout
+
+
+def test_a_mosaic_is_delivered_as_the_device_sends_it(device: dict[str, str]) -> None:
+    done = run(device, "-c", MOSAICS, DEVICE)
+
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    for fourcc, name, scale in (("RGGB", "bayer_rggb8", 1), ("RG10", "bayer_rggb10", 4)):
+        pixel_format, transport, shape, ((red, green), (other, blue)) = told[fourcc]
+        assert (pixel_format, transport, shape) == (name, f"V4L2, {fourcc}", [480, 640])
+        assert [red - blue, green - blue] == [150 * scale, 50 * scale]
+        assert other == green
+        assert blue // scale in range(50, 100)
+    assert told["pRAA"][:2] == ["bgr8", "V4L2, YUYV"]  # not offered: the device chooses
 
 
 def test_a_device_that_is_silent_unplugged_or_damaged_is_read_on(

@@ -1,6 +1,7 @@
 /* A V4L2 capture device in user space: loaded with LD_PRELOAD, it answers for the path in
- * FAKE_VIDEO, so that OpenCV's own V4L2 code runs against it. It offers YUYV, GREY and MJPG (the
- * JPEGs 0.jpg and 1.jpg of the folder FAKE_FOLDER, in turns) at 640x480 and 1280x720. Files in that
+ * FAKE_VIDEO, so that OpenCV's own V4L2 code runs against it. It offers YUYV, GREY, mosaics of 8 and
+ * 10 bit and MJPG (the JPEGs 0.jpg and 1.jpg of the folder FAKE_FOLDER, in turns) at 640x480 and
+ * 1280x720, with 30 or 15 frames a second. Files in that
  * folder switch it: `gone` is unplugged, `silent` sends nothing, `damaged` cuts each second JPEG. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -24,6 +25,11 @@
 
 static char ours[1024]; /* by descriptor: a timer that is readable once per frame */
 static int owner = -1, rate = 30, frames, waiting, queue[MOST];
+static const unsigned offers[] = {
+    V4L2_PIX_FMT_YUYV, V4L2_PIX_FMT_GREY, V4L2_PIX_FMT_MJPEG, V4L2_PIX_FMT_SRGGB8,
+    V4L2_PIX_FMT_SRGGB10,
+};
+#define OFFERS (sizeof offers / sizeof *offers)
 static unsigned format = V4L2_PIX_FMT_YUYV, width = 640, height = 480;
 static unsigned char *memory[MOST], jpeg[2][1 << 20];
 static size_t jpeg_bytes[2];
@@ -123,14 +129,54 @@ static void describe(struct v4l2_capability *out)
 
 static void choose(const struct v4l2_pix_format *asked)
 {
-    unsigned code = asked->pixelformat;
-    int offered = code == V4L2_PIX_FMT_MJPEG || code == V4L2_PIX_FMT_GREY;
-    format = offered ? code : V4L2_PIX_FMT_YUYV;
+    format = V4L2_PIX_FMT_YUYV;
+    for (size_t k = 0; k < OFFERS; k++)
+        if (asked->pixelformat == offers[k]) format = offers[k];
     width = asked->width >= 1280 ? 1280 : 640;
     height = asked->width >= 1280 ? 720 : 480;
 }
 
-static unsigned bytes_of_pixel(void) { return format == V4L2_PIX_FMT_YUYV ? 2 : 1; }
+static unsigned bytes_of_pixel(void)
+{
+    return format == V4L2_PIX_FMT_YUYV || format == V4L2_PIX_FMT_SRGGB10 ? 2 : 1;
+}
+
+static int list_format(struct v4l2_fmtdesc *out)
+{
+    if (out->index >= OFFERS) return fails(EINVAL);
+    out->pixelformat = offers[out->index];
+    return 0;
+}
+
+static int list_size(struct v4l2_frmsizeenum *out)
+{
+    if (out->index > 1) return fails(EINVAL);
+    out->type = V4L2_FRMSIZE_TYPE_DISCRETE;
+    out->discrete.width = out->index ? 1280 : 640;
+    out->discrete.height = out->index ? 720 : 480;
+    return 0;
+}
+
+static int list_interval(struct v4l2_frmivalenum *out)
+{
+    if (out->index > 1) return fails(EINVAL);
+    out->type = V4L2_FRMIVAL_TYPE_DISCRETE;
+    out->discrete.numerator = 1;
+    out->discrete.denominator = out->index ? 15 : 30;
+    return 0;
+}
+
+/* red 200, green 100, blue 50 and the number of the frame, times 4 in 10 bits */
+static void fill_mosaic(unsigned char *out)
+{
+    unsigned short *wide = (unsigned short *)out;
+    for (size_t k = 0; k < (size_t)width * height; k++) {
+        unsigned column = k % width & 1, row = k / width & 1;
+        unsigned level = (column && row ? 50 : column || row ? 100 : 200) + frames % 50;
+        if (format == V4L2_PIX_FMT_SRGGB8) out[k] = level;
+        else wide[k] = level * 4;
+    }
+}
 
 static void tell(struct v4l2_pix_format *out)
 {
@@ -145,6 +191,10 @@ static void tell(struct v4l2_pix_format *out)
 static unsigned photograph(unsigned char *out)
 {
     int turn = frames & 1;
+    if (format == V4L2_PIX_FMT_SRGGB8 || format == V4L2_PIX_FMT_SRGGB10) {
+        fill_mosaic(out);
+        return width * height * bytes_of_pixel();
+    }
     if (format != V4L2_PIX_FMT_MJPEG) {
         for (size_t k = 0; k < (size_t)width * height * 2; k += 2) {
             out[k] = frames * 7 + k / 64;
@@ -197,6 +247,9 @@ static int answer(int fd, unsigned request, void *argument)
     if (is("gone")) return fails(ENODEV);
     switch (request) {
     case VIDIOC_QUERYCAP: describe(argument); return 0;
+    case VIDIOC_ENUM_FMT: return list_format(argument);
+    case VIDIOC_ENUM_FRAMESIZES: return list_size(argument);
+    case VIDIOC_ENUM_FRAMEINTERVALS: return list_interval(argument);
     case VIDIOC_S_FMT:
         if (busy) return fails(EBUSY);
         choose(&shape->fmt.pix); /* fall through */

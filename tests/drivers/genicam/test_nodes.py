@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.fuzz.descriptions import mutated
 from drivers.genicam.formats import entry_of, offered
 from drivers.genicam.foveation import foveation
 from drivers.genicam.nodes import parse_nodes
 from drivers.genicam.vetting import vetted_nodes
 from pipeline.errors import DriverError
 from tests.drivers.genicam import description as xml
-from tests.drivers.genicam.mutations import mutated
 from tests.drivers.genicam.virtual_camera import Nature, describe
 
 SOUND = describe(Nature(sets=8))
@@ -39,7 +39,7 @@ def test_an_entry_is_no_feature_of_its_name() -> None:
 
 
 def test_pixel_formats_are_known_by_their_code() -> None:
-    formats = [("RGB8Packed", 0x02180014), ("Mono10p", 0x010A0046), ("BayerRG8", 0x01080009)]
+    formats = [("RGB8Packed", 0x02180014), ("YUV422", 0x0210001F), ("BayerRG8", 0x01080009)]
     found = parse_nodes(xml.whole([xml.choice("PixelFormat", 0, formats)]))
 
     assert offered(found) == ("RGB8", "BayerRG8")

@@ -8,12 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from bench.fuzz.descriptions import mutated
 from drivers.genicam import GenicamCamera
 from drivers.sensor import Mode
 from pipeline.errors import DriverError
+from pipeline.pixel_formats import FORMATS
 from tests.drivers.contract import answers_to_a_stop, check_sensor, command, read, started
 from tests.drivers.genicam import description as xml
-from tests.drivers.genicam.mutations import mutated
 from tests.drivers.genicam.streaming import (
     ROOT,
     VIRTUAL,
@@ -30,7 +31,9 @@ from tests.drivers.genicam.virtual_camera import (
     describe,
     loopback,
     scene,
+    twelve_bits,
 )
+from tests.drivers.packing import numbers
 
 pytestmark = needs_aravis()
 
@@ -63,6 +66,48 @@ def test_a_picture_is_a_view_of_the_camera_memory_and_outlives_the_camera() -> N
 
     assert not kept.flags.owndata
     assert np.array_equal(kept.ravel()[1:], expected.ravel()[1:])
+
+
+@pytest.mark.parametrize("pixel_format", ["Mono12p", "Mono12Packed"])
+def test_a_plain_camera_unpacks_its_samples(pixel_format: str) -> None:
+    with VirtualCamera(Nature(pixel_format=pixel_format)) as virtual:
+        made = camera(VIRTUAL)
+        told = made.open()
+        shown = next_picture(made).pixels.copy()
+        made.close()
+        expected = twelve_bits(scene(virtual.nature.sensor_px))
+
+    assert (told.pixel_format, told.transport) == ("grey12", f"GigE Vision, {pixel_format}")
+    assert np.array_equal(shown.ravel()[1:], expected.ravel()[1:])
+
+
+@pytest.mark.parametrize(
+    ("pixel_format", "ours"), [("Mono12p", "grey12p"), ("Mono12Packed", "grey12")]
+)
+def test_a_sensor_sends_packed_samples_on_and_unpacks_the_older_ones(
+    pixel_format: str, ours: str
+) -> None:
+    nature = Nature(pixel_format=pixel_format)
+    whole = twelve_bits(scene(nature.sensor_px))
+    with VirtualCamera(nature):
+        made = started(sensor(binning=4))
+        can = made.capabilities()
+        taken = [read(made) for _ in range(3)]
+        made.close()
+
+    assert can.pixel_formats == (ours,)
+    form = FORMATS[ours]
+    for exposure in taken:
+        left, top, right, bottom = exposure.roi.window
+        assert (exposure.roi.pixel_format, exposure.roi.size_px) == (ours, (64, 32))
+        assert (exposure.roi.pixels.shape, exposure.roi.pixels.dtype) == (
+            form.shape((64, 32)), form.dtype,
+        )  # fmt: skip
+        for frame, truth in (
+            (exposure.roi, whole[top:bottom, left:right]),
+            (exposure.context, whole[::4, ::4]),
+        ):
+            assert np.array_equal(numbers(frame.pixels, form).ravel()[1:], truth.ravel()[1:])
 
 
 def test_frames_that_lack_a_packet_are_counted_and_not_delivered() -> None:

@@ -22,7 +22,7 @@ from tests.drivers.genicam import description
 PORT = 3956
 XML_AT = 0x100000
 CONTROL, HEARTBEAT, STREAM_PORT, PACKET = 0xA00, 0x938, 0xD00, 0xD04
-MONO8 = 0x01080001
+CODES = {"Mono8": 0x01080001, "Mono12p": 0x010C0047, "Mono12Packed": 0x010C0006}
 DENIED = 0x8006
 FEATURES = {
     "Width": 0x10000, "Height": 0x10004, "OffsetX": 0x10008, "OffsetY": 0x1000C,
@@ -50,6 +50,7 @@ class Nature:
     follows: bool = True  # False: offsets are accepted and ignored
     period_s: float = 0.01  # of free running
     xml: bytes = b""  # in place of the true description
+    pixel_format: str = "Mono8"  # or Mono12p, Mono12Packed
     wide_when_binned: bool = False  # binning changes the size of the frame
     lost: list[int] = field(default_factory=list)  # numbers of frames that lack a packet
 
@@ -69,7 +70,9 @@ def describe(nature: Nature) -> bytes:
         description.integer("Height", at["Height"], 2, height, step=2, lock=lock("Height")),
         description.integer("OffsetX", at["OffsetX"], 0, width, step=4, lock=lock("OffsetX")),
         description.integer("OffsetY", at["OffsetY"], 0, height, step=2, lock=lock("OffsetY")),
-        description.choice("PixelFormat", at["PixelFormat"], [("Mono8", MONO8)]),
+        description.choice(
+            "PixelFormat", at["PixelFormat"], [(nature.pixel_format, CODES[nature.pixel_format])]
+        ),
         description.choice("TriggerMode", at["TriggerMode"], SWITCH),
         description.choice("TriggerSource", at["TriggerSource"], [("Line0", 0), ("Software", 1)]),
         description.command("TriggerSoftware", at["TriggerSoftware"]),
@@ -106,6 +109,24 @@ def scene(sensor_px: tuple[int, int]) -> NDArray[np.uint8]:
     return ((x * 7 + y * 13 + (x * y) // 5) % 251).astype(np.uint8)
 
 
+def twelve_bits(picture: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """What a camera of 12 bit sends of it: the upper 8 bits of a sample are its value."""
+    return picture.astype(np.uint16) << 4 | picture % 13
+
+
+def wire(picture: NDArray[np.uint8], pixel_format: str) -> bytes:
+    """The bytes of a picture in one of the `CODES`."""
+    if pixel_format == "Mono8":
+        return picture.tobytes()
+    first, second = (twelve_bits(picture)[:, place::2] for place in (0, 1))
+    if pixel_format == "Mono12p":
+        middle = first >> 8 | (second & 0xF) << 4
+        parts = (first & 0xFF, middle, second >> 4)
+    else:
+        parts = (first >> 4, first & 0xF | (second & 0xF) << 4, second >> 4)
+    return np.stack(parts, axis=-1).astype(np.uint8).tobytes()
+
+
 class VirtualCamera:
     """Answers on 127.0.0.1 from construction to `close`."""
 
@@ -115,7 +136,9 @@ class VirtualCamera:
         self._scene = scene(self.nature.sensor_px)
         self._boot = bytearray(0x1000)
         self._values = dict.fromkeys(FEATURES, 0)
-        self._values |= {"BinningHorizontal": 1, "BinningVertical": 1, "PixelFormat": MONO8}
+        self._values |= {"BinningHorizontal": 1, "BinningVertical": 1}
+        self._code = CODES[self.nature.pixel_format]
+        self._values["PixelFormat"] = self._code
         self._values["Width"], self._values["Height"] = self.nature.sensor_px
         self._sets: dict[int, dict[str, int]] = {}
         self._states: deque[dict[str, int]] = deque()
@@ -186,7 +209,8 @@ class VirtualCamera:
 
     def _value(self, name: str) -> int:
         if name == "PayloadSize":
-            return self._values["Width"] * self._values["Height"]
+            pixels = self._values["Width"] * self._values["Height"]
+            return pixels if self.nature.pixel_format == "Mono8" else pixels * 3 // 2
         return self._values[name]
 
     def _write(self, address: int, value: int, peer: tuple[str, int]) -> int:
@@ -243,10 +267,10 @@ class VirtualCamera:
         if not (self.nature.states_offsets and self.nature.follows):
             offset = (0, 0)
         height, width = picture.shape
-        leader = struct.pack(">HHIIIIIII", 0, 1, stamp >> 32, stamp & 0xFFFFFFFF, MONO8, width,
-                             height, *offset) + bytes(4)  # fmt: skip
+        leader = struct.pack(">HHIIIIIII", 0, 1, stamp >> 32, stamp & 0xFFFFFFFF, self._code,
+                             width, height, *offset) + bytes(4)  # fmt: skip
         step = (struct.unpack(">I", self._boot[PACKET : PACKET + 4])[0] & 0xFFFF) - 36
-        data = picture.tobytes()
+        data = wire(picture, self.nature.pixel_format)
         parts = [data[i : i + step] for i in range(0, len(data), step)]
         packets = [(1, leader), *((3, part) for part in parts)]
         packets.append((2, struct.pack(">HHI", 0, 1, height)))

@@ -1,6 +1,7 @@
 """The USB board: the contract of a sensor, and what the driver does when something fails."""
 
 import logging
+import threading
 import time
 from typing import Any
 
@@ -144,6 +145,27 @@ def test_an_unplugged_board_is_found_again_in_the_same_stream_with_its_schedule(
     assert {e.header.stream for e in after} == {header.stream}
     assert {(e.roi.window, e.roi.command_seq) for e in after[1:]} == {(window, 19)}
     assert subject.summary()["link"]["outages"] == 1
+
+
+def test_a_lost_board_is_waited_for_until_a_time_that_is_told() -> None:
+    subject = board(
+        virtual={"faults": [{"kind": "unplug", "exposure": 5, "seconds": 0.4}]}, reconnect_s=50.0
+    )
+    before_s, seen = time.monotonic(), [subject.absent_until_s]
+    started(subject)
+    seen.append(subject.absent_until_s)
+    reader = threading.Thread(target=lambda: [read(subject) for _ in range(8)])
+    reader.start()
+    while reader.is_alive():
+        seen.append(subject.absent_until_s)
+        reader.join(0.01)
+    seen.append(subject.absent_until_s)
+    subject.close()
+
+    until_s = max(seen)
+    assert before_s + 50 < until_s < time.monotonic() + 50
+    assert set(seen) == {0.0, until_s}
+    assert seen[0] == seen[1] == seen[-1] == 0.0
 
 
 def test_a_board_that_stays_away_is_an_error_after_the_limit() -> None:

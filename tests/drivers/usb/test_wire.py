@@ -13,46 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.fuzz.usb import blocks
 from drivers import usb
 from drivers.usb.block import VERSION
-from drivers.usb.capabilities import BoardCapabilities, CaptureMode, RoiSize
+from drivers.usb.capabilities import BoardCapabilities
 from drivers.usb.errors import BadBlock
-from drivers.usb.frame_header import HEADER_BYTES, FrameFlag, FrameHeader, Stream, WindowStatus
-from drivers.usb.requests import (
-    Acknowledgement,
-    Answer,
-    BoardStatus,
-    BoardTime,
-    Configuration,
-    Fault,
-    Schedule,
-    State,
-)
+from drivers.usb.frame_header import HEADER_BYTES, FrameHeader
+from drivers.usb.requests import Schedule
 
-CAPABILITIES = BoardCapabilities(
-    width_px=16_320, height_px=9_184, context_px=(2040, 1148), step_px=2, lead_frames=3,
-    modes=(CaptureMode.LIVE, CaptureMode.RECORD), rates_mhz=(1000, 30_000), preview_mhz=7500,
-    burst_frames=105, link_bytes_per_s=400_000_000,
-    roi_sizes=(RoiSize(4080, 2296), RoiSize(8160, 4592, 2)), formats=(0x01080009, 0x02180014),
-    model="board", serial="S1", firmware="2.1",
-)  # fmt: skip
-CONFIGURATION = Configuration(
-    rate_mhz=30_000, roi_px=(4080, 2296), pixel_format=0x01080009, mode=CaptureMode.RECORD,
-    payload_crc=True, burst_frames=105, context_bytes=2_341_920, roi_bytes=9_367_680,
-)  # fmt: skip
-SCHEDULE = Schedule(schedule_id=7, first=1001, made_from=1000, corners=((2, 4), (6, 8)))
-ACKNOWLEDGEMENT = Acknowledgement(
-    schedule_id=7, answer=Answer.PARTLY_LATE, first_entry=3, next_exposure=1004
-)
-TIME = BoardTime(now_ns=1 << 40, next_exposure=12)
-STATUS = BoardStatus(state=State.RECORDING, fault=Fault.MEMORY, next_exposure=99, dropped=(5, 6))
-HEADER = FrameHeader(
-    stream=Stream.ROI, flags=FrameFlag.RECORDED | FrameFlag.PAYLOAD_CRC,
-    window_status=WindowStatus.STALE, exposure=1 << 33, stamp_ns=1 << 41,
-    window=(16, 18, 4096, 2314), size_px=(4080, 2296), pixel_format=0x01080009, row_bytes=4080,
-    payload_bytes=4080 * 2296, payload_crc=0xDEADBEEF, schedule_id=41, entry=17, dropped=3,
-)  # fmt: skip
-BLOCKS = [CAPABILITIES, CONFIGURATION, SCHEDULE, ACKNOWLEDGEMENT, TIME, STATUS, HEADER]
+BLOCKS = list(blocks().values())
 VALUES = {  # of the fields that PROTOCOL.md names
     "Capabilities": {
         "width_px": 16_320, "height_px": 9_184, "context_width_px": 2040,
@@ -110,7 +79,7 @@ def test_every_field_lies_where_the_document_says(title: str) -> None:
 
 
 def test_the_header_of_a_frame_has_the_length_that_the_document_says() -> None:
-    assert len(HEADER.pack()) == HEADER_BYTES == 96
+    assert len(blocks()["FrameHeader"].pack()) == HEADER_BYTES == 96
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda block: type(block).__name__)

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from drivers.samples import STRIP, Samples
 from operators.downsample import Downsample, DownsampleSettings
-from operators.downsample.samples import STRIP, Samples
 from operators.downsample.white_balance import Balance
 from pipeline import codec
 from pipeline.errors import MessageError, SettingsError

@@ -1,0 +1,1 @@
+"""What is attached to this host and what it can do; `fovea sensors`."""
