@@ -95,9 +95,10 @@ class FrameSender:
 
     def _rendered(self, stream: Stream, found: Exposed, dropped: int) -> _Sending:
         size = self._configuration.context_bytes, self._configuration.roi_bytes
-        payload = np.empty(size[stream], np.uint8)
         window = self._whole() if stream is Stream.CONTEXT else found.window
-        self._world.render(found.exposure, window, self._size_px(stream), payload, int(stream))
+        payload = self._world.payload(
+            found.exposure, window, self._size_px(stream), size[stream], int(stream)
+        )
         header = self._header(stream, found, dropped, payload).pack()
         return self._spoiled(stream, found, _Sending(header, payload, ends_at=len(payload)))
 
@@ -109,6 +110,7 @@ class FrameSender:
                 bytes([*sending.header[:20], sending.header[20] ^ 4]) + sending.header[21:]
             )
         if self._faults.due("corrupt_payload", k, name):
+            sending.payload = sending.payload.copy()  # a world may send the same bytes again
             sending.payload[half] ^= 4
         if self._faults.due("truncate", k, name):
             sending.ends_at, sending.truncated = half, True
