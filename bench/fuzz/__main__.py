@@ -1,4 +1,4 @@
-"""`python -m bench.fuzz graphs | orders | wire`."""
+"""`python -m bench.fuzz graphs | orders | wire | usb`."""
 
 from bench.fuzz.fuzz import fuzz
 
