@@ -19,11 +19,10 @@ from typing import Any
 from xml.etree import ElementTree
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from bench.machine import LIBRARIES, facts
 from bench.options import JSON, ROOT, Bench
+from bench.results.markdown import table_of
 from pipeline.errors import RunError
 from pipeline.text import harmless
 
@@ -67,12 +66,7 @@ def main(kernel: Path | None, path: Path | None) -> None:
     rows = [outcome(kind) for kind in KINDS]
     rows.append(guest(kernel) if kernel else not_run(GUEST, "needs --kernel; make test-guest"))
     result = {"bench": "sensors", **facts((*LIBRARIES, "pyusb", "PyGObject")), "kinds": rows}
-    table = Table(title="the contract of a dual-stream sensor")
-    for name in rows[0]:
-        table.add_column(name)
-    for row in rows:
-        table.add_row(*map(str, row.values()))
-    Console().print(table)
+    click.echo(table_of(rows))
     if path:
         path.write_text(json.dumps(result, indent=1) + "\n")
     if any(row["failed"] for row in rows):

@@ -19,12 +19,11 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from bench.machine import LIBRARIES, facts
 from bench.options import JSON, Bench
+from bench.results.markdown import table_of
 from bench.usb.gauge import spread
 from bench.usb.injection import Injection, injected
 from pipeline.text import harmless
@@ -93,18 +92,17 @@ def main(count: int, rate_hz: float, only: tuple[str, ...], seed: int, path: Pat
         "unexplained": sum(r["unexplained"] for r in rows),
         "delivered_wrong": sum(r["wrong"] for r in rows), "failures": rows,
     }  # fmt: skip
-    show(Console(), result)
+    click.echo(table_of(rows))
     if path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(result, indent=1) + "\n")
 
 
 def injections(case: Case, count: int, rate_hz: float, seed: int) -> list[Injection]:
-    """Inject a failure so many times; the k-th one is the same for the same seed."""
+    """Inject a failure so many times."""
 
     def one(number: int) -> Injection:
-        rng = np.random.default_rng([seed, CASES.index(case), number])
-        at, lasting_s = int(rng.integers(FIRST, LAST)), float(rng.uniform(*case.seconds))
+        at, lasting_s = drawn(case, seed, number)
         faults = [
             {"kind": kind, "exposure": at + 2 * k, "stream": case.stream, "seconds": lasting_s}
             for k, kind in enumerate(case.kinds)
@@ -115,6 +113,15 @@ def injections(case: Case, count: int, rate_hz: float, seed: int) -> list[Inject
 
     with ThreadPoolExecutor(case.at_a_time) as pool:
         return list(pool.map(one, range(count)))
+
+
+def drawn(case: Case, seed: int, number: int) -> tuple[int, float]:
+    """Return the exposure at which the failure happens, and how long it lasts.
+
+    The same for the same seed, whatever other failures are injected.
+    """
+    rng = np.random.default_rng([seed, CASES.index(case), number])
+    return int(rng.integers(FIRST, LAST)), float(rng.uniform(*case.seconds))
 
 
 def row(case: Case, found: Sequence[Injection]) -> dict[str, Any]:
@@ -171,20 +178,6 @@ def quiet() -> Iterator[None]:
         yield
     finally:
         logger.propagate = before
-
-
-def show(console: Console, result: Mapping[str, Any]) -> None:
-    """Print the table."""
-    table = Table(title=f"failures of the link, {result['count']} times each")
-    columns = (
-        "failure", "driver", "exposed", "delivered", "lost", "unexplained", "wrong",
-        "ended_with_error", "recovery_p50_ms", "recovery_p99_ms", "recovery_most_ms",
-    )  # fmt: skip
-    for name in columns:
-        table.add_column(name.replace("_", " "))
-    for row in result["failures"]:
-        table.add_row(*("–" if row[name] is None else str(row[name]) for name in columns))
-    console.print(table)
 
 
 if __name__ == "__main__":

@@ -20,11 +20,10 @@ from typing import Any
 import click
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
-from rich.console import Console
-from rich.table import Table
 
 from bench.machine import LIBRARIES, facts
 from bench.options import JSON, Bench
+from bench.results.markdown import table_of
 from bench.usb.backend import RingBoard, RingSettings
 from bench.usb.gauge import Gauge, spread
 from bench.usb.model import ModelLink, compiled
@@ -72,7 +71,7 @@ def main(
         "seconds": seconds, "rounds": rounds, "busy_processes": busy,
         "link_bytes_per_s": link if over == "model" else None, "rows": rows,
     }  # fmt: skip
-    show(Console(), rows, over)
+    click.echo(table_of(rows))
     if path:
         path.write_text(json.dumps(result, indent=1) + "\n")
 
@@ -225,16 +224,6 @@ def computing(count: int) -> Iterator[None]:
 def _compute() -> None:
     while True:
         sum(range(100_000))
-
-
-def show(console: Console, rows: Sequence[Row], over: str) -> None:
-    """Print the table."""
-    table = Table(title=f"reads in flight over {over}")
-    for name in rows[0]:
-        table.add_column(name.replace("_", " "), justify="right")
-    for row in rows:
-        table.add_row(*map(str, row.values()))
-    console.print(table)
 
 
 if __name__ == "__main__":

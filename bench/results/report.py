@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from bench.results.markdown import cell, lines, table
+from bench.results.markdown import cell, lines, table, table_of
 from bench.results.table import ResultError
 
 T = TypeVar("T")
@@ -228,9 +228,7 @@ def _tables(values: Mapping[str, Any]) -> list[str]:
     found = []
     for name, rows in values.items():
         if _is_rows(rows):
-            columns = list(rows[0])
-            cells = [[cell(row.get(c)) for c in columns] for row in rows]
-            found += [f"`{name}`:", table(columns, cells)]
+            found += [f"`{name}`:", table_of(rows)]
     return found
 
 

@@ -21,23 +21,26 @@ class Gauge:
         self._lock = threading.Lock()
         self._cpu_ns = self._bytes = self._reads = self._open = 0
         self._begun_ns = self._ended_ns = self._last_ns = 0
+        self._process_ns = (0, 0)  # processor time of the process, at the first and the last read
         self._gaps_ms = array("d")  # in which no read was open, after one that brought bytes
 
     @contextmanager
     def spent(self) -> Iterator[None]:
-        """Count the processor time of a block."""
+        """Count the processor time of a block, from the first read on."""
         began_ns = time.thread_time_ns()
         try:
             yield
         finally:
             with self._lock:
-                self._cpu_ns += time.thread_time_ns() - began_ns
+                if self._begun_ns:
+                    self._cpu_ns += time.thread_time_ns() - began_ns
 
     def begins(self) -> None:
         """Note that the board has a read to answer."""
         now_ns = time.monotonic_ns()
         with self._lock:
-            self._begun_ns = self._begun_ns or now_ns
+            if not self._begun_ns:
+                self._begun_ns, self._process_ns = now_ns, (time.process_time_ns(),) * 2
             if not self._open and self._ended_ns:
                 self._gaps_ms.append((now_ns - self._ended_ns) / 1e6)
             self._open += 1
@@ -49,9 +52,10 @@ class Gauge:
             self._open -= 1
             self._ended_ns = 0 if self._open or count is None else now_ns
             if count:
-                self._bytes, self._reads, self._last_ns = (
-                    self._bytes + count, self._reads + 1, now_ns,
-                )  # fmt: skip
+                self._bytes += count
+                self._reads += 1
+                self._last_ns = now_ns
+                self._process_ns = self._process_ns[0], time.process_time_ns()
 
     def gaps_ms(self) -> list[float]:
         """Return how long no read was open, each time."""
@@ -62,11 +66,13 @@ class Gauge:
         """Return the figures from the first read to the last that brought bytes."""
         with self._lock:
             elapsed_s = max(1e-9, (self._last_ns - self._begun_ns) / 1e9)
+            process_ns = self._process_ns[1] - self._process_ns[0]
             return {
                 "seconds": round(elapsed_s, 3),
                 "reads": self._reads,
                 "megabytes_per_s": round(self._bytes / elapsed_s / 1e6, 1),
-                "cpu_percent": round(100 * self._cpu_ns / 1e9 / elapsed_s, 1),
+                "cpu_percent": round(self._cpu_ns / 1e7 / elapsed_s, 1),
+                "share_of_its_process_percent": round(100 * self._cpu_ns / max(1, process_ns), 1),
                 "no_read_open_percent": round(sum(self._gaps_ms) / 10 / elapsed_s, 2),
                 **{f"gap_{name}_ms": value for name, value in spread(self._gaps_ms).items()},
             }

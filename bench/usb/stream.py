@@ -10,18 +10,18 @@ and what it copies stands for the host controller's work.
 import json
 import os
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 import psutil
-from rich.console import Console
-from rich.table import Table
 
 from bench.machine import LIBRARIES, facts
 from bench.options import JSON, ROOT, Bench, file_name
+from bench.results.markdown import table_of
 from bench.run_time import PAPER_MS, TOTAL
 from bench.usb.backend import RingSettings
 from drivers.usb.capabilities import BoardCapabilities
@@ -39,6 +39,9 @@ from pipeline.run.supervisor import Supervisor
 BOARD, WITNESS = ROOT / "bench/usb_board.yaml", ROOT / "bench/usb_witness.yaml"
 WANTED_HZ = 30.0
 PAPER_LIVE_HZ, PAPER_DELAY_FRAMES = 7.5, 60  # of its board; the delay includes read-out
+SENDERS = {"context": "capture", "roi": "capture", "small": "downsample"}  # else their namesakes
+SINGLE = ("achieved_hz", "cores_used", "cores_busy_percent")
+NESTED = ("frames", "copies", "loop_ms", "commands", "board")
 TABLES = ("beside_the_paper", "stages", "edges")
 Frames = Sequence[Sequence[Any]]  # stream, seq, place, bytes
 
@@ -63,19 +66,17 @@ def main(
     settings = RingSettings(ring=ring, seed=seed, size_px=size)
     can = settings.scaled().can
     rate_hz = rate_hz or rate_of(can, form)
-    used = sorted(os.sched_getaffinity(0))[:cores]
-    os.sched_setaffinity(0, used)
-    with tempfile.TemporaryDirectory() as folder:
+    with on_cores(cores) as used, tempfile.TemporaryDirectory() as folder:
         logs = Path(folder) / "board.json", Path(folder) / "witness.json"
         plan = plan_of(graph, changes, settings, form, rate_hz, logs)
         report, busy_percent = run(plan, seconds)
         board, seen = (json.loads(log.read_text()) for log in logs)
     result = {
         "bench": "usb", **facts((*LIBRARIES, "pyusb")), "graph": file_name(graph), "seed": seed,
-        "format": form.name, "rate_hz": rate_hz, "cores_used": len(used), "changes": list(changes),
+        "format": form.name, "rate_hz": rate_hz, "cores_used": used, "changes": list(changes),
         **summarise(report, board, seen, busy_percent, can, form),
     }  # fmt: skip
-    show(Console(), result)
+    show(result)
     if path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(result, indent=1) + "\n")
@@ -92,6 +93,18 @@ def frame_bytes(can: BoardCapabilities, form: PixelFormat) -> int:
     roi = can.roi_sizes[0]
     pictures = (can.context_px, (roi.width_px, roi.height_px))
     return sum(form.row_bytes(width) * height for width, height in pictures)
+
+
+@contextmanager
+def on_cores(most: int) -> Iterator[int]:
+    """Keep to the first cores, as processes started meanwhile do; yields how many there are."""
+    allowed = os.sched_getaffinity(0)
+    used = sorted(allowed)[:most]
+    os.sched_setaffinity(0, used)
+    try:
+        yield len(used)
+    finally:
+        os.sched_setaffinity(0, allowed)
 
 
 def plan_of(
@@ -143,8 +156,6 @@ def summarise(
 ) -> dict[str, Any]:  # fmt: skip
     """Return the figures; lists are tables."""
     frames = report["frames"]
-    gauge = dict(board["board"])
-    capture = next(s for s in report["stages"] if s["node"] == "capture")
     copied = copies(by_frame(board["frames"]), by_frame(seen))
     return {
         "beside_the_paper": beside_the_paper(report, copied),
@@ -160,9 +171,7 @@ def summarise(
         "copies": copied,
         "loop_ms": {share: report["loop"]["latency_ms"][share] for share in ("p50", "p99")},
         "commands": dict(report["commands"]),
-        "board": {
-            **gauge, "share_of_capture_percent": _share(gauge["cpu_percent"], capture),
-        },
+        "board": board["board"],
         "cores_busy_percent": busy_percent,
         "stages": stages(report, seen),
         "edges": [
@@ -214,9 +223,8 @@ def copies(
 def stages(report: Report, seen: Frames) -> list[dict[str, Any]]:
     """Return a row per stage; bytes are of the pictures that it sends, as measured."""
     sizes: dict[str, dict[str, int]] = {}
-    outputs = {"context": "capture", "roi": "capture", "small": "downsample"}
     for name, _, _, count in seen:
-        sizes.setdefault(outputs.get(name, name), {})[name] = count
+        sizes.setdefault(SENDERS.get(name) or str(name), {})[name] = count
     rows = []
     for stage in report["stages"]:
         sent = sum(sizes.get(stage["node"], {}).values())
@@ -230,29 +238,17 @@ def stages(report: Report, seen: Frames) -> list[dict[str, Any]]:
     return rows
 
 
-def show(console: Console, result: Mapping[str, Any]) -> None:
+def show(result: Mapping[str, Any]) -> None:
     """Print the figures."""
-    figures = Table(title=f"{result['graph']}: {result['format']} at {result['rate_hz']:g} Hz")
-    for name in ("figure", "value"):
-        figures.add_column(name)
-    for key in ("achieved_hz", "cores_busy_percent"):
-        figures.add_row(key, str(result[key]))
-    for key in ("frames", "copies", "loop_ms", "commands", "board"):
-        for name, value in result[key].items():
-            figures.add_row(f"{key}.{name}", str(value))
-    console.print(figures)
-    for key in TABLES:
-        rows = result[key]
-        table = Table(title=key)
-        for name in rows[0]:
-            table.add_column(name)
-        for row in rows:
-            table.add_row(*map(str, row.values()))
-        console.print(table)
-
-
-def _share(cpu_percent: float, capture: Mapping[str, Any]) -> float:
-    return round(100 * cpu_percent / max(1e-9, capture["cpu_percent"]), 1)
+    click.echo(f"{result['graph']}: {result['format']} at {result['rate_hz']:g} Hz")
+    figures = [{"figure": key, "value": result[key]} for key in SINGLE]
+    figures += [
+        {"figure": f"{key}.{name}", "value": value}
+        for key in NESTED
+        for name, value in result[key].items()
+    ]
+    for rows in (figures, *(result[key] for key in TABLES)):
+        click.echo(f"\n{table_of(rows)}")
 
 
 if __name__ == "__main__":
