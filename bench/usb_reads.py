@@ -25,7 +25,7 @@ from bench.machine import LIBRARIES, facts
 from bench.options import JSON, Bench
 from bench.results.markdown import table_of
 from bench.usb.backend import RingBoard, RingSettings
-from bench.usb.gauge import Gauge, spread
+from bench.usb.gauge import spread
 from bench.usb.model import ModelLink, compiled
 from drivers.usb import DualStreamBoard, DualStreamBoardSettings
 from drivers.usb.frame_header import Stream
@@ -49,11 +49,14 @@ Row = dict[str, Any]
 @click.option("--link", default=LINK_BYTES_PER_S, show_default=True, help="Bytes/s of the model.")
 @click.option("--busy", default=0, show_default=True, help="Processes that compute meanwhile.")
 @click.option("--rate-hz", default=30.0, show_default=True, help="Of the board, not the model.")
+@click.option(
+    "--size", nargs=2, type=int, default=(0, 0), help="Of usbip's sensor, 0: the paper's."
+)
 @click.option("--seed", default=0, show_default=True, help="Of the order.")
 @JSON
 def main(
     reads: tuple[int, ...], over: str, seconds: float, rounds: int, link: int, busy: int,
-    rate_hz: float, seed: int, path: Path | None,
+    rate_hz: float, size: tuple[int, int], seed: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Measure each number of reads, several rounds in shuffled order."""
     reads = reads or (1, 2, 4, 8, 16)
@@ -61,7 +64,7 @@ def main(
     order = [int(n) for _ in range(rounds) for n in rng.permutation(reads)]
     found: dict[int, list[Row]] = {n: [] for n in reads}
     with ExitStack() as stack:
-        measure = _way(stack, over, link, rate_hz)
+        measure = _way(stack, over, link, rate_hz, size)
         stack.enter_context(computing(busy))
         for count in order:
             found[count].append(measure(count, seconds))
@@ -69,21 +72,23 @@ def main(
     result = {
         "bench": "usb_reads", **facts((*LIBRARIES, "pyusb")), "seed": seed, "over": over,
         "seconds": seconds, "rounds": rounds, "busy_processes": busy,
-        "link_bytes_per_s": link if over == "model" else None, "rows": rows,
+        "link_bytes_per_s": link if over == "model" else None,
+        "size_px": list(size) if over == "usbip" else None, "rows": rows,
     }  # fmt: skip
     click.echo(table_of(rows))
     if path:
         path.write_text(json.dumps(result, indent=1) + "\n")
 
 
-def _way(stack: ExitStack, over: str, link: int, rate_hz: float) -> Callable[[int, float], Row]:
+def _way(
+    stack: ExitStack, over: str, link: int, rate_hz: float, size_px: tuple[int, int]
+) -> Callable[[int, float], Row]:
     if over == "model":
         library = compiled(Path(stack.enter_context(tempfile.TemporaryDirectory())))
         return lambda depth, seconds: over_model(library, depth, seconds, link)
-    if over == "attached":
-        return lambda depth, seconds: over_kernel(depth, seconds, rate_hz, None)
-    board = stack.enter_context(virtual_board())
-    return lambda depth, seconds: over_kernel(depth, seconds, rate_hz, board)
+    if over == "usbip":
+        stack.enter_context(virtual_board(size_px))
+    return lambda depth, seconds: over_kernel(depth, seconds, rate_hz)
 
 
 def over_model(library: Any, depth: int, seconds: float, link: int) -> Row:
@@ -105,8 +110,12 @@ def over_model(library: Any, depth: int, seconds: float, link: int) -> Row:
         )  # fmt: skip
 
 
-def over_kernel(depth: int, seconds: float, rate_hz: float, board: RingBoard | None) -> Row:
-    """Read exposures through the whole driver for so long."""
+def over_kernel(depth: int, seconds: float, rate_hz: float) -> Row:
+    """Read exposures through the whole driver for so long.
+
+    How long the link waits is not known there: a host controller does not tell it, and the time
+    between two reads of a USB/IP device is mostly its own.
+    """
     subject = _Opened(DualStreamBoardSettings(
         rate_hz=rate_hz, pixel_format="bayer_rggb8", in_flight=depth, link_bytes_per_s=1 << 40
     ))  # fmt: skip
@@ -122,9 +131,6 @@ def over_kernel(depth: int, seconds: float, rate_hz: float, board: RingBoard | N
         in_effect = subject.in_flight
         subject.start()
         subject.read(memory)
-        gauge = Gauge()
-        if board is not None:
-            board.gauge = gauge
         before, began_s, cpu_s = subject.summary(), time.monotonic(), time.thread_time()
         while (elapsed_s := time.monotonic() - began_s) < seconds:
             subject.read(memory)
@@ -133,9 +139,7 @@ def over_kernel(depth: int, seconds: float, rate_hz: float, board: RingBoard | N
         subject.close()
     exposures, lost = (told["frames"][n] - before["frames"][n] for n in ("exposed", "lost"))
     count = told["link"]["bytes"] - before["link"]["bytes"]
-    return _row(
-        in_effect, elapsed_s, exposures, count, gauge.gaps_ms(), lost=lost, cpu_s=cpu_s
-    )  # fmt: skip
+    return _row(in_effect, elapsed_s, exposures, count, None, lost=lost, cpu_s=cpu_s)
 
 
 class _Opened(DualStreamBoard):
@@ -146,15 +150,15 @@ class _Opened(DualStreamBoard):
 
 
 def _row(
-    in_effect: int, elapsed_s: float, exposures: int, count: int, gaps_ms: Sequence[float], *,
-    lost: int, cpu_s: float,
+    in_effect: int, elapsed_s: float, exposures: int, count: int, gaps_ms: Sequence[float] | None,
+    *, lost: int, cpu_s: float,
 ) -> Row:  # fmt: skip
     return {
         "in_effect": in_effect,
         "megabytes_per_s": count / elapsed_s / 1e6,
         "exposures_hz": exposures / elapsed_s,
         "lost": lost,
-        "waits_percent": sum(gaps_ms) / 10 / elapsed_s,
+        "waits_percent": None if gaps_ms is None else sum(gaps_ms) / 10 / elapsed_s,
         "driver_cpu_percent": 100 * cpu_s / elapsed_s,
         "gaps": gaps_ms,
     }
@@ -163,7 +167,8 @@ def _row(
 def summary(reads: int, rounds: Sequence[Row]) -> Row:
     """Return the line of a number of reads: the median round, the range of throughput, all gaps."""
     rates = [row["megabytes_per_s"] for row in rounds]
-    gaps = spread([gap for row in rounds for gap in row["gaps"]])
+    known = rounds[0]["gaps"] is not None
+    gaps = spread([gap for row in rounds for gap in row["gaps"] or ()])
 
     def middle(name: str) -> float:
         return round(float(np.median([row[name] for row in rounds])), 2)
@@ -172,17 +177,19 @@ def summary(reads: int, rounds: Sequence[Row]) -> Row:
         "reads": reads, "in_effect": rounds[0]["in_effect"],
         "megabytes_per_s": middle("megabytes_per_s"),
         "range_megabytes_per_s": f"{min(rates):.1f} to {max(rates):.1f}",
-        "exposures_hz": middle("exposures_hz"), "link_waits_percent": middle("waits_percent"),
-        **{f"gap_{name}_ms": value for name, value in gaps.items()},
+        "exposures_hz": middle("exposures_hz"),
+        "link_waits_percent": middle("waits_percent") if known else None,
+        **{f"gap_{name}_ms": value if known else None for name, value in gaps.items()},
         "driver_cpu_percent": middle("driver_cpu_percent"),
         "lost": sum(row["lost"] for row in rounds),
     }  # fmt: skip
 
 
 @contextmanager
-def virtual_board() -> Iterator[RingBoard]:
-    """Attach a virtual board of the paper's geometry to this kernel; its link takes no time."""
-    board, failures = RingBoard(RingSettings(ring=1, unlimited=True)), list[DriverError]()
+def virtual_board(size_px: tuple[int, int]) -> Iterator[None]:
+    """Attach a virtual board to this kernel; its link takes no time of its own."""
+    board = RingBoard(RingSettings(ring=0, unlimited=True, size_px=size_px))
+    failures: list[DriverError] = []
 
     def served() -> None:
         try:
@@ -200,7 +207,7 @@ def virtual_board() -> Iterator[RingBoard]:
     if failures:
         raise failures[0]
     try:
-        yield board
+        yield
     finally:
         detach(PORT)
         thread.join(FOUND_S)

@@ -12,12 +12,13 @@ from typing import Any
 
 from bench.usb.gauge import GaugedBoard
 from bench.usb.places import Places
-from bench.usb.ring import Prepared, RingWorld, prepared
+from bench.usb.ring import BlankWorld, Prepared, RingWorld, prepared
 from drivers.usb.errors import BadBlock
 from drivers.usb.frame_header import HEADER_BYTES, FrameHeader, Stream
 from drivers.virtual_board.backend import VirtualBackend, VirtualBoardSettings
 from drivers.virtual_board.descriptors import ENDPOINTS
 from drivers.virtual_board.profiles import Profile
+from drivers.virtual_board.world import World
 from pipeline.errors import SettingsError
 from pipeline.pixel_formats import BY_CODE
 from pipeline.whole_file import write_whole
@@ -31,14 +32,14 @@ class RingSettings(VirtualBoardSettings):
 
     profile: str = "paper-live"
     scene: str = "soccer"
-    ring: int = 4  # pictures of the whole sensor: 150 MB each at 8 bit of the paper's size
+    ring: int = 4  # pictures, 150 MB each at 8 bit of the paper's size; 0: black ones
     unlimited: bool = False  # any rate, and a link that takes no time
     log: str = ""  # file for the figures when the board is closed; empty: none
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 1 <= self.ring <= 64:
-            raise SettingsError(f"ring: expected 1 to 64, got {self.ring}")
+        if not 0 <= self.ring <= 64:
+            raise SettingsError(f"ring: expected 0 to 64, got {self.ring}")
 
     def scaled(self) -> Profile:
         """Return the profile with the size of the sensor, and without limits where asked for."""
@@ -57,8 +58,10 @@ class RingBoard(GaugedBoard):
         self._rings: dict[int, list[Prepared]] = {}
         super().__init__(settings.scaled(), self._opened)
 
-    def _opened(self, code: int, _most_px: int) -> RingWorld:
+    def _opened(self, code: int, _most_px: int) -> World:
         form, can = BY_CODE[code], self.profile.can
+        if not self._settings.ring:
+            return BlankWorld(form)
         if code not in self._rings:  # only the newest: they are large
             sizes = (can.width_px, can.height_px), can.context_px
             count, seed = self._settings.ring, self._settings.seed

@@ -16,7 +16,7 @@ from drivers.simulated.sources import open_scene
 from drivers.usb.frame_header import Stream, Window
 from drivers.virtual_board.world import World
 from pipeline.errors import DriverError
-from pipeline.pixel_formats import BY_CODE, PixelFormat
+from pipeline.pixel_formats import PixelFormat
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +81,28 @@ class RingWorld(World):
         """Nothing is held open."""
 
 
+class BlankWorld(World):
+    """Sends black pictures, which take no time to prepare."""
+
+    def __init__(self, form: PixelFormat) -> None:
+        self.length = None
+        self._form = form
+        self._black: dict[int, NDArray[np.uint8]] = {}
+
+    def code(self, window: Window, size_px: tuple[int, int]) -> int:
+        """PFNC code of a frame."""
+        return self._form.shifted(window[0], window[1]).code
+
+    def payload(
+        self, index: int, window: Window, size_px: tuple[int, int], nbytes: int, port: int
+    ) -> NDArray[np.uint8]:
+        """Return the same bytes again."""
+        return self._black.setdefault(nbytes, np.zeros(nbytes, np.uint8))
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
 def turned(index: int, count: int) -> int:
     """Return the place in a ring that is passed forwards and backwards.
 
@@ -89,14 +111,6 @@ def turned(index: int, count: int) -> int:
     """
     around = max(1, 2 * count - 2)
     return min(index % around, around - index % around) if count > 1 else 0
-
-
-def ring_world(
-    code: int, size_px: tuple[int, int], context_px: tuple[int, int], *, count: int, seed: int
-) -> RingWorld:
-    """Prepare pictures in the format of that PFNC code."""
-    form = BY_CODE[code]
-    return RingWorld(form, prepared(form, size_px, context_px, count=count, seed=seed))
 
 
 def _mosaic(

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 import psutil
@@ -46,6 +46,14 @@ TABLES = ("beside_the_paper", "stages", "edges")
 Frames = Sequence[Sequence[Any]]  # stream, seq, place, bytes
 
 
+class Usage(NamedTuple):
+    """Processor time while frames were exposed."""
+
+    spent_s: Mapping[str, float]  # by process
+    elapsed_s: float
+    busy_percent: float  # of all cores of the machine, whatever ran there
+
+
 @click.command(cls=Bench, help=__doc__)
 @click.argument("graph", default="tracking", type=GRAPH_FILE)
 @click.option("--seconds", default=60.0, show_default=True, type=click.FloatRange(2, 3600))
@@ -69,12 +77,12 @@ def main(
     with on_cores(cores) as used, tempfile.TemporaryDirectory() as folder:
         logs = Path(folder) / "board.json", Path(folder) / "witness.json"
         plan = plan_of(graph, changes, settings, form, rate_hz, logs)
-        report, busy_percent = run(plan, seconds)
+        report, usage = run(plan, seconds)
         board, seen = (json.loads(log.read_text()) for log in logs)
     result = {
         "bench": "usb", **facts((*LIBRARIES, "pyusb")), "graph": file_name(graph), "seed": seed,
         "format": form.name, "rate_hz": rate_hz, "cores_used": used, "changes": list(changes),
-        **summarise(report, board, seen, busy_percent, can, form),
+        "frame_bytes": frame_bytes(can, form), **summarise(report, board, seen, usage, plan),
     }  # fmt: skip
     show(result)
     if path:
@@ -134,32 +142,44 @@ def plan_of(
     return replace(found, name=f"{found.name}-usb", nodes=tuple(nodes))
 
 
-def run(plan: Plan, seconds: float) -> tuple[Report, float]:
-    """Run a plan; return its report and how busy the machine's cores were meanwhile, percent."""
+def run(plan: Plan, seconds: float) -> tuple[Report, Usage]:
+    """Run a plan; return its report, and the processor time while frames were exposed."""
     with Supervisor(plan) as supervisor:
         supervisor.start()
+        before = processor_s(supervisor)
         psutil.cpu_percent()  # the first call begins to count
         while not supervisor.finished and supervisor.exposed_s < seconds:
             supervisor.tick()
-        busy_percent, elapsed_s = psutil.cpu_percent(), supervisor.exposed_s
+        elapsed_s, busy_percent = supervisor.exposed_s, psutil.cpu_percent()
+        spent = {name: s - before.get(name, 0.0) for name, s in processor_s(supervisor).items()}
         if supervisor.begun:
             supervisor.finish()
         supervisor.stop()
         if supervisor.failure:
             raise RunError(supervisor.failure)
-        return account_of(supervisor, elapsed_s), busy_percent
+        return account_of(supervisor, elapsed_s), Usage(spent, elapsed_s, busy_percent)
+
+
+def processor_s(supervisor: Supervisor) -> dict[str, float]:
+    """Return the processor time of each process since it was started."""
+    found = {}
+    for name in supervisor.plan.processes():
+        try:
+            times = psutil.Process(supervisor.pid(name)).cpu_times()
+        except psutil.NoSuchProcess:
+            continue
+        found[name] = times.user + times.system
+    return found
 
 
 def summarise(
-    report: Report, board: Mapping[str, Any], seen: Frames, busy_percent: float,
-    can: BoardCapabilities, form: PixelFormat,
+    report: Report, board: Mapping[str, Any], seen: Frames, usage: Usage, plan: Plan,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the figures; lists are tables."""
     frames = report["frames"]
     copied = copies(by_frame(board["frames"]), by_frame(seen))
     return {
         "beside_the_paper": beside_the_paper(report, copied),
-        "frame_bytes": frame_bytes(can, form),
         "achieved_hz": report["rate"]["achieved_hz"],
         "frames": {
             "delivered": frames["exposed"],
@@ -172,8 +192,9 @@ def summarise(
         "loop_ms": {share: report["loop"]["latency_ms"][share] for share in ("p50", "p99")},
         "commands": dict(report["commands"]),
         "board": board["board"],
-        "cores_busy_percent": busy_percent,
-        "stages": stages(report, seen),
+        "cores_busy_percent": usage.busy_percent,
+        "restarts": sum(report["restarts"].values()),
+        "stages": stages(report, seen, usage, plan),
         "edges": [
             {"from": e["from"], "to": e["to"], "offered": e["offered"],
              "delivered": e["delivered"],
@@ -220,19 +241,29 @@ def copies(
     return {"compared": len(both), "in_place": same, "copied": len(both) - same}
 
 
-def stages(report: Report, seen: Frames) -> list[dict[str, Any]]:
-    """Return a row per stage; bytes are of the pictures that it sends, as measured."""
+def stages(report: Report, seen: Frames, usage: Usage, plan: Plan) -> list[dict[str, Any]]:
+    """Return a row per stage; bytes are of the pictures that it sends, as measured.
+
+    Stages of one process share its processor time, which stands at the first of them.
+    """
     sizes: dict[str, dict[str, int]] = {}
     for name, _, _, count in seen:
         sizes.setdefault(SENDERS.get(name) or str(name), {})[name] = count
     rows = []
+    told = set[str]()
+    exposed = max(1, report["frames"]["exposed"])
     for stage in report["stages"]:
+        process = plan.node(stage["node"]).process
+        spent_s = 0.0 if process in told else usage.spent_s.get(process, 0.0)
+        told.add(process)
         sent = sum(sizes.get(stage["node"], {}).values())
         rows.append({
             "stage": stage["node"], "rate_hz": stage["rate_hz"],
             "handler_p50_ms": stage["latency_ms"]["p50"],
             "handler_p99_ms": stage["latency_ms"]["p99"],
-            "process_cpu_percent": stage["cpu_percent"], "rss_mb": stage["rss_mb"],
+            "process": process,
+            "cpu_percent": round(100 * spent_s / usage.elapsed_s, 1),
+            "cpu_ms_per_exposure": round(1e3 * spent_s / exposed, 2), "rss_mb": stage["rss_mb"],
             "sent_megabytes_per_s": round(sent * stage["rate_hz"] / 1e6, 1),
         })  # fmt: skip
     return rows

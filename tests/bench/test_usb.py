@@ -77,8 +77,8 @@ def test_the_ring_keeps_the_order_of_colours_and_shows_the_commanded_window() ->
 
 
 def test_a_ring_out_of_range_is_refused() -> None:
-    with pytest.raises(SettingsError, match="ring: expected 1 to 64, got 0"):
-        RingSettings(ring=0)
+    with pytest.raises(SettingsError, match="ring: expected 0 to 64, got 65"):
+        RingSettings(ring=65)
 
 
 def test_the_backend_writes_down_where_each_frame_was_put(tmp_path: Path) -> None:
