@@ -53,7 +53,6 @@ class RingWorld(World):
     def __init__(self, form: PixelFormat, ring: Sequence[Prepared]) -> None:
         self.length = None
         self._form, self._ring = form, ring
-        self._window = np.empty((0, 0), form.dtype)
 
     def code(self, window: Window, size_px: tuple[int, int]) -> int:
         """PFNC code of a frame; the context has the sensor's own order."""
@@ -62,20 +61,17 @@ class RingWorld(World):
     def payload(
         self, index: int, window: Window, size_px: tuple[int, int], nbytes: int, port: int
     ) -> NDArray[np.uint8]:
-        """Return the bytes of a frame: of the context as they lie, of the ROI a copy of its rows.
+        """Return the bytes of a frame as they lie in the prepared pictures.
 
         Raises `DriverError` for a window that is not read pixel by pixel.
         """
         found = self._ring[turned(index, len(self._ring))]
         if port == Stream.CONTEXT:
             return found.context.reshape(-1).view(np.uint8)
-        left, top, right, bottom = window
+        (left, top, right, bottom), wide = window, found.field.itemsize
         if (right - left, bottom - top) != size_px:
             raise DriverError(f"ring: expected a window of {size_px}, got {window}")
-        if self._window.shape != (bottom - top, right - left):
-            self._window = np.empty((bottom - top, right - left), self._form.dtype)
-        np.copyto(self._window, found.field[top:bottom, left:right])
-        return self._window.reshape(-1).view(np.uint8)
+        return found.field.view(np.uint8)[top:bottom, left * wide : right * wide]
 
     def close(self) -> None:
         """Nothing is held open."""

@@ -42,7 +42,10 @@ class World:
     def payload(
         self, index: int, window: Window, size_px: tuple[int, int], nbytes: int, port: int
     ) -> NDArray[np.uint8]:
-        """Return the bytes (nbytes,) of a frame; valid until the next frame of that stream."""
+        """Return the bytes of a frame, (nbytes,) or (rows, row_bytes) with gaps between the rows.
+
+        They are valid until the next frame of that stream.
+        """
         out = np.empty(nbytes, np.uint8)
         self.render(index, window, size_px, out, port)
         return out
