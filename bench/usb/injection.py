@@ -54,7 +54,7 @@ class _Ledger:
 
     lost: Counter[str] = field(default_factory=Counter)
     unexplained: int = 0
-    never_exposed: int = 0
+    numbers: int = 0  # of exposures, up to the last that was delivered
     delivered: int = 0
     wrong: int = 0
 
@@ -103,6 +103,7 @@ def _read(
         now_s, told = time.monotonic(), subject.summary()
         here = len(board.exposed) - 1, found.header.seq - subject.first_seq
         _account(ledger, board.exposed, last, here, before, told)
+        ledger.numbers = found.header.seq + 1
         _check(ledger, found, here[1])
         last, before, known = here, told, begun
         begun = _begun(board.script.times, paused_s, pause_at)
@@ -136,18 +137,26 @@ def _account(
     before: Mapping[str, Any], told: Mapping[str, Any],
 ) -> None:  # fmt: skip
     """Put what was lost between two deliveries down to what the driver counted meanwhile."""
-    start, first = (here[0], 0) if here[0] != last[0] else last
-    known = exposed[here[0]]
-    passed = range(first if here[0] != last[0] else first + 1, here[1])
-    missing = sum(k in known for k in passed)
-    ledger.never_exposed += len(passed) - missing
-    if here[0] != last[0]:
-        missing += sum(k > last[1] for k in exposed[last[0]])
-        missing += sum(len(exposed[k]) for k in range(last[0] + 1, start))
+    missing = exposures_between(exposed, last, here)
     shares = explained(missing, before, told)
     ledger.lost.update(shares)
     ledger.unexplained += missing - sum(shares.values())
     ledger.delivered += 1
+
+
+def exposures_between(
+    exposed: Sequence[set[int]], last: tuple[int, int], here: tuple[int, int]
+) -> int:
+    """Return how many exposures lie between two (START, exposure), both exclusive.
+
+    >>> exposures_between([{0, 1, 2}, {0, 1}], (0, 1), (1, 1))
+    2
+    """
+    return sum(
+        last < (start, exposure) < here
+        for start in range(last[0], here[0] + 1)
+        for exposure in exposed[start]
+    )
 
 
 def explained(missing: int, before: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, int]:
@@ -183,8 +192,7 @@ def _closed(
 ) -> Injection:  # fmt: skip
     """Close the account: what was exposed up to the last delivery has arrived or is lost."""
     exposed = subject.board.exposed
-    total = sum(len(known) for known in exposed[: last[0]])
-    total += sum(k <= last[1] for k in exposed[last[0]])
+    total = exposures_between(exposed, (0, -1), (last[0], last[1] + 1))
     told = subject.summary()
     events = {name: told["link"][name] for name in LINK if told["link"][name]}
     events |= {f"lost, {name}": count for name, count in told["losses"].items()}
@@ -192,7 +200,8 @@ def _closed(
     happened = since_s >= 0
     return Injection(
         exposed=total, delivered=ledger.delivered, lost=dict(ledger.lost),
-        unexplained=ledger.unexplained, never_exposed=ledger.never_exposed, wrong=ledger.wrong,
+        unexplained=ledger.unexplained, never_exposed=max(0, ledger.numbers - total),
+        wrong=ledger.wrong,
         events=events, sentences=[text for _, text in heard], error=error,
         said_ms=1e3 * (min(said) - since_s) if said and happened else -1.0,
         recovered_ms=1e3 * (recovered_s - since_s - lasting_s)

@@ -176,18 +176,11 @@ def summarise(
     report: Report, board: Mapping[str, Any], seen: Frames, usage: Usage, plan: Plan,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the figures; lists are tables."""
-    frames = report["frames"]
     copied = copies(by_frame(board["frames"]), by_frame(seen))
     return {
         "beside_the_paper": beside_the_paper(report, copied),
         "achieved_hz": report["rate"]["achieved_hz"],
-        "frames": {
-            "delivered": frames["exposed"],
-            "before_the_first": min((seq for _, seq, _, _ in board["frames"]), default=0),
-            "dropped": frames["lost"] + frames["overrun"],
-            "lost": frames["lost"], "overrun": frames["overrun"],
-            **{f"reason_{name}": count for name, count in report["losses"].items()},
-        },
+        "frames": drops(report, board["frames"]),
         "copies": copied,
         "loop_ms": {share: report["loop"]["latency_ms"][share] for share in ("p50", "p99")},
         "commands": dict(report["commands"]),
@@ -204,19 +197,46 @@ def summarise(
     }  # fmt: skip
 
 
+def drops(report: Report, written: Frames) -> dict[str, int]:
+    """Return what became of the exposures, by the reasons that the driver counted.
+
+    Those before the first that was delivered were exposed while the graph still started. What no
+    reason explains is `unexplained`; an exposure can have two reasons.
+    """
+    frames, reasons = report["frames"], report["losses"]
+    before = min((seq for _, seq, _, _ in written), default=0)
+    return {
+        "delivered": frames["exposed"], "before_the_first": before,
+        "dropped": frames["lost"] + frames["overrun"], "lost": frames["lost"],
+        "overrun": frames["overrun"],
+        **{f"reason_{name}": count for name, count in reasons.items()},
+        "unexplained": max(0, frames["lost"] + before - sum(reasons.values())),
+    }  # fmt: skip
+
+
 def beside_the_paper(report: Report, copied: Mapping[str, int]) -> list[dict[str, Any]]:
-    """Return the figures that the paper has, too; None: it says nothing of it."""
+    """Return the figures that the paper has, too; None: it says nothing of it.
+
+    The paper's are of its real board, these of a virtual one.
+    """
     hz, latency_ms = report["rate"]["achieved_hz"], report["loop"]["latency_ms"]
     frames = report["frames"]
     rows: list[tuple[str, Any, Any]] = [
-        ("exposures a second that reach the host live", hz, PAPER_LIVE_HZ),
+        ("exposures a second that reach the host live, Hz", hz, PAPER_LIVE_HZ),
         ("exposure -> command accepted, ms p50", latency_ms["p50"], PAPER_MS[TOTAL]),
         ("exposure -> command accepted, ms p99", latency_ms["p99"], None),
-        ("the same in frames, p50", round(latency_ms["p50"] * hz / 1000, 2), PAPER_DELAY_FRAMES),
+        (
+            "the same in frames, p50; the paper's with read-out",
+            round(latency_ms["p50"] * hz / 1000, 2),
+            PAPER_DELAY_FRAMES,
+        ),
         ("frames dropped", frames["lost"] + frames["overrun"], None),
         ("frames copied after the read", copied["copied"], None),
     ]
-    return [{"figure": name, "here": here, "the paper": paper} for name, here, paper in rows]
+    return [
+        {"figure": name, "here, virtual board": here, "the paper's board": paper}
+        for name, here, paper in rows
+    ]
 
 
 def by_frame(frames: Frames) -> dict[tuple[str, int], tuple[str, int]]:

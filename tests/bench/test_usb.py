@@ -13,7 +13,7 @@ from bench.usb.backend import RingBackend, RingSettings
 from bench.usb.gauge import Gauge
 from bench.usb.places import Places
 from bench.usb.ring import prepared
-from bench.usb.stream import by_frame, copies, frame_bytes, main, rate_of
+from bench.usb.stream import by_frame, copies, drops, frame_bytes, main, rate_of
 from drivers.usb import DualStreamBoard, DualStreamBoardSettings
 from drivers.virtual_board.profiles import PROFILES
 from pipeline.errors import DriverError, SettingsError
@@ -124,6 +124,16 @@ def test_a_frame_that_lies_elsewhere_or_nowhere_counts_as_copied() -> None:
     assert copies(written, arrived) == {"compared": 3, "in_place": 1, "copied": 2}
 
 
+def test_lost_exposures_without_a_reason_are_unexplained() -> None:
+    written = [("roi", 4, "", 9), ("context", 3, "", 9)]
+    report = {"frames": {"exposed": 50, "lost": 6, "overrun": 1}, "losses": {"dropped": 7}}
+
+    assert drops(report, written) == {
+        "delivered": 50, "before_the_first": 3, "dropped": 7, "lost": 6, "overrun": 1,
+        "reason_dropped": 7, "unexplained": 2,
+    }  # fmt: skip
+
+
 def test_the_rate_is_what_the_link_carries_of_both_pictures() -> None:
     can = PROFILES["paper-live"].can
 
@@ -162,7 +172,7 @@ def test_a_small_run_of_the_whole_graph_drops_and_copies_nothing(tmp_path: Path)
     assert told["copies"]["compared"] > 10
     assert told["copies"]["copied"] == 0
     assert told["frames"]["delivered"] > 15
-    assert told["frames"]["overrun"] == 0
+    assert (told["frames"]["overrun"], told["frames"]["unexplained"]) == (0, 0)
     assert told["commands"]["accepted"] > 0
     stages = {row["stage"]: row for row in told["stages"]}
     assert stages["capture"]["sent_megabytes_per_s"] > 0

@@ -71,6 +71,16 @@ def test_numbers_that_passed_in_silence_were_never_exposed() -> None:
     assert found.unexplained == 0
 
 
+def test_numbers_that_passed_while_the_board_was_away_were_never_exposed() -> None:
+    faults = [{"kind": "unplug", "exposure": 8, "seconds": 0.2}]
+
+    with quiet():
+        found = injected(faults, rate_hz=RATE_HZ, lasting_s=0.2)
+
+    assert found.never_exposed >= 60
+    assert found.exposed == found.delivered + sum(found.lost.values())
+
+
 def test_without_a_failure_nothing_is_said_or_lost() -> None:
     with quiet():
         found = injected([], rate_hz=RATE_HZ, pause_s=0.0, pause_at=5)
