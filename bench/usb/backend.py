@@ -11,10 +11,12 @@ from types import SimpleNamespace
 from typing import Any
 
 from bench.usb.gauge import GaugedBoard
+from bench.usb.paced import PacedLink
 from bench.usb.places import Places
 from bench.usb.ring import BlankWorld, Prepared, RingWorld, prepared
 from drivers.usb.errors import BadBlock
 from drivers.usb.frame_header import HEADER_BYTES, FrameHeader, Stream
+from drivers.usb.link import MOST_IN_FLIGHT
 from drivers.virtual_board.backend import VirtualBackend, VirtualBoardSettings
 from drivers.virtual_board.descriptors import ENDPOINTS
 from drivers.virtual_board.profiles import Profile
@@ -33,6 +35,7 @@ class RingSettings(VirtualBoardSettings):
     profile: str = "paper-live"
     scene: str = "soccer"
     ring: int = 4  # pictures, 150 MB each at 8 bit of the paper's size; 0: black ones
+    reads: int = 16  # in flight, as the link is modelled
     unlimited: bool = False  # any rate, and a link that takes no time
     log: str = ""  # file for the figures when the board is closed; empty: none
 
@@ -40,14 +43,19 @@ class RingSettings(VirtualBoardSettings):
         super().__post_init__()
         if not 0 <= self.ring <= 64:
             raise SettingsError(f"ring: expected 0 to 64, got {self.ring}")
+        if not 1 <= self.reads <= MOST_IN_FLIGHT:
+            raise SettingsError(f"reads: expected 1 to {MOST_IN_FLIGHT}, got {self.reads}")
 
     def scaled(self) -> Profile:
-        """Return the profile with the size of the sensor, and without limits where asked for."""
-        found = super().scaled()
+        """Return the profile with the size of the sensor, and without limits where asked for.
+
+        It is never paced: this board has a link of its own.
+        """
+        found = replace(super().scaled(), paced=False)
         if not self.unlimited:
             return found
         can = replace(found.can, rates_mhz=(100, 1_000_000), link_bytes_per_s=0)
-        return replace(found, can=can, paced=False)
+        return replace(found, can=can)
 
 
 class RingBoard(GaugedBoard):
@@ -57,6 +65,13 @@ class RingBoard(GaugedBoard):
         self._settings = settings
         self._rings: dict[int, list[Prepared]] = {}
         super().__init__(settings.scaled(), self._opened)
+        limit = self.profile.can.link_bytes_per_s
+        self._paced = PacedLink(limit, settings.reads) if limit else None
+
+    def carry(self, stream: Stream, count: int) -> None:
+        """Take the time of so many bytes."""
+        if self._paced is not None and count:
+            self._paced.carry(stream, count)
 
     def _opened(self, code: int, _most_px: int) -> World:
         form, can = BY_CODE[code], self.profile.can

@@ -102,9 +102,13 @@ class GaugedBoard(VirtualBoard):
         try:
             with self.gauge.spent():
                 count = super().read(stream, memory, timeout_s)
+                self.carry(stream, count or 0)
         finally:
             self.gauge.ends(count)
         return count
+
+    def carry(self, stream: Stream, count: int) -> None:
+        """Take the time of so many bytes; here none."""
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:

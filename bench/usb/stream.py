@@ -4,7 +4,8 @@
 (a backend of it, not a kernel). Reports frames dropped by reason, whether a message's pixels are
 the very memory that the transfer wrote, processor time and bytes of each stage, and exposure ->
 command. What the board itself costs is counted apart: its pictures are prepared (`bench.usb.ring`),
-and what it copies stands for the host controller's work.
+what it copies stands for the host controller's work, and its link takes the time that 400 MB/s
+take, `--reads` of them in flight (`bench.usb.paced`).
 """
 
 import json
@@ -60,18 +61,19 @@ class Usage(NamedTuple):
 @click.option("--bits", default="8", show_default=True, type=click.Choice(["8", "16"]))
 @click.option("--rate-hz", default=0.0, help="0: 30, or the most that the link carries.")
 @click.option("--cores", default=2, show_default=True, type=click.IntRange(1), help="At most.")
+@click.option("--reads", default=16, show_default=True, help="In flight, as the link is modelled.")
 @click.option("--ring", default=4, show_default=True, help="Pictures of the virtual sensor.")
 @click.option("--size", nargs=2, type=int, default=(0, 0), help="Of the sensor; 0: the paper's.")
 @click.option("--seed", default=7, show_default=True, help="Of the pictures.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @JSON
 def main(
-    graph: Path, seconds: float, bits: str, rate_hz: float, cores: int, ring: int,
+    graph: Path, seconds: float, bits: str, rate_hz: float, cores: int, reads: int, ring: int,
     size: tuple[int, int], seed: int, changes: tuple[str, ...], path: Path | None,
 ) -> None:  # fmt: skip
     """Run the graph once and report."""
     form = FORMATS[f"bayer_rggb{bits}"]
-    settings = RingSettings(ring=ring, seed=seed, size_px=size)
+    settings = RingSettings(ring=ring, reads=reads, seed=seed, size_px=size)
     can = settings.scaled().can
     rate_hz = rate_hz or rate_of(can, form)
     with on_cores(cores) as used, tempfile.TemporaryDirectory() as folder:
@@ -81,7 +83,8 @@ def main(
         board, seen = (json.loads(log.read_text()) for log in logs)
     result = {
         "bench": "usb", **facts((*LIBRARIES, "pyusb")), "graph": file_name(graph), "seed": seed,
-        "format": form.name, "rate_hz": rate_hz, "cores_used": used, "changes": list(changes),
+        "format": form.name, "rate_hz": rate_hz, "cores_used": used,
+        "reads_in_flight": reads, "changes": list(changes),
         "frame_bytes": frame_bytes(can, form), **summarise(report, board, seen, usage, plan),
     }  # fmt: skip
     show(result)
@@ -122,8 +125,8 @@ def plan_of(
     """Return the graph over the board, with the witness."""
     roi = settings.scaled().can.roi_sizes[0]
     options: dict[str, Any] = {
-        "ring": settings.ring, "seed": settings.seed, "size_px": list(settings.size_px),
-        "log": str(logs[0]),
+        "ring": settings.ring, "reads": settings.reads, "seed": settings.seed,
+        "size_px": list(settings.size_px), "log": str(logs[0]),
     }  # fmt: skip
     values: list[tuple[str, str, Any]] = [
         ("capture", "options.pixel_format", form.name),

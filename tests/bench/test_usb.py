@@ -11,10 +11,13 @@ from click.testing import CliRunner
 
 from bench.usb.backend import RingBackend, RingSettings
 from bench.usb.gauge import Gauge
+from bench.usb.paced import PacedLink
 from bench.usb.places import Places
 from bench.usb.ring import prepared
 from bench.usb.stream import by_frame, copies, drops, frame_bytes, main, rate_of
 from drivers.usb import DualStreamBoard, DualStreamBoardSettings
+from drivers.usb.frame_header import Stream
+from drivers.usb.link import CHUNK_BYTES
 from drivers.virtual_board.profiles import PROFILES
 from pipeline.errors import DriverError, SettingsError
 from pipeline.pixel_formats import FORMATS
@@ -158,6 +161,32 @@ def test_a_gap_is_counted_from_bytes_to_the_next_read_and_not_while_another_is_o
 
     assert len(gauge.gaps_ms()) == 1
     assert gauge.figures()["reads"] == 3
+
+
+CHUNK_NS = 1310720  # 512 KiB at 400 MB/s
+
+
+@pytest.mark.parametrize(("reads", "late_ns"), [(1, 3_000_000), (16, 0)])
+def test_the_link_goes_on_while_the_host_is_late_if_reads_are_in_flight(
+    reads: int, late_ns: int
+) -> None:
+    link = PacedLink(400_000_000, reads)
+    link.until_ns(Stream.CONTEXT, 96, 0)
+    first_ns = link.until_ns(Stream.CONTEXT, CHUNK_BYTES, 1_000_000)
+
+    second_ns = link.until_ns(Stream.CONTEXT, CHUNK_BYTES, first_ns + 3_000_000)
+
+    assert first_ns == 1_000_000 + CHUNK_NS
+    assert second_ns == first_ns + late_ns + CHUNK_NS
+
+
+def test_the_link_begins_a_payload_when_the_host_has_its_header() -> None:
+    link = PacedLink(400_000_000, 16)
+    free_ns = link.until_ns(Stream.CONTEXT, 96, 0)
+
+    begun_ns = link.until_ns(Stream.CONTEXT, CHUNK_BYTES, free_ns + 5_000_000)
+
+    assert begun_ns == free_ns + 5_000_000 + CHUNK_NS
 
 
 def test_a_small_run_of_the_whole_graph_drops_and_copies_nothing(tmp_path: Path) -> None:
