@@ -4,7 +4,8 @@
 driver's receiver and transfers over a modelled host controller (bench/usb/model.c) with a link of
 `--link` bytes/s, so that only the driver decides whether the link waits. `--over usbip` attaches a
 virtual board to this kernel (root, module vhci_hcd: see tests/guest) and runs the whole driver over
-the kernel and libusb; `--over attached` does so with the board on the desk.
+the kernel and libusb, each exposure made when it is asked for; `--over attached` does so with the
+board on the desk.
 """
 
 import json
@@ -48,7 +49,6 @@ Row = dict[str, Any]
 @click.option("--rounds", default=3, show_default=True, type=click.IntRange(1))
 @click.option("--link", default=LINK_BYTES_PER_S, show_default=True, help="Bytes/s of the model.")
 @click.option("--busy", default=0, show_default=True, help="Processes that compute meanwhile.")
-@click.option("--rate-hz", default=30.0, show_default=True, help="Of the board, not the model.")
 @click.option(
     "--size", nargs=2, type=int, default=(0, 0), help="Of usbip's sensor, 0: the paper's."
 )
@@ -56,7 +56,7 @@ Row = dict[str, Any]
 @JSON
 def main(
     reads: tuple[int, ...], over: str, seconds: float, rounds: int, link: int, busy: int,
-    rate_hz: float, size: tuple[int, int], seed: int, path: Path | None,
+    size: tuple[int, int], seed: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Measure each number of reads, several rounds in shuffled order."""
     reads = reads or (1, 2, 4, 8, 16)
@@ -64,7 +64,7 @@ def main(
     order = [int(n) for _ in range(rounds) for n in rng.permutation(reads)]
     found: dict[int, list[Row]] = {n: [] for n in reads}
     with ExitStack() as stack:
-        measure = _way(stack, over, link, rate_hz, size)
+        measure = _way(stack, over, link, size)
         stack.enter_context(computing(busy))
         for count in order:
             found[count].append(measure(count, seconds))
@@ -81,14 +81,14 @@ def main(
 
 
 def _way(
-    stack: ExitStack, over: str, link: int, rate_hz: float, size_px: tuple[int, int]
+    stack: ExitStack, over: str, link: int, size_px: tuple[int, int]
 ) -> Callable[[int, float], Row]:
     if over == "model":
         library = compiled(Path(stack.enter_context(tempfile.TemporaryDirectory())))
         return lambda depth, seconds: over_model(library, depth, seconds, link)
     if over == "usbip":
         stack.enter_context(virtual_board(size_px))
-    return lambda depth, seconds: over_kernel(depth, seconds, rate_hz)
+    return over_kernel
 
 
 def over_model(library: Any, depth: int, seconds: float, link: int) -> Row:
@@ -110,14 +110,14 @@ def over_model(library: Any, depth: int, seconds: float, link: int) -> Row:
         )  # fmt: skip
 
 
-def over_kernel(depth: int, seconds: float, rate_hz: float) -> Row:
-    """Read exposures through the whole driver for so long.
+def over_kernel(depth: int, seconds: float) -> Row:
+    """Read exposures through the whole driver for so long; each is made when it is asked for.
 
     How long the link waits is not known there: a host controller does not tell it, and the time
     between two reads of a USB/IP device is mostly its own.
     """
     subject = _Opened(DualStreamBoardSettings(
-        rate_hz=rate_hz, pixel_format="bayer_rggb8", in_flight=depth, link_bytes_per_s=1 << 40
+        pixel_format="bayer_rggb8", in_flight=depth, link_bytes_per_s=1 << 40
     ))  # fmt: skip
     kept: dict[str, NDArray[Any]] = {}
 
@@ -126,7 +126,7 @@ def over_kernel(depth: int, seconds: float, rate_hz: float) -> Row:
             kept[output] = np.empty(shape, dtype)
         return kept[output]
 
-    subject.open(realtime=True)
+    subject.open(realtime=False)
     try:
         in_effect = subject.in_flight
         subject.start()
