@@ -1,4 +1,4 @@
-"""`python -m bench.fuzz graphs | orders | wire | usb`."""
+"""`python -m bench.fuzz graphs | orders | wire`."""
 
 from bench.fuzz.fuzz import fuzz
 
