@@ -16,6 +16,13 @@ JSON = click.option("--json", "path", type=click.Path(path_type=Path), help="Wri
 class Bench(click.Command):
     """A command that prints a `FoveaError` as one sentence and exits with status 1."""
 
+    def make_context(self, *given: Any, **named: Any) -> click.Context:
+        """Read the arguments, of which some name graphs."""
+        try:
+            return super().make_context(*given, **named)
+        except FoveaError as error:
+            raise click.ClickException(str(error)) from error
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         try:

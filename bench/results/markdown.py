@@ -26,6 +26,18 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([*written, *(_row(row) for row in rows)])
 
 
+def table_of(rows: Sequence[Mapping[str, object]]) -> str:
+    """Return a table of flat rows with the same columns.
+
+    >>> print(table_of([{"a": 1, "b": None}]))
+    | a | b |
+    |---|---|
+    | 1 | – |
+    """
+    columns = list(rows[0])
+    return table(columns, [[cell(row.get(column)) for column in columns] for row in rows])
+
+
 def lines(facts: Mapping[str, str]) -> str:
     """Return facts as a list, one per line, without the empty ones.
 

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from bench.results.markdown import cell, lines, table
+from bench.results.markdown import cell, lines, table, table_of
 from bench.results.table import ResultError
 
 T = TypeVar("T")
@@ -84,6 +84,17 @@ class Place:
 PLACES = {
     "loop": Place(section="Time and transport", order=2, title="The loop"),
     "bus": Place(section="Time and transport", order=4, title="One hop"),
+    "usb": Place(
+        section="Time and transport", order=5,
+        title="The paper's two streams over the USB driver and through the graph",
+    ),
+    "usb_reads": Place(section="Time and transport", order=6, title="USB reads in flight"),
+    "genicam": Place(
+        section="Time and transport", order=7, title="How fast an industrial camera is aimed"
+    ),
+    "sensors": Place(
+        section="Time and transport", order=8, title="Kinds of sensor that keep the contract"
+    ),
     "objects": Place(section="Time of each part", order=9, title="The running graph, by objects"),
     "raw": Place(section="Time of each part", order=10, title="Raw frames to RGB"),
     "raw_loss": Place(
@@ -97,6 +108,9 @@ PLACES = {
     "follow": Place(
         section="Faults, swaps and long runs", order=8,
         title="The target changed every minute: IoU, share in the ROI, share answered",
+    ),
+    "usb_failures": Place(
+        section="Faults, swaps and long runs", order=9, title="Failures of the USB link"
     ),
     "detector": Place(
         section="Networks and scenes", order=10,
@@ -214,9 +228,7 @@ def _tables(values: Mapping[str, Any]) -> list[str]:
     found = []
     for name, rows in values.items():
         if _is_rows(rows):
-            columns = list(rows[0])
-            cells = [[cell(row.get(c)) for c in columns] for row in rows]
-            found += [f"`{name}`:", table(columns, cells)]
+            found += [f"`{name}`:", table_of(rows)]
     return found
 
 

@@ -60,7 +60,7 @@ class FrameSender:
             self._sending[stream] = None
             raise TooMuch(stream.name)
         count = min(len(memory), sending.ends_at - sending.sent)
-        memory[:count] = sending.payload[sending.sent : sending.sent + count]
+        copy_bytes(sending.payload, sending.sent, memory[:count])
         sending.sent += count
         # a read that the end fills exactly does not show it: the next one gets an empty packet
         if sending.sent == sending.ends_at and not (sending.truncated and count == len(memory)):
@@ -95,11 +95,12 @@ class FrameSender:
 
     def _rendered(self, stream: Stream, found: Exposed, dropped: int) -> _Sending:
         size = self._configuration.context_bytes, self._configuration.roi_bytes
-        payload = np.empty(size[stream], np.uint8)
         window = self._whole() if stream is Stream.CONTEXT else found.window
-        self._world.render(found.exposure, window, self._size_px(stream), payload, int(stream))
+        payload = self._world.payload(
+            found.exposure, window, self._size_px(stream), size[stream], int(stream)
+        )
         header = self._header(stream, found, dropped, payload).pack()
-        return self._spoiled(stream, found, _Sending(header, payload, ends_at=len(payload)))
+        return self._spoiled(stream, found, _Sending(header, payload, ends_at=payload.size))
 
     def _spoiled(self, stream: Stream, found: Exposed, sending: _Sending) -> _Sending:
         """Let go wrong what the script says."""
@@ -109,6 +110,8 @@ class FrameSender:
                 bytes([*sending.header[:20], sending.header[20] ^ 4]) + sending.header[21:]
             )
         if self._faults.due("corrupt_payload", k, name):
+            # a copy, as a world may send the same bytes again
+            sending.payload = np.array(sending.payload).reshape(-1)
             sending.payload[half] ^= 4
         if self._faults.due("truncate", k, name):
             sending.ends_at, sending.truncated = half, True
@@ -128,14 +131,17 @@ class FrameSender:
         if found is None:
             flags |= FrameFlag.END
         elif self._configuration.payload_crc:
-            flags, crc = flags | FrameFlag.PAYLOAD_CRC, zlib.crc32(payload.data)
+            flags, crc = (
+                flags | FrameFlag.PAYLOAD_CRC,
+                zlib.crc32(np.ascontiguousarray(payload).data),
+            )
         if found is not None and (found.alone or not any(self._configuration.roi_px)):
             flags |= FrameFlag.ALONE
         if found is not None and found.recorded:
             flags |= FrameFlag.RECORDED
         size_px = self._size_px(stream) if found is not None else (0, 0)
         window = (0, 0, 0, 0) if found is None else found.window
-        rows = len(payload) // size_px[1] if size_px[1] else 0
+        rows = payload.size // size_px[1] if size_px[1] else 0
         shown = self._whole() if found and stream is Stream.CONTEXT else window
         return FrameHeader(
             stream=stream, flags=flags,
@@ -144,7 +150,7 @@ class FrameSender:
             stamp_ns=found.stamp_ns if found else self._now_ns(),
             window=shown, size_px=size_px, pixel_format=self._world.code(shown, size_px),
             row_bytes=rows,
-            payload_bytes=len(payload), payload_crc=crc,
+            payload_bytes=payload.size, payload_crc=crc,
             schedule_id=found.schedule_id if found else 0, entry=found.entry if found else 0,
             dropped=dropped,
         )  # fmt: skip
@@ -161,6 +167,29 @@ class FrameSender:
         if stream is Stream.CONTEXT:
             return self._can.context_px
         return picture_px(self._can, self._configuration.roi_px)
+
+
+def copy_bytes(payload: NDArray[np.uint8], start: int, out: NDArray[np.uint8]) -> None:
+    """Fill `out` (n,) with the bytes of a payload (bytes,) or (rows, row_bytes) from `start` on.
+
+    >>> out = np.empty(4, np.uint8)
+    >>> copy_bytes(np.arange(12, dtype=np.uint8).reshape(4, 3)[:, :2], 1, out)
+    >>> out.tolist()
+    [1, 3, 4, 6]
+    """
+    if payload.ndim == 1:
+        out[:] = payload[start : start + len(out)]
+        return
+    width = payload.shape[1]
+    row, column = divmod(start, width)
+    done = min(-column % width, len(out))  # the rest of a row that was begun
+    out[:done] = payload[row, column : column + done] if done else ()
+    row += bool(column)
+    whole = (len(out) - done) // width
+    out[done : done + whole * width].reshape(whole, width)[:] = payload[row : row + whole]
+    done += whole * width
+    if done < len(out):
+        out[done:] = payload[row + whole, : len(out) - done]
 
 
 def picture_px(can: BoardCapabilities, roi_px: tuple[int, int]) -> tuple[int, int]:

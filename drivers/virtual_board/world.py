@@ -39,6 +39,17 @@ class World:
         pixels = out.view(self.readout.dtype).reshape(self.readout.shape(size_px))
         self.readout.read(self._picture, window, pixels, seq=index, port=port)
 
+    def payload(
+        self, index: int, window: Window, size_px: tuple[int, int], nbytes: int, port: int
+    ) -> NDArray[np.uint8]:
+        """Return the bytes of a frame, (nbytes,) or (rows, row_bytes) with gaps between the rows.
+
+        They are valid until the next frame of that stream.
+        """
+        out = np.empty(nbytes, np.uint8)
+        self.render(index, window, size_px, out, port)
+        return out
+
     def truth(self, index: int) -> Annotations | None:
         """What is in a picture, where the source knows it."""
         return self._source.truth(index)

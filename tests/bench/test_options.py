@@ -33,3 +33,10 @@ def test_footage_that_is_not_there_is_one_sentence_and_exit_status_2(
 
     assert ended.value.code == 2
     assert "error: /nowhere" in capsys.readouterr().err
+
+
+def test_an_unknown_graph_is_one_sentence() -> None:
+    done = CliRunner().invoke(loop.main, ["nosuch"])
+
+    assert done.exit_code == 1
+    assert done.output.startswith("Error: 'nosuch': no such graph")

@@ -1,0 +1,118 @@
+"""Injected failures: every exposure arrives or is lost for a reason that the driver counted."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from bench.usb.injection import explained, injected
+from bench.usb_failures import CASES, Case, drawn, injections, main, quiet, row
+
+RATE_HZ = 400.0
+
+
+def case(name: str) -> Case:
+    return next(one for one in CASES if one.name == name)
+
+
+def told(outages: int = 0, **losses: int) -> dict[str, Any]:
+    return {"losses": losses, "link": {"outages": outages}}
+
+
+def test_what_the_driver_did_not_count_stays_unexplained() -> None:
+    assert explained(3, told(), told(header=1)) == {"header": 1}
+
+
+def test_a_loss_explains_no_more_exposures_than_are_missing() -> None:
+    assert explained(1, told(), told(header=1, unpaired=1, dropped=4)) == {"header": 1}
+
+
+def test_losses_of_earlier_gaps_explain_nothing() -> None:
+    assert explained(2, told(dropped=5), told(dropped=5)) == {}
+
+
+def test_an_outage_explains_all_that_is_left() -> None:
+    assert explained(4, told(), told(outages=1, link=1)) == {"link": 1, "outage": 3}
+
+
+@pytest.mark.parametrize(
+    "name", [one.name for one in CASES if one.name not in ("silence for ever", "silence")]
+)
+def test_nothing_is_unexplained_or_wrong_after_a_failure(name: str) -> None:
+    with quiet():
+        found = row(case(name), injections(case(name), 2, RATE_HZ, seed=1))
+
+    assert found["times"] == 2
+    assert found["unexplained"] == 0, found
+    assert found["wrong"] == 0
+    assert found["recovered"] + found["ended_with_error"] == 2
+    assert found["exposed"] >= found["delivered"] > 0
+
+
+def test_a_failure_costs_frames_that_are_counted() -> None:
+    with quiet():
+        found = injected([{"kind": "truncate", "exposure": 8}], rate_hz=RATE_HZ)
+
+    assert found.lost["incomplete"] == 1
+    assert found.exposed == found.delivered + sum(found.lost.values())
+    assert 0 < found.recovered_ms < 5000
+    assert not found.error
+
+
+def test_numbers_that_passed_in_silence_were_never_exposed() -> None:
+    faults = [{"kind": "silence", "exposure": 8, "seconds": 0.2}]
+
+    with quiet():
+        found = injected(faults, rate_hz=RATE_HZ, lasting_s=0.2)
+
+    assert found.never_exposed >= 60
+    assert found.unexplained == 0
+
+
+def test_numbers_that_passed_while_the_board_was_away_were_never_exposed() -> None:
+    faults = [{"kind": "unplug", "exposure": 8, "seconds": 0.2}]
+
+    with quiet():
+        found = injected(faults, rate_hz=RATE_HZ, lasting_s=0.2)
+
+    assert found.never_exposed >= 60
+    assert found.exposed == found.delivered + sum(found.lost.values())
+
+
+def test_without_a_failure_nothing_is_said_or_lost() -> None:
+    with quiet():
+        found = injected([], rate_hz=RATE_HZ, pause_s=0.0, pause_at=5)
+
+    assert (found.sentences, found.error, found.unexplained) == ([], "", 0)
+
+
+def test_the_same_seed_draws_the_same_failures() -> None:
+    pulled = case("cable pulled")
+
+    first, again, other = ([drawn(pulled, seed, k) for k in range(9)] for seed in (1, 1, 2))
+
+    assert first == again != other
+    assert all(5 <= at < 25 and 0.02 <= lasting_s <= 0.5 for at, lasting_s in first)
+
+
+def test_the_command_writes_what_became_of_every_exposure(tmp_path: Path) -> None:
+    path = tmp_path / "failures.json"
+    words = ["--count", "2", "--only", "frame missing, ROI", "--rate-hz", "400",
+             "--json", str(path)]  # fmt: skip
+
+    done = CliRunner().invoke(main, words, catch_exceptions=False)
+
+    assert done.exit_code == 0, done.output
+    report = json.loads(path.read_text())
+    assert (report["injected"], report["unexplained"], report["delivered_wrong"]) == (2, 0, 0)
+    assert "lost, unpaired" in report["failures"][0]["driver"]
+
+
+def test_an_unknown_failure_is_refused_with_the_names() -> None:
+    done = CliRunner().invoke(main, ["--only", "rain"])
+
+    assert done.exit_code == 2
+    assert "cable pulled" in done.output
+    assert "got rain" in done.output
