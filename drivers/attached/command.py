@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from drivers.attached.child import FAILED, FAMILY, Child
-from drivers.attached.report import figures_line, listing
+from drivers.attached.report import figures_line, listing, shown_address
 from drivers.attached.rules import rules
 from drivers.attached.search import LIMIT_S, search
 from drivers.attached.subject import FORMS
@@ -71,18 +71,19 @@ def test_command(
     subject: dict[str, Any] = {}
     for told in trial(name, changes, seconds=seconds, limit_s=timeout_s + seconds):
         if "sensor" in told:
-            subject = told
+            subject = json.loads(shown_address(json.dumps(told)))
         elif "check" in told:
             results.append(told)
         if not as_json:
             _show(told)
+    shown = shown_address(name)
     good = sum(result["verdict"] != "wrong" for result in results)
     passed = bool(results) and good == len(results)
     if as_json:
-        print_json({"name": name, **subject, "passed": passed, "checks": results})
+        print_json({"name": shown, **subject, "passed": passed, "checks": results})
     else:
         verdict = "the contract is kept" if passed else "the contract is not kept"
-        click.echo(f"{name}: {good} of {len(results)} checks: {verdict}")
+        click.echo(f"{shown}: {good} of {len(results)} checks: {verdict}")
     if not passed:
         sys.exit(1)
 

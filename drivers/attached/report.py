@@ -1,10 +1,12 @@
 """What was found, as text: sensors and kinds in, lines out."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from drivers.attached.listing import AttachedSensor, KindFound, Offer
 
+CREDENTIALS = re.compile(r"://[^/\s\"]*@")
 MOST_OFFERS = 12  # lines of one sensor; `--json` has all of them
 NOTHING = "no sensor is attached; `fovea sensors test virtual` tries the checks without one"
 
@@ -53,6 +55,15 @@ def figures_line(figures: Mapping[str, Any]) -> str:
     'asked_hz 30, field_px 1920x1080, same_exposure yes'
     """
     return ", ".join(f"{name} {_value(name, value)}" for name, value in figures.items())
+
+
+def shown_address(text: str) -> str:
+    """Return a text with the credentials of URLs left out.
+
+    >>> shown_address("rtsp://me:secret@camera.local/one: no answer")
+    'rtsp://camera.local/one: no answer'
+    """
+    return CREDENTIALS.sub("://", text)
 
 
 def _value(name: str, value: Any) -> str:

@@ -155,6 +155,18 @@ def test_a_plain_camera_is_tested_as_a_sensor_in_software(
         assert found.make().settings_type.__name__ == "CameraSensorSettings"
 
 
+@pytest.mark.parametrize("as_json", [True, False])
+def test_credentials_of_an_address_are_not_shown(as_json: bool) -> None:
+    address = "rtsp://me:secret@127.0.0.1:1/one"
+    limits = ("--set", "camera_options.open_timeout_s=0.2", "--timeout-s", "30")
+
+    done = command("sensors", "test", address, *limits, *(["--json"] if as_json else []))
+
+    assert done.returncode == 1
+    assert "rtsp://127.0.0.1:1/one" in done.stdout
+    assert "secret" not in done.stdout + done.stderr
+
+
 def test_names_of_nothing_are_refused() -> None:
     for name in ("", "usb:", "genicam:", "nothing", "-", "a b"):
         with pytest.raises(FoveaError), subject_of(name) as found:
