@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
-from drivers.usb.board_settings import DualStreamBoardSettings, known_formats
+from drivers.usb.board_settings import (
+    DualStreamBoardSettings,
+    backend_settings,
+    known_formats,
+)
 from drivers.usb.errors import LinkError
 from drivers.usb.frame_header import FrameFlag, FrameHeader
 from drivers.usb.session import Session
@@ -37,6 +41,11 @@ class DualStreamBoard:
         self._windows: Counter[str] = Counter()
         self._delivered = self._overrun = self._foreign = 0
         self._started_ns = self._last_ns = 0
+
+    @property
+    def shows(self) -> str:
+        """The kind of scene before a virtual board; empty for a real one."""
+        return str(getattr(backend_settings(self._settings), "shows", ""))
 
     def open(self, *, realtime: bool) -> None:
         """Acquire the board; raises `DriverError` or `SettingsError` when it cannot."""
