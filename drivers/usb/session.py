@@ -180,9 +180,12 @@ class Session:
             connection.trigger()
             self._triggered = True
         missing = [stream for stream in self._streams if stream not in self._pending]
+        before = len(self._pending)
         if missing:
-            self._pending |= self._receiver.headers(missing, POLL_S)
-        self._listen(heard=len(self._pending) > len(self._streams) - len(missing))
+            # a preview has no ROI to wait for, and only its own header says that it is one
+            previews = self.wanted.mode is CaptureMode.RECORD
+            self._pending |= self._receiver.headers(missing[:1] if previews else missing, POLL_S)
+        self._listen(heard=len(self._pending) > before)
         return self._paired()
 
     def _paired(self) -> list[FrameHeader] | None:
