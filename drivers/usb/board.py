@@ -16,6 +16,7 @@ from drivers.usb.board_settings import (
     backend_settings,
     known_formats,
 )
+from drivers.usb.capabilities import CaptureMode
 from drivers.usb.errors import LinkError
 from drivers.usb.frame_header import FrameFlag, FrameHeader
 from drivers.usb.session import Session
@@ -144,7 +145,8 @@ class DualStreamBoard:
 
     def _rate(self, session: Session) -> dict[str, Any]:
         elapsed_s = (self._last_ns - self._started_ns) / 1e9
-        if not self._realtime or self._delivered < 2 or elapsed_s <= 0:
+        bursts = session.wanted.mode is CaptureMode.RECORD  # which have no rate of delivery
+        if not self._realtime or bursts or self._delivered < 2 or elapsed_s <= 0:
             return {}
         achieved_hz = round(self._delivered / elapsed_s, 3)
         return {RATE: {"asked_hz": session.wanted.rate_mhz / 1000, "achieved_hz": achieved_hz}}
