@@ -1,10 +1,10 @@
-"""Measure the prototype's loop: `python -m bench.prototype [--cycles 10] [--json FILE]`.
+"""Measure the prototype's loop: `python -m bench.prototype [GRAPH] [--cycles 10] [--json FILE]`.
 
-Runs graphs/prototype.yaml as processes in real time, once for each target, until so many bursts
-were recorded and downloaded. Prints the frames between the newest context of a plan and the first
-frame that the plan directs, by parts, and the share of every class inside the ROI, beside the
-paper's figures. The parts: read-out and transfer of the context, the graph, and what remains: the
-command and the wait for the next exposure.
+Runs the graph (graphs/prototype.yaml) as processes in real time, once for each target, until so
+many bursts were recorded and downloaded. Prints the frames between the newest context of a plan and
+the first frame that the plan directs, by parts, and the share of every class inside the ROI, beside
+the paper's figures. The parts: read-out and transfer of the context, the graph, and what remains:
+the command and the wait for the next exposure.
 """
 
 import json
@@ -21,17 +21,17 @@ from rich.progress import Progress
 from rich.table import Table
 
 from bench.machine import facts
-from bench.options import JSON, Bench
+from bench.options import JSON, Bench, file_name
 from bench.prototype_cycles import Cycle, cycles_of, node_file, read_lines, shares
 from drivers.simulated.sources import open_scene
 from drivers.source import FrameSource
 from drivers.virtual_board.backend import VirtualBoardSettings
 from pipeline.errors import RunError
+from pipeline.file_arguments import GRAPH_FILE
 from pipeline.graph.editing import with_nodes
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
-from pipeline.graph.shipped import graph_path
 from pipeline.run.supervisor import Supervisor
 from pipeline.settings import build
 from pipeline.whole_file import write_whole
@@ -43,18 +43,21 @@ PERIOD_MS = 1000 / 30
 
 
 @click.command(cls=Bench)
+@click.argument("graph", default="prototype", type=GRAPH_FILE)
 @click.option("--cycles", default=10, show_default=True, type=click.IntRange(1, 1000))
 @click.option("--targets", default="ball,referee,player", show_default=True, help="Classes.")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @JSON
-def main(cycles: int, targets: str, changes: tuple[str, ...], path: Path | None) -> None:
+def main(
+    graph: Path, cycles: int, targets: str, changes: tuple[str, ...], path: Path | None
+) -> None:
     """Measure the prototype's loop over record cycles."""
     console = Console()
     found: dict[str, list[Cycle]] = {}
     losses: dict[str, Any] = {}
     for target in targets.split(","):
-        found[target], losses[target] = measured(target, cycles, changes)
-    settings = board_of(_plan(changes, (), clock="lockstep"))
+        found[target], losses[target] = measured(graph, target, cycles, changes)
+    settings = board_of(load(graph, Overlay(changes=changes, clock="lockstep")))
     world = world_of(settings)
     try:
         inside = {target: [shares(c, world) for c in runs] for target, runs in found.items()}
@@ -66,8 +69,9 @@ def main(cycles: int, targets: str, changes: tuple[str, ...], path: Path | None)
     console.print(table("share of the true boxes inside the ROI, over bursts", seen))
     if path:
         result = {
-            "bench": "prototype", **facts(), "graph": "graphs/prototype.yaml", "changes": changes,
-            "seed": settings.seed, "cycles_per_target": cycles,
+            "bench": "prototype", **facts(), "graph": file_name(graph), "changes": changes,
+            "policy": load(graph).node("policy").operator, "seed": settings.seed,
+            "cycles_per_target": cycles,
             "frames_per_burst": _spread([len(c.seqs) for runs in found.values() for c in runs]),
             "delay": rows, "shares": seen, "lost": losses,
         }  # fmt: skip
@@ -75,11 +79,14 @@ def main(cycles: int, targets: str, changes: tuple[str, ...], path: Path | None)
         write_whole(path, json.dumps(result, indent=1) + "\n")
 
 
-def measured(target: str, count: int, changes: tuple[str, ...]) -> tuple[list[Cycle], Any]:
+def measured(
+    graph: Path, target: str, count: int, changes: tuple[str, ...]
+) -> tuple[list[Cycle], Any]:
     """Run the graph for so many cycles; return them, and what was lost on its edges."""
     with tempfile.TemporaryDirectory() as folder, Progress(transient=True) as shown:
         file = Path(folder) / "cycles.jsonl"
-        plan = _plan(changes, (f"policy.target={target}",), clock="realtime")
+        overlay = Overlay(changes=(*changes, f"policy.target={target}"), clock="realtime")
+        plan = load(graph, overlay)
         plan = with_nodes(plan, node_file(file))
         task = shown.add_task(f"{plan.name}: {target}", total=count)
         found: list[Cycle] = []
@@ -180,10 +187,6 @@ def table(title: str, rows: Sequence[Mapping[str, Any]]) -> Table:
 
 def _cell(value: Any) -> str:
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _plan(changes: tuple[str, ...], own: tuple[str, ...], *, clock: str) -> Plan:
-    return load(graph_path("prototype"), Overlay(changes=(*changes, *own), clock=clock))
 
 
 if __name__ == "__main__":

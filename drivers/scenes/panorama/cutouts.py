@@ -17,7 +17,7 @@ from drivers.scenes.soccer.skeleton import DIRECTIONS, PHASES, Pose, pose_at
 Image = NDArray[np.uint8]
 
 PERSON_M, BALL_M = 1.8, 0.222
-DRAWN_PX = 600  # greatest height of a drawing; a larger cut-out is enlarged from it
+DRAWN_PX = 400  # greatest height of a drawing; a larger cut-out is enlarged from it
 MOST_BYTES = 192 << 20  # of cut-outs that are kept; 11 objects of 918 px use about half of it
 MOST_REDUCED = 16  # reduced copies of a cut-out that are kept
 TURNS = DIRECTIONS // 4  # people look to one of four sides, so that few cut-outs are needed
@@ -106,37 +106,46 @@ class Cutouts:
         tall = self._px_per_m * TALL_M
         drawn = max(8, min(round(tall), DRAWN_PX))
         sprite = draw(self._looks[who], pose, drawn, np.ones(3), 0.3)
-        size = tuple(max(1, round(side * tall / drawn)) for side in sprite.image.shape[1::-1])
-        image = np.asarray(cv2.resize(sprite.image, size), np.uint8)
-        feet = sprite.feet[0] * tall / drawn, sprite.feet[1] * tall / drawn
-        return self._shaded(image, (round(feet[0]), round(feet[1])), 0.3, 0.1)
+        metre = drawn / TALL_M
+        shaded, feet = _shaded(sprite.image, sprite.feet, 0.3 * metre, 0.1 * metre)
+        return _enlarged(shaded, feet, tall / drawn)
 
     def _draw_ball(self, rolled: int) -> Cutout:
-        side = self._ball_px
-        shrinking = side < ball.DISC_PX
-        how = cv2.INTER_AREA if shrinking else cv2.INTER_LINEAR
-        drawn = cv2.resize(self._discs[rolled], (side, side), interpolation=how)
-        image = np.asarray(drawn, np.uint8)
-        metre = side / BALL_M / self._px_per_m  # a ball that is drawn larger throws more shadow
-        return self._shaded(image, (side // 2, side - side // 6), 0.13 * metre, 0.05 * metre)
+        side = ball.DISC_PX
+        shaded, feet = _shaded(self._discs[rolled], (side / 2, side * 5 / 6), side * 0.6, side / 4)
+        return _enlarged(shaded, feet, self._ball_px / side)
 
-    def _shaded(self, image: Image, feet: tuple[int, int], wide_m: float, high_m: float) -> Cutout:
-        """Return the cut-out on its shadow, an ellipse of these half axes."""
-        axes = [max(1, round(half * self._px_per_m)) for half in (wide_m, high_m)]
-        shadow = contact(axes[0], axes[1], SHADE)
-        left, top = feet[0] - shadow.shape[1] // 2, feet[1] - shadow.shape[0] // 2
-        x0, y0 = min(0, left), min(0, top)
-        x1 = max(image.shape[1], left + shadow.shape[1])
-        y1 = max(image.shape[0], top + shadow.shape[0])
-        patch = np.zeros((y1 - y0, x1 - x0, 4), np.uint8)
-        patch[top - y0 :, left - x0 :][: shadow.shape[0], : shadow.shape[1]] = shadow
-        place = patch[-y0:, -x0:][: image.shape[0], : image.shape[1]]
-        rest = cv2.merge([cv2.bitwise_not(cv2.extractChannel(image, 3))] * 4)
-        cv2.multiply(place, rest, dst=place, scale=1 / 255)
-        cv2.add(place, image, dst=place)
-        seen = extent(image[..., 3])
-        box = seen[0] - x0, seen[1] - y0, seen[2] - x0, seen[3] - y0
-        return _trimmed(patch, (feet[0] - x0, feet[1] - y0), box)
+
+def _shaded(
+    image: Image, feet: tuple[float, float], wide_px: float, high_px: float
+) -> tuple[Image, tuple[float, float]]:
+    """Return an object on its shadow, an ellipse of these half axes, and where its feet are."""
+    shadow = contact(max(1, round(wide_px)), max(1, round(high_px)), SHADE)
+    left, top = round(feet[0]) - shadow.shape[1] // 2, round(feet[1]) - shadow.shape[0] // 2
+    x0, y0 = min(0, left), min(0, top)
+    x1 = max(image.shape[1], left + shadow.shape[1])
+    y1 = max(image.shape[0], top + shadow.shape[0])
+    patch = np.zeros((y1 - y0, x1 - x0, 4), np.uint8)
+    patch[top - y0 :, left - x0 :][: shadow.shape[0], : shadow.shape[1]] = shadow
+    place = patch[-y0:, -x0:][: image.shape[0], : image.shape[1]]
+    rest = cv2.merge([cv2.bitwise_not(cv2.extractChannel(image, 3))] * 4)
+    cv2.multiply(place, rest, dst=place, scale=1 / 255)
+    cv2.add(place, image, dst=place)
+    return patch, (feet[0] - x0, feet[1] - y0)
+
+
+def _enlarged(patch: Image, feet: tuple[float, float], scale: float) -> Cutout:
+    """Return the cut-out at its size, without the empty edges of its patch."""
+    x0, y0, x1, y1 = extent(patch[..., 3], 2)
+    tight = np.ascontiguousarray(patch[y0:y1, x0:x1])
+    size = max(1, round((x1 - x0) * scale)), max(1, round((y1 - y0) * scale))
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    made = np.asarray(cv2.resize(tight, size, interpolation=how), np.uint8)
+    return Cutout(
+        patch=made,
+        feet=(round((feet[0] - x0) * scale), round((feet[1] - y0) * scale)),
+        box=extent(made[..., 3]),  # a shadow is less opaque than what counts
+    )
 
 
 def _over(out: Image, patch: Image, left: int, top: int) -> None:
@@ -160,13 +169,3 @@ def _means(patch: Image, right: int, down: int, reduce: int) -> Image:
     roomy[down:, right:][: patch.shape[0], : patch.shape[1]] = patch
     size = wide // reduce, high // reduce
     return np.asarray(cv2.resize(roomy, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def _trimmed(patch: Image, feet: tuple[int, int], box: tuple[int, int, int, int]) -> Cutout:
-    """Return a cut-out without the empty edges of its patch."""
-    x0, y0, x1, y1 = extent(patch[..., 3], 2)
-    return Cutout(
-        patch=np.ascontiguousarray(patch[y0:y1, x0:x1]),
-        feet=(feet[0] - x0, feet[1] - y0),
-        box=(box[0] - x0, box[1] - y0, box[2] - x0, box[3] - y0),
-    )
