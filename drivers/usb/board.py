@@ -21,7 +21,7 @@ from drivers.usb.errors import LinkError
 from drivers.usb.frame_header import FrameFlag, FrameHeader
 from drivers.usb.session import Session
 from pipeline.contract import RATE, Loan
-from pipeline.errors import DriverError, PoolExhausted
+from pipeline.errors import DriverError, PoolExhausted, SettingsError
 from pipeline.messages import Frame, Header, RoiSchedule
 
 COMMANDS = ("accepted", "late", "foreign")
@@ -46,7 +46,10 @@ class DualStreamBoard:
     @property
     def shows(self) -> str:
         """The kind of scene before a virtual board; empty for a real one."""
-        return str(getattr(backend_settings(self._settings), "shows", ""))
+        try:
+            return str(getattr(backend_settings(self._settings), "shows", ""))
+        except SettingsError:  # `open` raises it, where it is about this node
+            return ""
 
     def open(self, *, realtime: bool) -> None:
         """Acquire the board; raises `DriverError` or `SettingsError` when it cannot."""

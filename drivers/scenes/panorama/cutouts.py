@@ -16,7 +16,7 @@ from drivers.scenes.soccer.skeleton import DIRECTIONS, PHASES, Pose, pose_at
 
 Image = NDArray[np.uint8]
 
-PERSON_M, BALL_M = 1.8, 0.222
+PERSON_M = 1.8
 DRAWN_PX = 400  # greatest height of a drawing; a larger cut-out is enlarged from it
 MOST_BYTES = 192 << 20  # of cut-outs that are kept; 11 objects of 918 px use about half of it
 MOST_REDUCED = 16  # reduced copies of a cut-out that are kept

@@ -95,23 +95,29 @@ def photographs(path: str, size_px: tuple[int, int]) -> list[Image]:
         raise DriverError(f"{place}: expected a picture or a folder of pictures, got none")
     found: list[Image] = []
     for file in files:
-        picture = read_picture(file)
-        if min(picture.shape[:2]) < STEP_PX:
-            got = f"{picture.shape[1]}x{picture.shape[0]}"
-            raise DriverError(f"{file}: expected sides of at least {STEP_PX} pixels, got {got}")
-        found.append(picture)
-        cells = [-(-side // tile) for side, tile in zip(size_px, _smallest(found), strict=True)]
-        if len(found) >= sum(cells) - 1:  # the turns that rows and columns take
-            break
-    width, height = (side - side % STEP_PX for side in _smallest(found))
-    most_w, most_h = (-(-side // STEP_PX) * STEP_PX for side in size_px)
-    width, height = min(width, most_w), min(height, most_h)
-    return [np.ascontiguousarray(picture[:height, :width]) for picture in found]
+        found = _cut([*found, _photograph(file)], size_px)
+        height, width = found[0].shape[:2]
+        if len(found) >= -(-size_px[0] // width) - (-size_px[1] // height) - 1:
+            break  # rows and columns of the ground take no further turns
+    return found
 
 
-def _smallest(pictures: Sequence[Image]) -> tuple[int, int]:
-    """Return the least width and height."""
-    return min(p.shape[1] for p in pictures), min(p.shape[0] for p in pictures)
+def _photograph(file: Path) -> Image:
+    """Read one; raises `DriverError` for what is no picture, or too small."""
+    picture = read_picture(file)
+    if min(picture.shape[:2]) < STEP_PX:
+        got = f"{picture.shape[1]}x{picture.shape[0]}"
+        raise DriverError(f"{file}: expected sides of at least {STEP_PX} pixels, got {got}")
+    return picture
+
+
+def _cut(pictures: Sequence[Image], size_px: tuple[int, int]) -> list[Image]:
+    """Cut pictures at once to the smallest, so that a tile is no larger than it has to be."""
+    sides = []
+    for axis, side in ((0, size_px[1]), (1, size_px[0])):
+        least = min(picture.shape[axis] for picture in pictures)
+        sides.append(min(least - least % STEP_PX, -(-side // STEP_PX) * STEP_PX))
+    return [np.ascontiguousarray(picture[: sides[0], : sides[1]]) for picture in pictures]
 
 
 def lawn(rng: np.random.Generator, size_px: tuple[int, int]) -> list[Image]:
