@@ -34,7 +34,7 @@ from pipeline.errors import RunError
 
 Planner = Callable[[Tracks, int], GazePlan]  # tracks, frame of the clip
 Rule = Callable[[Recording, Task], Planner]
-BLOCK = 1000  # draws of the bootstrap
+DRAWS = 1000  # of the bootstrap
 
 
 @click.command(cls=Bench)
@@ -67,7 +67,7 @@ def main(
     if weights:
         found["network"] = learned(recordings, chosen, frames, weights)
     labels = [recordings[t.clip].people_and_ball[t.target] for t in chosen]
-    rows = [row(name, labels, shares, seed) for name, shares in found.items()]
+    rows = [row(name, labels, shares, seed, found["pursuit"]) for name, shares in found.items()]
     Console().print(table(f"share of the target in the ROI, delay {delay}, Ta {replan}", rows))
     if path:
         result = {
@@ -165,23 +165,42 @@ def _spec(recording: Recording, task: Task) -> TargetSpec:
 
 
 def row(
-    name: str, labels: Sequence[str], shares: Sequence[Sequence[float]], seed: int
+    name: str,
+    labels: Sequence[str],
+    shares: Sequence[Sequence[float]],
+    seed: int,
+    base: Sequence[Sequence[float]],
 ) -> dict[str, Any]:
-    """Return the mean share by class and of all episodes, with a 95 % interval over episodes."""
-    means = np.array([np.mean(s) if len(s) else np.nan for s in shares])
-    known = np.isfinite(means)
-    rng = np.random.default_rng(seed)
-    drawn = rng.choice(means[known], (BLOCK, int(known.sum()))).mean(1)
+    """Return the mean share by class and of all episodes, and how far it is above `base`.
+
+    Intervals are 95 % by bootstrap over episodes; the second one is of the paired differences.
+    """
+    means, usual = (
+        np.array([np.mean(s) if len(s) else np.nan for s in each]) for each in (shares, base)
+    )
+    known = np.isfinite(means) & np.isfinite(usual)
     found: dict[str, Any] = {"policy": name}
     for label in sorted(set(labels)):
         own = known & (np.array(labels) == label)
         found[label] = round(float(means[own].mean()), 3) if own.any() else None
-    low, high = np.quantile(drawn, [0.025, 0.975])
     return found | {
         "all": round(float(means[known].mean()), 3),
-        "95 % interval": f"{low:.3f} .. {high:.3f}",
+        "95 % interval": interval(means[known], seed),
+        "above pursuit": round(float((means - usual)[known].mean()), 3),
+        "its interval": interval((means - usual)[known], seed),
         "episodes": int(known.sum()),
     }
+
+
+def interval(values: Array, seed: int) -> str:
+    """Return the 95 % interval of a mean.
+
+    >>> interval(np.ones(9, np.float32), 1)
+    '1.000 .. 1.000'
+    """
+    drawn = np.random.default_rng(seed).choice(values, (DRAWS, len(values))).mean(1)
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return f"{low:.3f} .. {high:.3f}"
 
 
 if __name__ == "__main__":

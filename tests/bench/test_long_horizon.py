@@ -34,9 +34,12 @@ def test_the_shares_begin_with_the_first_plan_that_had_time_to_arrive(tmp_path: 
 
 
 def test_a_row_has_the_mean_of_each_class_and_of_all_episodes() -> None:
-    found = row("hold", ["ball", "player", "ball"], [[1.0, 0.5], [0.25], []], seed=1)
+    shares, base = [[1.0, 0.5], [0.25], []], [[0.5], [0.5], [0.5]]
+
+    found = row("hold", ["ball", "player", "ball"], shares, 1, base)
 
     assert (found["ball"], found["player"], found["all"]) == (0.75, 0.25, 0.5)
+    assert found["above pursuit"] == 0
     assert found["episodes"] == 2
 
 
