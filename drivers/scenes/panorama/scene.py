@@ -10,7 +10,7 @@ from drivers.scenes.panorama.cutouts import Cutout, Cutouts
 from drivers.scenes.panorama.ground import Ground, lawn, photographs
 from drivers.scenes.panorama.paths import draw_paths
 from drivers.scenes.soccer.play import ASSISTANTS, KEEPERS, LABELS, REFEREE, STRIDE_M
-from drivers.scenes.soccer.stage import Actor, truth_of
+from drivers.scenes.soccer.stage import Actor
 from drivers.source import Annotations
 from pipeline.errors import DriverError, SettingsError
 
@@ -60,9 +60,14 @@ class PanoramaScene:
         height = self.size_px[1]
         self._cutouts = Cutouts(seed, person_share * height, ball_share * height)
         # the room of the points that objects stand on, so that they are inside as a whole
-        aside = 0.45 * person_share * height
-        self._low = np.array([aside, 1.1 * person_share * height])
-        self._room = np.array([self.size_px[0] - aside, 0.96 * height]) - self._low
+        tall = max(person_share, ball_share) * height
+        self._low = np.array([0.55 * tall, 1.1 * tall])
+        self._room = np.array([self.size_px[0] - 0.55 * tall, height - 0.25 * tall]) - self._low
+        if (self._room <= 0).any():
+            wide = self.size_px[0]
+            raise SettingsError(
+                f"person_share: expected people that fit into {wide}x{height}, got {person_share}"
+            )
         self._placed: tuple[int, list[tuple[Actor, Cutout]]] = (-1, [])
         self._step_px = max(1, round(self.size_px[0] / STEPS))
         self._buffer = np.empty((0, 0, 3), np.uint8)
@@ -159,15 +164,17 @@ class PanoramaScene:
 def _visible(actor: Actor, nearer: Sequence[Actor]) -> float:
     """Return the share of an actor that those in front of it leave to be seen."""
     x0, y0, x1, y1 = actor.box
-    hiding = [
-        other
-        for other in nearer
-        if other.box[0] < x1 and x0 < other.box[2] and other.box[1] < y1 and y0 < other.box[3]
-    ]
-    if not hiding:
-        return 1.0
-    known = truth_of([actor, *hiding], (max(MOST_PX), max(MOST_PX)))
-    return float(known.visibility[known.ids == actor.id][0])
+    seen = actor.patch[y0 - actor.top : y1 - actor.top, x0 - actor.left : x1 - actor.left, 3]
+    mask = seen >= actor.solid
+    whole = max(1, int(mask.sum()))
+    for other in nearer:
+        left, right = max(x0, other.box[0]), min(x1, other.box[2])
+        top, bottom = max(y0, other.box[1]), min(y1, other.box[3])
+        if left < right and top < bottom:
+            rows = slice(top - other.top, bottom - other.top)
+            hides = other.patch[rows, left - other.left : right - other.left, 3]
+            mask[top - y0 : bottom - y0, left - x0 : right - x0] &= hides < other.solid
+    return float(mask.sum()) / whole
 
 
 def _check(

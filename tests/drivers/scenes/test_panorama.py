@@ -1,6 +1,7 @@
 """The panorama: a field of any size that is read by windows, with exact truth."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -137,6 +138,26 @@ def test_every_object_stays_inside_and_keeps_its_id(scene: PanoramaScene) -> Non
         assert (truth.visibility >= 0).all()
 
 
+@pytest.mark.parametrize(
+    "options", [{"size_px": (160, 90), "objects": 25}, {"ball_share": 0.3}, {"person_share": 0.3}]
+)
+def test_objects_of_any_size_are_inside_and_what_hides_them_counts(
+    options: dict[str, Any],
+) -> None:
+    made = PanoramaScene(**{"size_px": (640, 360), "seed": 1, **options})
+    shares = []
+    for index in range(0, 6000, 150):
+        truth = made.truth(index)
+        shares += truth.visibility.tolist()
+
+        assert (truth.boxes[:, :2] >= 0).all()
+        assert (truth.boxes[:, 2:] <= made.size_px).all()
+        assert window(made, index, (0, 0, *made.size_px)).any()
+
+    assert 0 <= min(shares) < 1
+    assert max(shares) == 1
+
+
 def test_there_are_a_ball_a_referee_and_players_of_two_teams(scene: PanoramaScene) -> None:
     labels = scene.truth(0).labels
 
@@ -176,14 +197,16 @@ def test_photographs_are_laid_like_tiles(tmp_path: Path) -> None:
         ({"size_px": (40_000, 100)}, "size_px: expected"),
         ({"objects": 26}, "objects: expected 0 to 25, got 26"),
         ({"person_share": 2.0}, "person_share: expected 0.001 to 0.3 of the height, got 2.0"),
+        ({"size_px": (160, 9000)}, "person_share: expected people that fit into 160x9000, got 0.1"),
+        ({"ball_share": 0.0}, "ball_share: expected 0.001 to 0.3 of the height, got 0.0"),
         ({"seed": -1}, "seed: must be at least 0, got -1"),
         ({"rate_hz": 0.0}, "rate_hz: expected 1 to 1000, got 0.0"),
         ({"length": -1}, "length: must be at least 0, got -1"),
     ],
 )
-def test_settings_out_of_range_are_refused(options: dict[str, object], sentence: str) -> None:
+def test_settings_out_of_range_are_refused(options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(SettingsError, match=sentence):
-        PanoramaScene(**options)  # type: ignore[arg-type]
+        PanoramaScene(**options)
 
 
 def test_a_folder_without_pictures_is_refused_by_name(tmp_path: Path) -> None:
