@@ -54,3 +54,26 @@ class FrameSource(Protocol):
     def close(self) -> None:
         """Release files and threads."""
         ...
+
+
+class WindowSource(FrameSource, Protocol):
+    """A source whose pictures are too large to be made whole: sensors read windows of them."""
+
+    def window(
+        self,
+        index: int,
+        left: int,
+        top: int,
+        width: int,
+        height: int,
+        reduce: int,
+        out: NDArray[np.uint8],
+    ) -> None:
+        """Fill `out` (height / reduce, width / reduce, 3) with a window of frame `index`, RGB.
+
+        Each pixel is the mean of `reduce` x `reduce` pixels of `picture`, up to rounding. The
+        window is inside the picture and its sides are multiples of `reduce`; its corner need not
+        be. One thread calls at a time, in any order of frames; several windows of a frame follow
+        one another. Raises as `picture` does.
+        """
+        ...

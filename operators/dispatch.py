@@ -1,7 +1,7 @@
 """Turn a plan into sensor commands: Scanpath -> RoiSchedule (Eq. 6 as windows)."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -26,12 +26,15 @@ class DispatchSettings:
 
     replan_every: int = 1  # Ta: frames from one plan to the next; 1: use every scanpath
     fill: Fill = "hold"  # where to look in frames for which a plan has no box
+    settle: int = 0  # frames to wait at the start and after a longer gap, for tracks to form
 
     def __post_init__(self) -> None:
         if self.replan_every < 1:
             raise SettingsError(f"replan_every: must be at least 1, got {self.replan_every}")
         if self.fill not in ("hold", "centre", "scan"):
             raise SettingsError(f"fill: expected hold, centre or scan, got {self.fill}")
+        if self.settle < 0:
+            raise SettingsError(f"settle: must be at least 0, got {self.settle}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +44,8 @@ class DispatchState:
     stream: str
     first_seq: int
     windows: NDArray[np.int32]  # (T, 4) xyxy, sensor pixels; T 0: none yet
+    last_seq: int = -1  # newest frame that a scanpath came for; -1: none yet
+    since_seq: int = -1  # first frame after the last gap longer than `settle`
 
 
 class Dispatch(Operator[DispatchSettings, RoiSchedule]):
@@ -87,16 +92,15 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
 
     def on_scanpath(self, scanpath: Scanpath) -> RoiSchedule | None:
         """Return a schedule for a scanpath that is due, otherwise None."""
-        if not len(scanpath.boxes) or not self._due(scanpath.first_seq):
+        settled = self._settled(scanpath.header.seq)
+        if not len(scanpath.boxes) or not settled or not self._due(scanpath.first_seq):
             return None
         geometry = scanpath.header.geometry
         held = self._held(scanpath.first_seq, geometry)
         windows = plan_windows(
             scanpath.boxes, scanpath.first_seq, geometry, fill=self.settings.fill, held=held
         )
-        self._plan = DispatchState(
-            stream=scanpath.header.stream, first_seq=scanpath.first_seq, windows=windows
-        )
+        self._plan = replace(self._plan, first_seq=scanpath.first_seq, windows=windows)
         return RoiSchedule(
             header=scanpath.header,
             first_seq=scanpath.first_seq,
@@ -116,6 +120,14 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
         if not len(self._plan.windows):
             return True
         return first_seq - self._plan.first_seq >= self.settings.replan_every
+
+    def _settled(self, seq: int) -> bool:
+        """Return whether frames have come for long enough since the start or the last gap."""
+        plan, settle = self._plan, self.settings.settle
+        gap = plan.last_seq < 0 or seq - plan.last_seq > settle
+        since_seq = seq if gap else plan.since_seq
+        self._plan = replace(plan, last_seq=seq, since_seq=since_seq)
+        return seq - since_seq >= settle
 
     def _held(self, first_seq: int, geometry: Geometry) -> Window:
         """Return the window of the frame before `first_seq`, or the middle of the field."""

@@ -100,6 +100,10 @@ PLACES = {
     "raw_loss": Place(
         section="Networks and scenes", order=10, title="The detector on raw frames with noise"
     ),
+    "prototype": Place(section="Late plans", order=20, title="The 200-megapixel prototype"),
+    "long_horizon": Place(
+        section="Late plans", order=21, title="Plans of 200 frames: the network beside rules"
+    ),
     "crash": Place(section="Faults, swaps and long runs", order=1, title="SIGKILL under load"),
     "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
     "swap": Place(section="Faults, swaps and long runs", order=5, title="Swaps"),

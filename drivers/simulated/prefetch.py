@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.simulated.windows import Picture, picture_of
 from drivers.source import Annotations, FrameSource
 
 WORLD_NICENESS = 5
@@ -26,7 +27,7 @@ class Ready:
     """A picture of the source. Several frames asked for together come as their mean."""
 
     seq: int  # the exposure it was asked for
-    pixels: NDArray[np.uint8]  # (h, w, 3) RGB, valid until the next `ask`
+    pixels: Picture  # (h, w, 3) RGB, valid until the next `ask`; made later where read by windows
     truth: Annotations | None  # of the last frame
     ready_ns: int
     cost_ns: int  # time the source took
@@ -70,8 +71,9 @@ class Prefetch:
 
     def _make(self, seq: int, indices: Sequence[int]) -> Ready:
         began_ns = time.monotonic_ns()
+        pixels: Picture
         if len(indices) == 1:
-            pixels = self._source.picture(indices[0])
+            pixels = picture_of(self._source, indices[0])
         else:
             pixels = self._mean.of(self._source, indices)
         truth = self._source.truth(indices[-1])

@@ -4,6 +4,7 @@ D averages areas, C crops; both write into the memory they are given. A raw sens
 noise and its packing are added on the way when asked for.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -14,6 +15,7 @@ from drivers.commands import Window
 from drivers.mosaic import to_mosaic, write_samples
 from drivers.noise import NO_NOISE, OFFSETS, Response, normal_table, stretch
 from drivers.readout import average
+from drivers.simulated.windows import Picture, WindowedPicture
 from pipeline.pixel_formats import FORMATS, PixelFormat
 
 
@@ -62,7 +64,7 @@ class Readout:
 
     def read(
         self,
-        picture: NDArray[np.uint8],
+        picture: Picture,
         window: Window,
         out: NDArray[Any],
         *,
@@ -70,15 +72,13 @@ class Readout:
         port: int,
     ) -> None:
         """Fill `out` with `window` of the picture; `port` tells the two streams' noise apart."""
-        left, top, right, bottom = window
-        region = picture[top:bottom, left:right]
         width, height = self._form.size_px(out.shape)
         form = self.form_of(window, (width, height))
         raw = bool(form.order)
-        if region.shape[:2] != (height, width):
-            target = self._memory(port, "rgb", (height, width, 3)) if raw else out
-            average(region, target)
-            region = target
+        shape = (height, width, 3)
+        region = shown(
+            picture, window, shape, lambda: self._memory(port, "rgb", shape) if raw else out
+        )
         if not raw:
             if region is not out:
                 np.copyto(out, region)
@@ -106,6 +106,26 @@ class Readout:
     def _add_noise(self, out: NDArray[np.uint8], seq: int, port: int) -> None:
         noise = stretch(self._table, out.shape, (self._seed, seq, port))
         cv2.add(out, noise, out, None, cv2.CV_8U)
+
+
+def shown(
+    picture: Picture,
+    window: Window,
+    shape: tuple[int, int, int],
+    memory: Callable[[], NDArray[np.uint8]],
+) -> NDArray[np.uint8]:
+    """Return a window of the picture of this shape: a view, or else made in `memory`."""
+    left, top, right, bottom = window
+    if isinstance(picture, WindowedPicture):
+        made = memory()
+        picture.read(window, made)
+        return made
+    region = picture[top:bottom, left:right]
+    if region.shape == shape:
+        return region
+    made = memory()
+    average(region, made)
+    return made
 
 
 def noise_table(deviation: float, size: int, seed: int) -> NDArray[np.int16]:

@@ -28,7 +28,7 @@ MOSAICS = tuple(name for name, form in FORMATS.items() if form.order)
 class SimulatedSensorSettings:
     """Settings of the simulated sensor; exactly one of `scene` and `source` is required."""
 
-    scene: str = ""  # soccer, or an import path module:Class
+    scene: str = ""  # soccer, panorama, or an import path module:Class
     source: str = ""  # import path of a recording, e.g. drivers.datasets:VideoFile
     path: str = ""  # the recording's file or folder
     source_options: Mapping[str, Any] = field(default_factory=dict)  # further keyword arguments

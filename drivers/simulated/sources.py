@@ -8,7 +8,7 @@ from drivers.source import FrameSource
 from pipeline.errors import SettingsError
 from pipeline.import_path import imported
 
-SCENES = {"soccer": "drivers.scenes:SoccerScene"}
+SCENES = {"soccer": "drivers.scenes:SoccerScene", "panorama": "drivers.scenes:PanoramaScene"}
 FORMER = {  # import paths of earlier versions
     "drivers.images:ImageFolder": "drivers.datasets:ImageFolder",
     "drivers.mot:MotSequence": "drivers.datasets:MotSequence",

@@ -12,12 +12,17 @@ from numpy.typing import NDArray
 
 from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
 from drivers.usb.board_forecast import UNKNOWN, board_of, forecast_of
-from drivers.usb.board_settings import DualStreamBoardSettings, known_formats
+from drivers.usb.board_settings import (
+    DualStreamBoardSettings,
+    backend_settings,
+    known_formats,
+)
+from drivers.usb.capabilities import CaptureMode
 from drivers.usb.errors import LinkError
 from drivers.usb.frame_header import FrameFlag, FrameHeader
 from drivers.usb.session import Session
 from pipeline.contract import RATE, Loan
-from pipeline.errors import DriverError, PoolExhausted
+from pipeline.errors import DriverError, PoolExhausted, SettingsError
 from pipeline.forecast import Forecast
 from pipeline.messages import Frame, Header, RoiSchedule
 
@@ -44,6 +49,14 @@ class DualStreamBoard:
     def absent_until_s(self) -> float:
         """Until when it looks for a lost board, in `time.monotonic()`; 0: none is lost."""
         return self._session.absent_until_s if self._session else 0.0
+
+    @property
+    def shows(self) -> str:
+        """The kind of scene before a virtual board; empty for a real one."""
+        try:
+            return str(getattr(backend_settings(self._settings), "shows", ""))
+        except SettingsError:  # `open` raises it, where it is about this node
+            return ""
 
     def open(self, *, realtime: bool) -> None:
         """Acquire the board; raises `DriverError` or `SettingsError` when it cannot."""
@@ -155,7 +168,8 @@ class DualStreamBoard:
 
     def _rate(self, session: Session) -> dict[str, Any]:
         elapsed_s = (self._last_ns - self._started_ns) / 1e9
-        if not self._realtime or self._delivered < 2 or elapsed_s <= 0:
+        bursts = session.wanted.mode is CaptureMode.RECORD  # which have no rate of delivery
+        if not self._realtime or bursts or self._delivered < 2 or elapsed_s <= 0:
             return {}
         achieved_hz = round(self._delivered / elapsed_s, 3)
         return {RATE: {"asked_hz": session.wanted.rate_mhz / 1000, "achieved_hz": achieved_hz}}

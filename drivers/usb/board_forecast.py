@@ -6,15 +6,13 @@ from typing import Protocol, runtime_checkable
 from drivers.usb.board_settings import (
     DualStreamBoardSettings,
     asked,
+    backend_settings,
     picture_px,
     pixel_format,
     roi_size,
 )
 from drivers.usb.capabilities import BoardCapabilities, CaptureMode
-from pipeline.errors import SettingsError
 from pipeline.forecast import Forecast, LinkUse, PictureStream, pictures
-from pipeline.import_path import imported
-from pipeline.settings import build
 
 UNKNOWN = "a board tells its sizes, formats and link once it is open"
 
@@ -38,10 +36,7 @@ class KnowsItsBoard(Protocol):
 
 def board_of(settings: DualStreamBoardSettings) -> KnownBoard | None:
     """Return the board that the settings of the backend describe; None: only the bus knows."""
-    if not settings.backend:
-        return None
-    found = imported(settings.backend, SettingsError, "backend")
-    options = build(found.settings_type, settings.backend_options, "backend_options")
+    options = backend_settings(settings)
     return options.known_board() if isinstance(options, KnowsItsBoard) else None
 
 

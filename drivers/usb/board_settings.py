@@ -8,7 +8,9 @@ from drivers.usb.capabilities import BoardCapabilities, CaptureMode, RoiSize
 from drivers.usb.requests import Configuration
 from pipeline import pixel_formats
 from pipeline.errors import MessageError, SettingsError
+from pipeline.import_path import imported
 from pipeline.pixel_formats import BY_CODE, PixelFormat
+from pipeline.settings import build
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,14 @@ class DualStreamBoardSettings:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
         if min(self.roi_px) < 0:
             raise SettingsError(f"roi_px: must not be negative, got {self.roi_px}")
+
+
+def backend_settings(settings: DualStreamBoardSettings) -> Any:
+    """Return the settings of the backend; None for libusb. Raises `SettingsError`."""
+    if not settings.backend:
+        return None
+    found = imported(settings.backend, SettingsError, "backend")
+    return build(found.settings_type, settings.backend_options, "backend_options")
 
 
 def configuration(settings: DualStreamBoardSettings, can: BoardCapabilities) -> Configuration:

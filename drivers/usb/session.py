@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from drivers.usb.board_settings import (
     DualStreamBoardSettings,
+    backend_settings,
     configuration,
     picture_px,
     pixel_format,
@@ -33,7 +34,6 @@ from pipeline.errors import DriverError, SettingsError
 from pipeline.import_path import imported
 from pipeline.messages import Geometry, RoiSchedule
 from pipeline.pixel_formats import BY_CODE, PixelFormat
-from pipeline.settings import build
 
 POLL_S = 0.1  # how long a read waits before it looks whether it was stopped
 SILENCE_S = 1.0  # without a header, beside ten frames' time; then the board is asked
@@ -181,9 +181,12 @@ class Session:
             connection.trigger()
             self._triggered = True
         missing = [stream for stream in self._streams if stream not in self._pending]
+        before = len(self._pending)
         if missing:
-            self._pending |= self._receiver.headers(missing, POLL_S)
-        self._listen(heard=len(self._pending) > len(self._streams) - len(missing))
+            # a preview has no ROI to wait for, and only its own header says that it is one
+            previews = self.wanted.mode is CaptureMode.RECORD
+            self._pending |= self._receiver.headers(missing[:1] if previews else missing, POLL_S)
+        self._listen(heard=len(self._pending) > before)
         return self._paired()
 
     def _paired(self) -> list[FrameHeader] | None:
@@ -345,5 +348,4 @@ def _backend(settings: DualStreamBoardSettings) -> Any:
     if not settings.backend:
         return None
     found = imported(settings.backend, SettingsError, "backend")
-    options = build(found.settings_type, settings.backend_options, "backend_options")
-    return found(options)
+    return found(backend_settings(settings))

@@ -13,7 +13,7 @@ import usb.backend
 import usb.core
 from numpy.typing import NDArray
 
-from drivers.simulated.sources import open_recording, open_scene
+from drivers.simulated.sources import open_recording, open_scene, scene_path, shown_by
 from drivers.usb.board_forecast import KnownBoard
 from drivers.usb.capabilities import BoardCapabilities
 from drivers.usb.frame_header import Stream
@@ -40,7 +40,7 @@ class VirtualBoardSettings:
     """Which board is attached, what it looks at, and what goes wrong."""
 
     profile: str = "ideal"
-    scene: str = ""  # soccer, or an import path module:Class
+    scene: str = ""  # soccer, panorama, or an import path module:Class
     source: str = ""  # import path of a recording
     path: str = ""  # the recording's file or folder
     source_options: Mapping[str, Any] = field(default_factory=dict)
@@ -58,6 +58,11 @@ class VirtualBoardSettings:
             raise SettingsError(f"scene or source: expected exactly one of them, got {got}")
         faults_of(self.faults)
         self.scaled()
+
+    @property
+    def shows(self) -> str:
+        """The kind of scene before the board, empty where that is not known."""
+        return shown_by(self.source or scene_path(self.scene))
 
     def scaled(self) -> Profile:
         """Return the profile with the size of the sensor."""

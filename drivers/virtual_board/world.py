@@ -4,13 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.simulated.readout import Readout
+from drivers.simulated.windows import Picture, picture_of
 from drivers.source import Annotations, FrameSource
 from drivers.usb.frame_header import Window
 from pipeline.pixel_formats import BY_CODE
 
 
 class World:
-    """Pictures of a source, read like a sensor reads them."""
+    """Pictures of a source, read like a sensor reads them.
+
+    One that can be read by windows is made only where the board looks.
+    """
 
     def __init__(
         self, source: FrameSource, *, pixel_format: int, noise: float, seed: int, most_px: int
@@ -19,7 +23,7 @@ class World:
         self.length = source.length
         self.readout = Readout(form=BY_CODE[pixel_format], noise=noise, seed=seed, most_px=most_px)
         self._index = -1
-        self._picture = np.empty((0, 0, 3), np.uint8)
+        self._picture: Picture = np.empty((0, 0, 3), np.uint8)
 
     def code(self, window: Window, size_px: tuple[int, int]) -> int:
         """PFNC code of what `render` makes: a crop at odd pixels has a mosaic of another order."""
@@ -35,7 +39,7 @@ class World:
     ) -> None:
         """Fill `out` (n,) with the window of a picture, reduced to `size_px`."""
         if index != self._index:
-            self._picture, self._index = self._source.picture(index), index
+            self._picture, self._index = picture_of(self._source, index), index
         pixels = out.view(self.readout.dtype).reshape(self.readout.shape(size_px))
         self.readout.read(self._picture, window, pixels, seq=index, port=port)
 

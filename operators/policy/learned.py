@@ -8,7 +8,6 @@ import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,7 +29,7 @@ from operators.policy.former import CARRIERS, PRIOR, STRATEGY
 from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
-from operators.policy.network import SHIPPED, PolicyNetwork
+from operators.policy.network import PolicyNetwork, file_of
 from operators.policy.target import TargetSpec, check_box, check_known, check_label, told_before
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
@@ -43,7 +42,9 @@ class LearnedPolicySettings:
 
     FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR}
 
-    weights: str = ""  # an ONNX file of operators.policy.train; empty: the shipped one
+    # an ONNX file of operators.policy.train; empty: the shipped one; long_horizon: the shipped one
+    # of To 10 and Tp 200
+    weights: str = ""
     selection: Selection = "argmax"  # the likeliest object, or one drawn by its probability
     seed: int = 0  # of what is drawn
     target_prior: float = Rules.target_prior  # see `decision.with_prior`; 1: the network alone
@@ -101,7 +102,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
         """
         check_known(settings.target, upstream)
         channels = told_before("feature_channels", upstream)
-        network = PolicyNetwork(Path(settings.weights) if settings.weights else SHIPPED)
+        network = PolicyNetwork(file_of(settings.weights))
         if channels not in (None, network.context_channels):
             raise SettingsError(
                 f"weights: {network.path.name} reads {network.context_channels} features of each "
@@ -113,7 +114,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
     def open(self) -> None:
         """Load the network; raises `WeightsError` when it does not fit the settings."""
         s = self.settings
-        self._network = PolicyNetwork(Path(s.weights) if s.weights else SHIPPED, threads=s.threads)
+        self._network = PolicyNetwork(file_of(s.weights), threads=s.threads)
         self._network.suits(horizon=s.horizon, observed=s.observed)
         self._state = PolicyState(spec=s.spec)
         self._warned: set[str] = set()

@@ -13,13 +13,15 @@ from pipeline.errors import MessageError, WeightsError
 from pipeline.inference import Network
 
 SHIPPED = Path(__file__).with_name("policy.onnx")
+LONG_HORIZON = Path(__file__).with_name("policy_long_horizon.onnx")  # To 10, Tp 200
+NAMED = {"": SHIPPED, "long_horizon": LONG_HORIZON}
 
 
 class PolicyNetwork:
     """The network of one ONNX file; raises `WeightsError` unless it is a policy network."""
 
     def __init__(self, path: Path, *, threads: int = 1) -> None:
-        if path == SHIPPED and not path.is_file():
+        if path in NAMED.values() and not path.is_file():
             raise WeightsError(f"policy.weights: {path.name} is not there; train one, or name one")
         self.path, self._network = path, Network(path, threads=threads)
         given = self._network.inputs
@@ -65,6 +67,11 @@ class PolicyNetwork:
         """Probability of each of N candidates at each step: (N, Tp)."""
         logits = self._network(batched([candidates], [condition]))["logits"][0]
         return softmax(logits)
+
+
+def file_of(weights: str) -> Path:
+    """Return the file that a setting `weights` means: a shipped one by name, else a path."""
+    return NAMED.get(weights) or Path(weights)
 
 
 def _last(sides: Sequence[object]) -> int:

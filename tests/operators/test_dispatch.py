@@ -64,6 +64,36 @@ def test_gaps_in_the_frame_numbers_count_as_time() -> None:
     assert [a is not None for a in got] == [True, False, True, False, True]
 
 
+def test_a_plan_waits_until_frames_have_come_for_long_enough() -> None:
+    paths = [scanpath(seq, [[0, 0, 9, 9]] * 200) for seq in range(0, 60, 4)]
+
+    got = answers(paths, replan_every=180, settle=36)
+
+    assert [a.first_seq for a in got if a] == [37]
+
+
+def test_a_plan_waits_again_after_a_gap_longer_than_that() -> None:
+    seqs = [*range(0, 40, 4), *range(400, 460, 4), *range(480, 640, 4)]
+    paths = [scanpath(seq, [[0, 0, 9, 9]] * 200) for seq in seqs]
+
+    got = answers(paths, replan_every=180, settle=36)
+
+    assert [a.first_seq for a in got if a] == [37, 437, 617]
+
+
+def test_a_successor_waits_no_longer_than_its_predecessor_would_have() -> None:
+    paths = [scanpath(seq, [[0, 0, 9, 9]] * 200) for seq in range(0, 44, 4)]
+    first, second = Dispatch(DispatchSettings(settle=36)), Dispatch(DispatchSettings(settle=36))
+    first.open()
+    for path in paths[:9]:
+        assert first.on_scanpath(path) is None
+
+    second.open()
+    second.restore(first.state())
+
+    assert second.on_scanpath(paths[9]) is not None
+
+
 def test_every_scanpath_is_a_plan_by_default() -> None:
     got = answers([scanpath(seq, [[0, 0, 9, 9]]) for seq in range(3)])
 
@@ -165,6 +195,7 @@ def test_coverage_is_what_counting_frames_gives(delay: int, every: int, horizon:
     ("settings", "named"),
     [
         ({"replan_every": 0}, "replan_every: must be at least 1, got 0"),
+        ({"settle": -1}, "settle: must be at least 0, got -1"),
         ({"fill": "guess"}, "fill: expected hold, centre or scan, got guess"),
     ],
 )

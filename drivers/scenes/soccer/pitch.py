@@ -114,7 +114,7 @@ def _paint_grass(canvas: Canvas, rng: np.random.Generator, station: Station, tur
     h, w = canvas.image.shape[:2]
     small = np.clip(light[..., None] * colour, 0, 255).astype(np.uint8)
     cv2.resize(small, (w, h), dst=canvas.image, interpolation=cv2.INTER_LINEAR)
-    tile = _blades(rng, turf.noise)
+    tile = blades(rng, turf.noise)
     for top in range(0, h, 512):
         for left in range(0, w, 512):
             part = canvas.image[top : top + 512, left : left + 512]
@@ -122,7 +122,7 @@ def _paint_grass(canvas: Canvas, rng: np.random.Generator, station: Station, tur
             cv2.add(part, grain, dst=part, dtype=cv2.CV_8U)
 
 
-def _blades(rng: np.random.Generator, noise: float) -> NDArray[np.int8]:
+def blades(rng: np.random.Generator, noise: float) -> NDArray[np.int8]:
     """Return fine and coarse noise of grass: (512, 512), to be added."""
     fine = rng.normal(0, 1, (512, 512))
     mixed = fine * 0.6 + cv2.GaussianBlur(fine, (0, 0), 0.9) * 2.2

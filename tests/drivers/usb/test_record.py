@@ -1,11 +1,13 @@
 """The mode record: previews of the context, a burst by schedule, its download, previews again."""
 
+import time
 from typing import Any
 
 import numpy as np
 
 from drivers.sensor import Exposure
 from drivers.usb import DualStreamBoard
+from drivers.usb.session import POLL_S
 from tests.drivers.contract import command, read, started
 from tests.drivers.usb.boards import board
 
@@ -37,6 +39,18 @@ def test_previews_come_at_their_rate_and_have_no_roi() -> None:
     assert {e.roi.window for e in seen} == {(0, 0, 0, 0)}
     assert {e.roi.pixels.size for e in seen} == {0}
     assert subject.summary()["frames"]["lost"] == 0
+
+
+def test_a_preview_is_delivered_without_waiting_for_a_region() -> None:
+    subject = started(prototype())
+    read(subject)
+
+    began = time.monotonic()
+    for _ in range(10):
+        read(subject)
+
+    subject.close()
+    assert time.monotonic() - began < 10 * POLL_S / 2
 
 
 def test_a_plan_is_recorded_frame_by_frame_and_then_the_previews_go_on() -> None:

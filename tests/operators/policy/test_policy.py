@@ -1,5 +1,7 @@
 """Tracks -> Scanpath: the contract of every policy, and the baselines."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +15,15 @@ from operators.policy import (
     PursuitPolicySettings,
     RoundRobinPolicy,
 )
-from pipeline import GraphError, MessageError, RoiFeatures, Scanpath, SettingsError
+from operators.policy.network import SHIPPED, PolicyNetwork, file_of
+from pipeline import (
+    GraphError,
+    MessageError,
+    RoiFeatures,
+    Scanpath,
+    SettingsError,
+    WeightsError,
+)
 from pipeline.codec import dumps, loads
 from pipeline.contract import inputs_of, outputs_of, settings_of
 from pipeline.graph.plan import load_operator
@@ -211,3 +221,18 @@ def test_any_tracks_give_a_complete_plan_and_a_successor_gives_the_same(policy, 
         assert loads(Scanpath, dumps(path)).boxes.shape == (16, 4)
         assert np.isfinite(path.boxes).all()
         assert set(path.choice.tolist()) <= {-1, *world.ids.tolist()}
+
+
+def test_the_networks_that_are_shipped_are_known_by_name() -> None:
+    network = PolicyNetwork(file_of("long_horizon"))
+
+    network.suits(horizon=200, observed=10)
+    assert file_of("") == SHIPPED
+    assert file_of("mine/policy.onnx") == Path("mine/policy.onnx")
+
+
+def test_the_long_horizon_is_refused_with_settings_of_the_usual_one() -> None:
+    operator = LearnedPolicy(LearnedPolicySettings(weights="long_horizon"))
+
+    with pytest.raises(WeightsError, match="expected horizon 16 and observed 4 as policy's"):
+        operator.open()
