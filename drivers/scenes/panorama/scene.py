@@ -164,17 +164,28 @@ class PanoramaScene:
 def _visible(actor: Actor, nearer: Sequence[Actor]) -> float:
     """Return the share of an actor that those in front of it leave to be seen."""
     x0, y0, x1, y1 = actor.box
-    seen = actor.patch[y0 - actor.top : y1 - actor.top, x0 - actor.left : x1 - actor.left, 3]
-    mask = seen >= actor.solid
+    hiding = [
+        other
+        for other in nearer
+        if other.box[0] < x1 and x0 < other.box[2] and other.box[1] < y1 and y0 < other.box[3]
+    ]
+    if not hiding:
+        return 1.0
+    mask = _opaque(actor, actor.box)
     whole = max(1, int(mask.sum()))
-    for other in nearer:
+    for other in hiding:
         left, right = max(x0, other.box[0]), min(x1, other.box[2])
         top, bottom = max(y0, other.box[1]), min(y1, other.box[3])
-        if left < right and top < bottom:
-            rows = slice(top - other.top, bottom - other.top)
-            hides = other.patch[rows, left - other.left : right - other.left, 3]
-            mask[top - y0 : bottom - y0, left - x0 : right - x0] &= hides < other.solid
+        hides = _opaque(other, (left, top, right, bottom))
+        mask[top - y0 : bottom - y0, left - x0 : right - x0] &= ~hides
     return float(mask.sum()) / whole
+
+
+def _opaque(actor: Actor, box: tuple[int, int, int, int]) -> NDArray[np.bool_]:
+    """Return which pixels of a box inside the actor's patch belong to it: (h, w)."""
+    rows = slice(box[1] - actor.top, box[3] - actor.top)
+    alpha = actor.patch[rows, box[0] - actor.left : box[2] - actor.left, 3]
+    return np.asarray(alpha >= actor.solid)
 
 
 def _check(
