@@ -16,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 from numpy.typing import NDArray
 
+from drivers.usb import link
 from drivers.usb.frame_header import HEADER_BYTES, FrameHeader, Stream
 from drivers.usb.requests import Configuration, Request
 from drivers.virtual_board import VirtualBackend, gadget, usbip
@@ -284,6 +285,28 @@ def test_a_configuration_that_was_not_taken_is_an_error() -> None:
     with pytest.raises(DriverError, match="roi_px: expected"):
         subject.start()
     subject.close()
+
+
+class _Freed:
+    """Says when it is freed, as the wrappers of libusb's objects give them back."""
+
+    def __init__(self, name: str, freed: list[str]) -> None:
+        self._name, self._freed = name, freed
+
+    def __del__(self) -> None:
+        self._freed.append(self._name)
+
+
+def test_a_context_of_libusb_is_freed_after_its_devices() -> None:
+    freed: list[str] = []
+    context, device = _Freed("context", freed), _Freed("device", freed)
+    held = {"context": context, "device": device}  # dropped in this order, as in pyusb
+    link.outlive(device, context)
+
+    del context, device
+    held.clear()
+
+    assert freed == ["device", "context"]
 
 
 def _some(host: int, most: int) -> bytes:
