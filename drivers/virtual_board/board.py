@@ -33,7 +33,8 @@ from drivers.virtual_board.world import World
 from pipeline.pixel_formats import BY_CODE
 
 OpenWorld = Callable[[int, int], World]  # pixel format, most pixels of a picture -> world
-WAKE_S = 0.05  # how often a bulk read looks whether it was cancelled
+WAKE_S = 0.05  # how often a bulk read looks whether something has become due
+IDLE_NS = 10_000_000_000  # the same, where only a request can change that
 
 
 class VirtualBoard:
@@ -164,7 +165,7 @@ class VirtualBoard:
         running = self._exposures
         waiting = running.waiting[stream] if running else None
         if running is None or (running.triggered and not waiting):
-            return round(WAKE_S * 1e9)
+            return IDLE_NS
         coming = waiting[0].ready_ns if waiting else running.due_ns(running.next)
         return max(0, min(coming - self._now_ns(), round(WAKE_S * 1e9)))
 

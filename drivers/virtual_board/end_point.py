@@ -9,6 +9,7 @@ import signal
 import struct
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from drivers.virtual_board.errors import Gone, Halted, TooMuch
 from pipeline.errors import DriverError, FoveaError
 
 CHUNK_BYTES = 64 << 10  # of one write: the kernel copies it to memory that is contiguous
-POLL_S = 0.05  # of a read of the board that nothing wakes
+READ_S = 0.5  # of a read of the board; a request ends it
 WAKE = signal.SIGUSR1  # interrupts a write that waits for the host
 WAKE_S, PARK_S = 0.005, 5.0  # between attempts to interrupt it, and in all
 HALT_S = 1.0  # in which the host takes what was sent before
@@ -88,10 +89,17 @@ class EndPoint:
 
 
 class StreamWriter:
-    """Sends the frames of one stream while it is let; the handler of `WAKE` must be set."""
+    """Sends the frames of one stream while it is let; the handler of `WAKE` must be set.
 
-    def __init__(self, board: VirtualBoard, stream: Stream, end_point: EndPoint) -> None:
+    When it cannot go on, `gone` or `failure` says why, and it calls `ended`.
+    """
+
+    def __init__(
+        self, board: VirtualBoard, stream: Stream, end_point: EndPoint,
+        ended: Callable[[], None],
+    ) -> None:  # fmt: skip
         self._board, self._stream, self._end_point = board, stream, end_point
+        self._ended = ended
         self._memory = np.empty(CHUNK_BYTES, np.uint8)
         self._turn = threading.Condition()
         self._going = self._ending = False
@@ -138,8 +146,10 @@ class StreamWriter:
                 self._send_frame()
             except Gone:
                 self._going, self.gone = False, True
+                self._ended()
             except (OSError, FoveaError) as error:
                 self._going, self.failure = False, error
+                self._ended()
 
     def _its_turn(self) -> bool:
         """Wait until it may send; False: never again."""
@@ -153,7 +163,7 @@ class StreamWriter:
     def _send_frame(self) -> None:
         """Send the next frame, if there is one."""
         header = self._memory[:HEADER_BYTES]
-        if self._board.read(self._stream, header, POLL_S) is None:
+        if self._board.read(self._stream, header, READ_S) is None:
             return
         (left,) = PAYLOAD_BYTES.unpack_from(header.data)
         try:
@@ -170,7 +180,7 @@ class StreamWriter:
         while left:
             piece = self._memory[: min(left, CHUNK_BYTES)]
             try:
-                count = self._board.read(self._stream, piece, POLL_S)
+                count = self._board.read(self._stream, piece, READ_S)
             except TooMuch:
                 self._send_too_much(left)
                 return

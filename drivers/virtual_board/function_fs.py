@@ -58,6 +58,8 @@ class FunctionFs:
         self._name, self._folder, self._control = name, Path(), -1
         self._mounted = False
         self._poll = select.poll()
+        self._woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._poll.register(self._woken, select.POLLIN)
 
     def open(self) -> list[Path]:
         """Mount and describe the function; return its end points. Raises `DriverError`."""
@@ -77,14 +79,21 @@ class FunctionFs:
         return [self._folder / f"ep{k + 1}" for k in range(len(ENDPOINTS))]
 
     def event(self, timeout_s: float) -> Event | None:
-        """Return the next event; None: there was none in time."""
-        if not self._poll.poll(round(timeout_s * 1000)):
+        """Return the next event; None: there was none in time, or `wake` was called."""
+        ready = [file for file, _ in self._poll.poll(round(timeout_s * 1000))]
+        if self._woken in ready:
+            os.eventfd_read(self._woken)
+        if self._control not in ready:
             return None
         data = _attempt(lambda: os.read(self._control, EVENT.size))
         if data is None:
             return None
         setup, kind = EVENT.unpack(data)
         return Event(EventKind(kind), SetupPacket.unpack(setup))
+
+    def wake(self) -> None:
+        """Let a wait for events return; another thread may call it."""
+        os.eventfd_write(self._woken, 1)
 
     def answer(self, data: bytes) -> None:
         """Send what an IN request asks for."""
@@ -104,6 +113,9 @@ class FunctionFs:
 
     def close(self) -> None:
         """Close and unmount; the end points are closed by then."""
+        if self._woken >= 0:
+            os.close(self._woken)
+            self._woken = -1
         if self._control >= 0:
             os.close(self._control)
             self._control = -1

@@ -30,7 +30,8 @@ from drivers.virtual_board.setup_packet import INTERFACE, SetupPacket
 from pipeline.errors import DriverError, FoveaError
 
 NAME = "fovea"
-POLL_S = 0.02  # how soon a board that has unplugged itself is noticed
+POLL_S = 0.02  # how soon a board that was unplugged is plugged in again
+EVENT_S = 1.0  # of a wait for an event; a stream that ends wakes it
 
 log = logging.getLogger(__name__)
 
@@ -53,9 +54,10 @@ def serve(
             made.callback(function.close)
             writers: list[StreamWriter] = []
             for stream, path in zip(Stream, function.open(), strict=True):
-                writers.append(StreamWriter(board, stream, EndPoint(path)))
+                writers.append(StreamWriter(board, stream, EndPoint(path), function.wake))
                 made.callback(writers[-1].close)
-            made.callback(configuration.unbind)  # this ends what waits for the host
+            made.callback(configuration.unbind)  # this ends what waits for the host,
+            made.callback(board.close)  # and this what waits for the board
             gadget = Gadget(board, function, writers)
             while True:
                 configuration.bind(controller)
@@ -80,7 +82,7 @@ class Gadget:
         """Answer requests; raises `DriverError` when an end point fails."""
         with suppress(Gone):
             while not any(writer.gone for writer in self._writers):
-                self._step(POLL_S)
+                self._step(EVENT_S)
                 for failure in filter(None, (writer.failure for writer in self._writers)):
                     raise DriverError(f"gadget: a stream fails: {failure}")
         self._park()

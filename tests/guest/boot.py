@@ -103,9 +103,8 @@ def _loaded(lines: Sequence[str]) -> str:
 
 
 def _run(image: Path, archive: Path, limit_s: float) -> int:
-    # one processor: two spend half of their time on telling each other about their page tables
     words = [
-        "qemu-system-x86_64", "-m", "1024", "-accel", "tcg", "-cpu", "Nehalem",
+        "qemu-system-x86_64", "-m", "1024", "-smp", "2", "-accel", "tcg", "-cpu", "Nehalem",
         "-nodefaults", "-display", "none", "-serial", "stdio", "-no-reboot",
         "-kernel", str(image), "-initrd", str(archive),
         # what protects a kernel from its processor costs an emulated one most of its time

@@ -1,7 +1,7 @@
 """Program: the gadget's program again and again, without importing it each time.
 
 Reads a list of options from each line (JSON): runs the program with them in a process of its own;
-an empty list terminates it, and `ended with STATUS` is printed.
+an empty list terminates it, and `ended with STATUS` is printed. Prints `ready` first.
 """
 
 import json
@@ -15,6 +15,7 @@ from drivers.virtual_board import gadget
 def main() -> None:
     """Obey until the input ends."""
     running = 0
+    print("ready", flush=True)
     try:
         for line in sys.stdin:
             if options := json.loads(line):

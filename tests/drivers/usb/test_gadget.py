@@ -6,8 +6,7 @@ That a kernel takes it is tested in a guest, see test_attached.py.
 import os
 import signal
 import threading
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -95,6 +94,12 @@ def started(**virtual: Any) -> VirtualBoard:
     return found
 
 
+def writing(
+    subject: VirtualBoard, end_point: EndPoint, ended: Callable[[], None] = lambda: None
+) -> StreamWriter:
+    return StreamWriter(subject, Stream.ROI, end_point, ended)
+
+
 @pytest.fixture(autouse=True)
 def _wakes() -> Iterator[None]:
     before = signal.signal(WAKE, lambda _number, _frame: None)
@@ -104,7 +109,7 @@ def _wakes() -> Iterator[None]:
 
 def test_headers_and_payloads_are_transfers_of_their_own() -> None:
     subject, end_point = started(), Recording()
-    writer = StreamWriter(subject, Stream.ROI, end_point)
+    writer = writing(subject, end_point)
 
     writer.go()
     for _ in range(2):
@@ -121,7 +126,7 @@ def test_headers_and_payloads_are_transfers_of_their_own() -> None:
 def test_a_payload_that_ends_early_shows_its_end(size_px: tuple[int, int]) -> None:
     subject = started(size_px=size_px, faults=({"kind": "truncate", "exposure": 0},))
     end_point = Recording()
-    writer = StreamWriter(subject, Stream.ROI, end_point)
+    writer = writing(subject, end_point)
 
     writer.go()
     for _ in range(2):
@@ -140,7 +145,7 @@ def test_a_payload_that_ends_early_shows_its_end(size_px: tuple[int, int]) -> No
 def test_a_stall_halts_the_end_point_and_a_header_follows() -> None:
     subject = started(faults=({"kind": "stall", "exposure": 0},))
     end_point = Recording()
-    writer = StreamWriter(subject, Stream.ROI, end_point)
+    writer = writing(subject, end_point)
 
     writer.go()
     for _ in range(2):
@@ -157,7 +162,7 @@ def test_what_the_host_did_not_take_is_dropped_by_a_stop(tmp_path: Path) -> None
     path = tmp_path / "end_point"
     os.mkfifo(path)
     subject = started(size_px=(2048, 1024))
-    writer = StreamWriter(subject, Stream.ROI, Fifo(path))
+    writer = writing(subject, Fifo(path))
     host = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
 
     writer.go()
@@ -182,13 +187,12 @@ def test_what_the_host_did_not_take_is_dropped_by_a_stop(tmp_path: Path) -> None
 
 def test_a_writer_notices_that_the_board_is_unplugged() -> None:
     subject = started(faults=({"kind": "unplug", "exposure": 0, "seconds": 60.0},))
-    writer = StreamWriter(subject, Stream.ROI, Recording())
+    ended = threading.Event()
+    writer = writing(subject, Recording(), ended.set)
 
     writer.go()
     subject.tell(Request.TRIGGER, 0, b"")
-    deadline_s = time.monotonic() + LIMIT_S
-    while not writer.gone and time.monotonic() < deadline_s:
-        time.sleep(0.01)
+    assert ended.wait(LIMIT_S)
     noticed = writer.gone
     writer.close()
 
