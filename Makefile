@@ -4,8 +4,8 @@
 #   make test-slow     the tests that take minutes, and a search for inputs that break something
 #   make test-footage  the tests on recordings and third-party weights, which are in SHARED; what is
 #                      not there is skipped
-#   make test-guest    the USB driver over a real kernel in a virtual machine: needs QEMU, busybox-static
-#                      and KERNEL, made by `dpkg-deb -x linux-image-….deb .guest`
+#   make test-guest    the drivers of USB boards and webcams over a real kernel in a virtual machine: needs
+#                      QEMU, busybox-static and KERNEL, which `make guest-kernel` downloads (70 MB)
 #   make check         style, types, import rules and the examples in docstrings
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -13,7 +13,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-slow test-footage test-guest check train clean
+.PHONY: demo test test-slow test-footage guest-kernel test-guest check train clean
 
 # where recordings (data/) and third-party weights (models/) are
 SHARED ?= ../shared
@@ -51,10 +51,13 @@ test-slow: $(VENV)/.installed-dev
 test-footage: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m "footage and not hardware" -rs --shared="$(SHARED)"
 
+guest-kernel: $(VENV)/.installed-dev
+	$(BIN)/python -m tests.guest.kernel $(KERNEL)
+
 test-guest: $(VENV)/.installed-dev
-	$(BIN)/python -m tests.guest.boot $(KERNEL) env HOME=/tmp PYTHONDONTWRITEBYTECODE=1 \
-		$(abspath $(BIN)/python) -m pytest --rootdir=$(CURDIR) -p no:cacheprovider -m hardware \
-		--usb-board=usbip $(CURDIR)/tests/drivers/usb/test_attached.py
+	$(BIN)/python -m tests.guest.boot $(KERNEL) $(BIN)/python -m pytest -p no:cacheprovider \
+		-m hardware --durations=5 --usb-board=usbip --usb-board=gadget --camera=/dev/video0 \
+		tests/drivers/usb/test_attached.py tests/drivers/cameras/test_webcam.py
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -37,8 +37,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="folder of recordings and weights for tests marked `footage` (default: %(default)s)",
     )  # fmt: skip
     parser.addoption(
-        "--usb-board", choices=("attached", "usbip"), default="attached",
-        help="board of tests marked `hardware`: the one on the desk, or a virtual one over USB/IP",
+        "--usb-board", action="append", choices=("attached", "usbip", "gadget"), default=[],
+        help="board of tests marked `hardware`: the one on the desk (the default), or a virtual one"
+        " over USB/IP or as a gadget; may be given more than once",
     )  # fmt: skip
     parser.addoption(
         "--camera", default="", metavar="PATH",

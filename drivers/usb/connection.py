@@ -5,6 +5,7 @@ from typing import Any
 
 from drivers.usb.block import MOST_BLOCK_BYTES
 from drivers.usb.capabilities import BoardCapabilities
+from drivers.usb.errors import Stalled
 from drivers.usb.link import Attached, Link, attached
 from drivers.usb.requests import (
     Acknowledgement,
@@ -40,9 +41,14 @@ class Connection:
         return self.link.where
 
     def configure(self, wanted: Configuration) -> Configuration:
-        """Configure the board; return what is in effect."""
+        """Configure the board; return what is in effect. Raises `Stalled` where it refuses."""
         self.link.tell(Request.CONFIGURE, wanted.pack())
-        return Configuration.unpack(self._ask(Request.CONFIGURATION))
+        effective = Configuration.unpack(self._ask(Request.CONFIGURATION))
+        for field in ("roi_px", "pixel_format", "mode"):
+            expected, got = getattr(wanted, field), getattr(effective, field)
+            if expected != got:  # some boards cannot stall a request whose data have come
+                raise Stalled(f"{self.where}: {field}: expected {expected}, the board has {got}")
+        return effective
 
     def start(self, *, triggered: bool) -> None:
         """Begin to expose; exposures count from 0 again."""

@@ -7,6 +7,7 @@ is given, without a copy in user space.
 import array
 import errno
 import time
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -51,9 +52,22 @@ def attached(
     backend: Any = None, *, ids: tuple[int, int] = (VENDOR_ID, PRODUCT_ID)
 ) -> list[Attached]:
     """Return the boards on the bus; one that may not be opened has no serial number."""
-    backend = backend or _libusb()
-    devices = usb.core.find(True, backend=backend, idVendor=ids[0], idProduct=ids[1])
+    own = backend is None
+    backend = _libusb() if own else backend
+    devices = list(usb.core.find(True, backend=backend, idVendor=ids[0], idProduct=ids[1]))
+    for device in devices if own else ():
+        outlive(device._ctx.dev, backend)
     return [_described(device) for device in devices]
+
+
+def outlive(device: Any, context: Any) -> None:
+    """Keep a context of libusb until a device of it is gone.
+
+    pyusb's devices drop their context before they give themselves back to it; where they are the
+    last to hold it, libusb would read memory that is freed.
+    """
+    held = weakref.finalize(device, lambda _context: None, context)
+    held.atexit = False  # pyusb's own finalizers are in order then
 
 
 class Link:

@@ -33,7 +33,8 @@ from drivers.virtual_board.world import World
 from pipeline.pixel_formats import BY_CODE
 
 OpenWorld = Callable[[int, int], World]  # pixel format, most pixels of a picture -> world
-WAKE_S = 0.05  # how often a bulk read looks whether it was cancelled
+WAKE_S = 0.05  # how often a bulk read looks whether something has become due
+IDLE_NS = 10_000_000_000  # the same, where only a request can change that
 
 
 class VirtualBoard:
@@ -42,12 +43,12 @@ class VirtualBoard:
     def __init__(
         self, profile: Profile, world: OpenWorld, *, faults: Iterable[Fault] = (),
         now_ns: Callable[[], int] = time.monotonic_ns,
-        wait_s: Callable[[float], object] = time.sleep,
     ) -> None:  # fmt: skip
         self.profile, self.faults = profile, FaultScript(faults)
         self._open_world, self._world = world, None  # type: OpenWorld, World | None
-        self._now_ns, self._wait_s = now_ns, wait_s
+        self._now_ns = now_ns
         self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)  # by a request: reads look again
         self._exposures: Exposures | None = None
         self._sender: FrameSender | None = None
         self._back_ns = 0  # when it is plugged in again
@@ -101,6 +102,8 @@ class VirtualBoard:
                     raise Refused(f"unknown request {request:#x}")
             except BadBlock as error:
                 raise Refused(str(error)) from None
+            finally:
+                self._changed.notify_all()
 
     def clear_halt(self, stream: Stream) -> None:
         """Clear the halt of an end point: what follows is a header."""
@@ -125,22 +128,26 @@ class VirtualBoard:
     def read(self, stream: Stream, memory: NDArray[np.uint8], timeout_s: float) -> int | None:
         """Send the next bytes of a stream; return their count, None when nothing came in time.
 
-        A count below the size of the memory is a short packet. Raises `Halted`, `Gone` or
-        `TooMuch`.
+        A count below the size of the memory is a short packet. A read that waits while the board
+        is stopped returns None at once. Raises `Halted`, `Gone` or `TooMuch`.
         """
         deadline_ns = self._now_ns() + round(timeout_s * 1e9)
-        while True:
-            with self._lock:
+        with self._changed:
+            running = self._sender
+            while True:
                 self._catch_up()
-                count = self._sender.send(stream, memory) if self._sender else None
-                wait_ns = self._wait_ns(stream)
-            if count is not None:
-                self._pace(count)
-                return count
-            left_ns = deadline_ns - self._now_ns()
-            if left_ns <= 0:
-                return None
-            self._wait_s(max(min(left_ns, wait_ns) / 1e9, 1e-4))
+                if running not in (None, self._sender):
+                    return None
+                running = self._sender
+                count = running.send(stream, memory) if running else None
+                left_ns = deadline_ns - self._now_ns()
+                if count is not None:
+                    break
+                if left_ns <= 0:
+                    return None
+                self._changed.wait(max(min(left_ns, self._wait_ns(stream)) / 1e9, 1e-4))
+        self._pace(count)
+        return count
 
     def _pace(self, count: int) -> None:
         """Take the time that the link takes for so many bytes."""
@@ -151,14 +158,14 @@ class VirtualBoard:
             self._link_free_ns = begin_ns + round(count * 1e9 / self.profile.can.link_bytes_per_s)
             wait_ns = self._link_free_ns - self._now_ns()
         if wait_ns > 0:
-            self._wait_s(wait_ns / 1e9)
+            time.sleep(wait_ns / 1e9)
 
     def _wait_ns(self, stream: Stream) -> int:
-        """How long a read should wait before it looks again."""
+        """How long a read should wait before it looks again, where no request wakes it."""
         running = self._exposures
-        if running is None:
-            return round(WAKE_S * 1e9)
-        waiting = running.waiting[stream]
+        waiting = running.waiting[stream] if running else None
+        if running is None or (running.triggered and not waiting):
+            return IDLE_NS
         coming = waiting[0].ready_ns if waiting else running.due_ns(running.next)
         return max(0, min(coming - self._now_ns(), round(WAKE_S * 1e9)))
 
@@ -228,6 +235,7 @@ class VirtualBoard:
 
     def _stop(self) -> None:
         self._exposures = self._sender = None
+        self._changed.notify_all()
         if self._world is not None:
             self._world.close()
             self._world = None

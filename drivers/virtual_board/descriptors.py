@@ -52,8 +52,16 @@ def string_descriptor(index: int) -> bytes:
 
 def configuration_descriptor() -> bytes:
     """Return the configuration with all that belongs to it."""
-    ends = b"".join(_packed(end_point) + COMPANION for end_point in ENDPOINTS)
-    return _packed(CONFIGURATION) + _packed(INTERFACE) + ends
+    return _packed(CONFIGURATION) + b"".join(interface_descriptors())
+
+
+def interface_descriptors(packet_bytes: int = MAX_PACKET_BYTES) -> list[bytes]:
+    """Return the interface and its end points; only SuperSpeed's packets have companions."""
+    companion = [COMPANION] if packet_bytes == MAX_PACKET_BYTES else []
+    found = [_packed(INTERFACE)]
+    for end_point in ENDPOINTS:
+        found += [_packed({**end_point, "wMaxPacketSize": packet_bytes}), *companion]
+    return found
 
 
 def standard_answer(kind: int, request: int, value: int, length: int) -> bytes:

@@ -14,25 +14,28 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import click
 import numpy as np
 
 from drivers.usb.frame_header import Stream
-from drivers.virtual_board.backend import VirtualBackend, VirtualBoardSettings
+from drivers.virtual_board.backend import VirtualBackend
 from drivers.virtual_board.board import VirtualBoard
+from drivers.virtual_board.command_line import board_options, board_settings
 from drivers.virtual_board.descriptors import ENDPOINTS, standard_answer
 from drivers.virtual_board.errors import Gone, Halted, Refused, TooMuch
+from drivers.virtual_board.setup_packet import ENDPOINT, SetupPacket
 from pipeline.errors import DriverError, FoveaError
 
 CONTROLLER = Path("/sys/devices/platform/vhci_hcd.0")
 SUPER_SPEED = 5
-FREE = "004"  # state of a port in the controller's status
+SUPER_SPEED_HUB, FREE = "ss", "004"  # hub and state of a port in the controller's status
 SUBMIT, UNLINK, SUBMITTED, UNLINKED = 1, 2, 3, 4
 BASIC = struct.Struct(">IIIII")  # command, number, device, direction, end point
 COMMAND = struct.Struct(">IiiiI8s")  # flags, length, start frame, packets, interval, setup
@@ -42,23 +45,11 @@ HEADER_BYTES = 48
 MOST_TRANSFER_BYTES = 64 << 20
 IN = 1
 POLL_S = 0.05  # how soon a cancelled read is noticed
-SETUP = struct.Struct("<BBHHH")
-CLEAR_FEATURE, ENDPOINT = 1, 2
-VENDOR = 0x40
+FREED_S = 10.0  # in which the controller has to notice that a device is gone
+CLEAR_FEATURE = 1
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Setup:
-    """A control transfer's setup packet."""
-
-    kind: int
-    request: int
-    value: int
-    index: int
-    length: int
 
 
 @dataclass(eq=False)
@@ -83,11 +74,12 @@ class UsbIpDevice:
 
     def serve(self) -> None:
         """Answer until the kernel detaches the device or the board is unplugged."""
+        times = self._board.plugged_in
         threads = [threading.Thread(target=self._stream, args=(s,), daemon=True) for s in Stream]
         for thread in threads:
             thread.start()
         try:
-            while self._board.present:
+            while self._board.plugged_in == times:
                 command, number, _, direction, end_point = BASIC.unpack(self._taken(BASIC.size))
                 rest = self._taken(HEADER_BYTES - BASIC.size)
                 if command == UNLINK:
@@ -114,17 +106,17 @@ class UsbIpDevice:
             self._reads[Stream(end_point - 1)].put(read)
             return
         data = b"" if direction == IN else self._taken(length)
-        status, answer = _attempt(lambda: self._control(Setup(*SETUP.unpack(setup)), data))
+        status, answer = _attempt(lambda: self._control(SetupPacket.unpack(setup), data))
         sent = len(answer) if direction == IN else len(data)
         self._answer(SUBMITTED, number, ANSWER.pack(status, sent, 0, 0, 0), answer)
 
-    def _control(self, setup: Setup, data: bytes) -> bytes:
-        if setup.kind & VENDOR:
-            if setup.kind & 0x80:
+    def _control(self, setup: SetupPacket, data: bytes) -> bytes:
+        if setup.vendor:
+            if setup.reads:
                 return self._board.ask(setup.request, setup.length)
             self._board.tell(setup.request, setup.value, data)
             return b""
-        if setup.request == CLEAR_FEATURE and setup.kind & 0x1F == ENDPOINT:
+        if setup.request == CLEAR_FEATURE and setup.recipient == ENDPOINT:
             addresses = [e["bEndpointAddress"] for e in ENDPOINTS]
             self._board.clear_halt(Stream(addresses.index(setup.index & 0xFF)))
             return b""
@@ -156,7 +148,8 @@ class UsbIpDevice:
             with self._guard:
                 self._waiting.pop(read.number, None)
             if status == -errno.ENODEV:  # the cable is pulled: the kernel notices by the socket
-                self._link.shutdown(socket.SHUT_RDWR)
+                with suppress(OSError):  # it has noticed
+                    self._link.shutdown(socket.SHUT_RDWR)
                 return
             if read.unlink and count is None and not status:
                 self._answer(UNLINKED, read.unlink, UNLINK_ANSWER.pack(-errno.ECONNRESET))
@@ -189,15 +182,61 @@ class UsbIpDevice:
         return bytes(found)
 
 
-def attach(link: socket.socket, port: int = 15, controller: Path = CONTROLLER) -> None:
-    """Give the kernel's virtual controller its end of a socket; ports from 15 on are SuperSpeed."""
+def free_port(wanted: int | None = None, controller: Path = CONTROLLER) -> int:
+    """Return the first free SuperSpeed port, or the wanted one; raises `DriverError`.
+
+    Ports of the slower hub precede those, 15 or 8 of them, as the kernel was built. A SuperSpeed
+    device on one of theirs is taken, but at another port than it is detached from.
+    """
+    free = [p.number for p in _ports(controller) if (p.hub, p.state) == (SUPER_SPEED_HUB, FREE)]
+    if not free:
+        raise DriverError(f"usbip: {controller}: no SuperSpeed port is free")
+    if wanted not in (None, *free):
+        raise DriverError(f"--port: expected a free SuperSpeed port, {free}, got {wanted}")
+    return free[0] if wanted is None else wanted
+
+
+def attach(link: socket.socket, port: int, controller: Path = CONTROLLER) -> None:
+    """Give the kernel's virtual controller its end of a socket."""
+    _tell(controller / "attach", f"{port} {link.fileno()} {1 << 16 | 2} {SUPER_SPEED}")
+
+
+def detach(port: int, controller: Path = CONTROLLER) -> None:
+    """Make the kernel drop the device of a port, as if its cable was pulled."""
+    _tell(controller / "detach", str(port))
+
+
+@dataclass(frozen=True)
+class _Port:
+    hub: str  # hs or ss: which speed it has
+    number: int
+    state: str
+
+
+def _ports(controller: Path) -> Iterator[_Port]:
+    """Yield what the controller says about its ports."""
     try:
-        (controller / "attach").write_text(f"{port} {link.fileno()} {1 << 16 | 2} {SUPER_SPEED}")
+        lines = (controller / "status").read_text().splitlines()
     except OSError as error:
-        raise DriverError(
-            f"usbip: {controller}: cannot attach: {error.strerror}; it takes root and "
-            "`modprobe vhci_hcd`"
-        ) from None
+        raise _refused(controller, error) from None
+    for words in (line.split() for line in lines[1:]):  # the first one is a heading
+        yield _Port(words[0], int(words[1]), words[2])
+
+
+def _tell(file: Path, text: str) -> None:
+    try:
+        file.write_text(text)
+    except OSError as error:
+        raise _refused(file, error) from None
+
+
+def _refused(file: Path, error: OSError) -> DriverError:
+    why = {
+        errno.ENOENT: "no virtual host controller; `modprobe vhci_hcd` makes one",
+        errno.EACCES: "no permission; it takes root",
+        errno.EINVAL: "no device is at that port",
+    }
+    return DriverError(f"usbip: {file}: {why.get(error.errno or 0, error.strerror)}")
 
 
 def _attempt(act: Callable[[], bytes]) -> tuple[int, bytes]:
@@ -217,15 +256,13 @@ def _tried(act: Callable[[], T]) -> tuple[int, T | None]:
         return -errno.EOVERFLOW, None
 
 
-def detach(port: int = 15, controller: Path = CONTROLLER) -> None:
-    """Make the kernel drop the device of a port, as if its cable was pulled."""
-    (controller / "detach").write_text(str(port))
-
-
-def serve(board: VirtualBoard, *, port: int = 15) -> None:
+def serve(board: VirtualBoard, *, port: int) -> None:
     """Attach the board, and again whenever it is plugged in again; returns when detached."""
-    _serve_once(board, port)
-    while board.plugged_in > 1 and _comes_back(board):
+    times = 0
+    while board.plugged_in > times:  # else it was the kernel that detached it
+        times = board.plugged_in
+        while not board.present:
+            time.sleep(POLL_S)
         _await_free(port)
         _serve_once(board, port)
 
@@ -238,55 +275,26 @@ def _serve_once(board: VirtualBoard, port: int) -> None:
         UsbIpDevice(board, ours).serve()
 
 
-def _comes_back(board: VirtualBoard) -> bool:
-    """Wait for a board that was unplugged; False: it was the kernel that detached it."""
-    was_away = False
-    while not board.present:
-        was_away = True
-        time.sleep(POLL_S)
-    return was_away
-
-
 def _await_free(port: int, controller: Path = CONTROLLER) -> None:
     """Wait until the controller has noticed that a device is gone."""
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + FREED_S
     while time.monotonic() < deadline_s:
-        for line in (controller / "status").read_text().splitlines()[1:]:
-            words = line.split()
-            if int(words[1]) == port and words[2] == FREE:
-                return
+        if any((found.number, found.state) == (port, FREE) for found in _ports(controller)):
+            return
         time.sleep(POLL_S)
-    raise DriverError(f"usbip: port {port} is not free again after 10 s")
+    raise DriverError(f"usbip: port {port} is not free again after {FREED_S:.0f} s")
 
 
 @click.command()
-@click.option("--profile", default="ideal", show_default=True)
-@click.option("--scene", default="soccer", show_default=True, help="Scene or import path.")
-@click.option("--size", nargs=2, type=int, default=(0, 0), help="Width and height of the sensor.")
-@click.option("--frames", default=0, help="Exposures until the end; 0: endless.")
-@click.option("--fault", "faults", multiple=True, help="KIND:EXPOSURE[:STREAM[:SECONDS]]")
-@click.option("--port", default=15, show_default=True, help="Of the virtual controller.")
-def main(
-    profile: str, scene: str, size: tuple[int, int], frames: int, faults: tuple[str, ...], port: int
-) -> None:
+@board_options
+@click.option("--port", type=int, help="Of the virtual controller; else the first that is free.")
+def main(port: int | None, **options: Any) -> None:
     """Attach a virtual board to this kernel until it is detached."""
-    settings = VirtualBoardSettings(
-        profile=profile, scene=scene, size_px=size, frames=frames,
-        faults=tuple(map(_fault, faults)),
-    )  # fmt: skip
     try:
-        serve(VirtualBackend(settings).board, port=port)
+        board = VirtualBackend(board_settings(**options)).board
+        serve(board, port=free_port(port))
     except FoveaError as error:
         raise click.ClickException(str(error)) from None
-
-
-def _fault(text: str) -> dict[str, object]:
-    kind, exposure, *rest = text.split(":")
-    names = ("stream", "seconds")
-    values: dict[str, object] = dict(zip(names, rest, strict=False))
-    if "seconds" in values:
-        values["seconds"] = float(str(values["seconds"]))
-    return {"kind": kind, "exposure": int(exposure), **values}
 
 
 if __name__ == "__main__":
