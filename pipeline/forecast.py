@@ -11,7 +11,14 @@ from typing import Any
 from pipeline.errors import SettingsError
 from pipeline.pixel_formats import pixel_format as format_of
 
-FIGURES = ("rate_hz", "lead_frames", "readout_frames", "horizon_frames", "replan_frames")
+FIGURES = (
+    "rate_hz",
+    "lead_frames",
+    "readout_frames",
+    "horizon_frames",
+    "replan_frames",
+    "burst_frames",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +80,7 @@ class Forecast:
     rate_hz: float = 0.0  # exposures a second; 0: not known
     lead_frames: int = 0  # a command made from j affects j + lead_frames first; 0: not known
     readout_frames: float = 0.0  # from the exposure until the host has its frame
+    burst_frames: int = 0  # that it records along a plan, and no others; 0: every frame is live
     # of a node that sends commands to a source
     horizon_frames: int = 0  # Tp, how far its plans reach; 0: not known
     replan_frames: int = 0  # Ta, from one plan to the next; 0: not known

@@ -101,12 +101,12 @@ def why_not(path: str, error: OSError) -> str:
 
 def attached() -> str:
     """Video devices of this host, for the end of a sentence."""
-    found = numbers()[:8]
+    found = numbers(NAMES)[:8]
     told = [f"/dev/video{number} ({_name_of(NAMES / f'video{number}')})" for number in found]
     return f"there is {', '.join(told)}" if told else "this host has no video device"
 
 
-def numbers(names: Path = NAMES) -> list[int]:
+def numbers(names: Path) -> list[int]:
     """Numbers N of the devices /dev/videoN, ascending."""
     found = (entry.name.removeprefix("video") for entry in names.glob("video*"))
     return sorted(int(number) for number in found if number.isdecimal())

@@ -72,6 +72,7 @@ def forecast_of(
         rate_hz=rate_hz,
         lead_frames=can.lead_frames,
         readout_frames=readout_frames + (_on_the_link(link, rate_hz) if live else 0.0),
+        burst_frames=0 if live else frames,
     )
 
 

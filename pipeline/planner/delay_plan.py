@@ -1,12 +1,13 @@
 """Frames of delay against plans: sensor and recorded loop in, share of frames with a plan out.
 
 A plan made from frame j speaks of j+1 … j+Tp and is replaced Ta frames later. With a delay of d
-frames, d + Ta > Tp leaves frames undirected, and from d = Tp on no plan ever directs a frame.
+frames, d + Ta > Tp leaves frames undirected, and from d = Tp on no plan ever directs a frame. Of a
+sensor that records bursts of N frames along a plan, those count alone: N takes the place of Ta.
 """
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pipeline.forecast import Forecast, coverage
 from pipeline.graph.plan import Plan
@@ -31,8 +32,14 @@ class DelayPlan:
     node: str  # that sends the commands
     horizon_frames: int  # Tp; 0: not known
     replan_frames: int  # Ta; 0: not known
+    burst_frames: int = 0  # recorded along a plan; 0: every frame is live
     rate_hz: float  # in which frames are counted; 0: not known
     rows: tuple[DelayRow, ...]
+
+    @property
+    def directed_frames(self) -> int:
+        """Frames that every plan has to direct; 0: not known."""
+        return min(self.burst_frames or self.replan_frames, self.replan_frames)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,16 +66,19 @@ def delay_plans(
             besides = 0.0 if measured.same_sensor else sensor.readout_frames
             for name, ms in measured.latency_ms.items():
                 waits.append((f"loop {name}", ms, besides + ms / 1000 * rate_hz))
-        yield DelayPlan(
+        found = DelayPlan(
             node=edge.source,
             horizon_frames=commands.horizon_frames,
             replan_frames=commands.replan_frames,
+            burst_frames=sensor.burst_frames,
             rate_hz=rate_hz,
-            rows=tuple(
-                _row(of, ms, None if wait is None else late(wait, sensor.lead_frames), commands)
-                for of, ms, wait in waits
-            ),
+            rows=(),
         )
+        rows = (
+            _row(of, ms, None if wait is None else late(wait, sensor.lead_frames), found)
+            for of, ms, wait in waits
+        )
+        yield replace(found, rows=tuple(rows))
 
 
 def late(wait_frames: float, lead_frames: int) -> int:
@@ -99,19 +109,20 @@ def doubted(found: DelayPlan) -> Iterator[str]:
     """Yield a sentence where frames are left without a plan: of the largest delay that does."""
     for row in reversed(found.rows):
         if row.coverage is not None and row.coverage < 1:
-            spare = max(0, found.horizon_frames - found.replan_frames)
+            spare = max(0, found.horizon_frames - found.directed_frames)
+            each = "for a burst of" if found.burst_frames else "a new one every"
             yield (
                 f"{found.node}: delay: {row.frames} frames ({_told(row)}), and plans of "
-                f"{found.horizon_frames} frames, a new one every {found.replan_frames}, allow "
+                f"{found.horizon_frames} frames, {each} {found.directed_frames}, allow "
                 f"{spare}: {row.coverage:.0%} of the frames have a plan"
             )
             return
 
 
-def _row(of: str, ms: float | None, frames: int | None, commands: Forecast) -> DelayRow:
-    horizon, replan = commands.horizon_frames, commands.replan_frames
-    known = frames is not None and horizon and replan
-    share = coverage(frames or 0, replan, horizon) if known else None
+def _row(of: str, ms: float | None, frames: int | None, found: DelayPlan) -> DelayRow:
+    horizon, directed = found.horizon_frames, found.directed_frames
+    known = frames is not None and horizon and directed
+    share = coverage(frames or 0, directed, horizon) if known else None
     return DelayRow(of=of, frames=frames, ms=ms, coverage=share)
 
 

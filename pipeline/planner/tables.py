@@ -143,11 +143,14 @@ def _delay(found: DelayPlan) -> Table:
 
 
 def _delay_lines(found: DelayPlan, *, recorded: bool) -> Iterator[str]:
-    horizon, replan = found.horizon_frames, found.replan_frames
-    if horizon and replan:
+    horizon, directed = found.horizon_frames, found.directed_frames
+    if horizon and directed:
+        each = f"a new one every Ta = {found.replan_frames}"
+        if found.burst_frames:
+            each += f", bursts of {found.burst_frames}"
         yield (
-            f"plans reach Tp = {horizon} frames, a new one every Ta = {replan}: every frame has "
-            f"one up to {max(0, horizon - replan)} frames of delay"
+            f"plans reach Tp = {horizon} frames, {each}: every frame has one up to "
+            f"{max(0, horizon - directed)} frames of delay"
         )
     else:
         yield "how far plans reach is not known"

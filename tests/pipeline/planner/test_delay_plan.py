@@ -77,6 +77,17 @@ def test_a_plan_that_arrives_within_its_slack_leaves_no_frame_without_one() -> N
     assert not [*refused(found), *doubted(found)]
 
 
+def test_of_a_sensor_that_records_bursts_only_their_frames_need_a_plan() -> None:
+    prototype = delay(200, 180, latency_ms=(1990.0, 2000.0), burst_frames=105)
+    slower = delay(200, 180, latency_ms=(1990.0, 4000.0), burst_frames=105)
+
+    assert not [*refused(prototype), *doubted(prototype)]
+    assert list(doubted(slower)) == [
+        "steer: delay: 119 frames (loop p99 4000 ms), and plans of 200 frames, for a burst of 105, "
+        "allow 95: 77% of the frames have a plan"
+    ]
+
+
 def test_a_rare_late_plan_is_a_warning_and_a_usual_one_is_refused() -> None:
     rare, usual = delay(4, latency_ms=(40, 900)), delay(4, latency_ms=(900, 900))
 
