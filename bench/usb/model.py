@@ -3,7 +3,6 @@
 import ctypes
 import shutil
 import subprocess
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.usb.frame_header import FrameFlag, FrameHeader, Stream, WindowStatus
 from drivers.usb.link import CHUNK_BYTES, Link
+from drivers.usb.losses import Losses
 from drivers.usb.part import Part
 from drivers.usb.receiver import Receiver
 from drivers.usb.transfers import InFlight
@@ -58,7 +58,7 @@ class ModelLink:
 
     def receiver(self) -> Receiver:
         """Return the driver's receiver over this link."""
-        return Receiver(cast(Link, self), self.payload_bytes, Counter())
+        return Receiver(cast(Link, self), self.payload_bytes, Losses())
 
     def receive(self, parts: Sequence[Part], timeout_s: float) -> None:
         """Fill parts, as `Link.receive` does."""

@@ -4,9 +4,7 @@ A header is a transfer of its own that ends short; its payload follows. Whatever
 is read away until a valid header ends a transfer, and what was lost is counted.
 """
 
-import logging
 import zlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -15,19 +13,17 @@ from numpy.typing import NDArray
 from drivers.usb.errors import BadBlock, Overflow
 from drivers.usb.frame_header import HEADER_BYTES, FrameFlag, FrameHeader, Stream
 from drivers.usb.link import Link
+from drivers.usb.losses import Losses
 from drivers.usb.part import Part
 
 PACKET_BYTES = 1024
 SEARCH_BYTES = 64 << 10  # of one read while there is no header
-log = logging.getLogger(__name__)
 
 
 class Receiver:
-    """Both streams of a started board; used by one thread. `losses` counts by reason."""
+    """Both streams of a started board; used by one thread."""
 
-    def __init__(
-        self, link: Link, payload_bytes: Mapping[Stream, int], losses: Counter[str]
-    ) -> None:
+    def __init__(self, link: Link, payload_bytes: Mapping[Stream, int], losses: Losses) -> None:
         self._link, self._payload_bytes, self.losses = link, payload_bytes, losses
         self._next = {stream: np.empty(SEARCH_BYTES, np.uint8) for stream in Stream}
         self._searching = dict.fromkeys(Stream, False)
@@ -51,21 +47,15 @@ class Receiver:
         parts = [Part(header.stream, memory) for header, memory in wanted]
         try:
             self._link.receive(parts, timeout_s)
-        except Overflow:
-            self._miss("overflow", parts)
+        except Overflow as error:
+            self._miss("overflow", f"{_name(wanted[0][0])}: {error}", parts)
             return False
-        if not all(part.full for part in parts):
-            self._miss("incomplete", parts)
-            return False
-        for header, memory in wanted:
-            if FrameFlag.INCOMPLETE in header.flags:
-                self.losses["incomplete"] += 1
+        for (header, _), part in zip(wanted, parts, strict=True):
+            if not part.full:
+                got = f"expected {header.payload_bytes} bytes, got {part.received}"
+                self._miss("incomplete", f"{_name(header)}: {got}", parts)
                 return False
-            checked = FrameFlag.PAYLOAD_CRC in header.flags
-            if checked and zlib.crc32(memory.data) != header.payload_crc:
-                self.losses["checksum"] += 1
-                return False
-        return True
+        return all(self._intact(header, memory) for header, memory in wanted)
 
     def skip(self, headers: Sequence[FrameHeader], timeout_s: float) -> None:
         """Read payloads away that nobody wants."""
@@ -79,8 +69,19 @@ class Receiver:
         """Look for a header in what comes next: a halt has ended both frames."""
         self._searching = dict.fromkeys(Stream, True)
 
-    def _miss(self, why: str, parts: Sequence[Part]) -> None:
-        self.losses[why] += 1
+    def _intact(self, header: FrameHeader, memory: NDArray[np.uint8]) -> bool:
+        if FrameFlag.INCOMPLETE in header.flags:
+            self.losses.lose("incomplete", f"{_name(header)}: the board has not all of it")
+            return False
+        checked = FrameFlag.PAYLOAD_CRC in header.flags
+        if checked and (got := zlib.crc32(memory.data)) != header.payload_crc:
+            said = f"expected the checksum {header.payload_crc:#010x}, got {got:#010x}"
+            self.losses.lose("checksum", f"{_name(header)}: {said}")
+            return False
+        return True
+
+    def _miss(self, reason: str, sentence: str, parts: Sequence[Part]) -> None:
+        self.losses.lose(reason, sentence)
         for part in parts:
             # after a short packet the next transfer begins with a header again
             self._searching[Stream(part.stream)] |= not (part.full or part.short)
@@ -100,9 +101,13 @@ class Receiver:
                 raise BadBlock("frame header: a larger payload than configured")
         except BadBlock as error:
             if not self._searching[stream]:
-                self.losses["header"] += 1
-                log.warning("%s: looking for the next frame: %s", stream.name.lower(), error)
+                said = f"{stream.name.lower()}: looking for the next frame: {error}"
+                self.losses.lose("header", said)
             self._searching[stream] = True
             return None
         self._searching[stream] = False
         return header
+
+
+def _name(header: FrameHeader) -> str:
+    return f"{header.stream.name.lower()} of exposure {header.exposure}"

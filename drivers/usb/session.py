@@ -27,6 +27,7 @@ from drivers.usb.clock import BoardClock
 from drivers.usb.connection import Connection
 from drivers.usb.errors import LinkError, NoAnswer, NoUsbMemory, Stalled, Unplugged
 from drivers.usb.frame_header import FrameFlag, FrameHeader, Stream
+from drivers.usb.losses import Losses
 from drivers.usb.receiver import Receiver
 from drivers.usb.requests import Answer, Fault, Schedule, State
 from pipeline.boxes import centres, roi_window
@@ -64,7 +65,7 @@ class Session:
         self.stopped = threading.Event()
         self.clock = BoardClock()
         self.counts: Counter[str] = Counter()
-        self.losses: Counter[str] = Counter()
+        self.losses = Losses()
         self.first_seq = 0  # of exposure 0
         self.last_seq = -1  # newest that came
         self.connect()
@@ -202,7 +203,8 @@ class Session:
             return [context, roi]
         early = min((context, roi), key=lambda header: header.exposure)
         del self._pending[early.stream]
-        self.losses["unpaired"] += 1
+        alone = f"exposure {early.exposure}: only its {early.stream.name.lower()} has come"
+        self.losses.lose("unpaired", alone)
         self._receiver.skip([early], self._payload_s)
         self._triggered = False
         return None
@@ -244,7 +246,9 @@ class Session:
         if self.wanted.mode is CaptureMode.LIVE and self.last_seq >= 0:
             self.counts["lost"] += max(0, seq - self.last_seq - 1)
         dropped = max(header.dropped for header in headers)
-        self.losses["dropped"] += max(0, dropped - self._dropped)
+        if dropped > self._dropped:
+            said = f"the board has dropped frames before exposure {headers[0].exposure}"
+            self.losses.lose("dropped", said, dropped - self._dropped)
         self._dropped = dropped
         self.last_seq = max(self.last_seq, seq)
 
@@ -285,8 +289,7 @@ class Session:
         elif isinstance(error, NoUsbMemory):
             raise error
         else:
-            self.losses["link"] += 1
-            log.warning("%s", error)
+            self.losses.lose("link", str(error))
 
     def _unstall(self, error: Stalled) -> None:
         """Clear a halt; reset the board when it halts again at once."""
