@@ -23,6 +23,7 @@ from typing import Any, TypeVar
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.usb.frame_header import Stream
 from drivers.virtual_board.backend import VirtualBackend
@@ -130,8 +131,8 @@ class UsbIpDevice:
                 read.unlink = number
                 return
             self._waiting.pop(wanted, None)
-        status = 0 if read is None else -errno.ECONNRESET
-        self._answer(UNLINKED, number, UNLINK_ANSWER.pack(status))
+            status = 0 if read is None else -errno.ECONNRESET
+            self._answer(UNLINKED, number, UNLINK_ANSWER.pack(status))
 
     def _stream(self, stream: Stream) -> None:
         """Answer the reads of one end point, one after the other."""
@@ -145,15 +146,25 @@ class UsbIpDevice:
             status = 0
             while count is None and status == 0 and not read.unlink:
                 status, count = _tried(partial(self._board.read, stream, memory, POLL_S))
-            with self._guard:
-                self._waiting.pop(read.number, None)
             if status == -errno.ENODEV:  # the cable is pulled: the kernel notices by the socket
                 with suppress(OSError):  # it has noticed
                     self._link.shutdown(socket.SHUT_RDWR)
                 return
+            self._answer_read(read, status, count, memory)
+
+    def _answer_read(
+        self, read: _Read, status: int, count: int | None, memory: NDArray[np.uint8]
+    ) -> None:
+        """Answer a read, and then the command that cancels it.
+
+        Both while no other command is looked at: the kernel drops the device when it is answered
+        the read after one that cancels it.
+        """
+        with self._guard:
+            self._waiting.pop(read.number, None)
             if read.unlink and count is None and not status:
                 self._answer(UNLINKED, read.unlink, UNLINK_ANSWER.pack(-errno.ECONNRESET))
-                continue
+                return
             sent = count or 0
             self._answer(
                 SUBMITTED, read.number, ANSWER.pack(status, sent, 0, 0, 0), memory[:sent].data

@@ -5,6 +5,7 @@ That a kernel takes it is tested in a guest, see test_attached.py.
 
 import os
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -289,6 +290,51 @@ def test_a_configuration_that_was_not_taken_is_an_error() -> None:
     with pytest.raises(DriverError, match="roi_px: expected"):
         subject.start()
     subject.close()
+
+
+class Overtaken(usbip.UsbIpDevice):
+    """A device that is told to cancel a read while it answers it."""
+
+    def __init__(self, subject: VirtualBoard, link: socket.socket) -> None:
+        super().__init__(subject, link)
+        self.answers: list[int] = []
+        self._cancelling: list[threading.Thread] = []
+
+    def _answer(
+        self, command: int, number: int, rest: bytes, data: bytes | memoryview = b""
+    ) -> None:
+        if command == usbip.SUBMITTED:
+            thread = threading.Thread(target=self._unlink, args=(number + 1, number))
+            thread.start()
+            self._cancelling.append(thread)
+            thread.join(0.2)  # it waits until the read is answered
+        self.answers.append(command)
+        super()._answer(command, number, rest, data)
+
+    def wait(self) -> None:
+        """Wait until what cancels is answered."""
+        for thread in self._cancelling:
+            thread.join(LIMIT_S)
+
+
+def test_a_read_that_is_cancelled_too_late_is_answered_before_the_cancelling() -> None:
+    subject = started()
+    subject.tell(Request.TRIGGER, 0, b"")
+    ours, kernels = socket.socketpair()
+    device = Overtaken(subject, ours)
+    server = threading.Thread(target=device.serve)
+    server.start()
+
+    roi, length = int(Stream.ROI) + 1, 1024
+    head = usbip.BASIC.pack(usbip.SUBMIT, 7, 0, usbip.IN, roi)
+    kernels.sendall(head + usbip.COMMAND.pack(0, length, 0, 0, 0, bytes(8)))
+    found = kernels.recv(2 * usbip.HEADER_BYTES + HEADER_BYTES, socket.MSG_WAITALL)
+    device.wait()
+    kernels.close()
+    server.join(LIMIT_S)
+
+    assert len(found) == 2 * usbip.HEADER_BYTES + HEADER_BYTES
+    assert device.answers == [usbip.SUBMITTED, usbip.UNLINKED]
 
 
 class _Freed:
