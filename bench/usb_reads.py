@@ -31,12 +31,11 @@ from bench.usb.model import ModelLink, compiled
 from drivers.usb import DualStreamBoard, DualStreamBoardSettings
 from drivers.usb.frame_header import Stream
 from drivers.usb.link import attached
-from drivers.virtual_board.usbip import detach, serve
+from drivers.virtual_board.usbip import detach, free_port, serve
 from pipeline.errors import DriverError
 
 LINK_BYTES_PER_S = 400_000_000  # what a USB 3.0 camera reaches
 SIZES_PX = ((2040, 1148), (4080, 2296))  # the paper's context and ROI
-PORT = 15  # the first SuperSpeed port of the kernel's virtual controller
 FOUND_S = 20.0
 WAIT_S = 1.0
 Row = dict[str, Any]
@@ -190,10 +189,11 @@ def virtual_board(size_px: tuple[int, int]) -> Iterator[None]:
     """Attach a virtual board to this kernel; its link takes no time of its own."""
     board = RingBoard(RingSettings(ring=0, unlimited=True, size_px=size_px))
     failures: list[DriverError] = []
+    port = free_port()
 
     def served() -> None:
         try:
-            serve(board, port=PORT)
+            serve(board, port=port)
         except DriverError as error:
             failures.append(error)
 
@@ -209,7 +209,7 @@ def virtual_board(size_px: tuple[int, int]) -> Iterator[None]:
     try:
         yield
     finally:
-        detach(PORT)
+        detach(port)
         thread.join(FOUND_S)
 
 

@@ -28,6 +28,11 @@ class Receiver:
         self._next = {stream: np.empty(SEARCH_BYTES, np.uint8) for stream in Stream}
         self._searching = dict.fromkeys(Stream, False)
 
+    @property
+    def exposure_bytes(self) -> int:
+        """Pixels of both streams."""
+        return sum(self._payload_bytes.values())
+
     def headers(self, streams: Sequence[Stream], timeout_s: float) -> dict[Stream, FrameHeader]:
         """Return the headers that came in time. Raises `LinkError` as the link does."""
         parts = {stream: self._header_part(stream) for stream in streams}
@@ -62,7 +67,10 @@ class Receiver:
         for header in headers:
             scratch = np.empty(header.payload_bytes, np.uint8)
             part = Part(header.stream, scratch)
-            self._link.receive([part], timeout_s)
+            try:
+                self._link.receive([part], timeout_s)
+            except Overflow as error:
+                self._miss("overflow", f"{_name(header)}: {error}", [part])
             self._searching[header.stream] |= not part.full
 
     def search(self) -> None:
@@ -97,8 +105,10 @@ class Receiver:
             header = FrameHeader.unpack(block)
             if header.stream is not stream:
                 raise BadBlock(f"frame header: of stream {header.stream.name}")
-            if header.payload_bytes > self._payload_bytes[stream]:
-                raise BadBlock("frame header: a larger payload than configured")
+            expected = 0 if FrameFlag.END in header.flags else self._payload_bytes[stream]
+            if header.payload_bytes != expected:
+                got = header.payload_bytes
+                raise BadBlock(f"frame header: expected {expected} bytes of pixels, got {got}")
         except BadBlock as error:
             if not self._searching[stream]:
                 said = f"{stream.name.lower()}: looking for the next frame: {error}"

@@ -36,6 +36,7 @@ from pipeline.import_path import imported
 from pipeline.messages import Geometry, RoiSchedule
 from pipeline.pixel_formats import BY_CODE, PixelFormat
 
+BURST_STATES = (State.RECORDING, State.DOWNLOADING)
 POLL_S = 0.1  # how long a read waits before it looks whether it was stopped
 SILENCE_S = 1.0  # without a header, beside ten frames' time; then the board is asked
 SILENCES = 3  # in a row; then it is an error
@@ -60,7 +61,9 @@ class Session:
         self._newest: RoiSchedule | None = None
         self._schedule_id = self._silences = 0
         self._heard_s = self._stalled_s = 0.0
+        self._busy_s = 0.0  # without a frame while the board records or sends a burst
         self._triggered = False  # an exposure was asked for that has not come
+        self._recorded = False  # the last frame was one of a burst
         self.absent_until_s = 0.0  # until when a lost board is looked for; 0: none is lost
         self.stopped = threading.Event()
         self.clock = BoardClock()
@@ -121,7 +124,7 @@ class Session:
             self._pending, self._dropped, self._triggered = {}, 0, False
             self.clock.ask(connection.time_ns)
             connection.start(triggered=not self._realtime)
-            self._heard_s, self._silences = time.monotonic(), 0
+            self._heard_s, self._silences, self._busy_s = time.monotonic(), 0, 0.0
 
     def close(self) -> None:
         """Stop the board and release it; safe after any outcome."""
@@ -243,8 +246,11 @@ class Session:
     def _account(self, headers: Sequence[FrameHeader]) -> None:
         """Count what is missing before this exposure."""
         seq = self.first_seq + headers[0].exposure
-        if self.wanted.mode is CaptureMode.LIVE and self.last_seq >= 0:
+        recorded = FrameFlag.RECORDED in headers[0].flags
+        together = self.wanted.mode is CaptureMode.LIVE or (recorded and self._recorded)
+        if together and self.last_seq >= 0:  # between previews exposures are not sent
             self.counts["lost"] += max(0, seq - self.last_seq - 1)
+        self._recorded = recorded
         dropped = max(header.dropped for header in headers)
         if dropped > self._dropped:
             said = f"the board has dropped frames before exposure {headers[0].exposure}"
@@ -258,19 +264,24 @@ class Session:
         """Ask a silent board how it is; raises `DriverError` when it stays silent."""
         now_s = time.monotonic()
         if heard:
-            self._heard_s, self._silences = now_s, 0
+            self._heard_s, self._silences, self._busy_s = now_s, 0, 0.0
             return
-        if now_s - self._heard_s < SILENCE_S + 10_000 / self.wanted.rate_mhz:
+        rate_mhz = self.wanted.rate_mhz
+        if self.wanted.mode is CaptureMode.RECORD:
+            rate_mhz = self.connection.can.preview_mhz or rate_mhz
+        if now_s - self._heard_s < SILENCE_S + 10_000 / rate_mhz:
             return
-        self._heard_s = now_s
-        status = self.connection.status()
-        if status.state in (State.RECORDING, State.DOWNLOADING):
+        silent_since_s, self._heard_s = self._heard_s, now_s
+        status, where = self.connection.status(), self.connection.where
+        if status.fault is not Fault.NONE:
+            raise DriverError(f"{where}: the board reports a fault: {status.fault.name.lower()}")
+        self._busy_s += now_s - silent_since_s
+        if status.state in BURST_STATES and self._busy_s < self._burst_s():
             return
         self.counts["silences"] += 1
         self._silences += 1
-        where = self.connection.where
-        if status.fault is not Fault.NONE:
-            raise DriverError(f"{where}: the board reports a fault: {status.fault.name.lower()}")
+        quiet = f"{where}: no frame came for {now_s - silent_since_s:.1f} s"
+        log.warning("%s; the board says that it is %s", quiet, status.state.name.lower())
         if self._silences >= SILENCES:
             raise DriverError(
                 f"{where}: the board sends nothing, and says that it is {status.state.name.lower()}"
@@ -278,6 +289,13 @@ class Session:
         if status.state is State.IDLE:
             raise Unplugged(f"{where}: the board has restarted")
         self._triggered = False
+
+    def _burst_s(self) -> float:
+        """How long a burst may take until its first frame is here."""
+        can, pixels = self.connection.can, self._receiver.exposure_bytes
+        frames = self.wanted.burst_frames or can.burst_frames
+        link_s = frames * pixels / can.link_bytes_per_s if can.link_bytes_per_s else 0.0
+        return SILENCE_S + 2 * (frames * 1000 / self.wanted.rate_mhz + link_s)
 
     def recover(self, error: LinkError) -> None:
         """Do what a failure of the link needs; raises `DriverError` when nothing helps."""
@@ -290,6 +308,7 @@ class Session:
             raise error
         else:
             self.losses.lose("link", str(error))
+            self._receiver.search()  # what was announced may still come
 
     def _unstall(self, error: Stalled) -> None:
         """Clear a halt; reset the board when it halts again at once."""
@@ -341,9 +360,14 @@ class Session:
             missed = round(away_s * self.wanted.rate_mhz / 1000) if self._realtime else 0
             self.first_seq = self.last_seq + 1 + missed
             self.clock.forget()
-            self.begin()
-            if self._newest is not None:
-                self._send(self._newest)
+            try:
+                self.begin()
+                if self._newest is not None:
+                    self._send(self._newest)
+            except BaseException:
+                opened, self._connection = self.connection, None
+                opened.close()  # else the next attempt finds the board in use
+                raise
 
 
 def _backend(settings: DualStreamBoardSettings) -> Any:

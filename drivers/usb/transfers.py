@@ -155,7 +155,9 @@ class InFlight:
                 "the kernel grants no memory for a single read; see "
                 "/sys/module/usbcore/parameters/usbfs_memory_mb"
             )
-        self.depth = max(1, self.depth // 2)
+        if self.depth == 1:  # it is granted when what is in flight has returned
+            return
+        self.depth //= 2
         log.warning(
             "usb: no memory for more reads in flight, %d from now on; "
             "/sys/module/usbcore/parameters/usbfs_memory_mb limits it",
@@ -197,7 +199,7 @@ class InFlight:
                 self._usb.cancel(slot.transfer)
         while sum(slot.part is not None for slot in self._slots) > len(self._done):
             if time.monotonic() > deadline_s:
-                raise LinkError("reads in flight cannot be cancelled")
+                raise Unplugged("reads in flight cannot be cancelled")
             self._wait(0.1)
         with suppress(LinkError):  # that it failed is known
             self._collect()

@@ -13,6 +13,7 @@ import usb.backend
 import usb.core
 from numpy.typing import NDArray
 
+from drivers.noise import Response
 from drivers.simulated.sources import open_recording, open_scene, scene_path, shown_by
 from drivers.usb.board_forecast import KnownBoard
 from drivers.usb.capabilities import BoardCapabilities
@@ -30,6 +31,7 @@ from drivers.virtual_board.faults import faults_of
 from drivers.virtual_board.profiles import PROFILES, Profile
 from drivers.virtual_board.world import World
 from pipeline.errors import DriverError, SettingsError
+from pipeline.pixel_formats import BY_CODE
 
 DIRECTION_IN, STANDARD = 0x80, 0x60
 GET_DESCRIPTOR, STRING = 6, 3
@@ -47,6 +49,11 @@ class VirtualBoardSettings:
     size_px: tuple[int, int] = (0, 0)  # of the sensor; 0: the profile's
     frames: int = 0  # exposures until the end; 0: all the source has
     noise: float = 0.0  # standard deviation, digital numbers of 8 bit
+    # of mosaics: how a pixel counts light, see drivers.noise.Response
+    full_well_e: float = 0.0  # photon noise of so many electrons at white; 0: none
+    read_noise_e: float = 0.0  # noise of the electronics, electrons
+    black_level: int = 0  # digital numbers of the format in the dark
+    gamma: float = 1.0  # light is (picture / 255) ^ gamma
     seed: int = 0
     faults: tuple[Mapping[str, Any], ...] = ()  # see drivers.virtual_board.faults.Fault
 
@@ -56,6 +63,11 @@ class VirtualBoardSettings:
         if bool(self.scene) == bool(self.source):
             got = f"{self.scene!r} and {self.source!r}"
             raise SettingsError(f"scene or source: expected exactly one of them, got {got}")
+        if self.noise and self.full_well_e:
+            raise SettingsError(
+                f"noise: expected 0 beside full_well_e, which brings its own, got {self.noise}"
+            )
+        self.response(16)
         faults_of(self.faults)
         self.scaled()
 
@@ -63,6 +75,13 @@ class VirtualBoardSettings:
     def shows(self) -> str:
         """The kind of scene before the board, empty where that is not known."""
         return shown_by(self.source or scene_path(self.scene))
+
+    def response(self, bits: int) -> Response:
+        """Return how its pixels count light; raises `SettingsError` for what no sensor has."""
+        return Response(
+            bits=bits, black_level=self.black_level, gamma=self.gamma,
+            full_well_e=self.full_well_e, read_noise_e=self.read_noise_e,
+        )  # fmt: skip
 
     def scaled(self) -> Profile:
         """Return the profile with the size of the sensor."""
@@ -223,6 +242,13 @@ def _world(settings: VirtualBoardSettings) -> OpenWorld:
         size_px = (can.width_px, can.height_px)
 
     def opened(pixel_format: int, most_px: int) -> World:
+        form = BY_CODE[pixel_format]
+        response = settings.response(form.bits)
+        if not form.order and response != Response(bits=form.bits):
+            raise DriverError(
+                f"virtual board: expected a mosaic with full_well_e, black_level or gamma, "
+                f"got {form.name}"
+            )
         if settings.source:
             source = open_recording(
                 settings.source, path=settings.path, options=settings.source_options
@@ -238,7 +264,7 @@ def _world(settings: VirtualBoardSettings) -> OpenWorld:
             raise DriverError(f"virtual board: expected a source of {expected}, got {got}")
         return World(
             source, pixel_format=pixel_format, noise=settings.noise, seed=settings.seed,
-            most_px=most_px,
+            response=response, most_px=most_px,
         )  # fmt: skip
 
     return opened

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from drivers.usb.frame_header import HEADER_BYTES, Stream
 from drivers.virtual_board.board import VirtualBoard
 from drivers.virtual_board.errors import Gone, Halted, TooMuch
-from pipeline.errors import DriverError, FoveaError
+from pipeline.errors import DriverError
 
 CHUNK_BYTES = 64 << 10  # of one write: the kernel copies it to memory that is contiguous
 READ_S = 0.5  # of a read of the board; a request ends it
@@ -147,7 +147,7 @@ class StreamWriter:
             except Gone:
                 self._going, self.gone = False, True
                 self._ended()
-            except (OSError, FoveaError) as error:
+            except Exception as error:  # its owner raises it; a thread that ended cannot be parked
                 self._going, self.failure = False, error
                 self._ended()
 

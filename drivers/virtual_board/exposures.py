@@ -83,10 +83,12 @@ class Exposures:
             self._expose(self.due_ns(self.next))
 
     def trigger(self, now_ns: int) -> None:
-        """Expose until there is one more frame to send."""
+        """Expose until there is one more frame to send, or a failure lets none come."""
         before = len(self.waiting[Stream.CONTEXT]) + self.dropped[Stream.CONTEXT]
         while not self.over:
             self._expose(now_ns)
+            if self.broken or now_ns < self.silent_until_ns:
+                return
             if len(self.waiting[Stream.CONTEXT]) + self.dropped[Stream.CONTEXT] > before:
                 return
 

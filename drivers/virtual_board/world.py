@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.noise import Response
 from drivers.simulated.readout import Readout
 from drivers.simulated.windows import Picture, picture_of
 from drivers.source import Annotations, FrameSource
@@ -17,11 +18,14 @@ class World:
     """
 
     def __init__(
-        self, source: FrameSource, *, pixel_format: int, noise: float, seed: int, most_px: int
-    ) -> None:
+        self, source: FrameSource, *, pixel_format: int, noise: float, seed: int, most_px: int,
+        response: Response | None = None,
+    ) -> None:  # fmt: skip
         self._source = source
         self.length = source.length
-        self.readout = Readout(form=BY_CODE[pixel_format], noise=noise, seed=seed, most_px=most_px)
+        self.readout = Readout(
+            form=BY_CODE[pixel_format], noise=noise, response=response, seed=seed, most_px=most_px
+        )
         self._index = -1
         self._picture: Picture = np.empty((0, 0, 3), np.uint8)
 

@@ -62,7 +62,7 @@ def refused(found: LinkPlan) -> Iterator[str]:
     if found.needed_bytes_per_s is None:
         return
     limits = [(found.stated_bytes_per_s, "the device's link")] if found.stated_bytes_per_s else []
-    if found.kind and found.verdicts[found.kind] == "does not fit":
+    if found.kind and found.verdicts.get(found.kind) == "does not fit":
         limits.append((LINKS[found.kind].most_bytes_per_s, LINKS[found.kind].name))
     for most, name in limits:
         if found.needed_bytes_per_s > most:
@@ -81,7 +81,7 @@ def unknown(node: str, found: LinkPlan | None, wanted: str) -> Iterator[str]:
 
 def doubted(found: LinkPlan) -> Iterator[str]:
     """Yield a sentence where the link may be too small."""
-    if found.kind and found.needed_bytes_per_s and found.verdicts[found.kind] == "marginal":
+    if found.kind and found.needed_bytes_per_s and found.verdicts.get(found.kind) == "marginal":
         link = LINKS[found.kind]
         yield (
             f"{found.node}: link: {_mega(found.needed_bytes_per_s)} MB/s is marginal over "

@@ -29,17 +29,18 @@ def this_machine(shared: Path = MEMORY, group: Path = Path("/sys/fs/cgroup")) ->
         size, free = room.total, room.free
     except OSError:
         size = free = 0
-    limit = _limit(group)
+    limit, used = _number(group / "memory.max"), _number(group / "memory.current")
+    left = max(0, limit - used) if limit else memory.available
     return Machine(
         cores=available_cores(group / "cpu.max"), shared_bytes=size, shared_free_bytes=free,
         memory_bytes=min(memory.total, limit or memory.total),
-        memory_free_bytes=min(memory.available, limit or memory.available),
+        memory_free_bytes=min(memory.available, left),
     )  # fmt: skip
 
 
-def _limit(group: Path) -> int:
-    """Return the memory limit of the control group in bytes; 0: none."""
+def _number(file: Path) -> int:
+    """Return a figure of the control group; 0: none."""
     try:
-        return int((group / "memory.max").read_text())
+        return int(file.read_text())
     except (OSError, ValueError):  # "max" is no limit
         return 0

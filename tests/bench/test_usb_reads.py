@@ -46,7 +46,7 @@ def test_the_command_reports_every_number_of_reads(tmp_path: Path) -> None:
     one, four = json.loads(path.read_text())["rows"]
     assert (one["reads"], four["reads"], four["in_effect"]) == (1, 4, 4)
     assert 0 < one["megabytes_per_s"] <= 401
-    assert four["gap_p50_ms"] == 0 < one["gap_p50_ms"]
+    assert four["gap_p50_ms"] < one["gap_p50_ms"]
 
 
 def test_a_line_is_the_median_round_and_all_gaps() -> None:

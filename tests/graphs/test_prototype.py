@@ -8,10 +8,11 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.virtual_board.profiles import PROFILES
-from pipeline.cli import commands
+from pipeline.cli import check, commands
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.messages import Frame, Message, RoiSchedule, Tracks
+from pipeline.planner.machine import Machine
 from pipeline.run.inline import InlineRunner
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "prototype.yaml"
@@ -50,7 +51,14 @@ def recorded(heard: dict[str, list[Any]], made_from: int) -> list[tuple[int, Any
     return [(seq, w) for seq, w, size, command in frames if size and command == made_from]
 
 
-def test_the_graph_is_checked_without_a_warning() -> None:
+def test_the_graph_is_checked_without_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    most = 16 << 30
+    machine = Machine(
+        cores=4, shared_bytes=most, shared_free_bytes=most, memory_bytes=most,
+        memory_free_bytes=most,
+    )  # fmt: skip
+    monkeypatch.setattr(check, "this_machine", lambda: machine)
+
     result = CliRunner().invoke(commands, ["check", str(GRAPH)])
 
     assert result.exit_code == 0, result.output

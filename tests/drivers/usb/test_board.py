@@ -148,6 +148,26 @@ def test_an_unplugged_board_is_found_again_in_the_same_stream_with_its_schedule(
     assert subject.summary()["link"]["outages"] == 1
 
 
+def test_a_board_that_is_back_but_fails_to_start_is_opened_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    start, calls = Connection.start, []
+
+    def refuses_once(self: Connection, *, triggered: bool) -> None:
+        calls.append(triggered)
+        if len(calls) == 2:  # the first after the outage
+            raise Unplugged("gone again")
+        start(self, triggered=triggered)
+
+    monkeypatch.setattr(Connection, "start", refuses_once)
+    fault = {"kind": "unplug", "exposure": 20, "seconds": 0.02}
+
+    exposures = played(board(virtual={"faults": [fault]}))
+
+    assert len(calls) == 3
+    assert exposures[-1].header.seq > 20
+
+
 def test_a_lost_board_is_waited_for_until_a_time_that_is_told() -> None:
     subject = board(
         virtual={"faults": [{"kind": "unplug", "exposure": 5, "seconds": 0.4}]}, reconnect_s=50.0

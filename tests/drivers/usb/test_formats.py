@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.mosaic import to_mosaic
+from drivers.noise import Response
 from drivers.usb import DualStreamBoardSettings
 from drivers.usb.board_settings import known_formats, pixel_format
 from drivers.virtual_board.profiles import PROFILES
@@ -90,3 +91,27 @@ def test_a_board_without_a_known_format_is_refused_with_its_codes() -> None:
 def test_a_name_of_genicam_is_answered_with_ours() -> None:
     with pytest.raises(SettingsError, match="got BayerRG12p, here called bayer_rggb12p"):
         board(pixel_format="BayerRG12p")
+
+
+def test_a_virtual_sensor_counts_photons_and_has_noise_as_its_settings_say() -> None:
+    light = {"black_level": 256, "full_well_e": 2000.0, "read_noise_e": 5.0, "gamma": 2.2}
+    noisy = played(board(virtual={"frames": 2, **light}, pixel_format="bayer_rggb12p"))[1].roi
+    eight = played(board(virtual={"frames": 2}, pixel_format="bayer_rggb8"))[1].roi
+    response = Response(bits=12, **light)  # type: ignore[arg-type]
+
+    levels = eight.pixels.astype(np.float64)
+    found = numbers(noisy.pixels, FORMATS["bayer_rggb12p"])
+    apart = (found - response.mean(levels)) / response.deviation(levels)
+
+    assert abs(apart[levels < 250].mean()) < 0.1  # white is clipped
+    assert 0.9 < apart[levels < 250].std() < 1.1
+
+
+def test_noise_of_photons_is_refused_for_pictures_that_are_no_mosaic() -> None:
+    with pytest.raises(DriverError, match=r"expected a mosaic with full_well_e, .* got rgb8"):
+        played(board(virtual={"full_well_e": 2000.0}))
+
+
+def test_two_kinds_of_noise_at_once_are_refused() -> None:
+    with pytest.raises(SettingsError, match="noise: expected 0 beside full_well_e"):
+        played(board(virtual={"full_well_e": 2000.0, "noise": 2.0}))

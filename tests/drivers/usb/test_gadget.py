@@ -4,9 +4,11 @@ That a kernel takes it is tested in a guest, see test_attached.py.
 """
 
 import os
+import select
 import signal
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -367,7 +369,8 @@ def _some(host: int, most: int) -> bytes:
 
 
 def _read(host: int, count: int) -> bytes:
-    found = b""
+    found, deadline_s = b"", time.monotonic() + LIMIT_S
     while len(found) < count:
+        assert select.select([host], [], [], deadline_s - time.monotonic())[0], "nothing came"
         found += _some(host, count - len(found))
     return found

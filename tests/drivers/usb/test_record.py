@@ -4,10 +4,12 @@ import time
 from typing import Any
 
 import numpy as np
+import pytest
 
 from drivers.sensor import Exposure
 from drivers.usb import DualStreamBoard
 from drivers.usb.session import POLL_S
+from pipeline.errors import DriverError
 from tests.drivers.contract import command, read, started
 from tests.drivers.usb.boards import board
 
@@ -15,10 +17,13 @@ PREVIEW_INTERVAL = 4  # 30 exposures and 7.5 previews a second
 BURST = 105
 
 
-def prototype(**settings: Any) -> DualStreamBoard:
+def prototype(*faults: dict[str, Any], **settings: Any) -> DualStreamBoard:
     """The paper's board, with a small sensor and an endless source."""
     values = {"mode": "record", "rate_hz": 30.0, **settings}
-    virtual = {"profile": "paper-prototype", "frames": 0, "source_options": {"length": None}}
+    virtual = {
+        "profile": "paper-prototype", "frames": 0, "source_options": {"length": None},
+        "faults": faults,
+    }  # fmt: skip
     return board(virtual=virtual, **values)
 
 
@@ -77,6 +82,28 @@ def test_a_plan_shorter_than_a_burst_is_recorded_as_far_as_it_goes() -> None:
     assert len(burst) == 7
     assert all(e.roi.pixels.size for e in burst)
     assert not after.roi.pixels.size
+
+
+def test_an_exposure_of_a_burst_that_fails_is_counted_as_lost() -> None:
+    subject = started(prototype({"kind": "truncate", "exposure": 9}))
+
+    burst = recorded(subject, read(subject), frames=20)
+
+    subject.close()
+    seqs = [e.header.seq for e in burst if e.roi.pixels.size]
+    assert seqs == [seq for seq in range(2, 22) if seq != 9]
+    assert subject.summary()["frames"]["lost"] == 1
+
+
+def test_a_sensor_that_fails_in_a_burst_is_an_error_and_not_a_wait_for_ever(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("drivers.usb.session.SILENCE_S", 0.05)
+    subject = started(prototype({"kind": "broken", "exposure": 9}))
+
+    with pytest.raises(DriverError, match="the board reports a fault: sensor"):
+        recorded(subject, read(subject), frames=20)
+    subject.close()
 
 
 def test_ten_bursts_follow_one_another_with_the_same_delay() -> None:

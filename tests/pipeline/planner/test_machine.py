@@ -10,11 +10,12 @@ from pipeline.planner.machine import this_machine
 def test_a_container_has_what_its_limits_leave(tmp_path: Path) -> None:
     (tmp_path / "cpu.max").write_text("50000 100000\n")
     (tmp_path / "memory.max").write_text("1000000\n")
+    (tmp_path / "memory.current").write_text("400000\n")
 
     found = this_machine(tmp_path, tmp_path)
 
     assert found.cores == 0.5
-    assert found.memory_bytes == found.memory_free_bytes == 1_000_000
+    assert (found.memory_bytes, found.memory_free_bytes) == (1_000_000, 600_000)
     assert 0 < found.shared_free_bytes <= found.shared_bytes
 
 
