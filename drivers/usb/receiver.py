@@ -53,7 +53,7 @@ class Receiver:
         try:
             self._link.receive(parts, timeout_s)
         except Overflow as error:
-            self._miss("overflow", f"{_name(wanted[0][0])}: {error}", parts)
+            self._miss("overflow", f"exposure {wanted[0][0].exposure}: {error}", parts)
             return False
         for (header, _), part in zip(wanted, parts, strict=True):
             if not part.full:
