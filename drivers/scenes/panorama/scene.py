@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.scenes.limits import check_scene
 from drivers.scenes.panorama.cutouts import Cutout, Cutouts
 from drivers.scenes.panorama.ground import Ground, lawn, photographs
 from drivers.scenes.panorama.paths import draw_paths
@@ -16,7 +17,6 @@ from pipeline.errors import DriverError, SettingsError
 
 Image = NDArray[np.uint8]
 
-LEAST_PX, MOST_PX = (160, 90), (16384, 16384)
 STEPS = 4080  # places of a cut-out across the field: few enough that reduced ones are kept
 ROLL_M = math.pi * 0.222  # ground that the ball covers in one turn
 # who is pasted first: the referee, then players of both teams in turn, keepers and assistants
@@ -45,7 +45,9 @@ class PanoramaScene:
         person_share: float = 0.1,
         ball_share: float = 0.0125,
     ) -> None:
-        _check(size_px, rate_hz, seed, length, objects)
+        check_scene(size_px, rate_hz, seed, length)
+        if not 0 <= objects <= len(ORDER):
+            raise SettingsError(f"objects: expected 0 to {len(ORDER)}, got {objects}")
         for name, share in (("person_share", person_share), ("ball_share", ball_share)):
             if not 0.001 <= share <= 0.3:
                 raise SettingsError(f"{name}: expected 0.001 to 0.3 of the height, got {share}")
@@ -186,20 +188,3 @@ def _opaque(actor: Actor, box: tuple[int, int, int, int]) -> NDArray[np.bool_]:
     rows = slice(box[1] - actor.top, box[3] - actor.top)
     alpha = actor.patch[rows, box[0] - actor.left : box[2] - actor.left, 3]
     return np.asarray(alpha >= actor.solid)
-
-
-def _check(
-    size_px: tuple[int, int], rate_hz: float, seed: int, length: int | None, objects: int
-) -> None:
-    if len(size_px) != 2 or not all(
-        low <= side <= high for side, low, high in zip(size_px, LEAST_PX, MOST_PX, strict=True)
-    ):
-        raise SettingsError(f"size_px: expected {LEAST_PX} to {MOST_PX}, got {size_px}")
-    if not 1 <= rate_hz <= 1000:
-        raise SettingsError(f"rate_hz: expected 1 to 1000, got {rate_hz}")
-    if seed < 0:
-        raise SettingsError(f"seed: must be at least 0, got {seed}")
-    if length is not None and length < 0:
-        raise SettingsError(f"length: must be at least 0, got {length}")
-    if not 0 <= objects <= len(ORDER):
-        raise SettingsError(f"objects: expected 0 to {len(ORDER)}, got {objects}")

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.scenes.limits import check_scene
 from drivers.scenes.soccer import ball, figures
 from drivers.scenes.soccer.blend import extent, odd, over
 from drivers.scenes.soccer.camera import View, draw_station, draw_style, view_at, zoom
@@ -18,7 +19,6 @@ from pipeline.errors import SettingsError
 
 Image = NDArray[np.uint8]
 
-LEAST_PX, MOST_PX = (160, 90), (16384, 16384)
 CANVAS_RADIUS_PX = 3500.0, 6000.0  # most at full HD and at any size, for memory and time to open
 BALL_M = 0.222
 GRAIN_PX = 960
@@ -44,7 +44,9 @@ class SoccerScene:
         difficulty: float = 0.5,
         ball: bool = True,
     ) -> None:
-        _check(size_px, rate_hz, seed, length, difficulty)
+        check_scene(size_px, rate_hz, seed, length)
+        if not 0 <= difficulty <= 1:
+            raise SettingsError(f"difficulty: expected 0 to 1, got {difficulty}")
         self.size_px = (int(size_px[0]), int(size_px[1]))
         self.rate_hz, self.length = rate_hz, length
         self._seed, self._ball = seed, ball
@@ -212,20 +214,3 @@ def _grain(rng: np.random.Generator, sigma: float, soft_px: float) -> Image:
     noise = np.asarray(cv2.GaussianBlur(noise, (0, 0), soft_px), np.float32)
     noise *= sigma / noise.std()
     return np.clip(np.round(noise + 2 * sigma), 0, 60).astype(np.uint8)
-
-
-def _check(
-    size_px: tuple[int, int], rate_hz: float, seed: int, length: int | None, difficulty: float
-) -> None:
-    if len(size_px) != 2 or not all(
-        low <= side <= high for side, low, high in zip(size_px, LEAST_PX, MOST_PX, strict=True)
-    ):
-        raise SettingsError(f"size_px: expected {LEAST_PX} to {MOST_PX}, got {size_px}")
-    if not 1 <= rate_hz <= 1000:
-        raise SettingsError(f"rate_hz: expected 1 to 1000, got {rate_hz}")
-    if seed < 0:
-        raise SettingsError(f"seed: must be at least 0, got {seed}")
-    if length is not None and length < 0:
-        raise SettingsError(f"length: must be at least 0, got {length}")
-    if not 0 <= difficulty <= 1:
-        raise SettingsError(f"difficulty: expected 0 to 1, got {difficulty}")
