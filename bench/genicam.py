@@ -101,7 +101,9 @@ def exposed(sensor: GenicamSensor) -> Exposure:
     return found
 
 
-def fresh(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+def fresh(
+    _output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+) -> NDArray[Any]:
     """Memory for one frame."""
     return np.empty(shape, dtype)
 

@@ -124,7 +124,9 @@ def by_fovea(
 ) -> Way:
     """The operator."""
     width_px = out.shape[1] if out.shape[1] < form.size_px(pixels.shape)[0] else 0
-    subject = Downsample(DownsampleSettings(width_px=width_px, **settings), loan=lambda *_: out)
+    subject = Downsample(
+        DownsampleSettings(width_px=width_px, **settings), loan=lambda *_, **__: out
+    )
     subject.open()
     frame = Frame(header=header(), pixels=pixels, pixel_format=form.name, window=(0, 0, 8, 8))
     return lambda: subject.on_frame(frame).pixels

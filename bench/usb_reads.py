@@ -92,15 +92,16 @@ def _way(
 
 def over_model(library: Any, depth: int, seconds: float, link: int) -> Row:
     """Read frames through the driver's receiver for so long."""
-    memory = [np.empty(width * height, np.uint8) for width, height in SIZES_PX]
+    pair = [[np.empty(width * height, np.uint8) for width, height in SIZES_PX] for _ in range(2)]
     exposures = 0
     with ModelLink(library, SIZES_PX, depth=depth, bytes_per_s=link) as found:
         receiver = found.receiver()
         began_s, cpu_s = time.monotonic(), time.thread_time()
         while (elapsed_s := time.monotonic() - began_s) < seconds:
             headers = receiver.headers(list(Stream), WAIT_S)
-            pictures = list(zip(headers.values(), memory, strict=True))
-            if len(headers) != len(Stream) or not receiver.payloads(pictures, WAIT_S):
+            pictures = list(zip(headers.values(), pair[exposures % 2], strict=True))
+            ahead = dict(zip(Stream, pair[(exposures + 1) % 2], strict=True))
+            if len(headers) != len(Stream) or not receiver.payloads(pictures, WAIT_S, ahead):
                 raise DriverError(f"usb model: a frame did not arrive: {dict(receiver.losses)}")
             exposures += 1
         return _row(
@@ -120,7 +121,9 @@ def over_kernel(depth: int, seconds: float) -> Row:
     ))  # fmt: skip
     kept: dict[str, NDArray[Any]] = {}
 
-    def memory(output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    def memory(
+        output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+    ) -> NDArray[Any]:
         if output not in kept or kept[output].shape != shape:
             kept[output] = np.empty(shape, dtype)
         return kept[output]

@@ -28,12 +28,16 @@ class ContractBroken(DriverError):
     """A sensor does not keep the contract; the text says what was expected and what it did."""
 
 
-def memory(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+def memory(
+    _output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+) -> NDArray[Any]:
     """Grant every loan."""
     return np.empty(shape, dtype)
 
 
-def refuse(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+def refuse(
+    _output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+) -> NDArray[Any]:
     """Refuse every loan."""
     raise PoolExhausted(f"no room for {shape} of {dtype}")
 
@@ -178,20 +182,22 @@ def check_an_exposure_without_memory_is_spent(make: Make) -> Figures:
 
 def check_pictures_lie_in_the_memory_lent(make: Make) -> Figures:
     """Nothing is copied between the sensor's memory and the frame pool."""
-    lent: dict[str, NDArray[Any]] = {}
+    lent: dict[str, list[NDArray[Any]]] = {"context": [], "roi": []}
 
-    def loan(output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        lent[output] = np.empty(shape, dtype)
-        return lent[output]
+    def loan(
+        output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+    ) -> NDArray[Any]:
+        lent[output].append(np.empty(shape, dtype))
+        return lent[output][-1]
 
     with running(make) as sensor:
         exposure = sensor.read(loan)
     if exposure is None:
         raise ContractBroken("read: expected an exposure, got the end of the stream")
     for output, pixels in (("context", exposure.context.pixels), ("roi", exposure.roi.pixels)):
-        if pixels.size and pixels is not lent.get(output):
+        if pixels.size and not any(pixels is memory for memory in lent[output]):
             raise ContractBroken(f"{output}: expected the memory that was lent, got other memory")
-    return {"bytes": sum(pixels.nbytes for pixels in lent.values())}
+    return {"bytes": sum(each[0].nbytes for each in lent.values() if each)}
 
 
 def check_closing_is_safe_after_any_outcome(make: Make) -> Figures:

@@ -99,6 +99,8 @@ class DualStreamSensor(Protocol):
     def read(self, loan: Loan) -> Exposure | None:
         """The next exposure, written into memory from `loan("context" | "roi", shape, dtype)`.
 
+        Memory that is lent with `ahead=True` stays lent until an exposure with it was returned:
+        for a device that writes before it says what comes; at most two of an output.
         Blocks until it is available; None after the last one and after `stop`. When `loan` raises
         `PoolExhausted`, the exposure is lost (`seq` advances) and the error passes through.
         """

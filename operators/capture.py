@@ -105,8 +105,10 @@ class Capture(Source[CaptureSettings, Frame]):
             self._sensor.stop()
             self._sensor.close()
 
-    def _memory(self, output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        return self.loan(shape, dtype, output)
+    def _memory(
+        self, output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+    ) -> NDArray[Any]:
+        return self.loan(shape, dtype, output, ahead=ahead)
 
     def _opened(self) -> DualStreamSensor:
         if self._sensor is None:

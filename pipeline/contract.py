@@ -7,7 +7,7 @@ of its own, with others in one process or in the in-line runner; its code is the
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Generic, Literal, TypeVar, get_args, get_origin
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar, get_args, get_origin
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -24,7 +24,16 @@ Keep = Literal["latest", "every"]
 INCOMPLETE = "incomplete"  # key of a summary: a sentence on what could not be written
 HEADLINE = "headline"  # key of a summary: the result of the run, as a sentence
 RATE = "rate"  # key of a source's summary: asked_hz and achieved_hz of its frames
-Loan = Callable[[str, tuple[int, ...], DTypeLike], NDArray[Any]]  # output, shape, dtype -> memory
+
+
+class Loan(Protocol):
+    """Returns memory of an output for an array of a shape and type; see `Operator.loan`."""
+
+    def __call__(
+        self, output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+    ) -> NDArray[Any]:
+        """Raises `PoolExhausted` when all of it is in use."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -55,7 +64,9 @@ class Output:
     message: type[Message]
 
 
-def fresh_memory(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+def fresh_memory(
+    _output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+) -> NDArray[Any]:
     """Return new memory that no reader shares."""
     return np.empty(shape, dtype)
 
@@ -142,9 +153,16 @@ class Operator(Generic[S, Out]):
         """
         return Forecast()
 
-    def loan(self, shape: tuple[int, ...], dtype: DTypeLike, output: str = "out") -> NDArray[Any]:
-        """Return memory of an output; an array written there is sent without a copy."""
-        return self._loan(output, shape, dtype)
+    def loan(
+        self, shape: tuple[int, ...], dtype: DTypeLike, output: str = "out", *, ahead: bool = False
+    ) -> NDArray[Any]:
+        """Return memory of an output; an array written there is sent without a copy.
+
+        It may be written until the handler returns; with `ahead` until a message with it is sent,
+        in this call or a later one. At most two arrays of an output are lent ahead: a third takes
+        the place of the oldest.
+        """
+        return self._loan(output, shape, dtype, ahead=ahead)
 
     def allocate_from(self, memory: Loan) -> Loan:
         """Allocate the memory of outputs from `memory` from now on; return the former allocator.

@@ -5,12 +5,16 @@ Names as `backend` of `DualStreamBoard`: the driver above it is the one that run
 
 import ctypes
 import json
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from bench.usb.gauge import GaugedBoard
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.usb.gauge import GaugedBoard, spread
 from bench.usb.paced import PacedLink
 from bench.usb.places import Places
 from bench.usb.ring import BlankWorld, Prepared, RingWorld, prepared
@@ -68,10 +72,26 @@ class RingBoard(GaugedBoard):
         limit = self.profile.can.link_bytes_per_s
         self._paced = PacedLink(limit, settings.reads) if limit else None
 
-    def carry(self, stream: Stream, count: int) -> None:
+    def carry(self, sent: NDArray[np.uint8], asked_ns: int) -> None:
         """Take the time of so many bytes."""
-        if self._paced is not None and count:
-            self._paced.carry(stream, count)
+        if self._paced is not None:
+            self._paced.carry(len(sent), asked_ns=asked_ns, ready_ns=self._ready_ns(sent))
+
+    def figures(self) -> dict[str, Any]:
+        """Return what the board cost, and how long its link waited for a read."""
+        found = self.gauge.figures()
+        gaps = self._paced.gaps_ms() if self._paced is not None else ()
+        waits = round(sum(gaps) / 10 / max(1e-9, found["seconds"]), 2)
+        named = {f"gap_{name}_ms": value for name, value in spread(gaps).items()}
+        return {**found, "link_waits_percent": waits, **named}
+
+    def _ready_ns(self, sent: NDArray[np.uint8]) -> int:
+        """When a header could be sent, in `time.monotonic_ns()`; 0 for the pixels behind it."""
+        if len(sent) != HEADER_BYTES:
+            return 0
+        header = FrameHeader.unpack(sent.tobytes())
+        readout_ns = self.profile.readout_frames * 1e12 / self._configuration.rate_mhz
+        return round(header.stamp_ns + readout_ns) - self._now_ns() + time.monotonic_ns()
 
     def _opened(self, code: int, _most_px: int) -> World:
         form, can = BY_CODE[code], self.profile.can
@@ -109,7 +129,7 @@ class RingBackend(VirtualBackend):
         """Close, and write the figures so far."""
         super().close_device(dev_handle)
         if self._log:
-            found = {"board": self._gauged.gauge.figures(), "frames": self._puts.frames}
+            found = {"board": self._gauged.figures(), "frames": self._puts.frames}
             write_whole(Path(self._log), json.dumps(found))
 
 

@@ -1,8 +1,7 @@
-"""What a virtual board itself costs, and how long its link waits for a read: `GaugedBoard`."""
+"""What a virtual board itself costs: `GaugedBoard`."""
 
 import threading
 import time
-from array import array
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -19,10 +18,9 @@ class Gauge:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._cpu_ns = self._bytes = self._reads = self._open = 0
-        self._begun_ns = self._ended_ns = self._last_ns = 0
+        self._cpu_ns = self._bytes = self._reads = 0
+        self._begun_ns = self._last_ns = 0
         self._process_ns = (0, 0)  # processor time of the process, at the first and the last read
-        self._gaps_ms = array("d")  # in which no read was open, after one that brought bytes
 
     @contextmanager
     def spent(self) -> Iterator[None]:
@@ -41,26 +39,15 @@ class Gauge:
         with self._lock:
             if not self._begun_ns:
                 self._begun_ns, self._process_ns = now_ns, (time.process_time_ns(),) * 2
-            if not self._open and self._ended_ns:
-                self._gaps_ms.append((now_ns - self._ended_ns) / 1e6)
-            self._open += 1
 
     def ends(self, count: int | None) -> None:
         """Note that a read was answered, with so many bytes; None: nothing came in time."""
-        now_ns = time.monotonic_ns()
         with self._lock:
-            self._open -= 1
-            self._ended_ns = 0 if self._open or count is None else now_ns
             if count:
                 self._bytes += count
                 self._reads += 1
-                self._last_ns = now_ns
+                self._last_ns = time.monotonic_ns()
                 self._process_ns = self._process_ns[0], time.process_time_ns()
-
-    def gaps_ms(self) -> list[float]:
-        """Return how long no read was open, each time."""
-        with self._lock:
-            return list(self._gaps_ms)
 
     def figures(self) -> dict[str, Any]:
         """Return the figures from the first read to the last that brought bytes."""
@@ -73,8 +60,6 @@ class Gauge:
                 "megabytes_per_s": round(self._bytes / elapsed_s / 1e6, 1),
                 "cpu_percent": round(self._cpu_ns / 1e7 / elapsed_s, 1),
                 "share_of_its_process_percent": round(100 * self._cpu_ns / max(1, process_ns), 1),
-                "no_read_open_percent": round(sum(self._gaps_ms) / 10 / elapsed_s, 2),
-                **{f"gap_{name}_ms": value for name, value in spread(self._gaps_ms).items()},
             }
 
 
@@ -98,17 +83,19 @@ class GaugedBoard(VirtualBoard):
     def read(self, stream: Stream, memory: NDArray[np.uint8], timeout_s: float) -> int | None:
         """Send the next bytes of a stream."""
         count = None
+        asked_ns = time.monotonic_ns()
         self.gauge.begins()
         try:
             with self.gauge.spent():
                 count = super().read(stream, memory, timeout_s)
-                self.carry(stream, count or 0)
+                if count:
+                    self.carry(memory[:count], asked_ns)
         finally:
             self.gauge.ends(count)
         return count
 
-    def carry(self, stream: Stream, count: int) -> None:
-        """Take the time of so many bytes; here none."""
+    def carry(self, sent: NDArray[np.uint8], asked_ns: int) -> None:
+        """Take the time of what was sent (n,), which was asked for then; here none."""
 
 
 def spread(values: Sequence[float]) -> dict[str, float]:

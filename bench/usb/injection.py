@@ -228,5 +228,7 @@ def _listening() -> Iterator[list[tuple[float, str]]]:
         logger.removeHandler(ear)
 
 
-def _memory(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+def _memory(
+    _output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+) -> NDArray[Any]:
     return np.empty(shape, dtype)

@@ -60,9 +60,13 @@ class ModelLink:
         """Return the driver's receiver over this link."""
         return Receiver(cast(Link, self), self.payload_bytes, Losses())
 
-    def receive(self, parts: Sequence[Part], timeout_s: float) -> None:
+    def receive(self, parts: Sequence[Part], timeout_s: float, ahead: Sequence[Part] = ()) -> None:
         """Fill parts, as `Link.receive` does."""
-        self._reads.receive(parts, timeout_s)
+        self._reads.receive(parts, timeout_s, ahead)
+
+    def cancel(self, stream: int) -> None:
+        """End the reads of a stream, as `Link.cancel` does."""
+        self._reads.cancel(stream)
 
     @property
     def bytes(self) -> int:
@@ -83,8 +87,8 @@ class ModelLink:
         self, _kind: type[BaseException] | None, _error: BaseException | None,
         _trace: TracebackType | None,
     ) -> None:  # fmt: skip
-        self._library.model_stop()
         self._reads.close()
+        self._library.model_stop()
 
 
 def _header(stream: Stream, size_px: tuple[int, int]) -> FrameHeader:

@@ -20,6 +20,7 @@ from drivers.usb.board_settings import (
 from drivers.usb.capabilities import CaptureMode
 from drivers.usb.errors import LinkError
 from drivers.usb.frame_header import FrameFlag, FrameHeader
+from drivers.usb.frame_memory import FrameMemory, Kind
 from drivers.usb.session import Session
 from pipeline.contract import RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
@@ -42,7 +43,7 @@ class DualStreamBoard:
         self._settings = settings
         self._session: Session | None = None
         self._windows: Counter[str] = Counter()
-        self._delivered = self._overrun = self._foreign = 0
+        self._delivered = self._overrun = self._foreign = self._read_ahead = 0
         self._started_ns = self._last_ns = 0
 
     @property
@@ -61,7 +62,10 @@ class DualStreamBoard:
     def open(self, *, realtime: bool) -> None:
         """Acquire the board; raises `DriverError` or `SettingsError` when it cannot."""
         self._realtime, self._stream = realtime, uuid.uuid4().hex
-        self._session = Session(self._settings, realtime=realtime)
+        self._session = session = Session(self._settings, realtime=realtime)
+        # in lockstep nothing comes before it is asked for, and between previews no ROI comes
+        live = session.wanted.mode is CaptureMode.LIVE
+        self._memory = FrameMemory(ahead=realtime and live)
 
     def capabilities(self) -> Capabilities:
         """What the board can do in this mode; needs `open`."""
@@ -162,6 +166,7 @@ class DualStreamBoard:
             "link": {
                 **{name: counts[name] for name in ("outages", "stalls", "resets", "silences")},
                 "bytes": counts["bytes"],
+                "read_ahead": self._read_ahead,  # exposures whose memory was lent in time
                 "clock_error_ms": round(session.clock.error_ms, 3),
             },
         }  # fmt: skip
@@ -179,16 +184,24 @@ class DualStreamBoard:
     ) -> Exposure | None:
         """Return the exposure with its pixels; None when it is lost."""
         forms = [session.format_of(header) for header in headers]
+        kinds: list[Kind] = [
+            (h.stream, form.shape(h.size_px), form.dtype)
+            for h, form in zip(headers, forms, strict=True)
+        ]
+        self._read_ahead += self._memory.ready
         try:
-            memory = [
-                loan(h.stream.name.lower(), form.shape(h.size_px), form.dtype)
-                for h, form in zip(headers, forms, strict=True)
-            ]
+            memory = self._memory.take(kinds, loan)
         except PoolExhausted:
             self._overrun += 1
             session.skip(headers)
             raise
-        if not session.fill(headers, memory):
+        whole = False
+        try:
+            whole = session.fill(headers, memory, self._memory.lend(kinds, loan))
+        finally:
+            if not whole:
+                self._memory.return_lost([header.stream for header in headers], memory)
+        if not whole:
             return None
         self._delivered += 1
         return self._exposure(session, headers, memory, [form.name for form in forms])

@@ -112,17 +112,25 @@ class Link:
                 VENDOR_OUT, request, value, self._interface, data, round(timeout_s * 1000)
             )
 
-    def receive(self, parts: Sequence[Part], timeout_s: float) -> None:
+    def receive(self, parts: Sequence[Part], timeout_s: float, ahead: Sequence[Part] = ()) -> None:
         """Fill parts until each is over or the time is; what is missing shows in `received`.
 
-        Nothing is written to their memory after the return. Raises `Unplugged`, `Stalled` or
-        `Overflow`.
+        `ahead` are those that follow: they are read as far as reads are free, so that the link need
+        not wait for the next call. Their memory, and that of parts which are not over, may then be
+        written until a call without them, `cancel` or `close`; without `ahead` nothing is written
+        after the return, nor after an error. Raises `Unplugged`, `Stalled` or `Overflow`.
         """
         with _Errors(self.where):
             if self._async is not None:
-                self._async.receive(parts, timeout_s)
+                self._async.receive(parts, timeout_s, ahead)
             else:
                 self._receive_in_turn(parts, timeout_s)
+
+    def cancel(self, stream: int) -> None:
+        """End the reads of a stream that are in flight; its memory is not written any more."""
+        if self._async is not None:
+            with _Errors(self.where):
+                self._async.cancel(stream)
 
     def clear_halt(self, stream: int) -> None:
         """Let a stalled end point go on."""

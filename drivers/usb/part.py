@@ -13,7 +13,11 @@ class Part:
     stream: int  # index of the bulk IN end point
     memory: NDArray[np.uint8]  # (n,) contiguous
     received: int = 0  # bytes
+    submitted: int = 0  # bytes, of the reads that have returned or are in flight
     short: bool = False  # a short packet ended it before it was full
+
+    def __len__(self) -> int:
+        return len(self.memory)
 
     @property
     def full(self) -> bool:

@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,17 +29,15 @@ from drivers.usb.errors import LinkError, NoAnswer, NoUsbMemory, Stalled, Unplug
 from drivers.usb.frame_header import FrameFlag, FrameHeader, Stream
 from drivers.usb.losses import Losses
 from drivers.usb.receiver import Receiver
-from drivers.usb.requests import Answer, Fault, Schedule, State
+from drivers.usb.requests import Answer, Schedule
+from drivers.usb.silence import Silence
 from pipeline.boxes import centres, roi_window
 from pipeline.errors import DriverError, SettingsError
 from pipeline.import_path import imported
 from pipeline.messages import Geometry, RoiSchedule
 from pipeline.pixel_formats import BY_CODE, PixelFormat
 
-BURST_STATES = (State.RECORDING, State.DOWNLOADING)
 POLL_S = 0.1  # how long a read waits before it looks whether it was stopped
-SILENCE_S = 1.0  # without a header, beside ten frames' time; then the board is asked
-SILENCES = 3  # in a row; then it is an error
 STALL_AGAIN_S = 1.0  # a second stall within it resets the board
 BACKOFF_S = (0.05, 2.0)  # first and longest pause between attempts to find the board again
 SYNC_S = 1.0  # between exchanges of times
@@ -59,9 +57,8 @@ class Session:
         self._pending: dict[Stream, FrameHeader] = {}
         self._schedules: OrderedDict[int, int] = OrderedDict()  # its id -> seq of the command
         self._newest: RoiSchedule | None = None
-        self._schedule_id = self._silences = 0
-        self._heard_s = self._stalled_s = 0.0
-        self._busy_s = 0.0  # without a frame while the board records or sends a burst
+        self._schedule_id = 0
+        self._stalled_s = 0.0
         self._triggered = False  # an exposure was asked for that has not come
         self._recorded = False  # the last frame was one of a burst
         self.absent_until_s = 0.0  # until when a lost board is looked for; 0: none is lost
@@ -124,7 +121,9 @@ class Session:
             self._pending, self._dropped, self._triggered = {}, 0, False
             self.clock.ask(connection.time_ns)
             connection.start(triggered=not self._realtime)
-            self._heard_s, self._silences, self._busy_s = time.monotonic(), 0, 0.0
+            self._silence = Silence(
+                connection, self.wanted, self._receiver.exposure_bytes, self.counts
+            )
 
     def close(self) -> None:
         """Stop the board and release it; safe after any outcome."""
@@ -190,7 +189,10 @@ class Session:
             # a preview has no ROI to wait for, and only its own header says that it is one
             previews = self.wanted.mode is CaptureMode.RECORD
             self._pending |= self._receiver.headers(missing[:1] if previews else missing, POLL_S)
-        self._listen(heard=len(self._pending) > before)
+        if len(self._pending) > before:
+            self._silence.heard()
+        elif self._silence.asked():
+            self._triggered = False
         return self._paired()
 
     def _paired(self) -> list[FrameHeader] | None:
@@ -229,15 +231,22 @@ class Session:
             )
         return found
 
-    def fill(self, headers: Sequence[FrameHeader], memory: Sequence[NDArray[Any]]) -> bool:
-        """Read the pixels of an exposure into memory; False: it is lost."""
+    def fill(
+        self, headers: Sequence[FrameHeader], memory: Sequence[NDArray[Any]],
+        ahead: Mapping[Stream, NDArray[Any]] | None = None,
+    ) -> bool:  # fmt: skip
+        """Read the pixels of an exposure into memory; False: it is lost.
+
+        `ahead` as in `Receiver.payloads`.
+        """
         self._triggered = False
         for header, given in zip(headers, memory, strict=True):
             if given.nbytes != header.payload_bytes:
                 got = header.payload_bytes
                 raise LinkError(f"{header.stream.name}: expected {given.nbytes} bytes, got {got}")
-        flat = [given.reshape(-1).view(np.uint8) for given in memory]
-        whole = self._receiver.payloads(list(zip(headers, flat, strict=True)), self._payload_s)
+        wanted = [(header, _flat(given)) for header, given in zip(headers, memory, strict=True)]
+        coming = None if ahead is None else {name: _flat(given) for name, given in ahead.items()}
+        whole = self._receiver.payloads(wanted, self._payload_s, coming)
         if whole:
             self._account(headers)
             self.counts["bytes"] += sum(header.payload_bytes for header in headers)
@@ -259,43 +268,6 @@ class Session:
         self.last_seq = max(self.last_seq, seq)
 
     # failures
-
-    def _listen(self, *, heard: bool) -> None:
-        """Ask a silent board how it is; raises `DriverError` when it stays silent."""
-        now_s = time.monotonic()
-        if heard:
-            self._heard_s, self._silences, self._busy_s = now_s, 0, 0.0
-            return
-        rate_mhz = self.wanted.rate_mhz
-        if self.wanted.mode is CaptureMode.RECORD:
-            rate_mhz = self.connection.can.preview_mhz or rate_mhz
-        if now_s - self._heard_s < SILENCE_S + 10_000 / rate_mhz:
-            return
-        silent_since_s, self._heard_s = self._heard_s, now_s
-        status, where = self.connection.status(), self.connection.where
-        if status.fault is not Fault.NONE:
-            raise DriverError(f"{where}: the board reports a fault: {status.fault.name.lower()}")
-        self._busy_s += now_s - silent_since_s
-        if status.state in BURST_STATES and self._busy_s < self._burst_s():
-            return
-        self.counts["silences"] += 1
-        self._silences += 1
-        quiet = f"{where}: no frame came for {now_s - silent_since_s:.1f} s"
-        log.warning("%s; the board says that it is %s", quiet, status.state.name.lower())
-        if self._silences >= SILENCES:
-            raise DriverError(
-                f"{where}: the board sends nothing, and says that it is {status.state.name.lower()}"
-            )
-        if status.state is State.IDLE:
-            raise Unplugged(f"{where}: the board has restarted")
-        self._triggered = False
-
-    def _burst_s(self) -> float:
-        """How long a burst may take until its first frame is here."""
-        can, pixels = self.connection.can, self._receiver.exposure_bytes
-        frames = self.wanted.burst_frames or can.burst_frames
-        link_s = frames * pixels / can.link_bytes_per_s if can.link_bytes_per_s else 0.0
-        return SILENCE_S + 2 * (frames * 1000 / self.wanted.rate_mhz + link_s)
 
     def recover(self, error: LinkError) -> None:
         """Do what a failure of the link needs; raises `DriverError` when nothing helps."""
@@ -368,6 +340,10 @@ class Session:
                 opened, self._connection = self.connection, None
                 opened.close()  # else the next attempt finds the board in use
                 raise
+
+
+def _flat(memory: NDArray[Any]) -> NDArray[np.uint8]:
+    return memory.reshape(-1).view(np.uint8)
 
 
 def _backend(settings: DualStreamBoardSettings) -> Any:

@@ -7,7 +7,7 @@ per function and not set on pyusb's library object, which all its users share.
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from ctypes import (
     CDLL,
@@ -36,8 +36,6 @@ FAILURES: dict[int, tuple[type[LinkError], str]] = {
     5: (Unplugged, "the board is gone"),
     6: (Overflow, "the board sent more than was asked for"),
 }
-
-Chunk = tuple[Part, int, int]  # with its first byte and its length
 
 log = logging.getLogger(__name__)
 
@@ -107,47 +105,58 @@ class InFlight:
             found.handle, found.type, found.callback = handle, BULK, self._callback
             found.user_data = slot.number + 1  # 0 would read as None
 
-    def receive(self, parts: Sequence[Part], timeout_s: float) -> None:
+    def receive(self, parts: Sequence[Part], timeout_s: float, ahead: Sequence[Part] = ()) -> None:
         """Fill parts until each is over or the time is; see `Link.receive`."""
         deadline_s = time.monotonic() + timeout_s
-        chunks = deque(_chunks(parts, self._chunk_bytes))
+        wanted = [*parts, *ahead]
         try:
+            self._end(lambda part: part.short or not any(part is one for one in wanted))
             while True:
-                self._submit(chunks)
-                left_s = deadline_s - time.monotonic()
-                if not self._busy() or left_s <= 0:
-                    return
-                self._wait(left_s)
                 self._collect()
-        finally:
-            self._cancel_all()
+                self._submit(wanted)
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0 or all(part.over for part in parts):
+                    break
+                self._wait(left_s)
+            self._end(lambda part: part.short or not ahead)
+        except BaseException:
+            self.cancel()
+            raise
+
+    def cancel(self, stream: int | None = None) -> None:
+        """End the reads of a stream, or all; nothing is written to their memory any more."""
+        self._end(lambda part: stream in (None, part.stream))
 
     def close(self) -> None:
-        """Free the transfers; those that still have not returned are left to the library."""
+        """Free the transfers; those that do not return are left to the library."""
+        with suppress(LinkError):
+            self.cancel()
         for slot in self._slots:
             if slot.part is None:
                 self._usb.free(slot.transfer)
         self._slots = []
 
-    def _submit(self, chunks: "deque[Chunk]") -> None:
-        """Submit chunks as far as there is room for them."""
+    def _submit(self, parts: Sequence[Part]) -> None:
+        """Submit reads of parts, in their order, as far as there is room for them."""
+        left = deque(part for part in parts if not (part.short or part.submitted == len(part)))
         for slot in self._slots[: self.depth]:
-            while chunks and chunks[0][0].short:
-                chunks.popleft()
-            if slot.part is not None or not chunks:
+            if slot.part is not None or not left:
                 continue
-            part, start, length = chunks[0]
+            part = left[0]
+            length = min(self._chunk_bytes, len(part) - part.submitted)
             found = slot.transfer.contents
             found.endpoint = self._endpoints[part.stream]
-            found.buffer, found.length = part.memory.ctypes.data + start, length
+            found.buffer, found.length = part.memory.ctypes.data + part.submitted, length
             result = self._usb.submit(slot.transfer)
             if result == NO_MEMORY:
                 self._halve()
                 return
             if result:
                 raise Unplugged("the board is gone" if result == NO_DEVICE else "a read failed")
-            slot.part, slot.start = part, start
-            chunks.popleft()
+            slot.part, slot.start = part, part.submitted
+            part.submitted += length
+            if part.submitted == len(part):
+                left.popleft()
 
     def _halve(self) -> None:
         if not self._busy():
@@ -191,23 +200,31 @@ class InFlight:
             if slot.part is part:
                 self._usb.cancel(slot.transfer)
 
-    def _cancel_all(self) -> None:
-        """Cancel and await what is in flight, so that nobody's memory is written later."""
-        deadline_s = time.monotonic() + CANCEL_S
-        for slot in self._slots:
-            if slot.part is not None and slot.number not in self._done:
+    def _end(self, ends: Callable[[Part], bool]) -> None:
+        """Cancel and await reads of some parts, so that their memory is not written later."""
+        slots = [slot for slot in self._slots if slot.part is not None and ends(slot.part)]
+        if not slots:
+            return
+        ended = {id(slot.part): slot.part for slot in slots}
+        for slot in slots:
+            if slot.number not in self._done:
                 self._usb.cancel(slot.transfer)
-        while sum(slot.part is not None for slot in self._slots) > len(self._done):
+        deadline_s = time.monotonic() + CANCEL_S
+        while any(slot.part is not None and slot.number not in self._done for slot in slots):
             if time.monotonic() > deadline_s:
                 raise Unplugged("reads in flight cannot be cancelled")
-            self._wait(0.1)
+            self._wait(0.1, slots)
         with suppress(LinkError):  # that it failed is known
             self._collect()
+        for part in ended.values():
+            if part is not None:
+                part.submitted = part.received
 
-    def _wait(self, limit_s: float) -> None:
-        if self._done:
+    def _wait(self, limit_s: float, slots: "Sequence[_Slot] | None" = None) -> None:
+        """Wait until a read has returned, or one of these slots."""
+        self._woken.value = 0  # first: another thread that handles events may set it at any time
+        if self._done and (slots is None or all(s.number in self._done for s in slots)):
             return
-        self._woken.value = 0
         limit_us = max(0, round(limit_s * 1e6))
         moment = _Moment(limit_us // 1_000_000, limit_us % 1_000_000)
         self._usb.handle_events(self._context, byref(moment), byref(self._woken))
@@ -215,9 +232,3 @@ class InFlight:
     def _returned(self, transfer: Any) -> None:
         self._done.append(transfer.contents.user_data - 1)
         self._woken.value = 1
-
-
-def _chunks(parts: Sequence[Part], chunk_bytes: int) -> Iterator[Chunk]:
-    for part in parts:
-        for start in range(part.received, len(part.memory), chunk_bytes):
-            yield part, start, min(chunk_bytes, len(part.memory) - start)

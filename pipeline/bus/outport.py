@@ -28,6 +28,7 @@ from pipeline.messages import Header, Message
 INLINE_BYTES = 8192  # arrays up to this size are sent inside the descriptor
 INSIST_S = 5.0  # by then a frozen reader has been replaced
 PROBE_S = 0.5  # a reader without credit for this long may be waiting for a lost message
+MOST_AHEAD = 2  # of the exposure in hand and of the next one
 BYTES_SUFFIX = "/bytes"  # suffix of the key with complete messages
 
 
@@ -84,6 +85,7 @@ class OutPort:
         self._fingerprint = self._schema.fingerprint
         self._pool = pool(self._claim)
         self._leases: list[Lease] = []
+        self._ahead: list[Lease] = []  # lent beyond a call of a handler, oldest first
         self._receivers = [(0, 0)] * len(self.readers)  # per reader: the instances that listen
         self._goes_on: bool | None = None  # True: continues a live predecessor, without a loss
         self._lost = False
@@ -115,17 +117,24 @@ class OutPort:
         """While another instance sends: release the slots that no reader needs any more."""
         self._pool.let_go()
 
-    def loan(self, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """Return pool memory for an array of the next message; raises `PoolExhausted`."""
+    def loan(
+        self, shape: tuple[int, ...], dtype: DTypeLike, *, ahead: bool = False
+    ) -> NDArray[Any]:
+        """Return pool memory for an array of the next message; raises `PoolExhausted`.
+
+        With `ahead` for one of the next two: a slot of its own, which `discard` does not release.
+        """
         nbytes = math.prod(shape) * np.dtype(dtype).itemsize
         if nbytes <= INLINE_BYTES:
             return np.empty(shape, dtype)
-        for lease in self._leases:
+        for lease in () if ahead else self._leases:
             array = lease.array(shape, dtype)
             if array is not None:
                 return array
+        if ahead and len(self._ahead) == MOST_AHEAD:  # of an exposure that was not sent
+            self._pool.abandon(self._ahead.pop(0))
         lease = self._pool.lease(nbytes)
-        self._leases.append(lease)
+        (self._ahead if ahead else self._leases).append(lease)
         array = lease.array(shape, dtype)
         if array is None:
             raise PoolExhausted(f"{self._message.__name__}: slot of {nbytes} bytes is too small")
@@ -183,7 +192,7 @@ class OutPort:
             self.discard()
             raise
         if lease is not None:
-            self._leases.remove(lease)
+            (self._leases if lease in self._leases else self._ahead).remove(lease)
             self._pool.publish(lease, self._ordinal + 1)
         self.discard()  # loans of this handler call that no message used
         self._count()
@@ -192,7 +201,7 @@ class OutPort:
             self._pool.prepare()
 
     def discard(self) -> None:
-        """Release loans that were not sent."""
+        """Release loans that were not sent, without those made ahead."""
         for lease in self._leases:
             self._pool.abandon(lease)
         self._leases.clear()
@@ -260,7 +269,7 @@ class OutPort:
         """Return the slot that holds the message, or one for arrays that are elsewhere."""
         arrays = [a for a in vars(message).values() if isinstance(a, np.ndarray)]
         big = [a for a in arrays if a.nbytes > INLINE_BYTES]
-        for lease in self._leases:
+        for lease in (*self._leases, *self._ahead):
             for array in big:
                 if lease.offset_of(array) is not None:
                     return lease

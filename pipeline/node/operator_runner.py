@@ -279,11 +279,13 @@ class OperatorRunner:
             finally:
                 self.resume()
 
-    def _loan(self, output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    def _loan(
+        self, output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+    ) -> NDArray[Any]:
         port = self.outs.get(output)
         if port is None:  # it has no reader
             return np.empty(shape, dtype)
-        return self.lend(port, shape, dtype)
+        return port.loan(shape, dtype, ahead=True) if ahead else self.lend(port, shape, dtype)
 
     def lend(self, port: OutPort, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
         """Return memory for an output, waiting until some is free."""

@@ -10,13 +10,11 @@ import pytest
 from click.testing import CliRunner
 
 from bench.usb.backend import RingBackend, RingSettings
-from bench.usb.gauge import Gauge
 from bench.usb.paced import PacedLink
 from bench.usb.places import Places
 from bench.usb.ring import prepared
 from bench.usb.stream import by_frame, copies, drops, frame_bytes, main, rate_of
 from drivers.usb import DualStreamBoard, DualStreamBoardSettings
-from drivers.usb.frame_header import Stream
 from drivers.usb.link import CHUNK_BYTES
 from drivers.virtual_board.profiles import PROFILES
 from pipeline.errors import DriverError, SettingsError
@@ -146,23 +144,6 @@ def test_the_rate_is_what_the_link_carries_of_both_pictures() -> None:
     assert rate_of(can, FORMATS["bayer_rggb16"]) == int(400e6 / (2 * both) * 1000) / 1000
 
 
-def test_a_gap_is_counted_from_bytes_to_the_next_read_and_not_while_another_is_open() -> None:
-    gauge = Gauge()
-
-    gauge.begins()
-    gauge.ends(512)
-    gauge.begins()  # a gap
-    gauge.begins()
-    gauge.ends(512)  # the other is still open
-    gauge.begins()
-    gauge.ends(512)
-    gauge.ends(None)  # it timed out: nobody waits for a read
-    gauge.begins()
-
-    assert len(gauge.gaps_ms()) == 1
-    assert gauge.figures()["reads"] == 3
-
-
 CHUNK_NS = 1310720  # 512 KiB at 400 MB/s
 
 
@@ -171,22 +152,39 @@ def test_the_link_goes_on_while_the_host_is_late_if_reads_are_in_flight(
     reads: int, late_ns: int
 ) -> None:
     link = PacedLink(400_000_000, reads)
-    link.until_ns(Stream.CONTEXT, 96, 0)
-    first_ns = link.until_ns(Stream.CONTEXT, CHUNK_BYTES, 1_000_000)
+    first_ns = link.until_ns(CHUNK_BYTES, asked_ns=1_000_000, ready_ns=1_000_000)
+    link.returned(first_ns)
 
-    second_ns = link.until_ns(Stream.CONTEXT, CHUNK_BYTES, first_ns + 3_000_000)
+    second_ns = link.until_ns(CHUNK_BYTES, asked_ns=first_ns + 3_000_000)
 
     assert first_ns == 1_000_000 + CHUNK_NS
     assert second_ns == first_ns + late_ns + CHUNK_NS
+    assert list(link.gaps_ms()) == [late_ns / 1e6]
 
 
-def test_the_link_begins_a_payload_when_the_host_has_its_header() -> None:
+def test_the_link_is_ahead_of_the_host_by_as_many_reads_as_are_in_flight() -> None:
+    link = PacedLink(400_000_000, 2)
+    link.until_ns(CHUNK_BYTES, asked_ns=1, ready_ns=1)
+    link.returned(CHUNK_NS)
+    link.until_ns(CHUNK_BYTES, asked_ns=1)
+    link.returned(9_000_000)  # the host came late for the second one
+
+    third_ns = link.until_ns(CHUNK_BYTES, asked_ns=9_000_000)  # submitted when the first returned
+    fourth_ns = link.until_ns(CHUNK_BYTES, asked_ns=20_000_000)
+
+    assert third_ns == 1 + 3 * CHUNK_NS
+    link.returned(9_000_000)
+    assert fourth_ns == third_ns + CHUNK_NS
+
+
+def test_the_link_does_not_begin_a_frame_that_is_not_ready_and_does_not_wait_for_it() -> None:
     link = PacedLink(400_000_000, 16)
-    free_ns = link.until_ns(Stream.CONTEXT, 96, 0)
+    link.until_ns(96, asked_ns=0, ready_ns=0)
 
-    begun_ns = link.until_ns(Stream.CONTEXT, CHUNK_BYTES, free_ns + 5_000_000)
+    begun_ns = link.until_ns(96, asked_ns=0, ready_ns=5_000_000)
 
-    assert begun_ns == free_ns + 5_000_000 + CHUNK_NS
+    assert begun_ns == 5_000_000 + 240
+    assert list(link.gaps_ms()) == [0.0]
 
 
 def test_a_small_run_of_the_whole_graph_drops_and_copies_nothing(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,49 @@ def test_the_driver_receives_whole_frames_over_the_model(depth: int, tmp_path: P
     assert count == 5 * (2 * 96 + sum(m.nbytes for m in memory))
     assert len(gaps) == 5 * (2 + 1 + 3) - 1
     assert gaps.min() >= 0
+
+
+@needs_compiler
+def test_the_link_goes_on_while_the_host_is_busy_with_the_exposure_before(tmp_path: Path) -> None:
+    pair = [[np.empty(w * h, np.uint8) for w, h in SIZES_PX] for _ in range(2)]
+    rate = 1e8  # bytes/s: 16 ms an exposure
+    waited_ms = {}
+    library = compiled(tmp_path)
+
+    for reads_ahead in (False, True):
+        with ModelLink(library, SIZES_PX, depth=8, bytes_per_s=rate) as link:
+            receiver = link.receiver()
+            for k in range(6):
+                headers = receiver.headers(list(Stream), 5.0)
+                ahead = dict(zip(Stream, pair[(k + 1) % 2], strict=True)) if reads_ahead else None
+                pictures = list(zip(headers.values(), pair[k % 2], strict=True))
+                assert receiver.payloads(pictures, 5.0, ahead)
+                time.sleep(0.01)
+            waited_ms[reads_ahead] = float(link.gaps_ms().sum())
+
+    assert waited_ms[False] > 40
+    assert waited_ms[True] < waited_ms[False] / 4
+
+
+@needs_compiler
+def test_what_was_read_ahead_is_given_up_when_the_driver_looks_for_a_header(
+    tmp_path: Path,
+) -> None:
+    pair = [[np.zeros(w * h, np.uint8) for w, h in SIZES_PX] for _ in range(2)]
+
+    with ModelLink(compiled(tmp_path), SIZES_PX, depth=8, bytes_per_s=1e8) as link:
+        receiver = link.receiver()
+        headers = receiver.headers(list(Stream), 5.0)
+        pictures = list(zip(headers.values(), pair[0], strict=True))
+        assert receiver.payloads(pictures, 5.0, dict(zip(Stream, pair[1], strict=True)))
+        receiver.search()
+        found: dict[Stream, object] = {}
+        while len(found) < 2:
+            missing = [stream for stream in Stream if stream not in found]
+            found |= receiver.headers(missing, 5.0)
+
+    assert list(found) == sorted(found)
+    assert receiver.losses == {}
 
 
 @needs_compiler

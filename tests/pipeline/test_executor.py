@@ -32,7 +32,9 @@ def written(executor: Executor) -> Any:
 def test_an_operator_writes_into_the_memory_that_its_executor_was_given() -> None:
     own = np.zeros((4, 4, 3), np.uint8)
 
-    def memory(output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    def memory(
+        output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+    ) -> NDArray[Any]:
         assert (output, shape, dtype) == ("out", own.shape, np.uint8)
         return own
 

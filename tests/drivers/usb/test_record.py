@@ -98,7 +98,7 @@ def test_an_exposure_of_a_burst_that_fails_is_counted_as_lost() -> None:
 def test_a_sensor_that_fails_in_a_burst_is_an_error_and_not_a_wait_for_ever(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("drivers.usb.session.SILENCE_S", 0.05)
+    monkeypatch.setattr("drivers.usb.silence.SILENCE_S", 0.05)
     subject = started(prototype({"kind": "broken", "exposure": 9}))
 
     with pytest.raises(DriverError, match="the board reports a fault: sensor"):

@@ -108,7 +108,9 @@ def test_grey_becomes_rgb() -> None:
 def test_the_result_lies_in_the_memory_of_its_output_and_the_input_may_be_read_only() -> None:
     lent: list[NDArray[Any]] = []
 
-    def loan(output: str, shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    def loan(
+        output: str, shape: tuple[int, ...], dtype: Any, /, *, ahead: bool = False
+    ) -> NDArray[Any]:
         assert output == "out"
         lent.append(np.zeros(shape, dtype))
         return lent[-1]

@@ -323,3 +323,27 @@ def test_a_restarted_writer_reports_a_loss_and_one_that_took_over_does_not(edge:
 
     edge.out.begin(3)
     assert told_of_losses(edge) == []
+
+
+def test_memory_lent_ahead_is_sent_with_a_later_message(edge: Edge) -> None:
+    lent = [edge.out.loan((60, 60, 3), np.uint8, ahead=True) for _ in range(2)]
+    for seq, pixels in enumerate(lent):
+        pixels[...] = seq + 1
+
+    for seq, pixels in enumerate(lent):
+        edge.out.send(Frame(header=header(seq), pixels=pixels), header(seq))
+        edge.out.discard()  # as at the end of a call, after which only loans ahead are kept
+        pixels[0, 0, 0] = 77  # forbidden to an author; the reader sees it only in shared memory
+    edge.carry()
+
+    messages = [arrival.message for arrival in edge.arrivals]
+    assert [int(m.pixels[1, 0, 0]) for m in messages if isinstance(m, Frame)] == [1, 2]
+    assert [int(m.pixels[0, 0, 0]) for m in messages if isinstance(m, Frame)] == [77, 77]
+
+
+def test_a_third_loan_ahead_takes_the_place_of_the_oldest(edge: Edge) -> None:
+    lent = [edge.out.loan((60, 60, 3), np.uint8, ahead=True) for _ in range(6)]
+
+    assert lent[0].ctypes.data != lent[1].ctypes.data
+    assert len({pixels.ctypes.data for pixels in lent}) <= 3
+    edge.out.loan((60, 60, 3), np.uint8)  # the third slot is free
