@@ -43,9 +43,10 @@ class Loop:
 
 @dataclass(kw_only=True, eq=False)
 class Outcome:
-    """The result of one start, for each of the n frames after it."""
+    """The result of one start, for each of the n frames after the tracker was initialised."""
 
     start: int
+    first: int = 0  # the frame of row 0
     iou: list[float] = field(default_factory=list)  # NaN where the target is not in the truth
     kept: list[bool] = field(default_factory=list)  # whether the strategy exposed this frame
     # share of the target's box inside the ROI; NaN without ROI or truth
@@ -70,6 +71,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
     found = Outcome(start=start)
     if not exposed:
         return found
+    found.first = exposed[0] + 1  # where the truth is given, nothing is found
     path = RecordedRoiPath(looked, start) if looked else RoiPath(loop, target, start)
     box = target.boxes[exposed[0]]
     if not box.any():
@@ -95,7 +97,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
                 found.windows.append(window)
                 box = loop.replaced.percept(box, target.boxes[frame], shown)
             path.after(frame, roi)
-        if frame > start:
+        if frame >= found.first:
             known = bool(target.visible[frame] > 0)
             overlap = iou(box[None], target.boxes[frame][None])[0, 0] if known else np.nan
             found.iou.append(float(overlap))

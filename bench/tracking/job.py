@@ -82,7 +82,7 @@ def _followed(loop: Loop, target: Target, every: int, windows: Windows, draft: D
                 "iou": [round(v, 4) if v == v else None for v in outcome.iou],
                 "kept": outcome.kept,
                 "shown": [round(v, 3) if v == v else None for v in outcome.shown],
-                "state": list(target.state[start + 1 : start + 1 + len(outcome.iou)]),
+                "state": list(target.state[outcome.first : outcome.first + len(outcome.iou)]),
                 "read_px": outcome.read_px,
                 "full_px": outcome.full_px,
             }
