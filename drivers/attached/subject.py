@@ -66,7 +66,7 @@ def subject_of(name: str, changes: Sequence[str] = ()) -> Iterator[Subject]:
 def _named(name: str) -> tuple[str, dict[str, Any]]:
     kind, _, rest = name.partition(":")
     if kind == "usb" and rest:
-        return _source("usb", "serial", rest)
+        return _board(rest)
     if kind == "genicam" and rest:
         return _industrial(rest)
     if "://" in name:
@@ -92,6 +92,16 @@ def _source(name: str, key: str = "", value: str = "") -> tuple[str, dict[str, A
     if key:
         _put(options, key, value)
     return settings.get("sensor", "drivers.simulated:SimulatedSensor"), options
+
+
+def _board(serial: str) -> tuple[str, dict[str, Any]]:
+    """Return a board, in the mode `record` where it has no other."""
+    from drivers.attached.boards import only_records  # pyusb is an extra
+
+    sensor, options = _source("usb", "serial", serial)
+    if only_records(serial):
+        options["mode"] = "record"
+    return sensor, options
 
 
 def _industrial(camera: str) -> tuple[str, dict[str, Any]]:
