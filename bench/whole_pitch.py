@@ -29,7 +29,7 @@ from drivers.simulated.windows import WindowedPicture
 Size = tuple[int, int]
 PARTS = ("place", "roi", "context", "all")
 SIZES: tuple[Size, ...] = ((7680, 4320), (7680, 1920), (16320, 9184))
-SHARES = (16, 32, 64)  # context and region have one pixel in so many each
+SHARES = (16, 32, 36, 64)  # context and region have one pixel in so many each; 32 is not whole
 USUAL = ("main", "sun", "dry")
 WORST = ("behind_goal", "floodlight", "rain")
 

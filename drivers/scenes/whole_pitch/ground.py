@@ -19,6 +19,8 @@ Image = NDArray[np.uint8]
 MOST_PX = 10 << 20  # 30 MB
 MOST_REDUCED = 32 << 20  # bytes of reduced copies of the field that are kept
 STRIP_PX = 1 << 20  # of the picture that are enlarged at a time to be averaged
+# enlarged at a time to be copied, so that they are still in the processor's cache
+COPIED_PX, LEAST_ROWS = 1 << 18, 32
 
 
 class Ground:
@@ -49,7 +51,10 @@ class Ground:
     def read(self, left: int, top: int, reduce: int, out: Image) -> None:
         """Fill `out` (h, w, 3) with the window at (left, top), averaged over `reduce` squared."""
         if reduce == 1:
-            out[:] = self._enlarged(left, top, out.shape[1], out.shape[0])
+            rows = max(LEAST_ROWS, COPIED_PX // out.shape[1])
+            for first in range(0, len(out), rows):
+                part = out[first : first + rows]
+                part[:] = self._enlarged(left, top + first, part.shape[1], len(part))
             return
         copy = self._copy(reduce) if not (left % reduce or top % reduce) else None
         if copy is None:

@@ -21,7 +21,7 @@ from drivers.scenes.whole_pitch.ground import Ground
 from drivers.scenes.whole_pitch.layers import Layer
 from drivers.scenes.whole_pitch.mast import VIEWS, place
 from drivers.scenes.whole_pitch.painting import paint
-from drivers.scenes.whole_pitch.shadows import shadow
+from drivers.scenes.whole_pitch.shadows import shadows
 from drivers.source import Annotations
 from pipeline.errors import DriverError, SettingsError
 
@@ -161,7 +161,7 @@ class WholePitchScene:
         self._ground.read(left, top, reduce, out)
         if not frame.shadows:
             view, depth = self._mast.view, self._conditions.contact
-            frame.shadows.extend(shadow(a, view, self._lamps, depth) for a in frame.actors)
+            frame.shadows.extend(shadows(frame.actors, view, self._lamps, depth))
         for layer in (*frame.shadows, *frame.figures):
             layer.paste(out, left, top, reduce)
         self._grain.add(frame.index, left, top, reduce, out)

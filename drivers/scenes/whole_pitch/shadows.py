@@ -14,6 +14,7 @@ from drivers.scenes.whole_pitch.conditions import Lamp
 from drivers.scenes.whole_pitch.layers import Layer
 
 Image = NDArray[np.uint8]
+Way = tuple[float, float]  # pixels to the right and down, per pixel of height
 
 COARSE_PX_PER_M = 26.0  # a shadow is drawn at about this scale, and enlarged
 FLATTEST = 0.02  # least fall of a shadow per height, as a flat one has no area
@@ -21,15 +22,40 @@ DARKEST = 215
 THICK_M = 0.14  # of a body, as a shadow shows it down the picture
 
 
-def shadow(actor: Actor, view: View, lamps: Sequence[Lamp], contact_depth: float) -> Layer:
-    """Return the shadows that all lamps throw, and the one right under the actor, as one layer.
+def shadows(
+    actors: Sequence[Actor], view: View, lamps: Sequence[Lamp], contact_depth: float
+) -> list[Layer]:
+    """Return a layer for each actor: the shadows that all lamps throw, and the one right under it.
 
     The places of the lamps are in the camera's frame. A pixel of the actor is as high above the
     ground as it is above the point of the ground under it.
     """
+    if not actors:
+        return []
+    ways = _ways(actors, view, lamps)
+    return [_shadow(a, ways[n], lamps, contact_depth) for n, a in enumerate(actors)]
+
+
+def _ways(actors: Sequence[Actor], view: View, lamps: Sequence[Lamp]) -> list[list[Way]]:
+    """Return, by actor and lamp, where a pixel's shadow falls per pixel of its height."""
+    at, scales = np.array([a.ground for a in actors]), np.array([a.scale for a in actors])
+    ground = view.station.ground((at - np.array(view.size_px) / 2) / view.radius_px + view.aim)
+    feet = np.column_stack([ground, np.zeros(len(ground))])
+    found = []
+    for lamp in lamps:
+        shifted = feet + np.column_stack([lamp.shift(feet), np.zeros(len(feet))])
+        found.append((view.pixels(shifted) - at) / scales[:, None])
+    ways = np.stack(found, 1)  # (n, lamps, 2)
+    down = ways[..., 1]
+    down[np.abs(down) < FLATTEST] = FLATTEST
+    return [[(x, y) for x, y in row] for row in ways.tolist()]
+
+
+def _shadow(
+    actor: Actor, ways: Sequence[Way], lamps: Sequence[Lamp], contact_depth: float
+) -> Layer:
     coarse = max(1, round(actor.scale / COARSE_PX_PER_M))
     foot = actor.ground[0] - actor.left, actor.ground[1] - actor.top
-    ways = _ways(actor, view, lamps)
     small = (0.13, 0.05) if actor.label == "ball" else (0.42, 0.12)
     spot = contact(*(max(1, round(m * actor.scale / coarse)) for m in small), contact_depth)
     spot = np.ascontiguousarray(spot[..., 3])
@@ -61,15 +87,6 @@ def shadow(actor: Actor, view: View, lamps: Sequence[Lamp], contact_depth: float
     return Layer(patch=dark, left=actor.left + left, top=actor.top + top)
 
 
-def _ways(actor: Actor, view: View, lamps: Sequence[Lamp]) -> list[tuple[float, float]]:
-    """Return, for each lamp, where a pixel's shadow falls per pixel of its height: right, down."""
-    turn = (np.array(actor.ground) - np.array(view.size_px) / 2) / view.radius_px
-    foot = np.array([*view.station.ground(turn + view.aim), 0.0])
-    shifts = np.array([[*lamp.shift(foot[None])[0], 0.0] for lamp in lamps])
-    ways = (view.pixels(foot + shifts) - view.pixels(foot)) / actor.scale
-    return [(float(x), float(y) if abs(y) > FLATTEST else FLATTEST) for x, y in ways]
-
-
 def _flat(patch: Image, coarse: int) -> Image:
     """Return what throws the shadow, at the scale at which shadows are drawn."""
     alpha = cv2.extractChannel(patch, 3)
@@ -82,7 +99,7 @@ def _flat(patch: Image, coarse: int) -> Image:
 def _bounds(
     shape: tuple[int, ...],
     foot: tuple[float, float],
-    ways: Sequence[tuple[float, float]],
+    ways: Sequence[Way],
     edge: float,
 ) -> tuple[int, int, int, int]:
     """Return the box of all shadows in pixels of the actor's patch."""
@@ -98,7 +115,7 @@ def _matrix(
     shape: tuple[int, ...],
     small: tuple[int, ...],
     foot: tuple[float, float],
-    way: tuple[float, float],
+    way: Way,
     corner: tuple[int, int],
     coarse: int,
 ) -> NDArray[np.float64]:

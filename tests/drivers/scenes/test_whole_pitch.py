@@ -16,7 +16,7 @@ from drivers.scenes.soccer.skeleton import Pose
 from drivers.scenes.soccer.stage import Actor, Cache
 from drivers.scenes.whole_pitch.conditions import draw_conditions
 from drivers.scenes.whole_pitch.mast import VIEWS, place
-from drivers.scenes.whole_pitch.shadows import shadow
+from drivers.scenes.whole_pitch.shadows import shadows
 from drivers.simulated.sources import open_scene
 from drivers.simulated.windows import reads_windows
 from drivers.source import WindowSource
@@ -258,7 +258,7 @@ def arcs(light: str, weather: str = "dry") -> tuple[int, float]:
         box=(left, top, left + 16, top + 100), nearer=0.0,
         ground=(float(spot[0]), float(spot[1])), scale=55.0,
     )  # fmt: skip
-    found = shadow(body, mast.view, conditions.lamps, 0.0)
+    (found,) = shadows([body], mast.view, conditions.lamps, 0.0)
     turn = np.linspace(0, 2 * np.pi, 720, endpoint=False)
     dark = np.zeros(720)
     for reach in (60, 75, 90):
