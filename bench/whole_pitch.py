@@ -9,9 +9,7 @@ count. The first exposure, which draws what is kept, is told apart.
 import argparse
 import json
 import math
-import os
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ import psutil
 from numpy.typing import NDArray
 
 from bench.machine import facts
+from bench.results.markdown import table_of
 from drivers.readout import scaled
 from drivers.scenes import WholePitchScene
 from drivers.simulated.windows import WindowedPicture
@@ -70,14 +69,16 @@ def measure(case: Case, frames: int, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed) if case.jumps else None
     times = [_exposure(scene, index, rng, context, roi) for index in range(frames)]
     later = np.array(times[1:]) * 1e3
-    quantiles = {
-        f"p{q}": dict(zip(PARTS, np.percentile(later, q, axis=0).round(2).tolist(), strict=True))
+    spread = {
+        f"{part}_p{q}_ms": round(float(np.percentile(later[:, column], q)), 2)
+        for column, part in enumerate(PARTS)
         for q in (50, 99)
     }
     return {
-        "case": str(case), "context_px": context.shape[1::-1], "frames": frames,
-        "open_s": round(opened_s, 2), "first_ms": round(times[0][-1] * 1e3, 1), **quantiles,
-        "max": float(later[:, -1].max().round(2)), "kept_mb": round(scene.kept_bytes / 2**20, 1),
+        "case": str(case), "context_px": "{1}x{0}".format(*context.shape), "n": len(later),
+        **spread, "max_ms": round(float(later[:, -1].max()), 2),
+        "first_ms": round(times[0][-1] * 1e3, 1), "open_s": round(opened_s, 2),
+        "kept_mb": round(scene.kept_bytes / 2**20, 1),
     }  # fmt: skip
 
 
@@ -105,29 +106,18 @@ def _exposure(
     return (*np.diff(marks).tolist(), marks[-1] - marks[0])
 
 
-def endure(frames: int, seed: int) -> dict[str, Any]:
-    """Return the memory of a process and of the scene, every quarter of so many exposures."""
+def endure(frames: int, seed: int) -> list[dict[str, Any]]:
+    """Return the memory of the process and of the scene, every quarter of so many exposures."""
     scene = WholePitchScene(seed=seed)
     context, roi = _memory((1920, 1080)), _memory((1920, 1080))
     process, found = psutil.Process(), []
     for index in range(frames):
         _exposure(scene, index, None, context, roi)
         if (index + 1) % max(1, frames // 4) == 0:
-            resident = process.memory_info().rss / 2**20
-            kept = scene.kept_bytes / 2**20
-            found.append({"frames": index + 1, "rss_mb": round(resident), "kept_mb": round(kept)})
-    return {"size_px": scene.size_px, "memory": found}
-
-
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the rows as a table: milliseconds, p50 / p99."""
-    head = ["exposure", "open s", "first", *PARTS, "max", "kept MB"]
-    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
-    for row in rows:
-        cells = [f"{row['p50'][part]} / {row['p99'][part]}" for part in PARTS]
-        cells = [row["case"], f"{row['open_s']}", f"{row['first_ms']}", *cells, f"{row['max']}"]
-        lines.append("| " + " | ".join([*cells, f"{row['kept_mb']}"]) + " |")
-    return "\n".join(lines)
+            resident = round(process.memory_info().rss / 2**20)
+            kept = round(scene.kept_bytes / 2**20)
+            found.append({"frames": index + 1, "process_mb": resident, "scene_mb": kept})
+    return found
 
 
 def _memory(size_px: Size) -> NDArray[np.uint8]:
@@ -135,27 +125,25 @@ def _memory(size_px: Size) -> NDArray[np.uint8]:
 
 
 def main() -> None:
-    """Print the table; write it with --json."""
+    """Print the tables; write them with --json."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=300, help="exposures of each kind")
-    parser.add_argument("--endure", type=int, default=1000, help="exposures over which memory is")
+    parser.add_argument("--endure", type=int, default=1000, help="exposures for the memory")
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--json", type=Path)
     values = parser.parse_args()
     if values.frames < 3 or values.endure < 4 or values.seed < 0:
         parser.error("expected --frames of at least 3, --endure of at least 4 and --seed from 0 on")
     cv2.setNumThreads(1)
-    os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     rows = []
     for case in CASES:
+        print(case, flush=True)
         rows.append(measure(case, values.frames, values.seed))
-        print(f"{case}: {rows[-1]['p50']['all']} ms", flush=True)
     memory = endure(values.endure, values.seed)
-    print(table(rows))
-    print(memory)
+    print(table_of(rows), table_of(memory), sep="\n\n")
     if values.json:
-        found = {**facts(), "cores_used": 1, "seed": values.seed, "exposures": rows, **memory}
-        values.json.write_text(json.dumps(found, indent=1) + "\n")
+        found = {"bench": "whole_pitch", "seed": values.seed, "rows": rows, "memory": memory}
+        values.json.write_text(json.dumps({**facts(), **found}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,10 @@ GRAPHS = Path(__file__).resolve().parents[2] / "graphs"
 SOURCE = GRAPHS / "sources" / "whole_pitch.yaml"
 CASES = (
     (GRAPHS / "whole_pitch.yaml", Overlay(clock="lockstep")),
-    (GRAPHS / "tracking.yaml", Overlay(source=SOURCE, clock="lockstep")),
+    (
+        GRAPHS / "tracking.yaml",
+        Overlay(source=SOURCE, changes=("capture.size_px=[3840, 960]",), clock="lockstep"),
+    ),
 )
 
 
@@ -39,7 +42,7 @@ def test_the_graph_is_checked_without_a_warning(
 
 
 @pytest.mark.parametrize(("path", "overlay"), CASES, ids=["graph", "source"])
-def test_it_runs_on_33_megapixels_with_a_context_and_a_region_of_two(
+def test_it_runs_with_a_context_and_a_region_of_a_sixteenth_each(
     path: Path, overlay: Overlay
 ) -> None:
     seen: dict[str, list[Any]] = {}
@@ -53,8 +56,9 @@ def test_it_runs_on_33_megapixels_with_a_context_and_a_region_of_two(
     with InlineRunner(load(path, overlay), watch=watch) as run:
         assert list(run.run(4)) == [0, 1, 2, 3]
 
-    assert seen["capture.context"][0] == ((1920, 1080), (0, 0, 7680, 4320))
+    width, height = (7680, 4320) if path.stem == "whole_pitch" else (3840, 960)
+    assert seen["capture.context"][0] == ((width // 4, height // 4), (0, 0, width, height))
     sides = [(w[2] - w[0], w[3] - w[1]) for _, w in seen["capture.roi"]]
-    assert sides == [(1920, 1080)] * 4
+    assert sides == [(width // 4, height // 4)] * 4
     assert all(len(truth.ids) == 26 for truth in seen["capture.truth"])
     assert len(seen["policy.out"]) == 4
