@@ -7,7 +7,6 @@ is all that it looks at; it is counted as the whole picture that a sensor would 
 
 import math
 from collections import OrderedDict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from bench.tracking.budgets import Acquisition
 from bench.tracking.clip import RATE_HZ, Clip, ClipName
-from bench.tracking.stages import Camera
+from bench.tracking.stages import EMPTY, Camera
 from drivers.commands import Window
 from drivers.scenes import WholePitchScene
 from drivers.simulated.windows import WindowedPicture
@@ -28,6 +27,8 @@ NEAR_PX = 512, 4096  # least and largest side of a window of full resolution
 NEAR_SIZES = 12.0  # its side in sizes of the object; trackers look at about 5
 STEP_PX = 64  # its sides are multiples of it
 CONTEXT_BYTES = 256 << 20  # of contexts that are kept
+
+Box = NDArray[np.float32]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,26 +71,27 @@ class WindowedCamera(Camera):
         super().__init__(clip.clip, how)
         self._source, self._first, self._size_px = clip.source, clip.first, clip.clip.size_px
         self._full = how.sampling.context_px == self._size_px
-        self._near: Window = (0, 0, 0, 0)
+        self._near: Window = EMPTY
+        self._cue: Window = EMPTY
         self._kept: OrderedDict[int, Frame] = OrderedDict()
         self._most = max(1, CONTEXT_BYTES // (3 * math.prod(how.sampling.context_px)))
 
-    def near(self, box: NDArray[np.float32]) -> None:
-        """Let full resolution be a square around a box (4,), in sensor pixels."""
-        sides = np.maximum(box[2:] - box[:2], 1)
-        side = NEAR_SIZES * max(float(np.sqrt(sides.prod())), float(sides.max()) / 2)
-        side = float(np.clip(-(-side // STEP_PX) * STEP_PX, *NEAR_PX))
-        corners = []
-        for axis, most in enumerate(self._size_px):
-            wide = min(int(side), most)
-            at = float(box[axis] + box[axis + 2]) / 2 - wide / 2
-            corners.append((int(np.clip(at, 0, most - wide)), wide))
-        (left, wide), (top, high) = corners
-        self._near = (left, top, left + wide, top + high)
+    def near(self, box: Box, cue: Box | None = None) -> None:
+        """Let full resolution be a square around a box (4,), in sensor pixels.
+
+        `cue`, if any, is a second place at which a tracker looks, when the policy disagrees with
+        it: a second square, which takes the place of the ROI.
+        """
+        self._near = self._square(box)
+        self._cue = EMPTY if cue is None else self._square(cue)
 
     def expose(self, frame: int, first: int, window: Window) -> tuple[Frame, Frame]:
         """Return context and ROI of one exposure, and count the pixels of the sensor."""
-        context, roi = self.context(frame, first), self.roi(frame, window)
+        context = self.context(frame, first)
+        if self._full and self._cue != EMPTY:
+            roi = self._around(frame, self._earliest(frame, first), self._cue)
+        else:
+            roi = self.roi(frame, window)
         self.exposures += 1
         self.emitted_px += self.how.sampling.emitted_px()
         return context, roi
@@ -100,7 +102,9 @@ class WindowedCamera(Camera):
         With averaging it is the mean of `first` … `frame`. Raises `RunError` without `near`.
         """
         if self._full:
-            return self._around(frame, first if self.how.sampling.averaged else frame)
+            if self._near == EMPTY:
+                raise RunError(f"frame {frame}: full resolution needs `near` before an exposure")
+            return self._around(frame, self._earliest(frame, first), self._near)
         if frame not in self._kept:
             out = np.empty(self._readout.shape(self.how.sampling.context_px), np.uint8)
             self._readout.read(self._picture(frame), self._whole, out, seq=frame, port=0)
@@ -125,20 +129,35 @@ class WindowedCamera(Camera):
         self._readout.read(self._picture(frame), window, self._roi, seq=frame, port=1)
         return Frame(header=self.header(frame), pixels=self._roi, window=window)
 
-    def _around(self, frame: int, first: int) -> Frame:
-        left, top, right, bottom = self._near
-        if right <= left:
-            raise RunError(f"frame {frame}: full resolution needs `near` before an exposure")
-        parts: Sequence[NDArray[np.uint8]] = [
-            np.empty((bottom - top, right - left, 3), np.uint8) for _ in range(first, frame + 1)
-        ]
-        for index, out in zip(range(first, frame + 1), parts, strict=True):
-            self._picture(index).read(self._near, out)
+    def _square(self, box: Box) -> Window:
+        """Return a square around a box, inside the field."""
+        sides = np.maximum(box[2:] - box[:2], 1)
+        size = max(float(np.sqrt(sides.prod())), float(sides.max()) / 2)
+        side = float(np.clip(-(-NEAR_SIZES * size // STEP_PX) * STEP_PX, *NEAR_PX))
+        (left, wide), (top, high) = (
+            _placed(float(box[axis] + box[axis + 2]) / 2, int(side), most)
+            for axis, most in enumerate(self._size_px)
+        )
+        return left, top, left + wide, top + high
+
+    def _earliest(self, frame: int, first: int) -> int:
+        return first if self.how.sampling.averaged else frame
+
+    def _around(self, frame: int, first: int, window: Window) -> Frame:
+        left, top, right, bottom = window
+        parts = np.empty((frame + 1 - first, bottom - top, right - left, 3), np.uint8)
+        for index, out in enumerate(parts, first):
+            self._picture(index).read(window, out)
         pixels = parts[0]
         if len(parts) > 1:
-            mean = np.mean(parts, axis=0, dtype=np.float32)
-            pixels = np.asarray(np.rint(mean), np.uint8)
-        return Frame(header=self.header(frame), pixels=pixels, window=self._near)
+            pixels = np.asarray(np.rint(parts.mean(0, dtype=np.float32)), np.uint8)
+        return Frame(header=self.header(frame), pixels=pixels, window=window)
 
     def _picture(self, frame: int) -> WindowedPicture:
         return WindowedPicture(source=self._source, index=self._first + frame)
+
+
+def _placed(middle: float, side: int, most: int) -> tuple[int, int]:
+    """Return where a side begins so that it is inside 0 to `most`, and its length there."""
+    side = min(side, most)
+    return int(np.clip(middle - side / 2, 0, most - side)), side

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from bench.tracking.budgets import acquisition
@@ -85,6 +87,22 @@ def test_contexts_and_regions_are_those_of_whole_pictures(
     assert lazy.counted() == whole.counted()
 
 
+def test_a_cue_is_seen_at_full_resolution_too_and_costs_no_more(
+    clip: WindowedClip, kept: Clip
+) -> None:
+    camera = WindowedCamera(clip, acquisition("full", Fraction(1), SIZE))
+    one, other = clip.clip.truths[4].boxes[[0, 20]]
+
+    camera.near(one, other)
+    context, roi = camera.expose(4, 4, (0, 0, 0, 0))
+
+    for frame in (context, roi):
+        left, top, right, bottom = frame.window
+        np.testing.assert_array_equal(frame.pixels, kept.pictures[4][top:bottom, left:right])
+    assert context.window != roi.window
+    assert camera.emitted_px == SIZE[0] * SIZE[1]
+
+
 def test_full_resolution_without_an_object_is_refused(clip: WindowedClip) -> None:
     camera = WindowedCamera(clip, acquisition("full", Fraction(1), SIZE))
 
@@ -97,3 +115,24 @@ def test_a_window_of_more_pixels_than_the_budget_has_is_refused(clip: WindowedCl
 
     with pytest.raises(RunError, match=r"frame 3: expected a window of \(480, 270\)"):
         camera.roi(3, (0, 0, 960, 540))
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    corner=st.tuples(st.floats(-200, 2100), st.floats(-200, 1300)),
+    sides=st.tuples(st.floats(0, 400), st.floats(0, 400)),
+)
+def test_full_resolution_stays_in_the_field_and_holds_the_object(
+    clip: WindowedClip, corner: tuple[float, float], sides: tuple[float, float]
+) -> None:
+    camera = WindowedCamera(clip, acquisition("full", Fraction(1), SIZE))
+    box = np.array([*corner, *np.add(corner, sides)], np.float32)
+
+    camera.near(box)
+    left, top, right, bottom = camera.context(0).window
+
+    assert 0 <= left < right <= SIZE[0]
+    assert 0 <= top < bottom <= SIZE[1]
+    inside = np.clip(box, 0, [*SIZE, *SIZE])
+    assert (inside[:2] >= [left, top]).all()
+    assert (inside[2:] <= [right, bottom]).all()
