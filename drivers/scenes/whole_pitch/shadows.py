@@ -54,6 +54,7 @@ def _ways(actors: Sequence[Actor], view: View, lamps: Sequence[Lamp]) -> list[li
 def _shadow(
     actor: Actor, ways: Sequence[Way], lamps: Sequence[Lamp], contact_depth: float
 ) -> Layer:
+    """Return all shadows of one actor; they are drawn `coarse` pixels to one."""
     coarse = max(1, round(actor.scale / COARSE_PX_PER_M))
     foot = actor.ground[0] - actor.left, actor.ground[1] - actor.top
     small = (0.13, 0.05) if actor.label == "ball" else (0.42, 0.12)
@@ -66,25 +67,30 @@ def _shadow(
     right, bottom = max(right, ceil(foot[0] + half_w)), max(bottom, ceil(foot[1] + half_h))
     size = -(-(right - left) // coarse), -(-(bottom - top) // coarse)
     dark = np.zeros(size[::-1], np.uint8)
-    thrown = _flat(actor.patch, coarse)
+    flat = _flat(actor.patch, coarse)
     for lamp, way in zip(lamps, ways, strict=True):
-        m = _matrix(actor.patch.shape[:2], thrown.shape[:2], foot, way, (left, top), coarse)
-        part = cv2.warpAffine(thrown, m, size, flags=cv2.INTER_LINEAR)
-        wide, high = (
-            round(metres * actor.scale / coarse) | 1
-            for metres in (lamp.soft_m, max(lamp.soft_m, THICK_M))
-        )
-        if max(wide, high) > 1:
-            part = cv2.blur(part, (wide, high))
-        cv2.add(dark, cv2.convertScaleAbs(part, alpha=lamp.depth), dst=dark)
+        m = _matrix(actor.patch.shape[:2], flat.shape[:2], foot, way, (left, top), coarse)
+        cv2.add(dark, _thrown(flat, m, size, lamp, actor.scale / coarse), dst=dark)
     x = round((foot[0] - left) / coarse) - spot.shape[1] // 2
     y = round((foot[1] - top) / coarse) - spot.shape[0] // 2
-    place = dark[max(y, 0) : y + spot.shape[0], max(x, 0) : x + spot.shape[1]]
+    place = dark[y : y + spot.shape[0], x : x + spot.shape[1]]
     cv2.add(place, spot[: place.shape[0], : place.shape[1]], dst=place)
     cv2.min(dark, np.full_like(dark, DARKEST), dst=dark)
     if coarse > 1:
         dark = np.asarray(cv2.resize(dark, (size[0] * coarse, size[1] * coarse)), np.uint8)
     return Layer(patch=dark, left=actor.left + left, top=actor.top + top)
+
+
+def _thrown(
+    flat: Image, m: NDArray[np.float64], size: tuple[int, int], lamp: Lamp, px_per_m: float
+) -> Image:
+    """Return how much light of one lamp is lost, softened at the edges: (h, w) of `size`."""
+    dark = cv2.warpAffine(flat, m, size, flags=cv2.INTER_LINEAR)
+    soft_m = lamp.soft_m, max(lamp.soft_m, THICK_M)
+    wide, high = (round(metres * px_per_m) | 1 for metres in soft_m)
+    if max(wide, high) > 1:
+        dark = cv2.blur(dark, (wide, high))
+    return np.asarray(cv2.convertScaleAbs(dark, alpha=lamp.depth), np.uint8)
 
 
 def _flat(patch: Image, coarse: int) -> Image:
