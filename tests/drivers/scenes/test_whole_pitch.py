@@ -210,6 +210,27 @@ def test_the_truth_is_where_the_pixels_change() -> None:
     assert found >= 4
 
 
+def test_people_are_inside_their_boxes_and_fill_them() -> None:
+    made = WholePitchScene(size_px=(2560, 1440), seed=4, light="floodlight")
+    pictures = [made.picture(index).astype(int) for index in (10, 2500)]
+    changed = np.abs(pictures[0] - pictures[1]).max(2)
+    truths = [made.truth(index) for index in (10, 2500)]
+    inside = np.zeros(changed.shape, bool)
+    for truth in truths:
+        for left, top, right, bottom in truth.boxes.astype(int):
+            inside[max(0, top - 3) : bottom + 3, max(0, left - 3) : right + 3] = True
+
+    assert not ((changed > 100) & ~inside).any()  # no shadow changes as much
+    filled = 0
+    for (left, top, right, bottom), share in zip(
+        truths[0].boxes[:25].astype(int), truths[0].visibility, strict=False
+    ):
+        if share == 1:
+            tall = np.flatnonzero((changed > 30)[top:bottom, left:right].any(1))
+            filled += tall[0] <= 3 and tall[-1] >= bottom - top - 4
+    assert filled >= 0.9 * (truths[0].visibility[:25] == 1).sum() > 10
+
+
 def test_people_stand_where_the_play_has_them_and_cover_what_is_behind() -> None:
     made = WholePitchScene(size_px=SMALL, seed=2)
     shares = np.array([made.truth(index).visibility for index in range(0, 3000, 120)])
