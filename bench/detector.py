@@ -8,8 +8,6 @@ confidence, average precision, the confidence of the greatest F1 here, and the t
 
 import json
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,6 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import JSON, Bench, file_name
-from drivers.datasets.pictures import read_picture
 from operators.saliency import SaliencySettings
 from operators.saliency.detector import Detector
 from operators.saliency.judging import (
@@ -34,21 +31,11 @@ from operators.saliency.judging import (
     best_threshold,
     find_hits,
 )
-from pipeline.errors import DriverError, SettingsError
+from operators.saliency.stills import labelled, pictures_of
+from pipeline.errors import SettingsError
 from pipeline.whole_file import write_whole
 
-PICTURES = (".jpg", ".jpeg", ".png")
-MOST_NUMBER = 20_000
 Array = NDArray[np.float32]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Labelled:
-    """A picture and what is in it."""
-
-    picture: NDArray[np.uint8]  # (h, w, 3) RGB
-    boxes: Array  # (n, 4) xyxy, its pixels
-    numbers: NDArray[np.int64]  # (n,) classes of the labels
 
 
 @click.command(cls=Bench)
@@ -115,50 +102,6 @@ def classes_of(text: str, names: tuple[str, ...]) -> dict[int, str]:
             raise SettingsError(f"classes: expected one of {', '.join(names)}, got {name[:40]!r}")
         found[int(number)] = name
     return found
-
-
-def pictures_of(folder: Path) -> list[Path]:
-    """Return the pictures that have labels, by name; raises `DriverError` where there are none."""
-    found = sorted(p for p in (folder / "images").glob("*") if p.suffix.lower() in PICTURES)
-    found = [p for p in found if labels_of(p).is_file()]
-    if not found:
-        raise DriverError(f"{folder}: expected images/ and labels/ with a text for each, got none")
-    return found
-
-
-def labels_of(picture: Path) -> Path:
-    """Return the file with a picture's labels."""
-    return picture.parent.parent / "labels" / f"{picture.stem}.txt"
-
-
-def labelled(path: Path) -> Labelled:
-    """Read a picture and its labels; raises `DriverError` with file and line."""
-    picture = np.asarray(read_picture(path), np.uint8)
-    height, width = picture.shape[:2]
-    rows = list(read_rows(labels_of(path)))
-    shares = np.array([row[1:] for row in rows], np.float32).reshape(-1, 4)
-    half = shares[:, 2:] / 2
-    boxes = np.hstack([shares[:, :2] - half, shares[:, :2] + half])
-    return Labelled(
-        picture=picture,
-        boxes=(boxes * np.array([width, height] * 2)).astype(np.float32),
-        numbers=np.array([row[0] for row in rows], np.int64),
-    )
-
-
-def read_rows(path: Path) -> Iterator[tuple[float, ...]]:
-    """Yield class number, centre x, y, width and height of each line that is not empty."""
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
-        try:
-            row = tuple(float(word) for word in line.split())
-        except ValueError:
-            row = ()
-        inside = len(row) == 5 and all(0 <= share <= 1 for share in row[1:])
-        if inside and row[0].is_integer() and 0 <= row[0] <= MOST_NUMBER:
-            yield row
-        elif line.strip():
-            what = "a class number and four shares of 0..1"
-            raise DriverError(f"{path}:{number + 1}: expected {what}, got {line[:60]!r}")
 
 
 def look(
