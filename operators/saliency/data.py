@@ -175,7 +175,9 @@ def collate(examples: list[Example]) -> Batch:
     )
 
 
-def stream(source: Dataset[Example], size: int, steps: range, *, workers: int = 1) -> Iterator[Batch]:
+def stream(
+    source: Dataset[Example], size: int, steps: range, *, workers: int = 1
+) -> Iterator[Batch]:
     """The batches of some steps of a training, prepared by processes beside it."""
     loader = DataLoader(
         source,

@@ -78,7 +78,9 @@ def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Examp
         still, row = taken
         box = still.boxes[row]
         diameter = max(tall * rng.uniform(*BALL_TO_PERSON), 1.8)
-        piece = cutout(still, row, diameter / max(float((box[2:] - box[:2]).max()), 1.0), BALL_COVER)
+        piece = cutout(
+            still, row, diameter / max(float((box[2:] - box[:2]).max()), 1.0), BALL_COVER
+        )
         if piece is None:
             continue
         x, y = somewhere(example, rng)
@@ -96,9 +98,7 @@ def _chosen(
     return (still, int(rng.choice(rows))) if len(rows) else None
 
 
-def cutout(
-    still: Example, row: int, gain: float, cover: tuple[float, float]
-) -> Cutout | None:
+def cutout(still: Example, row: int, gain: float, cover: tuple[float, float]) -> Cutout | None:
     """An object, scaled, without its background; none where it does not stand out."""
     left, top, right, bottom = np.round(still.boxes[row]).astype(int).tolist()
     high, wide = still.picture.shape[:2]

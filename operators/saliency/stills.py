@@ -79,24 +79,23 @@ def stills(folder: Path, without: Sequence[str] = (), only: Sequence[str] = ()) 
     ]
     if not kept:
         raise DriverError(f"{folder}: expected pictures beside those left out, got none")
-    return Stills(folder=folder, labels=_classes(folder / "data.yaml"), files=tuple(kept))
+    labels = {number: LABELS[name] for number, name in class_names(folder / "data.yaml").items()}
+    return Stills(folder=folder, labels=labels, files=tuple(kept))
 
 
-def _classes(path: Path) -> dict[int, int]:
-    """Return the label of each class number, as the names of a `data.yaml` tell."""
+def class_names(path: Path) -> dict[int, str]:
+    """Return the class names of a `data.yaml`, by number; raises `DriverError` with its line."""
     file = YamlFile(path)
     names = file.document.get("names")
     table = dict(enumerate(names)) if isinstance(names, list) else names
     if not isinstance(table, Mapping) or not table:
         raise DriverError(f"{file.at(file.document, 'names')}: names: expected a list of classes")
-    found = {}
     for number, name in table.items():
         if not str(number).isdecimal() or name not in LABELS:
-            expected = ", ".join(LABELS)
             where = f"{file.at(file.document, 'names')}: names.{number}"
-            raise DriverError(f"{where}: expected one of {expected}, got {shown(name)}")
-        found[int(number)] = LABELS[name]
-    return found
+            what = f"expected one of {', '.join(LABELS)}, got {shown(name)}"
+            raise DriverError(f"{where}: {what}")
+    return {int(number): str(name) for number, name in table.items()}
 
 
 def pictures_of(folder: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""Train the shipped detector on procedural scenes and labelled stills: `python -m operators.saliency.train --help`.
+"""Train the shipped detector on drawn scenes and labelled stills: `... .train --help` has options.
 
 This module defines the options; the training itself, which needs torch, is in `training_run.py`.
 """

@@ -189,7 +189,7 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
 
 
 def export(net: DetectorNet, path: Path) -> None:
-    """Write the detector as ONNX."""
+    """Write the detector as ONNX; its input may have any sides that are multiples of 32."""
     net = fused(net).to(memory_format=torch.contiguous_format)
     width, height = INPUT_PX
     write(
@@ -197,6 +197,12 @@ def export(net: DetectorNet, path: Path) -> None:
         {"images": torch.zeros(1, 3, height, width)},
         path,
         ("output", "features"),
+        open_sides={
+            "images": {2: "height", 3: "width"},
+            "output": {2: "anchors"},
+            "features": {2: "rows", 3: "columns"},
+        },
+        imgsz=str([height, width]),
         names=str(dict(enumerate(NAMES))),
         stride="32",
         task="detect",
