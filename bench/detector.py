@@ -2,10 +2,10 @@
 
 FOLDER holds `images/` and, in `labels/`, a text of the same name for each: rows of class number,
 centre and size as shares of the picture, as YOLO trainings read them. Every picture is shrunk to
-the context's size first. Prints and writes, by class and by match (the first part of a file's name),
-precision and recall, average precision, the confidence of the greatest F1 here, a ball by its centre
-and among the best three, and the time of one picture. The operating point is the detector's own
-confidence, or with `--choose-on` that of the greatest F1 on other pictures of the folder.
+the context's size first. Prints and writes, by class and by match (the first part of a file's
+name), precision and recall, average precision, the confidence of the greatest F1 here, a ball by
+its centre and among the best three, and the time of one picture. The operating point is the
+detector's own confidence, or with `--choose-on` that of the greatest F1 on other pictures.
 """
 
 import json

@@ -111,7 +111,10 @@ class Marks:
     def add(self, looker: Looker, item: Labelled, wanted: Mapping[int, str]) -> None:
         """Look at a picture and mark what is found."""
         small = looker.shrink(item)
-        found = looker.look(small.picture)
+        self.take(looker.look(small.picture), small, wanted)
+
+    def take(self, found: Found, small: Labelled, wanted: Mapping[int, str]) -> None:
+        """Mark what was found in a picture, in the pixels of its boxes."""
         for name in dict.fromkeys(wanted.values()):
             numbers = [number for number, of in wanted.items() if of == name]
             truth = small.boxes[np.isin(small.numbers, numbers)]

@@ -1,8 +1,8 @@
 """A labelled still of any size -> a picture of the context's size at a scale that the loop uses.
 
-The loop shows a network three kinds of pictures: a whole broadcast view shrunk to the context, tiles
-of a context that shows the whole pitch, and a ROI at full resolution. What they have in common is
-the height of people in pixels, so the scale is chosen by that.
+The loop shows a network three kinds of pictures: a whole broadcast view shrunk to the context,
+tiles of a context that shows the whole pitch, and a ROI at full resolution. They differ in the
+height of people in pixels, so the scale is chosen by that.
 """
 
 import cv2

@@ -66,9 +66,8 @@ def _unfold(net: DetectorNet, blocks: dict[str, nn.Sequential], batch: Batch) ->
 
 def _normed(net: nn.Module) -> Iterator[tuple[str, nn.Sequential]]:
     for name, block in net.named_modules():
-        if isinstance(block, nn.Sequential) and len(block) > 1:
-            if isinstance(block[1], nn.BatchNorm2d):
-                yield name, block
+        if isinstance(block, nn.Sequential) and isinstance(block[1], nn.BatchNorm2d):
+            yield name, block
 
 
 def _initialisers(path: Path) -> dict[str, Tensor]:

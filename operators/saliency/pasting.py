@@ -47,9 +47,7 @@ def paste_people(example: Example, bank: Bank, rng: np.random.Generator) -> Exam
             break
         near = example.boxes[rng.choice(people)]
         tall, feet = float(near[3] - near[1]), float(near[3])
-        wanted = REFEREE_LABEL if rng.random() < 0.5 else None
-        taken = _chosen(bank, rng, lambda labels, w=wanted: (labels != BALL_LABEL) & (
-            (labels == w) if w is not None else (labels >= 0)))  # fmt: skip
+        taken = _chosen(bank, rng, _referees if rng.random() < 0.5 else _people)
         if taken is None:
             continue
         still, row = taken
@@ -72,7 +70,7 @@ def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Examp
         return example
     tall = float(np.median(people[:, 3] - people[:, 1]))
     for _ in range(int(rng.integers(1, 3)) if rng.random() < 0.5 else 0):
-        taken = _chosen(bank, rng, lambda labels: labels == BALL_LABEL)
+        taken = _chosen(bank, rng, _balls)
         if taken is None:
             continue
         still, row = taken
@@ -87,6 +85,18 @@ def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Examp
         high, wide = piece.alpha.shape
         example = _laid(example, piece, int(x - wide / 2), int(y - high / 2), BALL_LABEL, rng)
     return example
+
+
+def _people(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(labels != BALL_LABEL)
+
+
+def _referees(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(labels == REFEREE_LABEL)
+
+
+def _balls(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(labels == BALL_LABEL)
 
 
 def _chosen(

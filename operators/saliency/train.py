@@ -1,6 +1,7 @@
-"""Train the shipped detector on drawn scenes and labelled stills: `... .train --help` has options.
+"""Train the shipped detector: `python -m operators.saliency.train --help`.
 
-This module defines the options; the training itself, which needs torch, is in `training_run.py`.
+It learns from procedural scenes and from labelled stills, where there are some. This module
+defines the options; the training itself, which needs torch, is in `training_run.py`.
 """
 
 # mypy: disallow-untyped-decorators=False

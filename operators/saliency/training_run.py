@@ -208,5 +208,5 @@ def export(net: DetectorNet, path: Path) -> None:
         task="detect",
         format="yolo",
         domain=DOMAIN,
-        trained_on="pictures of soccer matches",
+        trained_on="soccer matches: scenes that fovea draws itself, and labelled stills",
     )
