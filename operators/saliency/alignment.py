@@ -70,20 +70,14 @@ def explained(mine: Array, theirs: Array, matrix: Array, offset: Array) -> float
 
 
 def mapped(path: Path, matrix: Array, offset: Array, out: Path) -> None:
-    """Write a network whose features go through a map; a map that is there already is replaced."""
+    """Write a network whose features go through a map; raises `WeightsError` if they do already."""
     model = onnx.load(path)
     graph = model.graph
-    if not any(OWN in node.output for node in graph.node):
-        for node in graph.node:
-            node.input[:] = [OWN if name == "features" else name for name in node.input]
-            node.output[:] = [OWN if name == "features" else name for name in node.output]
-    else:
-        kept = [node for node in graph.node if not node.name.startswith("alignment")]
-        del graph.node[:]
-        graph.node.extend(kept)
-        weights = [w for w in graph.initializer if not w.name.startswith("alignment")]
-        del graph.initializer[:]
-        graph.initializer.extend(weights)
+    if any(OWN in node.output for node in graph.node):
+        raise WeightsError(f"{path}: expected a detector as it was exported, got an aligned one")
+    for node in graph.node:
+        node.input[:] = [OWN if name == "features" else name for name in node.input]
+        node.output[:] = [OWN if name == "features" else name for name in node.output]
     kernel = np.ascontiguousarray(matrix.T[:, :, None, None])
     graph.initializer.extend(
         [

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHRINK = 4  # sides of the cells over which change is judged, in pixels
+ENOUGH = 8  # changed cells, as many as a person of 9x17 pixels covers
 UNSEEN = np.inf
 
 
@@ -74,7 +75,8 @@ class Changes:
         total[1:, 1:] = changed.cumsum(0).cumsum(1)
         left, top, right, bottom = self._cells().T
         counts = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
-        urgency = counts * self._age.astype(np.float64)
+        # more than a person's change is no more urgent, or a crowd would keep a ball waiting
+        urgency = np.minimum(counts, ENOUGH) * self._age.astype(np.float64)
         urgency = np.where((counts == 0) & (self._age >= refresh), 1e-3 * self._age, urgency)
         urgency[~self._seen] = UNSEEN
         order = np.argsort(-urgency, kind="stable")
