@@ -107,6 +107,10 @@ class Real(Dataset[Example]):
         # nothing says where the ball is that must be somewhere: no place counts as empty
         return example if (still.labels == BALL_LABEL).any() else without_ball(example)
 
+    def __getstate__(self) -> dict[str, object]:
+        """What goes to another process: not the pictures, which it reads itself."""
+        return {**vars(self), "_kept": {}}
+
     def _still(self, folder: Stills, index: int) -> Example:
         file = folder.files[index]
         if file not in self._kept:
