@@ -28,6 +28,8 @@ def augmented(still: Example, bank: Bank, rng: np.random.Generator) -> Example:
         example = mirrored(example)
     if rng.random() < 0.3:
         example = recoloured_kits(example, rng)
+    if rng.random() < 0.35:
+        example = recoloured_referees(example, rng)
     example = paste_people(example, bank, rng)
     example = paste_balls(example, bank, rng)
     if rng.random() < 0.15:
@@ -92,16 +94,32 @@ def mirrored(example: Example) -> Example:
 
 def recoloured_kits(example: Example, rng: np.random.Generator) -> Example:
     """The colours of all players turned by one angle; referees and grass keep theirs."""
-    picture = example.picture.copy()
     turn = int(rng.integers(10, 170))
-    players = example.boxes[np.isin(example.labels, (NAMES.index("player"), ANYONE))]
-    for left, top, right, bottom in np.round(players).astype(int).tolist():
+    return _dressed(example, (NAMES.index("player"), ANYONE), turn, 1.0)
+
+
+def recoloured_referees(example: Example, rng: np.random.Generator) -> Example:
+    """All referees in black, or their colours turned by one angle; all others keep theirs.
+
+    Few matches show few kits: what makes a referee is not to be dressed like either team.
+    """
+    dark = rng.random() < 0.4
+    turn, light = (0, rng.uniform(0.15, 0.4)) if dark else (int(rng.integers(10, 170)), 1.0)
+    return _dressed(example, (NAMES.index("referee"),), turn, float(light))
+
+
+def _dressed(example: Example, labels: tuple[int, ...], turn: int, light: float) -> Example:
+    """People of some labels with other colours: hue turned in steps of 2 degrees, value scaled."""
+    picture = example.picture.copy()
+    people = example.boxes[np.isin(example.labels, labels)]
+    for left, top, right, bottom in np.round(people).astype(int).tolist():
         part = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
         if not part.size:
             continue
         hsv = cv2.cvtColor(part, cv2.COLOR_RGB2HSV)
         green = (hsv[..., 0] > 28) & (hsv[..., 0] < 85)
         hsv[..., 0] = (hsv[..., 0].astype(np.int16) + turn) % 180
+        hsv[..., 2] = cv2.convertScaleAbs(hsv[..., 2], alpha=light)
         turned = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)
         part[~green] = turned[~green]
     return _with(example, picture)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from operators.saliency.crops import crop, mirrored, recoloured_kits
+from operators.saliency.crops import crop, mirrored, recoloured_kits, recoloured_referees
 from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, Example
 from operators.saliency.pasting import BALL_COVER, PERSON_COVER, Bank, cutout, paste_people
 from operators.saliency.stills import stills
@@ -69,7 +69,8 @@ def test_mirroring_twice_changes_nothing(seed: int) -> None:
     assert np.allclose(again.boxes, example.boxes, atol=1e-3)
 
 
-def test_new_kits_leave_grass_and_referees_as_they_were() -> None:
+@pytest.mark.parametrize("dressed", ["players", "referees"])
+def test_new_kits_leave_grass_and_all_others_as_they_were(dressed: str) -> None:
     example = still()
     labels = example.labels.copy()
     labels[0], labels[1] = REFEREE, ANYONE
@@ -79,12 +80,13 @@ def test_new_kits_leave_grass_and_referees_as_they_were() -> None:
         picture=example.picture, boxes=example.boxes, labels=labels, ignored=example.ignored
     )
 
-    found = recoloured_kits(painted, np.random.default_rng(3))
+    recolour = recoloured_kits if dressed == "players" else recoloured_referees
+    found = recolour(painted, np.random.default_rng(3))
 
     changed = (found.picture != example.picture).any(2)
     for row, box in enumerate(example.boxes[:9].astype(int)):
         inside = changed[box[1] + 5 : box[3] - 5, box[0] + 5 : box[2] - 5]
-        assert inside.all() if row else not inside.any()
+        assert inside.all() if (row > 0) == (dressed == "players") else not inside.any()
     grass = (example.picture == (60, 130, 50)).all(2)
     assert not changed[grass].any()
 
