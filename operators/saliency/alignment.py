@@ -63,8 +63,10 @@ def fitted(mine: Array, theirs: Array) -> tuple[Array, Array]:
 
 
 def explained(mine: Array, theirs: Array, matrix: Array, offset: Array) -> float:
-    """Share of the variance of (n, D) that the mapped (n, C) explain; 1 is all, below 0 is worse
-    than their mean."""
+    """Share of the variance of (n, D) that the mapped (n, C) explain: 1 is all of it.
+
+    Below 0 their mean would do better.
+    """
     left = np.square(np.maximum(mine @ matrix + offset, 0) - theirs).sum()
     return float(1 - left / max(float(np.square(theirs - theirs.mean(0)).sum()), 1e-12))
 
