@@ -87,11 +87,9 @@ def test_the_memory_of_another_method_is_refused():
 
 def test_the_operator_answers_with_a_box_in_every_frame_from_the_given_one_on():
     world = World(seed=3)
-    left, top, right, bottom = (float(v) for v in world.box(0))
-    settings = TemplateTrackerSettings(init_box=(left, top, right, bottom))
-    inputs = [(n, f) for seq in range(5) for n, f in world.frames(seq).items()]
+    values = {"init_box": tuple(world.box(0).tolist())}
 
-    percepts = drive(TemplateTracker, settings, inputs)["out"]
+    percepts = drive(TemplateTracker, [world.frames(seq) for seq in range(5)], values)
 
     assert [len(p.boxes) for p in percepts] == [1] * 5
 

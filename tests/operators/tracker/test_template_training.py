@@ -79,7 +79,7 @@ def test_a_sample_is_the_same_for_the_same_seed_and_its_share_without_object_is_
 
 
 def test_the_heat_is_one_in_the_cell_of_the_object_only():
-    heat, near, place = targets(np.array([50, 60, 70, 100], np.float32))
+    heat, near, place = targets(np.array([50, 62, 70, 102], np.float32))
 
     assert np.argwhere(heat == 1).tolist() == [[10, 7]]
     assert near.sum() == 9
