@@ -3,6 +3,7 @@
 from operators.tracker.correlation import CorrelationSettings, CorrelationTracker
 from operators.tracker.following import TrackerState
 from operators.tracker.mixformer import MixFormerTracker, MixFormerTrackerSettings
+from operators.tracker.template import TemplateTracker, TemplateTrackerSettings
 from operators.tracker.tracker import TrackerSettings
 from operators.tracker.vittrack import VitTracker, VitTrackerSettings
 
@@ -11,6 +12,8 @@ __all__ = [
     "CorrelationTracker",
     "MixFormerTracker",
     "MixFormerTrackerSettings",
+    "TemplateTracker",
+    "TemplateTrackerSettings",
     "TrackerSettings",
     "TrackerState",
     "VitTracker",
