@@ -11,13 +11,15 @@ import pytest
 from click.testing import CliRunner
 
 from bench.tracking.budgets import acquisition, parsed
+from bench.tracking.camera import Camera
 from bench.tracking.classes import planned
 from bench.tracking.clip import Clip, ClipName, names, read
 from bench.tracking.episode import Loop, Rules, run
 from bench.tracking.evaluate import command
 from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
-from bench.tracking.stages import Camera, Stages, watched
+from bench.tracking.sight import watched
+from bench.tracking.stages import Stages
 from bench.tracking.targets import CARRIED, FREE, STILL, ball_states, starts, targets
 from drivers.source import Annotations
 from pipeline.boxes import centres, iou

@@ -21,7 +21,7 @@ def test_no_interval_is_claimed_of_one_clip_however_many_starts_it_has() -> None
     many = [unit("full", "player", "1", 0.2 + 0.5 * (s % 2), s) for s in range(40)]
     two = [*many, unit("full", "player", "1", 0.9) | {"clip": "d"}]
 
-    (alone,), over_two = rows(many, seed=0), rows(two, seed=0)
+    (alone,), over_two = rows(many), rows(two)
 
     assert (alone["ci95"], alone["clips"]) == (None, 1)
     assert {row["clip"]: row["ci95"] is None for row in over_two} == {
@@ -36,7 +36,7 @@ def test_a_target_that_one_of_several_clips_shows_has_no_interval() -> None:
         units.append(unit("spatial", "player", "1/8", value) | {"clip": name})
     cases = [Case(strategy=s, budget="1/8", name=s, rules=Rules()) for s in ("foveated", "spatial")]
 
-    found = {row["target"]: row for row in paired(units, cases, seed=0)}
+    found = {row["target"]: row for row in paired(units, cases)}
 
     assert (found["ball"]["ci95"], found["ball"]["clips"]) == (None, 1)
     assert found["player"]["ci95"] == [pytest.approx(0.1), pytest.approx(0.2)]
@@ -47,7 +47,7 @@ def test_a_row_has_the_share_of_the_pixels_that_were_read_and_the_papers_figure(
     units = [unit(name, "ball", "1/8", 0.5, 0, 8) for name in strategies]
     units.append(unit("foveated, ROI alone", "ball", "1/8", 0.5))
 
-    found = rows(units, seed=0)
+    found = rows(units)
 
     whole = {row["strategy"]: row for row in found if row["target"] == "ball"}
     assert {name: row["paper"] for name, row in whole.items()} == {
@@ -85,7 +85,7 @@ def test_a_policys_row_is_paired_with_other_strategies_and_those_with_one_other_
     ]
     units.append(unit("full", "player", "1", 0.7))
 
-    found = paired(units, list(cases.values()), seed=0)
+    found = paired(units, list(cases.values()))
 
     at_eighth = [row for row in found if (row["target"], row["budget"]) == ("player", "1/8")]
     told = {(row["strategy"], row["against"]): row["difference"] for row in at_eighth}
