@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bench.tracking.intervals import LEAST_BLOCKS, Block, difference, mean
 
-ROUNDS = 600
+ROUNDS = 3000  # the standard error of a share is then .004
 
 
 def blocks(values: NDArray[np.float64], frames: NDArray[np.int64]) -> dict[str, Block]:
@@ -24,16 +24,19 @@ def covered(rng: np.random.Generator, count: int, shape: tuple[float, float]) ->
     return found.low <= shape[0] / sum(shape) <= found.high
 
 
-@pytest.mark.parametrize("count", [6, 10, 30])
-@pytest.mark.parametrize("shape", [(4.0, 4.0), (2.0, 2.0), (3.0, 1.5)])
+@pytest.mark.parametrize("count", [6, 10])
+@pytest.mark.parametrize(
+    ("shape", "least"),
+    [((4.0, 4.0), 0.93), ((2.0, 2.0), 0.93), ((3.0, 1.5), 0.93), ((1.0, 3.0), 0.915)],
+)
 def test_an_interval_over_few_clips_covers_the_true_mean(
-    count: int, shape: tuple[float, float]
+    count: int, shape: tuple[float, float], least: float
 ) -> None:
     rng = np.random.default_rng(7)
 
     share = np.mean([covered(rng, count, shape) for _ in range(ROUNDS)])
 
-    assert share >= 0.93
+    assert share >= least
 
 
 def test_a_paired_interval_over_six_clips_covers_the_true_difference() -> None:
