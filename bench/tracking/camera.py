@@ -97,7 +97,9 @@ class Camera:
             pixels = self._mean(self._whole, size_px, frame, first)
             return Frame(header=header, pixels=pixels, window=self._whole)
         if self.how.sampling.averaged:
-            mean = np.mean(self._clip.pictures[first : frame + 1], axis=0, dtype=np.float32)
+            pictures = self._clip.pictures[first : frame + 1]
+            whole = [each for each in pictures if not isinstance(each, WindowedPicture)]
+            mean = np.mean(whole, axis=0, dtype=np.float32)
             return Frame(header=header, pixels=np.rint(mean).astype(np.uint8), window=self._whole)
         picture = self._clip.pictures[frame]
         if self.how.sampling.context_px == self._clip.size_px:

@@ -1,7 +1,8 @@
-"""Tracks of many objects are scored against the truth: identities, hidden people, nothing at all."""
+"""Tracks of many objects are scored against the truth: identities, hidden people, no tracks."""
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from bench.tracking.many import COLUMNS, figures, markdown_of_many, matched
 from drivers.source import Annotations
@@ -22,7 +23,7 @@ def truth(*visibility: float) -> Annotations:
     )
 
 
-def tracks(ids: list[int], boxes: np.ndarray, *, seen: bool = True) -> Tracks:
+def tracks(ids: list[int], boxes: NDArray[np.float32], *, seen: bool = True) -> Tracks:
     count = len(ids)
     return Tracks(
         header=header(),
@@ -62,9 +63,7 @@ def test_tracks_that_change_their_identity_lose_association_and_not_detection() 
     pytest.importorskip("trackeval")
     classes = ("player", "referee")
     whole = [matched(truth(1, 1), tracks([1, 2], BOXES), classes) for _ in range(20)]
-    torn = [
-        matched(truth(1, 1), tracks([1 + 2 * (k // 10), 2], BOXES), classes) for k in range(20)
-    ]
+    torn = [matched(truth(1, 1), tracks([1 + 2 * (k // 10), 2], BOXES), classes) for k in range(20)]
 
     right, changed = figures(whole), figures(torn)
 
