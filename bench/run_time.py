@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from bench.crowd import crowded
 from bench.tracking.budgets import acquisition
+from bench.tracking.camera import Camera
 from bench.tracking.clip import HELD_OUT, ClipName, read
 from bench.tracking.options import GRAPH
-from bench.tracking.stages import NEEDED, Camera, Stages
+from bench.tracking.stages import NEEDED, Stages
 from drivers.commands import Window
 from operators.policy.learned import LearnedPolicySettings
 from operators.policy.network import SHIPPED as SHIPPED_POLICY

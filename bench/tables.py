@@ -30,6 +30,8 @@ NAMES = {
     "budgets": "Strategies at equal pixel budgets, held-out procedural clips",
     "soccernet": "The same on real footage, a development clip",
     "players-soccernet": "The same of eight players on real footage",
+    "long-soccernet": "One start, followed to the end, on real footage",
+    "paper-soccernet": "Without a cue and in coordinates of the ROI, as the paper reads",
     "late": "Late and rare plans (delay in frames, Ta)",
     "late-soccernet": "The same on real footage",
     "late-hold": "The same at 1/8 without prediction: objects are foreseen where they are",
@@ -46,6 +48,7 @@ NAMES = {
 
 
 BOTH = ("--sees", "each")  # a row with the context and one with the ROI alone, as in the paper
+PAPERS = "full,oracle,foveated,centred,round_robin,spatial,temporal,exposure"
 LATE = ("--strategies", "foveated", "--sees", "both", "--replan", "1,4,8")
 CROWD = ("--players", "8", "--every", "24")
 HOLD = ("--budgets", "1/8", "--prediction", "hold")
@@ -76,6 +79,10 @@ def studies(
     if soccernet:
         real = ["--data", soccernet, *BOTH, *own, *short]
         found["soccernet"] = real
+        plain = ["--data", soccernet, *own, *short]
+        found["long-soccernet"] = [*plain, "--protocol", "long", "--players", "4"]
+        paper = ("--strategies", PAPERS, "--cue", "none", "--sees", "coordinates")
+        found["paper-soccernet"] = [*plain, *paper, "--budgets", "1/8"]
         found["players-soccernet"] = [*real, "--targets", "player", *CROWD]
     found |= _late(clips, soccernet, own, far, short)
     found["limits"] = [*few, *limits]

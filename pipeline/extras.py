@@ -10,6 +10,7 @@ EXTRAS = {  # by the name that is imported
     "matplotlib": "eval",
     "onnx": "train",
     "torch": "train",
+    "trackeval": "mot",
     "usb": "usb",
 }
 PACKAGES = {"usb": "pyusb"}  # whose name is another

@@ -7,7 +7,7 @@ at 1/16 both get 1/32, the context being 0.177x. The detector is retrained for n
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from drivers.simulated.settings import SimulatedSensorSettings
@@ -15,6 +15,8 @@ from drivers.simulated.strategies import STRATEGIES, WITH_ROI, Sampling
 from pipeline.errors import SettingsError
 from pipeline.messages import Geometry
 
+CONTEXT = "context"  # what a foveated row has beside its ROI, alone: less than the budget
+PURSUIT = "pursuit"  # foveated by the rule of that name, as a row of its own
 PLANNED = ("foveated", "round_robin")  # by the graph's own networks; the others need none of them
 TOLERANCE = 0.01  # of the budget: the sensor's own count must be this near
 LEAST = Fraction(1, 256)  # below it the context shows nothing that a detector could find
@@ -47,13 +49,17 @@ class Acquisition:
 
 def acquisition(strategy: str, budget: Fraction, size_px: tuple[int, int]) -> Acquisition:
     """Return what is read; raises `SettingsError` if that is not the budget within `TOLERANCE`."""
-    if strategy not in STRATEGIES:
-        raise SettingsError(f"strategies: expected {', '.join(STRATEGIES)}, got {strategy}")
+    if strategy not in (*STRATEGIES, CONTEXT):
+        known = ", ".join((*STRATEGIES, CONTEXT, PURSUIT))
+        raise SettingsError(f"strategies: expected {known}, got {strategy}")
     if strategy == "full":
         budget = Fraction(1)
     if budget < LEAST:
         raise SettingsError(f"budgets: expected at least {LEAST} of the pixels, got {budget}")
     context, roi = SHARES.get(budget, (math.sqrt(budget / 2), float(budget / 2)))
+    if strategy == CONTEXT:
+        share = Fraction(context**2).limit_denominator(LEAST.denominator)
+        return replace(acquisition("spatial", share, size_px), strategy=CONTEXT)
     settings = SimulatedSensorSettings(
         scene="soccer",
         strategy=strategy,  # type: ignore[arg-type]

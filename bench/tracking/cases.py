@@ -4,11 +4,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
+from bench.tracking.budgets import PURSUIT
 from bench.tracking.episode import Rules
 from bench.tracking.options import Options
 from drivers.simulated.strategies import WITH_ROI
 
-ROI_ALONE = ", ROI alone"  # ends the name of a row whose tracker does not see the context
+ROI_ALONE = ", ROI alone"  # in the name of a row whose tracker does not see the context
+ROI_COORDINATES = ", ROI coordinates"  # of one whose tracker's state moves with the ROI
+NO_CUE = ", no cue"  # of one whose tracker hears no policy
+LONG = ", long"  # of one with a single start, followed to the end of the clip
+# what the tracker sees (context, coordinates of the ROI), by `--sees`
+SEES = {
+    "both": ((True, False),),
+    "roi": ((False, False),),
+    "coordinates": ((False, True),),
+    "each": ((True, False), (False, False)),
+    "all": ((True, False), (False, False), (False, True)),
+}
+CUES = {"policy": (True,), "none": (False,), "each": (True, False)}
+PROTOCOLS = {"short": (False,), "long": (True,), "both": (False, True)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +63,10 @@ def cases(options: Options) -> list[Case]:
     for strategy, budget in product(options.strategies, options.budgets):
         if strategy == "foveated":
             found += _planned(options, str(budget), rules)
+        elif strategy == PURSUIT:
+            told = replace(options, policy={"": PURSUIT}, replace=())
+            own = _planned(told, str(budget), rules)
+            found += [replace(c, name=c.name.replace("foveated", PURSUIT, 1)) for c in own]
         elif strategy != "full" or budget == options.budgets[0]:
             share = "1" if strategy == "full" else str(budget)
             found += _plain(strategy, share, rules, options.changes)
@@ -80,9 +98,19 @@ def _planned(options: Options, budget: str, rules: Sequence[Rules]) -> list[Case
 def _plain(
     strategy: str, budget: str, rules: Sequence[Rules], changes: tuple[str, ...]
 ) -> list[Case]:
-    """Return cases of a strategy without a policy: one for each choice of what its tracker sees."""
-    sees = {rule.context for rule in rules} if strategy in WITH_ROI else {True}
-    policy = "round_robin" if strategy == "round_robin" else "pursuit"  # they need no network
+    """Return cases of a strategy without a policy: one for each way in which its tracker works."""
+    policy = "round_robin" if strategy == "round_robin" else PURSUIT  # they need no network
+    looks = strategy in WITH_ROI
+    kept = dict.fromkeys(
+        Rules(
+            context=rule.context or not looks,
+            local=rule.local and looks,
+            cue=rule.cue,
+            to_end=rule.to_end,
+            longest=rule.longest,
+        )
+        for rule in rules
+    )
     return [
         Case(
             strategy=strategy,
@@ -92,21 +120,28 @@ def _plain(
             changes=changes,
             policy=policy,
         )
-        for rule in (
-            Rules(context=context, longest=rules[0].longest)
-            for context in sorted(sees, reverse=True)
-        )
+        for rule in kept
     ]
 
 
 def rules_of(options: Options) -> list[Rules]:
-    """Return all combinations of delay, replanning interval, prediction and context."""
-    sees = {"both": (True,), "roi": (False,), "each": (True, False)}[options.sees]
+    """Return all combinations of protocol, delay, interval, prediction, view and cue.
+
+    A tracker whose state is in coordinates of the ROI is the paper's, which has no cue; its
+    strategies without a ROI are then measured without one, too.
+    """
     foreseen = {"kalman": (True,), "hold": (False,), "both": (True, False)}[options.prediction]
-    return [
-        Rules(delay=d, replan=ta, prediction=p, context=c, longest=options.longest)
-        for d, ta, p, c in product(options.delay, options.replan, foreseen, sees)
-    ]
+    found = [
+        Rules(
+            delay=d, replan=ta, prediction=p, context=context, local=local,
+            cue=cue and not local, to_end=to_end, longest=options.longest,
+        )
+        for to_end, d, ta, p, (context, local), cue in product(
+            PROTOCOLS[options.protocol], options.delay, options.replan, foreseen,
+            SEES[options.sees], CUES[options.cue],
+        )
+    ]  # fmt: skip
+    return list(dict.fromkeys(found))
 
 
 def suffix(rule: Rules, *, late: bool) -> str:
@@ -115,4 +150,6 @@ def suffix(rule: Rules, *, late: bool) -> str:
     if late or rule.delay or rule.replan != 1:
         name = f", delay {rule.delay}, Ta {rule.replan}"
     name += "" if rule.prediction else ", no prediction"
-    return name + ("" if rule.context else ROI_ALONE)
+    name += ROI_COORDINATES if rule.local else "" if rule.context else ROI_ALONE
+    name += "" if rule.cue or rule.local else NO_CUE
+    return name + (LONG if rule.to_end else "")

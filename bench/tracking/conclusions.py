@@ -1,16 +1,19 @@
 """Conclusions of an evaluation as sentences: paired differences of the policy to the others.
 
-One clip has no interval, because its frames depend on one another and nothing can be redrawn from
-one clip. Over few clips an interval is too narrow: of simulated "95 %" intervals .81 contained the
-true value with 4 clips, .85 with 6, .94 with 30.
+One clip has no interval, because its frames depend on one another, and few clips have none, because
+it would not hold its level (`intervals`). Clips that were looked at while rules were chosen are
+named: figures of them say nothing about unseen footage.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bench.tracking.intervals import LEAST_BLOCKS
 from bench.tracking.report import is_asked, share
 
-FEW_CLIPS = 10  # below it an interval is said to be too narrow
+DEVELOPMENT = (
+    "{} was looked at while rules and thresholds were chosen: these are figures of development."
+)
 ALONE = "Nothing is compared: that takes foveated and another strategy on the same clips."
 
 
@@ -25,7 +28,10 @@ def sentences(report: Mapping[str, Any]) -> list[str]:
         return [ALONE]
     places = sorted(groups, key=lambda place: (place[0], share(place[1])))
     found = [_sentence(*place, groups[place]) for place in places]
-    return [*found, _worth([row["clips"] for pairs in groups.values() for row in pairs])]
+    looked_at = report.get("development", ())
+    seen = [DEVELOPMENT.format(" and ".join(looked_at))] if looked_at else []
+    worth = _worth([row["clips"] for pairs in groups.values() for row in pairs])
+    return [*found, worth, *seen]
 
 
 def _sentence(target: str, budget: str, strategy: str, pairs: Sequence[Mapping[str, Any]]) -> str:
@@ -69,11 +75,10 @@ def _worth(counts: Sequence[int]) -> str:
             "No interval is given: frames of one clip depend on one another, and other clips may "
             "show the opposite."
         )
-    some = "Where there are several clips, the interval" if min(counts) == 1 else "The interval"
-    worth = f"{some} is of 95 %, paired, by drawing whole clips"
-    if min(n for n in counts if n > 1) < FEW_CLIPS:
-        return f"{worth}; over fewer than {FEW_CLIPS} of them it is too narrow."
-    return f"{worth}."
+    if max(counts) < LEAST_BLOCKS:
+        return f"No interval is given: over fewer than {LEAST_BLOCKS} clips none holds its level."
+    some = "Where there are enough clips, the" if min(counts) < LEAST_BLOCKS else "The"
+    return f"{some} interval is of 95 %, paired, by Student's t over whole clips."
 
 
 def _range(counts: Sequence[int]) -> str:

@@ -1,13 +1,20 @@
 """`fovea eval tracking`: strategies of acquisition at equal pixel budgets, by a frozen tracker.
 
-A tracker is started on the truth every few frames in which the target is visible, and followed for
-at most 64 frames; a figure is the mean IoU over all frames of all starts in which the target is in
-the truth. For a strategy that leaves frames out, the frames that it keeps count, as in the paper;
-the mean over all frames, in which the last box is kept, is in another column. A strategy with a ROI
-begins with the ROI on the target and the target's box as prompt; `centred` stays in the middle. Its
-tracker sees the context where the ROI shows nothing, as in the shipped loop; with `--sees each` a
-second row is of a tracker that sees the ROI alone, which is what the paper's figures suggest (its
-oracle beats full resolution, and a window in the middle is worth 1.7 % of it).
+Short protocol: a tracker is started on the truth every few frames in which the target is visible,
+and followed for at most 64 frames. Long protocol: it is started once and followed to the end of
+the clip. A figure is the mean IoU over all frames of all starts in which the target is in the
+truth; the frames in which a tracker gets the true box are not scored. For a strategy that leaves
+frames out, the frames that it keeps count, as in the paper; the mean over all frames, in which the
+last box is kept, is in another column. A strategy with a ROI begins with the ROI on the target and
+the target's box as prompt; `centred` stays in the middle.
+
+The tracker is the one that ships: it hears the policy's scanpath, gives up an object that it does
+not find and starts again on what the policy shows. Every strategy gets this cue in the same way,
+from what its own pictures show; `--cue none` measures a tracker that hears no policy, as the paper
+does. It sees the context where the ROI shows nothing, as in the shipped loop; with `--sees each` a
+second row is of a tracker that sees the ROI alone, and with `--sees all` a third one of a tracker
+whose state is in coordinates of the ROI and moves with it, which is how the paper's figures read
+(its oracle beats full resolution, and a window in the middle is worth 1.7 % of it).
 """
 
 import json
@@ -15,6 +22,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,11 +33,13 @@ from rich.text import Text
 
 from bench.machine import facts
 from bench.tracking.budgets import acquisition
-from bench.tracking.cases import Case, Protocol, cases
+from bench.tracking.cases import CUES, PROTOCOLS, SEES, Case, Protocol, cases
 from bench.tracking.classes import TRACKER, TRACKERS, check_prompted, planned
-from bench.tracking.clip import ClipName, frames_of, names, size_of
+from bench.tracking.clip import ClipName, frames_of, is_development, names, size_of
 from bench.tracking.conclusions import sentences
 from bench.tracking.episode import Rules
+from bench.tracking.intervals import METHOD
+from bench.tracking.many import many, markdown_of_many, table_of_many
 from bench.tracking.options import ALL, GRAPH, STANDARD_OUTPUT, WHOLE, Options, options_of
 from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
@@ -43,7 +53,12 @@ from pipeline.whole_file import write_whole
 
 SCENE_FRAMES = 96
 FOLLOWS = f"{', '.join(TRACKERS)}, or one of them as NAME=FILE.onnx; else the graph's own"
-SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi), or a row of each"
+VIEWS = (
+    "the tracker: ROI over context (both), the ROI alone (roi), in coordinates of the ROI as in "
+    "the paper (coordinates), a row of both and roi (each), a row of every one (all)"
+)
+HEARS = "the tracker hears the policy (policy), does not (none), or a row of each"
+FOLLOWED = "starts every few frames (short), one to the end of the clip (long), or both"
 
 
 @click.command(
@@ -62,7 +77,10 @@ SEES = "the tracker: ROI over context (both), the ROI alone as in the paper (roi
 @click.option("--graph", default=str(GRAPH), help="the loop")
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--tracker", default="", help=FOLLOWS)
-@click.option("--sees", default="both", type=click.Choice(["both", "roi", "each"]), help=SEES)
+@click.option("--sees", default="both", type=click.Choice(list(SEES)), help=VIEWS)
+@click.option("--cue", default="policy", type=click.Choice(list(CUES)), help=HEARS)
+@click.option("--protocol", default="short", type=click.Choice(list(PROTOCOLS)), help=FOLLOWED)
+@click.option("--many", is_flag=True, help="HOTA, AssA and IDF1 of the graph's tracks instead")
 @click.option("--states", is_flag=True, help="rows of the free, still and carried ball, too")
 @click.option("--policy", multiple=True, help="[NAME=]FILE.onnx, or pursuit; more give more rows")
 @click.option("--delay", default="0", help="frames by which plans come late, e.g. 0,2,13")
@@ -88,8 +106,13 @@ def evaluate(options: Options) -> None:
     """Measure what is asked for and write it; raises `FoveaError`."""
     if options.plot:
         need("matplotlib", "--plot")
+    if options.many:
+        need("trackeval", "--many")
     wanted, protocol, clips = asked(options)
     options.make_room()
+    if options.many:
+        score_many(options, protocol, clips)
+        return
     try_out(wanted, protocol)
     units = measured(clips, wanted, protocol, options.folder, jobs=options.jobs)
     if not any(unit["episodes"] for unit in units):
@@ -106,6 +129,10 @@ def evaluate(options: Options) -> None:
         "policies": sorted({case.policy for case in wanted if case.policy}),
         "weighting": "frames: every frame of every start with truth counts once",
         "longest": options.longest,
+        "protocol": options.protocol,
+        "cue": options.cue,
+        "interval": METHOD,
+        "development": [str(clip) for clip in clips if is_development(clip)],
         "targets": list(options.targets),
         "states": options.states,
         "players": protocol.players,
@@ -114,14 +141,36 @@ def evaluate(options: Options) -> None:
         "every": protocol.every,
         "budgets": [str(budget) for budget in options.budgets],
         "seed": seed,
-        "rows": rows(units, seed=seed),
-        "paired": paired(units, wanted, seed=seed),
+        "rows": rows(units),
+        "paired": paired(units, wanted),
     }
     if options.report:
         write_whole(options.report, json.dumps(found, indent=1) + os.linesep)
     if options.plot:
         plot(asked_rows(found), options.plot)
     tell(found, options.markdown)
+
+
+def score_many(options: Options, protocol: Protocol, clips: Sequence[ClipName]) -> None:
+    """Measure the graph's tracks of all objects and write them; raises `FoveaError`."""
+    found = {
+        **facts(),
+        "graph": Path(protocol.graph).name,
+        "changes": list(options.changes),
+        "clips": [str(clip) for clip in clips],
+        "frames": list(protocol.frames),
+        "seed": protocol.seed,
+        "development": [str(clip) for clip in clips if is_development(clip)],
+        "rows": many(options, clips, protocol),
+    }
+    if options.report:
+        write_whole(options.report, json.dumps(found, indent=1) + os.linesep)
+    if options.markdown and options.markdown != STANDARD_OUTPUT:
+        write_whole(options.markdown, markdown_of_many(found["rows"]))
+    if options.markdown == STANDARD_OUTPUT:
+        click.echo(markdown_of_many(found["rows"]))
+    else:
+        Console().print(table_of_many(found["rows"]))
 
 
 def tell(found: Mapping[str, Any], target: Path | None) -> None:
@@ -145,11 +194,11 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
         options = replace(options, frames=(1, SCENE_FRAMES))
     for clip in clips:
         frames_of(clip, options.frames)  # raises for frames that a clip does not have
-    sizes_px = {size_of(clip) for clip in clips}
-    for strategy, budget, size_px in product(options.strategies, options.budgets, sizes_px):
+    wanted = cases(options)
+    shares = dict.fromkeys((case.strategy, Fraction(case.budget)) for case in wanted)
+    for (strategy, budget), size_px in product(shares, {size_of(clip) for clip in clips}):
         acquisition(strategy, budget, size_px)  # raises for a budget that cannot be met
     planned(Path(options.graph), options.changes, options.tracker)  # raises without one
-    wanted = cases(options)
     for parts in {case.parts for case in wanted if case.strategy == "foveated"}:
         check_prompted(planned(Path(options.graph), *parts))
     if late := max(options.delay):
@@ -170,8 +219,9 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
 def try_out(wanted: Sequence[Case], protocol: Protocol) -> None:
     """Open every graph that is asked for; raises `FoveaError` for a network that does not fit."""
     for parts in dict.fromkeys(case.parts for case in wanted):
-        with Stages(Path(protocol.graph), *parts):
-            pass
+        with Stages(Path(protocol.graph), *parts) as stages:
+            if any(case.rules.cue for case in wanted):
+                stages.open_cue()
 
 
 def tracker_of(protocol: Protocol, options: Options) -> str:

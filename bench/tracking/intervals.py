@@ -1,7 +1,9 @@
-"""Means with intervals: episodes of many clips -> IoU, 95 % by block bootstrap, paired differences.
+"""Means with intervals: episodes of many clips -> IoU, its 95 % interval, paired differences.
 
-Frames of one start, and starts of one clip, are not independent; therefore whole clips are drawn,
-each of them a block. One clip has a mean and no interval.
+Frames of one start, and starts of one clip, are not independent; therefore a whole clip is a block.
+The interval is Student's t over the blocks, with the jackknife's standard error: a bootstrap of few
+blocks is too narrow (simulated coverage of "95 %" with 6 blocks: .85). Below `LEAST_BLOCKS` none is
+given: of fewer blocks the spread itself is hardly known. The README has the simulated coverage.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,8 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t
 
-DRAWS = 2000
+LEAST_BLOCKS = 6
+LEVEL = 0.95
+SPENT = 2  # degrees of freedom; with the usual 1, means of skewed clips are covered in .92
+METHOD = (
+    f"{LEVEL:.0%}, Student's t over clips with the jackknife's error; from {LEAST_BLOCKS} clips"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +32,7 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True)
 class Mean:
-    """A mean over all frames of all blocks, and the range of 95 % of the redrawn means."""
+    """A mean over all frames of all blocks, and its 95 % interval; NaN where it has none."""
 
     iou: float
     low: float
@@ -33,47 +41,47 @@ class Mean:
     starts: int
 
 
-def mean(blocks: Mapping[str, Block], *, seed: int) -> Mean:
+def mean(blocks: Mapping[str, Block]) -> Mean:
     """Return the mean over blocks and its interval; NaN where no frame counts."""
-    names = sorted(blocks)
-    totals, frames = _columns(blocks, names)
-    drawn = ratios(totals, frames, draws(len(names), seed))
+    totals, frames = _columns(blocks, sorted(blocks))
+    middle = _ratio(totals, frames)
+    arm = _arm(_left_out(totals, frames))
     return Mean(
-        iou=float(totals.sum() / frames.sum()) if frames.sum() else float("nan"),
-        low=_quantile(drawn, 2.5),
-        high=_quantile(drawn, 97.5),
+        iou=middle,
+        low=middle - arm,
+        high=middle + arm,
         frames=int(frames.sum()),
         starts=sum(b.starts for b in blocks.values()),
     )
 
 
-def difference(
-    a: Mapping[str, Block], b: Mapping[str, Block], *, seed: int
-) -> tuple[float, float, float]:
+def difference(a: Mapping[str, Block], b: Mapping[str, Block]) -> tuple[float, float, float]:
     """Return mean of a minus mean of b over the blocks of both, and its interval; paired."""
     names = sorted(a.keys() & b.keys())
     first, second = _columns(a, names), _columns(b, names)
-    rows = draws(len(names), seed)
-    apart = ratios(*first, rows) - ratios(*second, rows)
-    whole = np.arange(len(names))[None]
-    middle = (ratios(*first, whole) - ratios(*second, whole))[0] if names else np.nan
-    return float(middle), _quantile(apart, 2.5), _quantile(apart, 97.5)
+    middle = _ratio(*first) - _ratio(*second)
+    arm = _arm(_left_out(*first) - _left_out(*second))
+    return middle, middle - arm, middle + arm
 
 
-def draws(count: int, seed: int) -> NDArray[np.int64]:
-    """Return blocks drawn with replacement: (DRAWS, count)."""
-    rng = np.random.default_rng([seed, count])
-    return np.asarray(rng.integers(0, max(count, 1), (DRAWS, count)), np.int64)
+def _arm(left_out: NDArray[np.float64]) -> float:
+    """Return half the interval's length from the figures without one block each: (n,)."""
+    count = len(left_out)
+    if count < LEAST_BLOCKS:
+        return float("nan")
+    error = np.sqrt((count - 1) / count * ((left_out - left_out.mean()) ** 2).sum())
+    return float(t.ppf((1 + LEVEL) / 2, count - SPENT) * error)
 
 
-def ratios(
-    totals: NDArray[np.float64], frames: NDArray[np.float64], rows: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return the mean of each draw; NaN where it has no frame."""
-    counted = frames[rows].sum(1)
-    return np.asarray(
-        np.where(counted > 0, totals[rows].sum(1) / np.maximum(counted, 1), np.nan), np.float64
-    )
+def _left_out(totals: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean over all blocks but one, for each of them: (n,)."""
+    rest = frames.sum() - frames
+    means = (totals.sum() - totals) / np.maximum(rest, 1)
+    return np.asarray(np.where(rest > 0, means, np.nan), np.float64)
+
+
+def _ratio(totals: NDArray[np.float64], frames: NDArray[np.float64]) -> float:
+    return float(totals.sum() / frames.sum()) if frames.sum() else float("nan")
 
 
 def add(blocks: dict[str, Block], name: str, values: Sequence[float]) -> None:
@@ -93,8 +101,3 @@ def _columns(
     totals = np.array([blocks[name].total for name in names], np.float64)
     frames = np.array([blocks[name].frames for name in names], np.float64)
     return totals, frames
-
-
-def _quantile(values: NDArray[np.float64], share: float) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.percentile(known, share)) if len(known) else float("nan")

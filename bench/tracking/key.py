@@ -8,7 +8,7 @@ from pathlib import Path
 
 from bench.tracking.budgets import PLANNED
 from bench.tracking.cases import Case, Protocol
-from bench.tracking.classes import planned
+from bench.tracking.classes import POLICY, planned
 from bench.tracking.clip import ClipName, frames_of
 from bench.tracking.stages import NEEDED
 from drivers.datasets.sequence import read_info
@@ -18,7 +18,10 @@ from pipeline.fleet.placement import file_digest
 from pipeline.graph.plan import Plan
 from pipeline.weights import MANIFEST
 
-TRACKING = ("budgets", "classes", "clip", "episode", "job", "replaced", "stages", "targets")
+TRACKING = (
+    *("budgets", "camera", "classes", "clip", "consumer", "episode", "job", "replaced"),
+    *("roi_path", "sight", "stages", "targets"),
+)
 CODE = (  # that determines figures, besides the operators that a case needs
     *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
     *(f"bench.tracking.{name}" for name in TRACKING),
@@ -32,12 +35,14 @@ def key(case: Case, protocol: Protocol) -> str:
     plan needs only the tracker), not on the paths of files.
     """
     plan = planned(Path(protocol.graph), *case.parts)
-    wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
+    cued = case.rules.cue
+    wanted = NEEDED if case.strategy in PLANNED or cued else ("tracker",)
     plain = asdict(replace(case, changes=(), tracker="", policy=""))  # `parts` reflects these
     common = asdict(replace(protocol, graph=""))  # only the graph's parts count
     known = file_digest(MANIFEST)  # of the tracker's weights if the graph names no file
     parts = contents(plan, wanted)
-    return json.dumps([plain, common, of_code(*CODE), parts, known], sort_keys=True)
+    cue = contents(planned(Path(protocol.graph), case.changes), (POLICY,)) if cued else ""
+    return json.dumps([plain, common, of_code(*CODE), parts, cue, known], sort_keys=True)
 
 
 def contents(plan: Plan, names: Container[str]) -> str:
@@ -53,7 +58,7 @@ def clip_key(name: ClipName, frames: tuple[int, int]) -> str:
     that cannot be read.
     """
     if not name.folder:
-        return f"seed {name.seed}"
+        return f"{name.scene} seed {name.seed}"
     folder, info = Path(name.folder), read_info(Path(name.folder))
     files = [folder / "seqinfo.ini", folder / "gameinfo.ini", folder / "gt" / "gt.txt"]
     files += [info.picture_path(index) for index in frames_of(name, frames)]

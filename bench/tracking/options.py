@@ -7,13 +7,16 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
-from bench.tracking.budgets import parsed
+from bench.tracking.budgets import CONTEXT, PURSUIT, parsed
 from bench.tracking.replaced import PARTS, Replaced
 from bench.tracking.targets import KINDS
 from drivers.datasets.sequence import span
 from pipeline.errors import SettingsError
 
-ALL = ("full", "oracle", "foveated", "centred", "round_robin", "spatial", "temporal", "exposure")
+ALL = (
+    *("full", "oracle", "foveated", PURSUIT, CONTEXT, "centred", "round_robin"),
+    *("spatial", "temporal", "exposure"),
+)
 GRAPH = Path(__file__).parents[2] / "graphs" / "tracking.yaml"
 WHOLE = (1, 0)  # frames: from the first to the end
 LEAST = {
@@ -41,7 +44,10 @@ class Options:
     graph: str
     changes: tuple[str, ...]
     tracker: str
-    sees: str  # both, roi, each
+    sees: str  # both, roi, coordinates, each, all
+    cue: str  # policy, none, each
+    protocol: str  # short, long, both
+    many: bool  # score all tracks of perception instead
     states: bool  # show rows of the free, the still and the carried ball, too
     policy: Mapping[str, str]  # file, pursuit or nothing by name
     delay: tuple[int, ...]

@@ -1,4 +1,4 @@
-"""IoU over the pixel budget, a panel a target: rows of an evaluation in, a picture out.
+"""IoU over the pixel budget, a panel a target and protocol: rows in, a picture out.
 
 Strategies often coincide. So that no curve covers another, each has a marker, a line style and a
 width of its own, wide ones are below narrow ones, and each is drawn a little beside the budget.
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bench.tracking.cases import LONG
 from bench.tracking.report import Row, share
 
 if TYPE_CHECKING:  # an extra installs it
@@ -31,6 +32,7 @@ def figure_of(rows: Sequence[Row]) -> "Figure":
     """Return a figure: a panel for each target, a curve for each strategy, the legend below."""
     from matplotlib.figure import Figure
 
+    rows = [_by_protocol(row) for row in rows]
     targets = list(dict.fromkeys(row["target"] for row in rows))
     names = sorted({row["strategy"] for row in rows})
     figure = Figure(figsize=(max(5.0, 4.2 * len(targets)), 4.4), layout="constrained")
@@ -47,6 +49,14 @@ def figure_of(rows: Sequence[Row]) -> "Figure":
         loc="outside lower center", ncols=min(4, len(names)), fontsize=8,
     )  # fmt: skip
     return figure
+
+
+def _by_protocol(row: Row) -> Row:
+    """Return a row whose protocol is named by its target, so that it has a panel of its own."""
+    if row.get("protocol") != "long":
+        return row
+    strategy = row["strategy"].removesuffix(LONG)
+    return row | {"target": row["target"] + LONG, "strategy": strategy}
 
 
 def looks(k: int) -> tuple[str, str]:

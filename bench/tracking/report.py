@@ -3,10 +3,13 @@
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Any
 
-from bench.tracking.cases import ROI_ALONE, Case
-from bench.tracking.intervals import Block, add, difference, mean
+from bench.tracking.budgets import PURSUIT
+from bench.tracking.cases import LONG, NO_CUE, ROI_ALONE, ROI_COORDINATES, Case
+from bench.tracking.figures import Figures, figures_of
+from bench.tracking.intervals import LEAST_BLOCKS, Block, add, difference, mean
 from bench.tracking.store import Unit
 from bench.tracking.targets import CARRIED
 from drivers.simulated.strategies import WITH_ROI
@@ -45,11 +48,12 @@ class Tally:
     kept: dict[str, Block] = field(default_factory=dict)  # frames that the strategy exposed
     every: dict[str, Block] = field(default_factory=dict)  # all frames with truth
     shown: list[float] = field(default_factory=list)  # share of the target inside the ROI
+    figures: list[Figures] = field(default_factory=list)  # of each start
     read_px: int = 0
     full_px: int = 0
 
 
-def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
+def rows(units: Sequence[Unit]) -> list[Row]:
     """Return one row per clip, target, strategy and budget, and one over all clips."""
     found: list[Row] = []
     clips = sorted({unit["clip"] for unit in units})
@@ -57,16 +61,16 @@ def rows(units: Sequence[Unit], *, seed: int) -> list[Row]:
     for name, members in groups:
         chosen = [unit for unit in units if unit["clip"] in members]
         for key, tally in gathered(chosen).items():
-            row = _row(key, tally, seed=seed)
+            row = _row(key, tally)
             if name == "all" and (paper := _paper(key)) is not None:
                 row["paper"] = paper
             found.append({"clip": name if len(clips) > 1 else clips[0], **row})
     return found
 
 
-def _row(key: Key, tally: Tally, *, seed: int) -> Row:
+def _row(key: Key, tally: Tally) -> Row:
     target, strategy, budget = key
-    figures = mean(tally.kept, seed=seed)
+    figures = mean(tally.kept)
     row: Row = {
         "target": target,
         "strategy": strategy,
@@ -77,9 +81,11 @@ def _row(key: Key, tally: Tally, *, seed: int) -> Row:
         "frames": figures.frames,
         "starts": figures.starts,
         "pixels": _round(tally.read_px / tally.full_px),
+        "protocol": "long" if strategy.endswith(LONG) else "short",
+        **{name: _round(value) for name, value in over(tally.figures).items()},
     }
-    if strategy in ("temporal", "exposure"):
-        row["iou_all_frames"] = _round(mean(tally.every, seed=seed).iou)
+    if strategy.startswith(("temporal", "exposure")):
+        row["iou_all_frames"] = _round(mean(tally.every).iou)
     if tally.shown:
         row["roi_coverage"] = _round(sum(tally.shown) / len(tally.shown))
     return row
@@ -87,10 +93,27 @@ def _row(key: Key, tally: Tally, *, seed: int) -> Row:
 
 def _paper(key: Key) -> float | None:
     target, strategy, budget = key
-    return PAPER.get((target, strategy.removesuffix(ROI_ALONE), budget))
+    if strategy.endswith(LONG):
+        return None
+    for end in (NO_CUE, ROI_ALONE, ROI_COORDINATES):
+        strategy = strategy.removesuffix(end)
+    return PAPER.get((target, strategy, budget))
 
 
-def paired(units: Sequence[Unit], cases: Sequence[Case], *, seed: int) -> list[Row]:
+def over(figures: Sequence[Figures]) -> dict[str, float]:
+    """Return success, precision and the frames until lost (median) over starts."""
+    frames = sum(each.frames for each in figures)
+    if not frames:
+        return {}
+    return {
+        "success": sum(each.hits for each in figures) / frames,
+        "precision": sum(each.near for each in figures) / frames,
+        "until_lost": float(median(each.until_lost for each in figures)),
+        "lost": sum(each.lost for each in figures) / len(figures),
+    }
+
+
+def paired(units: Sequence[Unit], cases: Sequence[Case]) -> list[Row]:
     """Return differences between rows at the same budget (and to `full`), paired by block.
 
     Each row of the policy is compared with rows of other strategies, and with those of the policy
@@ -107,12 +130,11 @@ def paired(units: Sequence[Unit], cases: Sequence[Case], *, seed: int) -> list[R
                 continue
             if other_budget not in (budget, "1") or not own.keys() & theirs.keys():
                 continue
-            alone = (strategy.endswith(ROI_ALONE), other.endswith(ROI_ALONE))
-            if other.startswith(WITH_ROI) and alone[0] != alone[1]:
+            if not same_help(strategy, other):
                 continue
             if first and other in planned and not varies(planned[strategy], planned[other], first):
                 continue
-            middle, low, high = difference(own, theirs, seed=seed)
+            middle, low, high = difference(own, theirs)
             both = own.keys() & theirs.keys()
             found.append(
                 {
@@ -128,12 +150,32 @@ def paired(units: Sequence[Unit], cases: Sequence[Case], *, seed: int) -> list[R
     return found
 
 
+def same_help(strategy: str, other: str) -> bool:
+    """Whether two rows, by their names, differ in what was read and not in their tracker's help.
+
+    A tracker in coordinates of the ROI has no cue; a strategy without a ROI has one view.
+
+    >>> same_help("foveated, ROI alone", "full"), same_help("foveated, no cue", "full")
+    (True, False)
+    >>> same_help("foveated, ROI coordinates", "full, no cue"), same_help("pursuit, long", "full")
+    (True, False)
+    """
+    if strategy.endswith(LONG) != other.endswith(LONG):
+        return False
+    ours, theirs = (
+        (ROI_COORDINATES in name, ROI_ALONE in name, NO_CUE in name or ROI_COORDINATES in name)
+        for name in (strategy, other)
+    )
+    looks = other.startswith((*WITH_ROI, PURSUIT))
+    return ours[2] == theirs[2] and (not looks or ours[:2] == theirs[:2])
+
+
 def interval(clips: Collection[str], low: float, high: float) -> list[float | None] | None:
-    """Return the range of 95 % of the redrawn figures; None for one clip.
+    """Return the interval of 95 %; None over fewer clips than it needs to hold its level.
 
     Frames of one clip are not independent: an interval over them would be far too narrow.
     """
-    return [_round(low), _round(high)] if len(clips) > 1 else None
+    return [_round(low), _round(high)] if len(clips) >= LEAST_BLOCKS else None
 
 
 def is_asked(row: Row, report: Mapping[str, Any]) -> bool:
@@ -173,6 +215,9 @@ def gathered(units: Sequence[Unit]) -> dict[Key, Tally]:
             )
             for name in every:
                 tally = found.setdefault((name, unit["case"], unit["budget"]), Tally())
+                if kept[name]:
+                    away = split(unit["kind"], episode, "away_px", kept_only=True)[name]
+                    tally.figures.append(figures_of(kept[name], away))
                 add(tally.every, unit["clip"], every[name])
                 add(tally.kept, unit["clip"], kept[name])
                 if kept[name]:

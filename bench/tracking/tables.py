@@ -13,10 +13,15 @@ from pipeline.terminal import lean_table
 
 PAPER = "paper (other data)"
 NAMES = ("target", "budget", "strategy")
-FIGURES = ("IoU", "95 %", PAPER, "all frames", "in ROI", "pixels", "starts", "frames")
+FIGURES = (
+    *("IoU", "95 %", PAPER, "all frames", "success", "precision", "until lost", "in ROI"),
+    *("pixels", "starts", "frames"),
+)
 WHOLE = ("budget", "IoU", "95 %")  # never broken into two lines
 IN_FILES = ("pixels", "frames")  # of Markdown and JSON alone
-SELDOM = ("95 %", PAPER, "all frames", "in ROI")  # left out where no row has one
+SELDOM = (
+    *("95 %", PAPER, "all frames", "success", "precision", "until lost", "in ROI"),
+)  # left out where no row has one
 
 
 def asked_rows(report: Mapping[str, Any]) -> list[Row]:
@@ -62,12 +67,15 @@ def _columns(cells: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def _cells(row: Row) -> dict[str, str]:
+    long = row.get("protocol") == "long"  # a short start is too short to be lost
     return {
         **{name: row[name] for name in NAMES},
         "IoU": _shown(row["iou"]),
         "95 %": _interval(row["ci95"]),
         PAPER: _shown(row.get("paper")),
         "all frames": _shown(row.get("iou_all_frames")),
+        **{name: _shown(row.get(name)) if long else "" for name in ("success", "precision")},
+        "until lost": _shown(row.get("until_lost"), ".0f") if long else "",
         "in ROI": _shown(row.get("roi_coverage")),
         "pixels": f"{row['pixels']:.4f}",
         "starts": str(row["starts"]),

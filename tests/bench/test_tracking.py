@@ -11,13 +11,15 @@ import pytest
 from click.testing import CliRunner
 
 from bench.tracking.budgets import acquisition, parsed
+from bench.tracking.camera import Camera
 from bench.tracking.classes import planned
 from bench.tracking.clip import Clip, ClipName, names, read
 from bench.tracking.episode import Loop, Rules, run
 from bench.tracking.evaluate import command
 from bench.tracking.intervals import Block, difference, mean
 from bench.tracking.replaced import Replaced
-from bench.tracking.stages import Camera, Stages, watched
+from bench.tracking.sight import watched
+from bench.tracking.stages import Stages
 from bench.tracking.targets import CARRIED, FREE, STILL, ball_states, starts, targets
 from drivers.source import Annotations
 from pipeline.boxes import centres, iou
@@ -141,7 +143,7 @@ def blocks(*values: float) -> dict[str, Block]:
 
 def test_an_interval_contains_the_mean_and_shrinks_with_more_clips() -> None:
     rng = np.random.default_rng(1)
-    few, many = (mean(blocks(*rng.normal(0.5, 0.1, n)), seed=0) for n in (8, 200))
+    few, many = (mean(blocks(*rng.normal(0.5, 0.1, n))) for n in (8, 200))
 
     for found in (few, many):
         assert found.low < found.iou < found.high
@@ -153,11 +155,11 @@ def test_a_small_difference_in_every_clip_has_an_interval_without_zero() -> None
     base = np.random.default_rng(2).uniform(0.1, 0.9, 30)
     better, worse = blocks(*base + 0.02), blocks(*base)
 
-    middle, low, high = difference(better, worse, seed=0)
+    middle, low, high = difference(better, worse)
 
     assert middle == pytest.approx(0.02)
     assert 0 < low <= high
-    assert mean(better, seed=0).low < mean(worse, seed=0).high  # unpaired, it would be hidden
+    assert mean(better).low < mean(worse).high  # unpaired, it would be hidden
 
 
 @pytest.fixture(scope="module")
@@ -308,6 +310,7 @@ def test_a_whole_evaluation_is_written_and_continues_where_it_stopped(tmp_path: 
         *("--data", "procedural:70003", "--clips", "1", "--frames", "1-20", "--jobs", "1"),
         *("--strategies", "centred,temporal,foveated", "--budgets", "1/4,1/8", "--targets", "ball"),
         *("--tracker", "correlation", "--policy", "pursuit", "--report", str(tmp_path / "r.json")),
+        *("--cue", "none"),
         *(
             "--sees",
             "each",
@@ -332,10 +335,13 @@ def test_a_whole_evaluation_is_written_and_continues_where_it_stopped(tmp_path: 
     wanted = {"clip", "target", "strategy", "budget", "iou", "ci95", "frames", "starts", "pixels"}
     assert all(wanted <= set(row) for row in report["rows"])
     assert {(row["strategy"], row["against"]) for row in report["paired"]} == {
-        *(("foveated", against) for against in ("centred", "temporal")),
-        *(("foveated, ROI alone", against) for against in ("centred, ROI alone", "temporal")),
+        *(("foveated, no cue", f"{against}, no cue") for against in ("centred", "temporal")),
+        *(
+            ("foveated, ROI alone, no cue", against)
+            for against in ("centred, ROI alone, no cue", "temporal, no cue")
+        ),
     }
-    assert "| ball | 1/8 | foveated |" in (tmp_path / "table.md").read_text()
+    assert "| ball | 1/8 | foveated, no cue |" in (tmp_path / "table.md").read_text()
     assert "|" not in first.stdout
     assert "ball at 1/8 of the pixels: foveated" in first.stdout
     assert first.stdout.splitlines()[-1].startswith("No interval is given: frames of one clip")

@@ -63,19 +63,25 @@ def test_of_several_clips_the_sentence_states_whether_the_interval_excludes_zero
     told = sentences(report(pair(0.013, "spatial", ci95=ends, clips=30)))
 
     assert told[0].endswith(f"+0.013 over spatial {judged}, 30 clips")
-    assert told[1] == "The interval is of 95 %, paired, by drawing whole clips."
+    assert told[1] == "The interval is of 95 %, paired, by Student's t over whole clips."
 
 
-def test_an_interval_over_few_clips_is_said_to_be_too_narrow() -> None:
-    few = pair(0.1, "spatial", ci95=[0.05, 0.2], clips=3)
+def test_over_few_clips_the_missing_interval_is_explained() -> None:
+    few, many = pair(0.1, "spatial", clips=3), pair(0.1, "full", ci95=[0.05, 0.2], clips=8)
 
     told = sentences(report(few))
-    mixed = sentences(report(few, pair(0.1, "full")))
+    mixed = sentences(report(few, many))
 
-    assert told[-1].endswith("over fewer than 10 of them it is too narrow.")
+    assert told[-1] == "No interval is given: over fewer than 6 clips none holds its level."
     assert "3 clips" in told[0]
-    assert "1 to 3 clips" in mixed[0]
-    assert mixed[-1].startswith("Where there are several clips, the interval is of 95 %")
+    assert "3 to 8 clips" in mixed[0]
+    assert mixed[-1].startswith("Where there are enough clips, the interval is of 95 %")
+
+
+def test_figures_of_a_clip_of_development_are_called_so() -> None:
+    told = sentences(report(pair(0.1, "spatial"), development=["SNMOT-116a"]))
+
+    assert told[-1].startswith("SNMOT-116a was looked at while rules and thresholds were chosen")
 
 
 def test_nothing_is_concluded_where_nothing_is_compared() -> None:
@@ -150,6 +156,7 @@ def test_markdown_is_printed_instead_of_the_table_when_asked_for(tmp_path: Path)
     words = [
         *("--data", "procedural:70003", "--clips", "1", "--frames", "1-10", "--jobs", "1"),
         *("--strategies", "spatial", "--budgets", "1/8", "--targets", "ball"),
+        *("--cue", "none"),
         *("--tracker", "correlation", "--markdown", "-", "--work", str(tmp_path)),
     ]
 

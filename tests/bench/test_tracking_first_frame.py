@@ -8,10 +8,12 @@ from typing import Any, cast
 import pytest
 
 from bench.tracking.budgets import acquisition
+from bench.tracking.camera import Camera
 from bench.tracking.clip import Clip, ClipName, read
 from bench.tracking.episode import Loop, Rules, run
 from bench.tracking.replaced import Replaced
-from bench.tracking.stages import Camera, Stages, watched
+from bench.tracking.sight import watched
+from bench.tracking.stages import Stages
 from bench.tracking.targets import targets
 from pipeline.messages import Header, Message
 

@@ -160,8 +160,11 @@ def test_every_strategy_has_a_row_for_each_budget_and_full_has_one() -> None:
 
     assert {(case.strategy, case.budget) for case in found} == {
         ("full", "1"),
-        *((s, b) for s in ALL if s != "full" for b in ("1/8", "1/4")),
+        *((s, b) for s in ALL if s not in ("full", "pursuit") for b in ("1/8", "1/4")),
     }
+    assert [(c.name, c.policy) for c in found if c.name.startswith("pursuit")] == [
+        ("pursuit", "pursuit")
+    ] * 2
     assert len(found) == 2 * len(ALL) - 1
 
 

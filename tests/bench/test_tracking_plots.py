@@ -120,3 +120,13 @@ def test_rows_without_a_figure_are_left_out(tmp_path: Path) -> None:
 
     assert not (tmp_path / "none.png").exists()
     assert (tmp_path / "some.svg").stat().st_size > 1000
+
+
+def test_long_starts_have_a_panel_of_their_own_with_the_same_strategies() -> None:
+    short = {"target": "ball", "strategy": "full", "budget": "1", "iou": 0.5, "ci95": None}
+    long = short | {"strategy": "full, long", "protocol": "long", "iou": 0.3}
+
+    figure = figure_of([short, long])
+
+    assert [panel.get_title() for panel in figure.axes] == ["ball", "ball, long"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["full"]

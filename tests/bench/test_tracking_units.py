@@ -10,7 +10,7 @@ import pytest
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, read
 from bench.tracking.episode import Rules
-from bench.tracking.job import Seen, loop_of
+from bench.tracking.job import Seen, loop_of, sight_of
 from bench.tracking.key import clip_key, key
 from bench.tracking.stages import Stages
 from bench.tracking.store import Draft, Unit, forget_damaged, units
@@ -180,7 +180,10 @@ def test_tracks_of_one_detector_are_not_used_for_another() -> None:
     found = []
     for more in ("saliency.confidence=0.25", "saliency.confidence=0.999"):
         with Stages(GRAPH, (more,), policy="pursuit") as stages:
-            found.append(loop_of(clip, case, stages, seen).tracks[-1])
+            loop = loop_of(clip, case, stages)
+            sight = sight_of(loop, case, 3, seen)
+            assert sight is not None
+            found.append(sight.tracks(loop.camera, stages, loop.replaced, 2)[2])
 
     assert [bool(len(tracks.ids)) for tracks in found] == [True, False]
 

@@ -1,0 +1,183 @@
+"""Long starts, cues and coordinates of the ROI: what is scored, and that all get the same help."""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.tracking.budgets import acquisition
+from bench.tracking.camera import Camera
+from bench.tracking.cases import CUES, Case, rules_of
+from bench.tracking.clip import Clip, ClipName, read
+from bench.tracking.episode import Loop, Outcome, Rules, exposures, run
+from bench.tracking.figures import figures_of
+from bench.tracking.job import sight_of
+from bench.tracking.report import same_help
+from bench.tracking.stages import CUE, Stages
+from bench.tracking.targets import targets
+from pipeline.messages import Header, Message
+
+GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
+FRAMES = 14
+STRATEGIES = (
+    *("full", "spatial", "temporal", "exposure", "context"),
+    *("foveated", "centred", "round_robin", "oracle"),
+)
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    return read(ClipName(seed=70_003), (1, FRAMES))
+
+
+@pytest.fixture(scope="module")
+def stages() -> Iterator[Stages]:
+    with Stages(GRAPH, ("policy.weights=",), policy="pursuit") as stages:
+        stages.open_cue()
+        yield stages
+
+
+class Heard:
+    """The stages, noting what the tracker is told and when."""
+
+    def __init__(self, stages: Stages) -> None:
+        self._stages = stages
+        self.plan = stages.plan
+        self.settings: dict[str, Any] = {}
+        self.scanpaths: list[int] = []
+        self.exposures: list[int] = []
+        self.prompts: list[tuple[float, ...]] = []
+
+    def begin(self, header: Header, *names: str, **settings: Mapping[str, Any]) -> None:
+        self.settings = dict(settings.get("tracker", self.settings))
+        for name in ("policy", CUE):
+            if box := settings.get(name, {}).get("prompt_box"):
+                self.prompts.append(box)
+        self._stages.begin(header, *names, **settings)
+
+    def call(self, name: str, **messages: Message) -> Any:
+        if name == "tracker" and "scanpath" in messages:
+            self.scanpaths.append(messages["scanpath"].first_seq)  # type: ignore[attr-defined]
+        elif name == "tracker":
+            self.exposures.append(messages["context"].header.seq)
+        return self._stages.call(name, **messages)
+
+
+def followed(
+    clip: Clip, stages: Stages, strategy: str, rules: Rules, start: int = 0
+) -> tuple[Outcome, Heard]:
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    heard = Heard(stages)
+    case = Case(strategy=strategy, budget="1/4", name="", rules=rules, policy="pursuit")
+    camera = Camera(clip, acquisition(strategy, Fraction("1/4"), clip.size_px))
+    loop = Loop(camera=camera, stages=cast(Stages, heard), rules=rules)
+    sight = sight_of(loop, case, FRAMES, {})
+    if sight:
+        exposed = exposures(camera, start, FRAMES - 1)
+        tracks = sight.tracks(camera, stages, loop.replaced, exposed[0])
+        loop = replace(loop, tracks=tracks)
+    return run(loop, ball, start), heard
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_with_a_cue_every_strategy_hears_one_scanpath_an_exposure_from_the_same_prompt(
+    clip: Clip, stages: Stages, strategy: str
+) -> None:
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+
+    outcome, heard = followed(clip, stages, strategy, Rules(cue=True, to_end=True), 1)
+
+    first = outcome.first - 1
+    assert heard.scanpaths == [frame + 1 for frame in heard.exposures[:-1]]
+    assert heard.prompts == [pytest.approx(tuple(ball.boxes[first]))]
+    assert "lost_after" not in heard.settings  # as in the graph
+    assert len(outcome.iou) == len(outcome.away_px) == FRAMES - outcome.first
+    assert 1.0 not in outcome.iou
+
+
+@pytest.mark.parametrize("strategy", ["full", "oracle"])
+def test_without_a_cue_the_tracker_hears_no_policy_and_never_gives_up(
+    clip: Clip, stages: Stages, strategy: str
+) -> None:
+    outcome, heard = followed(clip, stages, strategy, Rules())
+
+    assert heard.scanpaths == []
+    assert heard.settings["lost_after"] > FRAMES
+    assert np.isfinite(outcome.away_px).all()
+
+
+@given(
+    strategy=st.sampled_from(STRATEGIES),
+    budget=st.sampled_from(["1/2", "1/3", "1/4", "1/8", "1/16"]),
+    start=st.integers(0, 60),
+    last=st.integers(0, 90),
+)
+@settings(max_examples=80, deadline=None)
+def test_exposures_begin_at_the_start_and_hold_no_frame_before_it(
+    strategy: str, budget: str, start: int, last: int
+) -> None:
+    how = acquisition(strategy, Fraction(budget), (1920, 1080))
+    camera = cast(Camera, type("Still", (), {"how": how}))
+
+    found = exposures(camera, start, last)
+
+    step = how.sampling.interval
+    covers = step if how.sampling.averaged else 1
+    assert all(start <= frame - covers + 1 and frame <= last for frame in found)
+    assert all(b - a == step for a, b in itertools.pairwise(found))
+    assert bool(found) == (start + covers - 1 <= last)
+
+
+def test_in_coordinates_of_the_roi_the_box_moves_with_the_window(
+    clip: Clip, stages: Stages
+) -> None:
+    outcome, heard = followed(clip, stages, "oracle", Rules(context=False, local=True))
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    left, top, *_ = outcome.windows[0]
+
+    given_box = heard.settings["init_box"]
+
+    assert given_box == pytest.approx(tuple(ball.boxes[0] - np.array([left, top, left, top])))
+
+
+def test_a_long_start_ends_with_the_clip_and_a_short_one_after_its_frames() -> None:
+    assert Rules(to_end=True, longest=5).last(3, 100) == 99
+    assert [Rules(longest=5).last(3, frames) for frames in (100, 6)] == [8, 5]
+
+
+def test_rows_of_other_help_or_another_protocol_are_not_compared() -> None:
+    assert same_help("foveated", "oracle")
+    assert same_help("foveated, ROI alone, no cue", "spatial, no cue")
+    assert not same_help("foveated", "oracle, no cue")
+    assert not same_help("foveated, long", "oracle")
+    assert not same_help("foveated, ROI alone", "pursuit")
+    assert not same_help("foveated, ROI coordinates", "full")
+
+
+def test_a_tracker_in_coordinates_of_the_roi_has_no_cue() -> None:
+    options: Any = type(
+        "Asked",
+        (),
+        {
+            "prediction": "kalman", "protocol": "both", "delay": (0,), "replan": (1,),
+            "sees": "all", "cue": "each", "longest": 64,
+        },
+    )  # fmt: skip
+
+    found = rules_of(options)
+
+    assert len(found) == 2 * (2 * len(CUES["each"]) + 1)
+    assert not any(rule.cue for rule in found if rule.local)
+
+
+def test_frames_without_an_answer_are_lost_and_not_near() -> None:
+    found = figures_of([0.9] * 5 + [0.0] * 20 + [0.9] * 5, [1.0] * 5 + [np.inf] * 20 + [1.0] * 5)
+
+    assert (found.until_lost, found.lost, found.hits, found.near) == (5, True, 10, 10)

@@ -1,0 +1,84 @@
+"""Pictures too large to be made are evaluated through windows of them."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from bench.tracking.budgets import acquisition
+from bench.tracking.camera import Camera
+from bench.tracking.clip import Clip, ClipName, names
+from drivers.scenes.panorama import PanoramaScene
+from drivers.simulated.windows import picture_of
+
+SIZE_PX = (3200, 1600)
+FRAMES = 8
+
+
+class Unmade(PanoramaScene):
+    """A panorama whose whole picture is never made."""
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        raise AssertionError(f"frame {index} was made whole")
+
+
+@pytest.fixture(scope="module")
+def clip() -> Clip:
+    scene = Unmade(size_px=SIZE_PX, seed=3, objects=4)
+    return Clip(
+        name=ClipName(seed=3, scene="panorama"),
+        size_px=SIZE_PX,
+        pictures=[picture_of(scene, k) for k in range(FRAMES)],
+        truths=[scene.truth(k) for k in range(FRAMES)],
+        source=scene,
+    )
+
+
+@pytest.mark.parametrize(
+    "strategy", ["full", "oracle", "spatial", "temporal", "exposure", "context"]
+)
+def test_every_strategy_reads_windows_and_counts_the_pixels_of_its_budget(
+    clip: Clip, strategy: str
+) -> None:
+    how = acquisition(strategy, Fraction(1, 8), SIZE_PX)
+    camera = Camera(clip, how)
+    width, height = how.sampling.roi_px
+    ball = clip.truths[FRAMES - 1].boxes[0]
+
+    context, roi = camera.expose(FRAMES - 1, 0, (0, 0, width, height), ball)
+
+    read_px, full_px = camera.counted()
+    assert read_px / full_px == pytest.approx(float(how.budget), rel=0.01)
+    assert context.window == (0, 0, *SIZE_PX)
+    assert context.pixels.size + roi.pixels.size < 3 * SIZE_PX[0] * SIZE_PX[1] / 4
+
+
+def test_full_resolution_shows_the_object_and_its_surroundings_as_the_picture_has_them(
+    clip: Clip,
+) -> None:
+    camera = Camera(clip, acquisition("full", Fraction(1), SIZE_PX))
+    box = clip.truths[2].boxes[1]
+
+    _, roi = camera.expose(2, 2, (0, 0, 0, 0), box)
+
+    left, top, right, bottom = roi.window
+    whole = PanoramaScene(size_px=SIZE_PX, seed=3, objects=4).picture(2)
+    assert (left <= box[0], top <= box[1], right >= box[2], bottom >= box[3]) == (True,) * 4
+    np.testing.assert_array_equal(roi.pixels, whole[top:bottom, left:right])
+
+
+def test_a_longer_exposure_is_the_mean_of_its_windows(clip: Clip) -> None:
+    camera = Camera(clip, acquisition("exposure", Fraction(1, 8), SIZE_PX))
+    box = clip.truths[7].boxes[1]
+
+    _, roi = camera.expose(7, 0, (0, 0, 0, 0), box)
+
+    left, top, right, bottom = roi.window
+    scene = PanoramaScene(size_px=SIZE_PX, seed=3, objects=4)
+    parts = [scene.picture(k)[top:bottom, left:right].astype(np.float32) for k in range(8)]
+    np.testing.assert_allclose(roi.pixels, np.mean(parts, axis=0), atol=0.51)
+
+
+def test_panoramas_are_clips() -> None:
+    assert [str(name) for name in names("panorama:5", 2)] == ["panorama-5", "panorama-6"]
