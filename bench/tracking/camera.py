@@ -6,6 +6,7 @@ area; the sensor's count is that of all pixels.
 """
 
 import math
+from collections import OrderedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ OVERVIEW = 0.25  # side of the small picture of the whole, at most `OVERVIEW_PX`
 OVERVIEW_PX = 2040
 SEARCH_SIZES = 8.0  # side of the search area in sizes of the box; both trackers look at 6 or less
 LEAST_SEARCH_PX = 128
+CONTEXT_BYTES = 256 << 20  # of contexts that are kept; 250 of 480x270 are 97 MB
 
 
 class Camera:
@@ -36,7 +38,8 @@ class Camera:
         most_px = math.prod(how.sampling.roi_px) if clip.windowed else width * height
         self._readout = Readout(seed=0, most_px=most_px)
         self._whole = (0, 0, width, height)
-        self._contexts: dict[int, Frame] = {}
+        self._contexts: OrderedDict[int, Frame] = OrderedDict()
+        self._most_contexts = max(1, CONTEXT_BYTES // (3 * math.prod(how.sampling.context_px)))
         self._roi = np.empty(self._readout.shape(how.sampling.roi_px), np.uint8)
         self.begin()
 
@@ -112,6 +115,9 @@ class Camera:
             self._readout.read(picture, self._whole, out, seq=frame, port=0)
             known = Frame(header=header, pixels=out, window=self._whole)
             self._contexts[frame] = known
+            if len(self._contexts) > self._most_contexts:
+                self._contexts.popitem(last=False)
+        self._contexts.move_to_end(frame)
         return known
 
     def nothing(self, frame: int) -> Frame:

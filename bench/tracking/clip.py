@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers.datasets.sequence import read_info
 from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.scenes import WholePitchScene
 from drivers.scenes.panorama import PanoramaScene
 from drivers.scenes.soccer import SoccerScene
 from drivers.simulated.windows import Picture, picture_of
@@ -16,8 +17,8 @@ from pipeline.errors import DriverError, SettingsError
 
 DEVELOPMENT = ("SNMOT-116a",)  # looked at while rules, thresholds and scenes were chosen
 HELD_OUT = 70_000  # first seed of the clips that nothing is trained or chosen on
-PROCEDURAL, PANORAMA = "procedural", "panorama"
-SIZES_PX = {PROCEDURAL: (1920, 1080), PANORAMA: (16_320, 9_184)}
+PROCEDURAL, PANORAMA, WHOLE_PITCH = "procedural", "panorama", "whole_pitch"
+SIZES_PX = {PROCEDURAL: (1920, 1080), PANORAMA: (16_320, 9_184), WHOLE_PITCH: (7680, 4320)}
 RATE_HZ = 25.0
 
 
@@ -58,8 +59,8 @@ class Clip:
 def names(data: str, count: int) -> list[ClipName]:
     """Return the clips of `--data`.
 
-    It is `procedural[:FIRST]`, `panorama[:FIRST]`, a sequence's folder, or a folder of such
-    folders; raises `SettingsError` or `DriverError` for anything else.
+    It is `procedural`, `panorama` or `whole_pitch`, each with `:FIRST` if wanted, a sequence's
+    folder, or a folder of such folders; raises `SettingsError` or `DriverError` for anything else.
     """
     scene, colon, first = data.partition(":")
     if scene in SIZES_PX and (colon or not Path(data).is_dir()):
@@ -137,4 +138,6 @@ def _source(name: ClipName) -> FrameSource:
     size_px = SIZES_PX[name.scene]
     if name.scene == PANORAMA:
         return PanoramaScene(size_px=size_px, rate_hz=RATE_HZ, seed=name.seed)
+    if name.scene == WHOLE_PITCH:
+        return WholePitchScene(size_px=size_px, rate_hz=RATE_HZ, seed=name.seed)
     return SoccerScene(size_px=size_px, rate_hz=RATE_HZ, seed=name.seed)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bench.tracking.budgets import acquisition
 from bench.tracking.camera import Camera
-from bench.tracking.clip import Clip, ClipName, names
+from bench.tracking.clip import Clip, ClipName, names, read
 from drivers.scenes.panorama import PanoramaScene
 from drivers.simulated.windows import picture_of
 
@@ -78,6 +78,27 @@ def test_a_longer_exposure_is_the_mean_of_its_windows(clip: Clip) -> None:
     scene = PanoramaScene(size_px=SIZE_PX, seed=3, objects=4)
     parts = [scene.picture(k)[top:bottom, left:right].astype(np.float32) for k in range(8)]
     np.testing.assert_allclose(roi.pixels, np.mean(parts, axis=0), atol=0.51)
+
+
+def test_the_whole_pitch_is_a_clip_of_windows() -> None:
+    (name,) = names("whole_pitch:5", 1)
+
+    clip = read(name, (1, 3))
+
+    assert (str(name), clip.size_px, clip.windowed) == ("whole_pitch-5", (7680, 4320), True)
+    assert "ball" in clip.truths[0].labels
+    clip.close()
+
+
+def test_contexts_that_are_kept_have_a_limit(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bench.tracking.camera.CONTEXT_BYTES", 3 * 3 * 800 * 400)
+    camera = Camera(clip, acquisition("oracle", Fraction(1, 8), SIZE_PX))
+
+    contexts = [camera.context(frame) for frame in range(5)]
+
+    assert camera.context(4) is contexts[4]
+    assert camera.context(0) is not contexts[0]
+    np.testing.assert_array_equal(camera.context(0).pixels, contexts[0].pixels)
 
 
 def test_panoramas_are_clips() -> None:
