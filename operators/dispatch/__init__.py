@@ -4,8 +4,8 @@ from operators.dispatch.dispatch import (
     Dispatch,
     DispatchSettings,
     DispatchState,
-    coverage,
     plan_windows,
 )
+from pipeline.forecast import coverage
 
 __all__ = ["Dispatch", "DispatchSettings", "DispatchState", "coverage", "plan_windows"]

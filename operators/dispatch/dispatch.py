@@ -36,6 +36,7 @@ class DispatchSettings:
     windows: int = 1  # of one exposure: the pixel budget, in windows
     others: float = 0.0  # weight of every track beside its probability in the scanpath
     margin: float = 0.5  # several windows: sides of a box that count as its surroundings, each side
+    choose_every: int = 1  # several windows: rows of a plan that share them; each costs 1 ms
     least_gain: float = 0.0  # several windows: one that gains less weight is not read
 
     def __post_init__(self) -> None:
@@ -45,6 +46,8 @@ class DispatchSettings:
             raise SettingsError(f"fill: expected hold, centre or scan, got {self.fill}")
         if self.settle < 0:
             raise SettingsError(f"settle: must be at least 0, got {self.settle}")
+        if self.choose_every < 1:
+            raise SettingsError(f"choose_every: must be at least 1, got {self.choose_every}")
         if not 1 <= self.windows <= MOST_ROIS:
             raise SettingsError(f"windows: expected 1 to {MOST_ROIS}, got {self.windows}")
         for name in ("others", "margin", "least_gain"):
@@ -78,6 +81,8 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
 
     scanpath = Input(Scanpath, keep="every")
     tracks = Input(Tracks, join=False, optional=True)
+
+    _tracks: Tracks | None = None
 
     @classmethod
     def advise(cls, settings: DispatchSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
@@ -126,7 +131,7 @@ class Dispatch(Operator[DispatchSettings, RoiSchedule]):
 
     def on_tracks(self, tracks: Tracks) -> None:
         """Store the predictions of all objects."""
-        self._tracks: Tracks | None = tracks
+        self._tracks = tracks
 
     def on_scanpath(self, scanpath: Scanpath) -> RoiSchedule | None:
         """Return a schedule for a scanpath that is due, otherwise None."""
@@ -213,12 +218,13 @@ def weighed_windows(
     """
     geometry = scanpath.header.geometry
     found = np.zeros((len(usual), settings.windows, 4), np.int32)
-    for row, window in enumerate(usual):
+    for row in range(0, len(usual), settings.choose_every):
         seen = expected(scanpath, row, tracks, settings.others)
         wanted = replace(seen, boxes=grown(seen.boxes, settings.margin, geometry))
         best = best_windows(wanted, geometry, settings.windows, least_gain=settings.least_gain)
-        found[row, 0] = window
-        found[row, : len(best)] = best
+        shared = found[row : row + settings.choose_every]
+        shared[:, 0] = usual[row : row + settings.choose_every]
+        shared[:, : len(best)] = best
     return found if settings.windows > 1 else found[:, 0]
 
 

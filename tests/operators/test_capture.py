@@ -34,7 +34,9 @@ def produced(subject: Capture) -> tuple[Frame, Frame]:
 
 
 def test_it_has_two_streams_and_the_truth_and_takes_sensor_commands() -> None:
-    assert outputs_of(Capture) == {"context": Frame, "roi": Frame, "truth": Truth}
+    further = dict.fromkeys(("roi_2", "roi_3", "roi_4"), Frame)
+
+    assert outputs_of(Capture) == {"context": Frame, "roi": Frame, **further, "truth": Truth}
     assert inputs_of(Capture)["schedule"].command
 
 
