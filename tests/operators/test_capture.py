@@ -50,6 +50,18 @@ def test_both_streams_of_one_exposure_share_a_header() -> None:
     subject.close()
 
 
+def test_further_windows_are_frames_of_outputs_of_their_own() -> None:
+    subject = capture(rois=3, roi_area=0.015)
+    subject.open()
+    frames = subject.produce()
+    subject.close()
+
+    assert frames is not None
+    assert list(frames) == ["context", "roi", "roi_2", "roi_3", "truth"]
+    assert frames["roi_3"].header is frames["context"].header
+    assert (subject.settings.rois, capture().settings.rois) == (3, 1)
+
+
 def test_it_ends_with_its_source_and_releases_it() -> None:
     before = MovingSquare.open_sources
     subject = capture()
