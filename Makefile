@@ -13,7 +13,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo test test-slow test-footage guest-kernel test-guest check train clean
+.PHONY: demo test test-slow test-footage guest-kernel test-guest guest-gadget guest-usbip check train clean
 
 # where recordings (data/) and third-party weights (models/) are
 SHARED ?= ../shared
@@ -54,10 +54,24 @@ test-footage: $(VENV)/.installed-dev
 guest-kernel: $(VENV)/.installed-dev
 	$(BIN)/python -m tests.guest.kernel $(KERNEL)
 
+# Two guests at the same time, each with one processor. They cannot write: what they import is
+# compiled before, and pytest's other plugins are left out, since every import costs them much.
+ON_BOARDS := tests/drivers/usb/test_attached.py
+ON_WEBCAMS := tests/drivers/cameras/test_webcam.py
+IN_GUEST = $(BIN)/python -m tests.guest.boot $(KERNEL) \
+	env PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(BIN)/python -m pytest -p no:cacheprovider -m hardware \
+	--durations=5
+
 test-guest: $(VENV)/.installed-dev
-	$(BIN)/python -m tests.guest.boot $(KERNEL) $(BIN)/python -m pytest -p no:cacheprovider \
-		-m hardware --durations=5 --usb-board=usbip --usb-board=gadget --camera=/dev/video0 \
-		tests/drivers/usb/test_attached.py tests/drivers/cameras/test_webcam.py
+	PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(BIN)/python -m pytest -p no:cacheprovider --collect-only \
+		$(ON_BOARDS) $(ON_WEBCAMS) >/dev/null
+	$(MAKE) --jobs=2 --output-sync=target --no-print-directory guest-gadget guest-usbip
+
+guest-gadget:
+	$(IN_GUEST) --usb-board=gadget $(ON_BOARDS)
+
+guest-usbip:
+	$(IN_GUEST) --usb-board=usbip --camera=/dev/video0 $(ON_BOARDS) $(ON_WEBCAMS)
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -6,12 +6,16 @@ never counts as passed. `--kernel FOLDER` adds those that need a kernel with USB
 `make test-guest` runs them in a virtual machine.
 """
 
+import contextlib
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +32,7 @@ from pipeline.text import harmless
 
 NAMES = "contract_of_a_sensor"
 LIMIT_S = 500.0  # of one kind
+GUEST_LIMIT_S = 900.0  # beyond those of tests.guest.boot: each guest says itself that it is late
 COUNTED = re.compile(r"(\d+) (passed|failed|error|skipped)")
 
 
@@ -82,7 +87,7 @@ def outcome(kind: Kind) -> dict[str, Any]:
             "-p", "no:cacheprovider", f"--junitxml={report}",
         ]  # fmt: skip
         began_s = time.monotonic()
-        done = _run(words)
+        done = run(words)
         if not report.is_file():
             raise RunError(f"{kind.name}: pytest: {_last_line(done.stderr or done.stdout)}")
         return counted(kind.name, report.read_text(), time.monotonic() - began_s)
@@ -108,8 +113,8 @@ def counted(name: str, report: str, seconds: float) -> dict[str, Any]:
 def guest(kernel: Path) -> dict[str, Any]:
     """Run `make test-guest` with that kernel."""
     began_s = time.monotonic()
-    done = _run(["make", "test-guest", f"KERNEL={kernel.resolve()}"])
-    counts = {word: int(n) for n, word in COUNTED.findall(done.stdout)}
+    done = run(["make", "test-guest", f"KERNEL={kernel.resolve()}"], GUEST_LIMIT_S)
+    counts = outcomes(done.stdout)
     failed = counts.get("failed", 0) + counts.get("error", 0)
     failed = max(failed, int(done.returncode != 0))
     note = _last_line(done.stderr or done.stdout) if done.returncode else ""
@@ -117,6 +122,18 @@ def guest(kernel: Path) -> dict[str, Any]:
         GUEST, counts.get("passed", 0), failed, counts.get("skipped", 0), note,
         time.monotonic() - began_s,
     )  # fmt: skip
+
+
+def outcomes(said: str) -> Counter[str]:
+    """Return the counts in pytest's last lines, together for all guests.
+
+    >>> outcomes("== 2 passed, 1 skipped in 3 s ==\\n== 3 passed, 4 deselected in 5 s ==")
+    Counter({'passed': 5, 'skipped': 1})
+    """
+    counts: Counter[str] = Counter()
+    for number, word in COUNTED.findall(said):
+        counts[word] += int(number)
+    return counts
 
 
 def not_run(name: str, reason: str) -> dict[str, Any]:
@@ -134,13 +151,21 @@ def _row(
     }  # fmt: skip
 
 
-def _run(words: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    try:
-        return subprocess.run(
-            words, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise RunError(f"{words[1]} {words[2]}: not finished after {LIMIT_S:g} s") from None
+def run(words: Sequence[str], limit_s: float = LIMIT_S) -> subprocess.CompletedProcess[str]:
+    """Run a program; it and what it started are killed at the limit, and when this is left."""
+    with subprocess.Popen(
+        words, cwd=ROOT, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            said, errors = process.communicate(timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            what = " ".join(words[:3])
+            raise RunError(f"{what}: expected its end within {limit_s:g} s, got none") from None
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+    return subprocess.CompletedProcess(list(words), process.returncode, said, errors)
 
 
 def _last_line(text: str) -> str:

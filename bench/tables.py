@@ -28,7 +28,7 @@ from pipeline.errors import FoveaError
 TOGETHER = ("detections+association",)  # the policy's inputs with perfect perception
 NAMES = {
     "budgets": "Strategies at equal pixel budgets, held-out procedural clips",
-    "soccernet": "The same, zero-shot on real footage",
+    "soccernet": "The same on real footage, a development clip",
     "players-soccernet": "The same of eight players on real footage",
     "late": "Late and rare plans (delay in frames, Ta)",
     "late-soccernet": "The same on real footage",

@@ -273,6 +273,15 @@ class Tally(Operator[WorkSettings, Percept]):
         )
 
 
+class Corrected(PassEvery):
+    """Hears what a later node found in an earlier frame."""
+
+    told = Input(Percept, join=False)
+
+    def on_told(self, told: Percept) -> None:
+        self.heard = told.header.seq
+
+
 class Recall(Operator[WorkSettings, None]):
     """Records the counts of a tally by frame."""
 

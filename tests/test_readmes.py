@@ -248,6 +248,19 @@ def test_the_source_of_the_drivers_page_plays_under_the_simulated_sensor(saved: 
         noise.picture(300)
 
 
+def test_options_of_a_sensor_are_set_without_the_word_options() -> None:
+    texts = [*PAGES, *(ROOT / "graphs").rglob("*.yaml")]
+
+    long = [str(path) for path in texts if ".options." in path.read_text()]
+
+    assert long == []
+    over = Overlay(
+        source=ROOT / "graphs" / "sources" / "usb.yaml", changes=("capture.mode=record",)
+    )
+    node = next(n for n in load(TRACKING, over).nodes if n.name == "capture")
+    assert node.settings["options"]["mode"] == "record"
+
+
 def test_versions_agree() -> None:
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
     released = re.findall(r"^## \[(\d[^]]*)\]", (ROOT / "CHANGELOG.md").read_text(), re.M)

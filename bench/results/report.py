@@ -97,6 +97,9 @@ PLACES = {
     ),
     "objects": Place(section="Time of each part", order=9, title="The running graph, by objects"),
     "raw": Place(section="Time of each part", order=10, title="Raw frames to RGB"),
+    "whole_pitch": Place(
+        section="Time of each part", order=11, title="The whole pitch, drawn where a sensor looks"
+    ),
     "raw_loss": Place(
         section="Networks and scenes", order=10, title="The detector on raw frames with noise"
     ),

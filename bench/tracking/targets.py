@@ -14,6 +14,8 @@ KINDS = {"ball": "ball", "referee": "main referee", "player": "player"}
 PEOPLE = CLASS_OF_ROLE.keys() - {"ball"}
 STILL_PX = 1.5  # per frame, at 1920 pixels of width: a slower ball is still
 AROUND = 4  # frames before and after over which a ball's state is judged
+CARRIED_FRAMES = 5  # in succession, at the same person
+WITH_PERSON = 0.1  # of a person's height a frame: what moves less against the person moves with it
 FREE, STILL, CARRIED = "free", "still", "carried"
 Boxes = NDArray[np.float32]
 
@@ -79,26 +81,55 @@ def _target(kind: str, object_id: int, truths: Sequence[Annotations]) -> Target:
 def ball_states(boxes: Boxes, truths: Sequence[Annotations]) -> tuple[str, ...]:
     """Return whether the ball is free, still or carried in each frame, according to the truth.
 
-    Carried: in most frames around, its centre is in the upper three quarters of the same person's
-    box. Still: after subtracting the median motion of the people, which is the camera's, it moves
-    by less than `STILL_PX` per frame. Free otherwise.
+    Carried: for `CARRIED_FRAMES` frames in succession or more, its centre is in the box of the same
+    person and moves with that person, whatever the policy takes for carried. Still: after
+    subtracting the median motion of the people, which is the camera's, it moves by less than
+    `STILL_PX` per frame. Free otherwise.
     """
     seen = areas(boxes) > 0
     speed = _speeds(boxes, seen, truths)
-    carriers = [
-        _carrier(box, truth) if s else -1 for box, truth, s in zip(boxes, truths, seen, strict=True)
-    ]
+    carried = _carried(boxes, seen, truths)
     states = []
     for k in range(len(truths)):
         around = slice(max(k - AROUND, 0), k + AROUND + 1)
-        near = np.array(carriers[around])
-        known = near[near >= 0]
-        if len(known) and np.bincount(known).max() > 0.6 * len(near):
-            states.append(CARRIED)
-        else:
-            slow = speed[around][np.isfinite(speed[around])]
-            states.append(STILL if len(slow) and np.median(slow) < STILL_PX else FREE)
+        slow = speed[around][np.isfinite(speed[around])]
+        still = len(slow) and np.median(slow) < STILL_PX
+        states.append(CARRIED if carried[k] else STILL if still else FREE)
     return tuple(states)
+
+
+def _carried(
+    boxes: Boxes, seen: NDArray[np.bool_], truths: Sequence[Annotations]
+) -> NDArray[np.bool_]:
+    """Return in which frames a person carries the ball: (F,)."""
+    found = np.zeros(len(boxes), np.bool_)
+    for person in sorted({int(i) for truth in truths for i in truth.ids}):
+        begun = 0
+        before: NDArray[np.float64] | None = None  # from the person's middle, in its heights
+        for k in range(len(boxes) + 1):
+            place = _place(boxes[k], truths[k], person) if k < len(boxes) and seen[k] else None
+            moved = before is None or place is None or _apart(before, place) > WITH_PERSON
+            if moved:
+                if k - begun >= CARRIED_FRAMES and before is not None:
+                    found[begun:k] = True
+                begun = k
+            before = place
+    return found
+
+
+def _place(
+    ball: NDArray[np.float32], truth: Annotations, person: int
+) -> NDArray[np.float64] | None:
+    """Return where in a person's box the ball's centre is, in its heights; None: outside."""
+    for box, label, i in zip(truth.boxes, truth.labels, truth.ids, strict=True):
+        x, y = centres(ball)
+        if int(i) == person and label in PEOPLE and box[0] <= x <= box[2] and box[1] <= y <= box[3]:
+            return np.asarray((centres(ball) - centres(box)) / (box[3] - box[1]), np.float64)
+    return None
+
+
+def _apart(before: NDArray[np.float64], now: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(now - before))
 
 
 def _speeds(
@@ -120,13 +151,3 @@ def _camera(before: Annotations, now: Annotations) -> NDArray[np.float32]:
         return np.zeros(2, np.float32)
     motion = centres(now.boxes[second]) - centres(before.boxes[first])
     return np.asarray(np.median(motion, axis=0), np.float32)
-
-
-def _carrier(ball: NDArray[np.float32], truth: Annotations) -> int:
-    """Return the id of the person whose upper three quarters hold the ball's centre, -1: none."""
-    x, y = centres(ball)
-    for box, label, i in zip(truth.boxes, truth.labels, truth.ids, strict=True):
-        left, top, right, bottom = box
-        if label in PEOPLE and left <= x <= right and top <= y <= top + 0.75 * (bottom - top):
-            return int(i)
-    return -1

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.usb.reasons import Loss, NotedLosses
 from drivers.usb import DualStreamBoard
 from drivers.usb.frame_header import Stream, Window
 from drivers.virtual_board.backend import VirtualBackend, VirtualBoardSettings
@@ -99,6 +100,16 @@ class WitnessedBackend(VirtualBackend):
 
 class WitnessedDriver(DualStreamBoard):
     """The driver, and the board behind its link."""
+
+    def open(self, *, realtime: bool) -> None:
+        """Acquire the board, and note every loss from now on."""
+        super().open(realtime=realtime)
+        self._opened().losses = self._losses = NotedLosses()  # before `start` makes a receiver
+
+    @property
+    def noted(self) -> list[Loss]:
+        """The losses that the driver has counted, in order."""
+        return self._losses.noted
 
     @property
     def board(self) -> WitnessedBoard:

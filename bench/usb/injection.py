@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from bench.usb.failing import WitnessedDriver, level_of
+from bench.usb.reasons import Loss, explained
 from drivers.sensor import Exposure
 from drivers.usb import DualStreamBoardSettings
 from pipeline.errors import DriverError
@@ -21,8 +22,6 @@ BACKEND = "bench.usb.failing:WitnessedBackend"
 SIZE_PX = (320, 192)
 AFTER = 5  # exposures that have to come after a failure
 LIMIT_S = 20.0  # of one injection
-# what the driver counts for a lost exposure, in the order in which a gap is put down to it
-REASONS = ("stall", "incomplete", "header", "checksum", "overflow", "link", "unpaired", "dropped")
 LINK = ("outages", "stalls", "resets", "silences")
 
 
@@ -89,7 +88,7 @@ def _read(
 ) -> Injection:  # fmt: skip
     ledger, board, error, recovered_s, after = _Ledger(), subject.board, "", -1.0, 0
     last: tuple[int, int] = (0, -1)  # START, exposure
-    before, paused_s, begun = subject.summary(), -1.0, None
+    before, paused_s, begun, noted = subject.summary(), -1.0, None, 0
     deadline_s = time.monotonic() + LIMIT_S
     while after < AFTER and time.monotonic() < deadline_s:
         try:
@@ -102,7 +101,9 @@ def _read(
             break
         now_s, told = time.monotonic(), subject.summary()
         here = len(board.exposed) - 1, found.header.seq - subject.first_seq
-        _account(ledger, board.exposed, last, here, before, told)
+        missing = exposures_between(board.exposed, last, here)
+        _account(ledger, missing, subject.noted[noted:], before, told)
+        noted = len(subject.noted)
         ledger.numbers = found.header.seq + 1
         _check(ledger, found, here[1])
         last, before, known = here, told, begun
@@ -133,50 +134,32 @@ def _begun(
 
 
 def _account(
-    ledger: _Ledger, exposed: Sequence[set[int]], last: tuple[int, int], here: tuple[int, int],
-    before: Mapping[str, Any], told: Mapping[str, Any],
+    ledger: _Ledger, missing: Sequence[int], losses: Sequence[Loss], before: Mapping[str, Any],
+    told: Mapping[str, Any],
 ) -> None:  # fmt: skip
     """Put what was lost between two deliveries down to what the driver counted meanwhile."""
-    missing = exposures_between(exposed, last, here)
-    shares = explained(missing, before, told)
+    stalls = told["losses"].get("stall", 0) - before["losses"].get("stall", 0)
+    outage = told["link"]["outages"] > before["link"]["outages"]
+    shares = explained(missing, losses, stalls=stalls, outage=outage)
     ledger.lost.update(shares)
-    ledger.unexplained += missing - sum(shares.values())
+    ledger.unexplained += len(missing) - sum(shares.values())
     ledger.delivered += 1
 
 
 def exposures_between(
     exposed: Sequence[set[int]], last: tuple[int, int], here: tuple[int, int]
-) -> int:
-    """Return how many exposures lie between two (START, exposure), both exclusive.
+) -> list[int]:
+    """Return the exposures between two (START, exposure), both exclusive.
 
     >>> exposures_between([{0, 1, 2}, {0, 1}], (0, 1), (1, 1))
-    2
+    [2, 0]
     """
-    return sum(
-        last < (start, exposure) < here
+    return [
+        exposure
         for start in range(last[0], here[0] + 1)
-        for exposure in exposed[start]
-    )
-
-
-def explained(missing: int, before: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, int]:
-    """Return the reasons of so many lost exposures, from two summaries of the driver.
-
-    Each loss that was counted explains one exposure, an outage all that is left.
-
-    >>> before = {"losses": {"header": 1}, "link": {"outages": 0}}
-    >>> explained(3, before, {"losses": {"header": 2, "unpaired": 1}, "link": {"outages": 0}})
-    {'header': 1, 'unpaired': 1}
-    """
-    shares: dict[str, int] = {}
-    for reason in REASONS:
-        count = told["losses"].get(reason, 0) - before["losses"].get(reason, 0)
-        if share := min(count, missing):
-            shares[reason] = share
-            missing -= share
-    if missing and told["link"]["outages"] > before["link"]["outages"]:
-        shares["outage"] = missing
-    return shares
+        for exposure in sorted(exposed[start])
+        if last < (start, exposure) < here
+    ]
 
 
 def _check(ledger: _Ledger, found: Exposure, exposure: int) -> None:
@@ -192,7 +175,7 @@ def _closed(
 ) -> Injection:  # fmt: skip
     """Close the account: what was exposed up to the last delivery has arrived or is lost."""
     exposed = subject.board.exposed
-    total = exposures_between(exposed, (0, -1), (last[0], last[1] + 1))
+    total = len(exposures_between(exposed, (0, -1), (last[0], last[1] + 1)))
     told = subject.summary()
     events = {name: told["link"][name] for name in LINK if told["link"][name]}
     events |= {f"lost, {name}": count for name, count in told["losses"].items()}

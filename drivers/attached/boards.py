@@ -11,7 +11,7 @@ from drivers.usb.board_settings import known_formats
 from drivers.usb.capabilities import BoardCapabilities, CaptureMode
 from drivers.usb.link import Attached, Link, attached
 from drivers.usb.requests import Request
-from pipeline.errors import DriverError
+from pipeline.errors import DriverError, FoveaError
 from pipeline.text import harmless
 
 UNNAMED = "a board that does not tell its name"
@@ -26,15 +26,28 @@ def look(backend: Any = None) -> Iterator[dict[str, Any]]:
         yield asdict(_described(board))
 
 
+def only_records(serial: str, backend: Any = None) -> bool:
+    """Return whether the board of that serial has no live mode; False: that cannot be found out."""
+    try:
+        found = [board for board in attached(backend) if board.serial == serial]
+        return bool(found) and CaptureMode.LIVE not in _capabilities(found[0]).modes
+    except FoveaError:  # the check that opens the board tells it
+        return False
+
+
+def _capabilities(board: Attached) -> BoardCapabilities:
+    link = Link(board, in_flight=1)
+    try:
+        return BoardCapabilities.unpack(link.ask(Request.CAPABILITIES, MOST_BLOCK_BYTES))
+    finally:
+        link.close()
+
+
 def _described(board: Attached) -> AttachedSensor:
     serial, title = harmless(board.serial, 60), harmless(board.product, 60) or UNNAMED
     name = f"usb:{serial or board.where.removeprefix('usb ')}"
     try:
-        link = Link(board, in_flight=1)
-        try:
-            can = BoardCapabilities.unpack(link.ask(Request.CAPABILITIES, MOST_BLOCK_BYTES))
-        finally:
-            link.close()
+        can = _capabilities(board)
     except DriverError as error:
         why = str(error)
         remedy = REMEDY if "no permission" in why else ""

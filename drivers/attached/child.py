@@ -33,10 +33,15 @@ Yields = Callable[..., Iterable[Mapping[str, Any]]]
 class Child:
     """A running child; use it as a context, which ends it and all that it started."""
 
-    def __init__(self, path: str, *words: str, limit_s: float, quiet: bool = False) -> None:
-        """`limit_s` is the longest wait for each object; `quiet`: discard what it prints."""
+    def __init__(
+        self, path: str, *words: str, limit_s: float, in_all: bool = False, quiet: bool = False
+    ) -> None:
+        """`limit_s` is the longest wait for each object, or for all of them: `in_all`.
+
+        `quiet`: discard what it prints.
+        """
         command = [sys.executable, "-m", "drivers.attached.child", path, f"{limit_s:g}", *words]
-        self._limit_s = limit_s
+        self._limit_s, self._in_all = limit_s, in_all
         self._begun_s = time.monotonic()
         self._process = subprocess.Popen(
             command,
@@ -60,8 +65,8 @@ class Child:
     def next(self) -> dict[str, Any] | None:
         """Return the next object; None after the last one.
 
-        Raises `DriverError` when it takes longer than the limit, counted from the one before, and
-        when the child ends early.
+        Raises `DriverError` when it takes longer than the limit, counted from the one before or,
+        `in_all`, from the start, and when the child ends early.
         """
         deadline_s = self._begun_s + self._limit_s
         while b"\n" not in self._rest:
@@ -72,7 +77,8 @@ class Child:
             if len(self._rest) > MOST_BYTES:
                 raise DriverError(f"expected answers of at most {MOST_BYTES} bytes, got more")
         line, _, self._rest = self._rest.partition(b"\n")
-        self._begun_s = time.monotonic()
+        if not self._in_all:
+            self._begun_s = time.monotonic()
         found: dict[str, Any] = json.loads(line)
         return None if ENDED in found else found
 

@@ -40,7 +40,7 @@ def search(kinds: Mapping[str, Kind] = KINDS, *, limit_s: float = LIMIT_S) -> tu
     with ExitStack() as running:
         began_s = time.monotonic()
         children = {
-            name: running.enter_context(Child(kind.look, limit_s=limit_s, quiet=True))
+            name: running.enter_context(Child(kind.look, limit_s=limit_s, in_all=True, quiet=True))
             for name, kind in kinds.items()
         }
         return tuple(

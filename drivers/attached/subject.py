@@ -6,6 +6,7 @@ sensor.
 
 import contextlib
 import os
+import selectors
 import subprocess
 import sys
 import tempfile
@@ -26,6 +27,7 @@ from pipeline.wording import shown
 
 FORMS = "usb:SERIAL, genicam:ID, /dev/videoN, a URL, virtual, fake, module:Class or a source file"
 MOST_BYTES = 1000  # of what the fake camera says when it ends
+FAKE_S = 30.0  # in which the fake camera has to be ready
 FAKE = "Aravis-Fake-F1"  # what Aravis' own camera is called
 
 
@@ -64,7 +66,7 @@ def subject_of(name: str, changes: Sequence[str] = ()) -> Iterator[Subject]:
 def _named(name: str) -> tuple[str, dict[str, Any]]:
     kind, _, rest = name.partition(":")
     if kind == "usb" and rest:
-        return _source("usb", "serial", rest)
+        return _board(rest)
     if kind == "genicam" and rest:
         return _industrial(rest)
     if "://" in name:
@@ -90,6 +92,16 @@ def _source(name: str, key: str = "", value: str = "") -> tuple[str, dict[str, A
     if key:
         _put(options, key, value)
     return settings.get("sensor", "drivers.simulated:SimulatedSensor"), options
+
+
+def _board(serial: str) -> tuple[str, dict[str, Any]]:
+    """Return a board, in the mode `record` where it has no other."""
+    from drivers.attached.boards import only_records  # pyusb is an extra
+
+    sensor, options = _source("usb", "serial", serial)
+    if only_records(serial):
+        options["mode"] = "record"
+    return sensor, options
 
 
 def _industrial(camera: str) -> tuple[str, dict[str, Any]]:
@@ -127,12 +139,21 @@ def _fake_camera() -> Iterator[None]:
     with tempfile.TemporaryFile() as words:
         process = subprocess.Popen(command, stdin=nothing, stdout=pipe, stderr=words)
         try:
-            assert process.stdout is not None
-            if process.stdout.readline().strip() != b"ready":
-                process.wait()
+            if not _ready(process):
                 said = os.pread(words.fileno(), MOST_BYTES, 0).decode(errors="replace").strip()
                 raise DriverError(f"fake: {harmless(said) or 'the fake camera ended'}")
             yield
         finally:
             process.kill()
             process.communicate()
+
+
+def _ready(process: subprocess.Popen[bytes]) -> bool:
+    """Return whether the program has said so; raises `DriverError` when it says nothing."""
+    assert process.stdout is not None
+    with selectors.DefaultSelector() as waiting:
+        waiting.register(process.stdout, selectors.EVENT_READ)
+        if not waiting.select(FAKE_S):
+            raise DriverError(f"fake: expected the fake camera within {FAKE_S:g} s, got nothing")
+    # the program writes the line at once
+    return os.read(process.stdout.fileno(), MOST_BYTES).strip() == b"ready"

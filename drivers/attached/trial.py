@@ -10,6 +10,7 @@ from functools import partial
 from typing import Any, Literal
 
 from drivers.attached.measurement import Run, accounts, effect, rate, run_in_real_time
+from drivers.attached.recording import MODE, RECORDING
 from drivers.attached.subject import subject_of
 from drivers.contract import CHECKS, SKIPPED, Figures, Make, title
 from pipeline.errors import FoveaError
@@ -28,7 +29,8 @@ TITLES = (OPENS, *map(title, CHECKS), REAL_TIME, *MEASURED)
 def tried(name: str, changes: str, duration_s: str) -> Iterator[dict[str, Any]]:
     """Yield the sensor, then each check: as it begins, and with its verdict.
 
-    `changes` is a JSON list of `OPTION=VALUE`. A sensor that cannot be opened is asked no more.
+    `changes` is a JSON list of `OPTION=VALUE`. A sensor that cannot be opened is asked no more, one
+    in the mode `record` what holds for recording.
     Raises `FoveaError` for a name or settings that are none.
     """
     with subject_of(name, json.loads(changes)) as subject:
@@ -37,8 +39,11 @@ def tried(name: str, changes: str, duration_s: str) -> Iterator[dict[str, Any]]:
         opened = yield from _checked(OPENS, partial(opens, subject.make))
         if opened["verdict"] != "ok":
             return
-        for check in CHECKS:
+        records = subject.options.get("mode") == MODE
+        for check in RECORDING if records else CHECKS:
             yield from _checked(title(check), partial(check, subject.make))
+        if records:
+            return  # it has no rate of delivery, and its commands are plans
         runs: list[Run] = []
 
         def run() -> Figures:

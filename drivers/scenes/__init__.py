@@ -2,5 +2,6 @@
 
 from drivers.scenes.panorama import PanoramaScene
 from drivers.scenes.soccer import SoccerScene
+from drivers.scenes.whole_pitch import WholePitchScene
 
-__all__ = ["PanoramaScene", "SoccerScene"]
+__all__ = ["PanoramaScene", "SoccerScene", "WholePitchScene"]

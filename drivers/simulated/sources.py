@@ -9,6 +9,10 @@ from pipeline.errors import SettingsError
 from pipeline.import_path import imported
 
 SCENES = {"soccer": "drivers.scenes:SoccerScene", "panorama": "drivers.scenes:PanoramaScene"}
+CAMERAS = {  # of the scene `soccer`, by its option `camera`: each draws in a way of its own
+    "broadcast": "drivers.scenes:SoccerScene",
+    "whole": "drivers.scenes:WholePitchScene",
+}
 FORMER = {  # import paths of earlier versions
     "drivers.images:ImageFolder": "drivers.datasets:ImageFolder",
     "drivers.mot:MotSequence": "drivers.datasets:MotSequence",
@@ -29,11 +33,14 @@ def open_scene(
 ) -> FrameSource:
     """A procedural scene; (0, 0) and 0 leave its own size and rate."""
     values: dict[str, Any] = {"seed": seed, "length": length, **options}
+    path = scene_path(scene)
+    if scene == "soccer":
+        path = _camera_path(values.pop("camera", "broadcast"))
     if size_px != (0, 0):
         values["size_px"] = size_px
     if rate_hz:
         values["rate_hz"] = rate_hz
-    return _build("scene", scene_path(scene), values)
+    return _build("scene", path, values)
 
 
 def open_recording(source: str, *, path: str, options: Mapping[str, Any]) -> FrameSource:
@@ -50,6 +57,13 @@ def scene_path(scene: str) -> str:
             f"scene: expected {', '.join(SCENES)} or an import path module:Class, got {scene!r}"
         )
     return SCENES[scene]
+
+
+def _camera_path(camera: object) -> str:
+    """The import path of the soccer scene before this camera."""
+    if not isinstance(camera, str) or camera not in CAMERAS:
+        raise SettingsError(f"camera: expected {' or '.join(CAMERAS)}, got {camera!r}")
+    return CAMERAS[camera]
 
 
 def load_source(setting: str, path: str) -> Callable[..., FrameSource]:

@@ -10,6 +10,9 @@ from drivers.commands import Window
 from drivers.readout import average
 from drivers.source import FrameSource, WindowSource
 
+# of the whole pitch at 7680x4320 as 1358x764, a rest of 1.1 keeps 73 % of the sharpness, 2.8 96 %
+LEAST_REST = 2.5
+
 
 @dataclass(frozen=True, kw_only=True)
 class WindowedPicture:
@@ -48,10 +51,21 @@ def reads_windows(source: FrameSource) -> TypeGuard[WindowSource]:
 
 
 def whole_reduction(size_px: tuple[int, int], to_px: tuple[int, int]) -> int:
-    """Return the largest whole number that divides both sides and reduces to `to_px` or more.
+    """Return by how much a source is asked to reduce a window that is read as `to_px`.
 
-    >>> whole_reduction((16320, 9184), (2040, 1148)), whole_reduction((1920, 1080), (640, 270))
+    It is the largest whole number that divides both sides and leaves a whole number for the second
+    step, or at least `LEAST_REST`: averaging twice by a little blurs.
+
+    >>> whole_reduction((16320, 9184), (2040, 1148)), whole_reduction((1920, 1080), (640, 360))
     (8, 3)
+    >>> whole_reduction((7680, 4320), (1358, 764)), whole_reduction((1920, 1080), (1358, 764))
+    (2, 1)
     """
     most = max(1, min(side // to for side, to in zip(size_px, to_px, strict=True)))
-    return next(r for r in range(most, 0, -1) if not (size_px[0] % r or size_px[1] % r))
+    for reduce in range(most, 1, -1):
+        if any(side % reduce for side in size_px):
+            continue
+        rests = [side / reduce / to for side, to in zip(size_px, to_px, strict=True)]
+        if all(rest.is_integer() or rest >= LEAST_REST for rest in rests):
+            return reduce
+    return 1

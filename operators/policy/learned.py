@@ -14,6 +14,7 @@ import numpy as np
 
 from operators.policy.carrier import PEOPLE
 from operators.policy.conditioning import unmet
+from operators.policy.consumer import consumer_of
 from operators.policy.decision import (
     PolicyState,
     Rules,
@@ -31,7 +32,16 @@ from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
 from operators.policy.network import PolicyNetwork, file_of
 from operators.policy.target import TargetSpec, check_box, check_known, check_label, told_before
-from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
+from pipeline import (
+    Header,
+    Input,
+    Operator,
+    Percept,
+    RoiFeatures,
+    Scanpath,
+    SettingsError,
+    Tracks,
+)
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +59,8 @@ class LearnedPolicySettings:
     seed: int = 0  # of what is drawn
     target_prior: float = Rules.target_prior  # see `decision.with_prior`; 1: the network alone
     least_genuine: float = Rules.least_genuine  # below it an object is refuted
+    # of the consumer, from which its box corrects the target's position; 1: never
+    feedback_score: float = Rules.feedback_score
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id
     prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
@@ -65,8 +77,9 @@ class LearnedPolicySettings:
         for name in ("place_patience", "seed"):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
-        if not 0 <= self.least_genuine <= 1:
-            raise SettingsError(f"least_genuine: must be within 0..1, got {self.least_genuine}")
+        for name in ("least_genuine", "feedback_score"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise SettingsError(f"{name}: must be within 0..1, got {getattr(self, name)}")
         if not 1 <= self.target_prior < math.inf:
             raise SettingsError(
                 f"target_prior: must be at least 1 and finite, got {self.target_prior}"
@@ -92,6 +105,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
+    percept = Input(Percept, join=False)  # what the consumer sees, of an earlier frame
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
 
     @classmethod
@@ -152,6 +166,10 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
             memory = remember(self._state.memory, features, self.settings.observed)
             self._state = replace(self._state, memory=memory)
 
+    def on_percept(self, percept: Percept) -> None:
+        """Store where the consumer sees its object."""
+        self._state = replace(self._state, consumer=consumer_of(percept))
+
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
         self._names = tracks.names
@@ -170,6 +188,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
             least_genuine=s.least_genuine,
             roi_channels=network.roi_channels,
             target_prior=s.target_prior,
+            feedback_score=s.feedback_score,
         )
         state, candidates, condition = observe(self._state, tracks, rules)
         self._warn_once("prompt", unmet(state.target, state.spec, tracks))

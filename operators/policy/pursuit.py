@@ -43,7 +43,7 @@ from operators.policy.target import (
     check_label,
     unknown_label,
 )
-from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
+from pipeline import Header, Input, Operator, Percept, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
 log = logging.getLogger(__name__)
@@ -109,6 +109,7 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
+    percept = Input(Percept, join=False)
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box")
 
     @classmethod
@@ -146,6 +147,9 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
 
     def on_features(self, features: RoiFeatures) -> None:
         """Do nothing; the input makes policies interchangeable."""
+
+    def on_percept(self, percept: Percept) -> None:
+        """Do nothing, as with features."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""

@@ -171,21 +171,27 @@ class Plan:
         return {name: tuple(nodes) for name, nodes in found.items()}
 
     def order(self) -> tuple[str, ...]:
-        """Return node names, writers before readers; command edges do not count."""
-        waiting = {n.name: {e.source for e in self.inputs(n.name).values()} for n in self.nodes}
-        for edge in self.edges:
-            if edge.command:
-                waiting[edge.target].discard(edge.source)
+        """Return node names, writers before readers.
+
+        Command edges do not count; nor do those of a loop for which nothing waits, such as feedback
+        from a consumer to a policy.
+        """
+        edges = [edge for edge in self.edges if not edge.command]
+        waiting = {node.name for node in self.nodes}
         done: list[str] = []
         while waiting:
-            free = [n for n, needs in waiting.items() if not needs - set(done)]
-            if not free:
+            blocked = {e.target for e in edges if e.source in waiting and e.target in waiting}
+            if free := [n.name for n in self.nodes if n.name in waiting - blocked]:
+                done += free
+                waiting -= set(free)
+                continue
+            joined = [e for e in edges if e.join or not {e.source, e.target} <= waiting]
+            if len(joined) == len(edges):
                 raise GraphError(
                     f"nodes {', '.join(sorted(waiting))} wait for one another: expected a sensor "
-                    "command in every loop, got none"
+                    "command or an unjoined input in every loop, got none"
                 )
-            done += free
-            waiting = {n: w for n, w in waiting.items() if n not in free}
+            edges = joined
         return tuple(done)
 
 

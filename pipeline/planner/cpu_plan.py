@@ -1,6 +1,6 @@
 """CPU of a graph at the asked rate, from a recorded run: cores by process and in all."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from pipeline.graph.plan import Plan
@@ -20,6 +20,8 @@ class CpuRow:
     nodes: tuple[str, ...]
     ms_per_frame: float  # of each exposure, if every message is handled
     cores: float | None  # at the asked rate; None: that is not known
+    # by node, of the time in handlers, waiting included; empty: one node, or not recorded
+    shares: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +71,22 @@ def _row(
     seconds = process.cores * run.duration_s / frames * unhandled(plan, run, process)
     return CpuRow(
         process=name, nodes=process.nodes, ms_per_frame=1000 * seconds,
-        cores=seconds * rate_hz if rate_hz else None,
+        cores=seconds * rate_hz if rate_hz else None, shares=shares_of(run, process.nodes),
     )  # fmt: skip
+
+
+def shares_of(run: RecordedRun, nodes: Sequence[str]) -> tuple[float, ...]:
+    """Return each node's share of the time that a group spent in handlers; empty: not known.
+
+    It is estimated as messages handled times the median time of one. CPU is measured by process
+    only: the time of a handler is that of a clock, in which it may have waited.
+    """
+    stages = {stage.node: stage for stage in run.stages}
+    found = [stages[node] for node in nodes if node in stages]
+    spent = [s.handled * s.latency_ms.p50 for s in found if s.latency_ms is not None]
+    if len(nodes) < 2 or len(spent) < len(nodes) or not sum(spent):
+        return ()
+    return tuple(ms / sum(spent) for ms in spent)
 
 
 def _short(rate: RecordedRate) -> str:

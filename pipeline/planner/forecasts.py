@@ -22,7 +22,7 @@ def forecasts(plan: Plan, settings: Mapping[str, Any], *, ask: bool = False) -> 
         streams = {
             e.input: found[e.source].streams[e.output]
             for e in edges
-            if not e.command and e.output in found[e.source].streams
+            if not e.command and e.source in found and e.output in found[e.source].streams
         }
         fed_by = {e.input: settings[e.source] for e in edges}
         upstream = Upstream(settings=fed_by, streams=streams, ask=ask and not node.host)

@@ -6,7 +6,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.planner.cpu_plan import CpuPlan
+from pipeline.planner.cpu_plan import CpuPlan, CpuRow
 from pipeline.planner.delay_plan import DelayPlan
 from pipeline.planner.host_plan import HostRow
 from pipeline.planner.link_plan import LinkPlan
@@ -161,15 +161,23 @@ def _delay_lines(found: DelayPlan, *, recorded: bool) -> Iterator[str]:
 def _cpu(found: CpuPlan) -> Table:
     at = f" at {found.rate_hz:.4g} Hz" if found.rate_hz else ""
     grouped = any(row.nodes != (row.process,) for row in found.rows)
-    words = ["nodes"] if grouped else []
+    shared = any(row.shares for row in found.rows)
+    words = [f"nodes{', share of handler time' * shared}"] if grouped else []
     table = lean_table(f"CPU{at}", names=("process",), words=words, figures=("ms/frame", "cores"))
     for row in found.rows:
         cores = "–" if row.cores is None else f"{row.cores:.2f}"
         _add(
-            table, row.process, *([", ".join(row.nodes)] if grouped else []),
+            table, row.process, *([_nodes(row)] if grouped else []),
             brief(row.ms_per_frame), cores,
         )  # fmt: skip
     return table
+
+
+def _nodes(row: CpuRow) -> str:
+    if not row.shares:
+        return ", ".join(row.nodes)
+    shares = zip(row.nodes, row.shares, strict=True)
+    return ", ".join(f"{node} {100 * share:.0f} %" for node, share in shares)
 
 
 def _cpu_lines(found: CpuPlan, whole: Examination) -> Iterator[str]:

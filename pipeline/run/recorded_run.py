@@ -51,6 +51,7 @@ class RecordedStage(msgspec.Struct, frozen=True, kw_only=True):
 
     node: str
     handled: Count
+    latency_ms: "Spread | None" = None  # of its handlers
 
 
 class RecordedRate(msgspec.Struct, frozen=True, kw_only=True):

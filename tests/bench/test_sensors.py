@@ -2,9 +2,14 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
-from bench.sensors import KINDS, NAMES, counted, not_run
+import pytest
+
+from bench.sensors import KINDS, NAMES, counted, not_run, run
+from pipeline.errors import RunError
 from tests.conftest import ROOT
+from tests.sample_graphs import until
 
 REPORT = "<testsuites><testsuite>{}</testsuite></testsuites>"
 
@@ -27,6 +32,24 @@ def test_one_failure_fails_the_kind() -> None:
     found = counted("a", REPORT.format(cases), 1.0)
 
     assert (found["outcome"], found["passed"], found["failed"]) == ("fails", 1, 2)
+
+
+def test_a_program_that_does_not_end_is_killed_with_what_it_started(tmp_path: Path) -> None:
+    left = tmp_path / "process"
+    words = ["sh", "-c", f"sleep 3600 & echo $! > {left}; wait"]
+
+    with pytest.raises(RunError, match=r"sh -c .*expected its end within 0.5 s, got none"):
+        run(words, 0.5)
+
+    number = left.read_text().strip()
+    until(lambda: not Path(f"/proc/{number}").exists() or ") Z " in stat(number))
+
+
+def stat(number: str) -> str:
+    try:
+        return Path(f"/proc/{number}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return ") Z "
 
 
 def test_a_kind_without_tests_is_not_run() -> None:

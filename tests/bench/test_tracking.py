@@ -82,6 +82,34 @@ def test_a_ball_is_still_free_or_carried_according_to_the_truth() -> None:
     assert (states(lying), states(flying), states(carried)) == ({STILL}, {FREE}, {CARRIED})
 
 
+@pytest.mark.parametrize(
+    ("frames", "drift_px", "state"),
+    [(5, 0.0, CARRIED), (4, 0.0, FREE), (12, 11.0, CARRIED), (12, 14.0, FREE)],
+    ids=["five frames", "four frames", "moves in the hands", "passes through"],
+)
+def test_a_carried_ball_is_in_one_persons_box_for_five_frames_and_moves_with_it(
+    frames: int, drift_px: float, state: str
+) -> None:
+    def at(k: int) -> Annotations:
+        person = (100 + 12.0 * k, 500.0)  # 120 px tall
+        swing = drift_px if k % 2 else 0.0
+        held = (person[0], person[1] + 20 + swing)
+        return truth(held if k < frames else (900 + 30.0 * k, 100), person, *CROWD[1:])
+
+    truths = [at(k) for k in range(14)]
+    found = ball_states(np.stack([t.boxes[0] for t in truths]), truths)
+
+    assert set(found[:frames]) == {state}
+    assert CARRIED not in found[frames:]
+
+
+def test_a_ball_handed_from_one_person_to_another_is_not_carried_by_both_together() -> None:
+    near = [(100.0, 500.0), (145.0, 500.0)]
+    truths = [truth(near[k // 3], *near, *CROWD[1:]) for k in range(6)]
+
+    assert states(truths) == {STILL}
+
+
 def test_a_tracker_is_started_where_the_target_is_visible() -> None:
     truths = [truth((900, 300), *CROWD) for _ in range(20)]
     truths[8] = Annotations(

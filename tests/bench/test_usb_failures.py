@@ -2,12 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
-from bench.usb.injection import explained, injected
+from bench.usb.injection import injected
+from bench.usb.reasons import Loss, NotedLosses, explained
 from bench.usb_failures import CASES, Case, drawn, injections, main, quiet, row
 
 RATE_HZ = 400.0
@@ -17,24 +17,37 @@ def case(name: str) -> Case:
     return next(one for one in CASES if one.name == name)
 
 
-def told(outages: int = 0, **losses: int) -> dict[str, Any]:
-    return {"losses": losses, "link": {"outages": outages}}
+def loss(reason: str, exposure: int = -1, count: int = 1) -> Loss:
+    return Loss(reason=reason, exposure=exposure, count=count)
 
 
 def test_what_the_driver_did_not_count_stays_unexplained() -> None:
-    assert explained(3, told(), told(header=1)) == {"header": 1}
+    assert explained([3, 4, 5], [loss("header")]) == {"header": 1}
 
 
-def test_a_loss_explains_no_more_exposures_than_are_missing() -> None:
-    assert explained(1, told(), told(header=1, unpaired=1, dropped=4)) == {"header": 1}
+def test_a_loss_that_names_its_exposure_explains_no_other() -> None:
+    assert explained([8], [loss("checksum", 7), loss("unpaired", 9)]) == {}
+    assert explained([7, 8], [loss("checksum", 7), loss("unpaired", 7)]) == {"checksum": 1}
 
 
-def test_losses_of_earlier_gaps_explain_nothing() -> None:
-    assert explained(2, told(dropped=5), told(dropped=5)) == {}
+def test_frames_that_the_board_dropped_lie_before_the_exposure_that_says_so() -> None:
+    assert explained([3, 4, 9], [loss("dropped", 5, count=7)]) == {"dropped": 2}
+    assert explained([3, 4], [loss("dropped", 5), loss("checksum", 4)]) == {"dropped": 1}
 
 
-def test_an_outage_explains_all_that_is_left() -> None:
-    assert explained(4, told(), told(outages=1, link=1)) == {"link": 1, "outage": 3}
+def test_a_stall_explains_one_exposure_and_an_outage_all_that_are_left() -> None:
+    assert explained([1, 2], [], stalls=1) == {"stall": 1}
+    assert explained([1, 2, 0, 1], [loss("link")], outage=True) == {"link": 1, "outage": 3}
+
+
+def test_the_driver_says_which_exposure_it_lost() -> None:
+    losses = NotedLosses()
+
+    losses.lose("checksum", "roi of exposure 12: expected the checksum 1, got 2")
+    losses.lose("header", "roi: looking for the next frame")
+
+    assert losses.noted == [loss("checksum", 12), loss("header")]
+    assert losses == {"checksum": 1, "header": 1}
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.sensor import Exposure
 from drivers.simulated import SimulatedSensor, SimulatedSensorSettings
-from drivers.simulated.windows import picture_of, reads_windows, whole_reduction
+from drivers.simulated.windows import LEAST_REST, picture_of, reads_windows, whole_reduction
 from drivers.source import Annotations
 from tests.drivers.contract import read, started
 from tests.drivers.moving_square import MovingSquare
@@ -128,3 +128,17 @@ def test_a_reduction_divides_both_sides_and_leaves_enough_pixels(
     assert size_px[0] % reduce == size_px[1] % reduce == 0
     assert size_px[0] // reduce >= to_px[0]
     assert size_px[1] // reduce >= to_px[1]
+    rests = [side / reduce / to for side, to in zip(size_px, to_px, strict=True)]
+    # averaging a second time by a little would blur
+    assert reduce == 1 or all(rest.is_integer() or rest >= LEAST_REST for rest in rests)
+
+
+def test_a_second_step_keeps_the_contrast_of_exact_means() -> None:
+    size = {"size_px": (320, 180)}
+    one, other = (
+        exposures(sensor(source=n, source_options=size, context_scale=0.44, budget=1.0), 1)
+        for n in SOURCES
+    )
+
+    a, b = one[0].context.pixels, other[0].context.pixels
+    assert a.astype(float).std() > 0.95 * b.astype(float).std()

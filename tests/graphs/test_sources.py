@@ -97,6 +97,14 @@ def test_the_soccer_scene_can_be_laid_over_a_graph_with_a_seed(tmp_path: Path) -
     assert first_frame(settings) == (1920, 1080, 480, 270)
 
 
+def test_the_whole_pitch_can_be_laid_over_a_graph_from_either_side(tmp_path: Path) -> None:
+    options = ("capture.source_options.view=behind_goal", "capture.size_px=[1920, 480]")
+    settings = capture_of(graph(tmp_path), "whole_pitch", *options)
+
+    assert settings["options"]["source_options"]["camera"] == "whole"
+    assert first_frame(settings) == (1920, 480, 480, 120)
+
+
 @pytest.mark.footage
 def test_the_real_sequence_plays(tmp_path: Path, footage: Footage) -> None:
     folder = footage.data("soccernet/SNMOT-116a")
@@ -108,7 +116,7 @@ def test_the_real_sequence_plays(tmp_path: Path, footage: Footage) -> None:
 
 def test_every_source_file_is_tested() -> None:
     assert {path.stem for path in SOURCES.glob("*.yaml")} >= {
-        *RECORDINGS, "soccer", "raw", "usb", "usb_raw"
+        *RECORDINGS, "soccer", "whole_pitch", "raw", "usb", "usb_raw"
     }  # fmt: skip
 
 

@@ -1,6 +1,8 @@
 """What a guest is made from: modules in order, an archive, and what is missing in a sentence."""
 
+import gzip
 import lzma
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -29,11 +31,31 @@ def test_modules_are_loaded_after_those_that_they_depend_on(tmp_path: Path) -> N
     assert order == ["core", "udc_core", "hcd is_super_speed=1"]
 
 
-def test_a_compressed_module_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "core.ko.xz"
-    path.write_bytes(lzma.compress(b"module"))
+@pytest.mark.parametrize("suffix", ["xz", "gz", "zst"])
+def test_a_compressed_module_is_read(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"core.ko.{suffix}"
+    if suffix != "zst":
+        path.write_bytes({"xz": lzma, "gz": gzip}[suffix].compress(b"module"))
+    elif shutil.which("zstd") is None:
+        pytest.skip("no zstd here")
+    else:
+        words = ["zstd", "--quiet", "--stdout"]
+        path.write_bytes(
+            subprocess.run(words, input=b"module", capture_output=True, check=True).stdout
+        )
 
     assert boot.module_bytes(path) == b"module"
+
+
+def test_a_module_that_the_kernel_has_built_in_is_not_lacking(tmp_path: Path) -> None:
+    folder = unpacked(tmp_path, vhci_hcd="", dummy_hcd="", usb_f_fs="")
+    (folder / "usr" / "lib" / "modules" / "6.1" / "modules.builtin").write_text(
+        "kernel/fs/9p/9p.ko\nkernel/net/9p/9pnet_virtio.ko\n"
+        "kernel/drivers/virtio/virtio-pci.ko\nkernel/drivers/media/vivid.ko\n"
+    )
+
+    assert boot.built_in(folder) == {"9p", "9pnet_virtio", "virtio_pci", "vivid"}
+    assert boot.missing(folder) == boot.missing_programs()
 
 
 @pytest.mark.skipif(bool(boot.missing_programs()), reason=boot.missing_programs())

@@ -34,6 +34,11 @@ class Cutout:
     box: tuple[int, int, int, int]  # xyxy of what is seen of it, pixels of the patch
     _reduced: dict[tuple[int, int, int], Image] = field(default_factory=dict)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the patch and its reduced copies."""
+        return self.patch.nbytes + sum(copy.nbytes for copy in self._reduced.values())
+
     def paste(self, out: Image, left: int, top: int, reduce: int) -> None:
         """Lay it over `out` (h, w, 3), a window reduced by `reduce`, clipped at its edges.
 
@@ -63,7 +68,6 @@ class Cutouts:
         self._px_per_m = person_px / PERSON_M
         self._ball_px = max(2, round(ball_px))
         self._kept: OrderedDict[tuple[int, Pose | int], Cutout] = OrderedDict()
-        self._left = MOST_BYTES
 
     @property
     def px_per_m(self) -> float:
@@ -72,8 +76,8 @@ class Cutouts:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the cut-outs that are kept."""
-        return sum(cutout.patch.nbytes for cutout in self._kept.values())
+        """Bytes of the cut-outs that are kept, with their reduced copies."""
+        return sum(cutout.nbytes for cutout in self._kept.values())
 
     def person(self, who: int, speed_m_s: float, turn_rad: float, phase: float) -> Cutout:
         """Return a person of `looks.everybody` in the nearest pose that is drawn."""
@@ -97,9 +101,9 @@ class Cutouts:
         made = self._kept[key] = (
             self._draw_person(who, how) if isinstance(how, Pose) else self._draw_ball(how)
         )
-        self._left -= made.patch.nbytes
-        while self._left < 0 and len(self._kept) > 1:
-            self._left += self._kept.popitem(last=False)[1].patch.nbytes
+        excess = self.nbytes - MOST_BYTES
+        while excess > 0 and len(self._kept) > 1:
+            excess -= self._kept.popitem(last=False)[1].nbytes
         return made
 
     def _draw_person(self, who: int, pose: Pose) -> Cutout:

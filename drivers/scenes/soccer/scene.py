@@ -6,21 +6,21 @@ from numpy.typing import NDArray
 
 from drivers.scenes.limits import check_scene
 from drivers.scenes.soccer import ball, figures
-from drivers.scenes.soccer.blend import extent, odd, over
+from drivers.scenes.soccer.ball_actor import ball_actor
+from drivers.scenes.soccer.blend import odd, over
 from drivers.scenes.soccer.camera import View, draw_station, draw_style, view_at, zoom
 from drivers.scenes.soccer.looks import everybody
 from drivers.scenes.soccer.pitch import draw_canvas, draw_turf
 from drivers.scenes.soccer.play import Moment, moment
 from drivers.scenes.soccer.shadows import cast, contact, draw_light
 from drivers.scenes.soccer.skeleton import Pose
-from drivers.scenes.soccer.stage import BALL_ID, Actor, Cache, actors_at, truth_of
+from drivers.scenes.soccer.stage import Actor, Cache, actors_at, truth_of
 from drivers.source import Annotations
 from pipeline.errors import SettingsError
 
 Image = NDArray[np.uint8]
 
 CANVAS_RADIUS_PX = 3500.0, 6000.0  # most at full HD and at any size, for memory and time to open
-BALL_M = 0.222
 GRAIN_PX = 960
 SPRITE_BYTES = 48 << 20  # kept at 1920x1080; four times as many made no picture faster
 
@@ -111,7 +111,7 @@ class SoccerScene:
             opened = self._look((index - self._shutter) / self.rate_hz)
             actors = actors_at(now, view, opened, self._sprites, figures.TALL_M)
             if self._ball:
-                actors.append(self._ball_actor((now, view), opened))
+                actors.append(ball_actor((now, view), opened, self._discs, self._seed))
                 actors.sort(key=lambda actor: actor.nearer)
             self._placed = (index, view, opened[1], actors)
         return self._placed[1:]
@@ -119,35 +119,6 @@ class SoccerScene:
     def _look(self, time_s: float) -> tuple[Moment, View]:
         now = moment(self._seed, max(time_s, 0.0), self._style.lag_s)
         return now, view_at(self._station, self._style, self.size_px, now.focus, time_s)
-
-    def _ball_actor(self, at_end: tuple[Moment, View], opened: tuple[Moment, View]) -> Actor:
-        """Draw the ball's movement while the shutter is open, which ends at the frame's time."""
-        now, view = at_end
-        start, end = _ball_point(opened[0]), _ball_point(now)
-        a, b = opened[1].pixels(start), view.pixels(end)
-        scale = float(view.px_per_m(end))
-        rolled = int(float(now.ball[0]) / 0.35 * ball.ROLLS / 2 + self._seed) % ball.ROLLS
-        patch, left, top = ball.streak(
-            self._discs[rolled],
-            BALL_M * scale,
-            (float(a[0]), float(a[1])),
-            (float(b[0]), float(b[1])),
-        )
-        solid = max(1, min(100, int(patch[..., 3].max()) // 2))  # a fast ball is almost transparent
-        x0, y0, x1, y1 = extent(patch[..., 3], solid)
-        on_ground = view.pixels(end * np.array([1, 1, 0]))
-        return Actor(
-            id=BALL_ID,
-            label="ball",
-            patch=patch,
-            left=left,
-            top=top,
-            box=(left + x0, top + y0, left + x1, top + y1),
-            nearer=-float(view.station.distance_m(end)),
-            ground=(float(on_ground[0]), float(on_ground[1])),
-            scale=scale,
-            solid=solid,
-        )
 
     def _paint_ground(self, view: View, opened: View) -> None:
         """Draw the canvas, turned and scaled, and blurred by the camera's movement."""
@@ -191,15 +162,6 @@ class SoccerScene:
             feet = (x - actor.left, y - actor.top - lift)
             patch, left, top = cast(actor.patch, feet, self._light, lift)
             over(self._layers, patch, actor.left + left, actor.top + top + round(lift))
-
-
-def _ball_point(now: Moment) -> NDArray[np.float64]:
-    """Return where the ball is; a held one is before its carrier's chest."""
-    if now.carrier < 0:
-        return now.ball
-    turn = now.heading[now.carrier]
-    reach = 0.3 * np.array([np.cos(turn), np.sin(turn)])
-    return np.array([*(now.people[now.carrier] + reach), now.ball[2]])
 
 
 def _sharpen(image: Image, amount: float) -> None:

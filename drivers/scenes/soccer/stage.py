@@ -46,7 +46,12 @@ class Cache:
     def __init__(self, make: Sprites, most_bytes: int) -> None:
         self._make = make
         self._kept: OrderedDict[tuple[int, Pose, int], Sprite] = OrderedDict()
-        self._left = most_bytes
+        self._most = self._left = most_bytes
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the sprites that are kept."""
+        return self._most - self._left
 
     def __call__(self, who: int, pose: Pose, height_px: int) -> Sprite:
         key = (who, pose, height_px)
@@ -115,14 +120,19 @@ def actors_at(
     return made
 
 
-def truth_of(actors: list[Actor], size_px: tuple[int, int]) -> Annotations:
-    """Return clipped boxes and visible shares of actors given in the order of drawing."""
+def truth_of(
+    actors: list[Actor], size_px: tuple[int, int], least_px: float = LEAST_INSIDE_PX
+) -> Annotations:
+    """Return clipped boxes and visible shares of actors given in the order of drawing.
+
+    One of whose box less than `least_px` is in the picture, in width or height, is left out.
+    """
     w, h = size_px
     rows: list[tuple[list[float], int, str, float]] = []
     for i, actor in enumerate(actors):
         x0, y0, x1, y1 = actor.box
         clipped = [float(min(max(v, 0), s)) for v, s in zip(actor.box, (w, h, w, h), strict=True)]
-        if min(clipped[2] - clipped[0], clipped[3] - clipped[1]) < LEAST_INSIDE_PX:
+        if min(clipped[2] - clipped[0], clipped[3] - clipped[1]) < least_px:
             continue
         mask = actor.patch[..., 3] >= actor.solid
         whole = max(1, int(mask.sum()))

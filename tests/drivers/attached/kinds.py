@@ -32,6 +32,12 @@ def silent() -> Iterator[dict[str, Any]]:
     time.sleep(3600)
 
 
+def dripping() -> Iterator[dict[str, Any]]:
+    for number in range(1000):
+        yield asdict(AttachedSensor(name=f"test:{number}", title="one of many"))
+        time.sleep(0.5)
+
+
 def crashing() -> Iterator[dict[str, Any]]:
     os.kill(os.getpid(), signal.SIGSEGV)
     yield {}

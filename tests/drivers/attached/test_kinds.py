@@ -55,6 +55,15 @@ def test_a_board_in_use_is_listed_with_the_reason_and_left_alone() -> None:
     assert (found["offers"], free["problem"]) == ((), "")
 
 
+@pytest.mark.parametrize(("profile", "records"), [("paper-prototype", True), ("ideal", False)])
+def test_a_board_without_a_live_mode_is_known_to_record(profile: str, records: bool) -> None:
+    bus = backend(profile=profile)
+    (board,) = attached(bus)
+
+    assert boards.only_records(board.serial, bus) is records
+    assert boards.only_records("another", bus) is False
+
+
 def test_no_board_is_no_error() -> None:
     class Empty(VirtualBackend):
         def enumerate_devices(self) -> Iterator[int]:

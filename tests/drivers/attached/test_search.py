@@ -50,6 +50,16 @@ def test_one_that_hangs_costs_its_limit_and_keeps_what_it_told_before() -> None:
     assert len(told["found"].sensors) == 2
 
 
+def test_one_that_tells_another_sensor_again_and_again_ends_at_the_limit() -> None:
+    began_s = time.monotonic()
+
+    told = looked("dripping", limit_s=3.0)
+
+    assert time.monotonic() - began_s < 30
+    assert told["dripping"].problem == "no answer within 3 s"
+    assert told["dripping"].sensors
+
+
 def test_a_list_says_in_one_line_what_was_not_looked_for() -> None:
     lines = list(listing(list(looked("missing", "broken").values())))
 

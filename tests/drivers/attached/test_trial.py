@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from drivers.attached.measurement import Run, accounts, effect, rate, run_in_real_time
+from drivers.attached.recording import RECORDING, check_previews_show_the_whole_field
 from drivers.attached.subject import subject_of
 from drivers.attached.trial import MEASURED, OPENS, REAL_TIME, TITLES
-from drivers.contract import SKIPPED, ContractBroken
+from drivers.contract import SKIPPED, ContractBroken, title
 from drivers.simulated import SimulatedSensor, SimulatedSensorSettings
 from pipeline.contract import RATE
 from pipeline.errors import FoveaError
@@ -52,6 +53,29 @@ def test_a_virtual_board_passes_with_its_figures() -> None:
     assert found["the rate is kept"]["figures"]["asked_hz"] == 10.0
     assert found["commands take effect"]["figures"]["told"] == 1
     assert found["every frame is accounted for"]["figures"]["delivered"] > 10
+
+
+def test_a_board_that_records_is_asked_what_holds_for_recording() -> None:
+    done = command(
+        "sensors", "test", "virtual", *SMALL, "--json", "--set", "mode=record",
+        "--set", "backend_options.profile=paper-prototype", "--set", "rate_hz=30",
+        "--set", "backend_options.source_options={length: null}",
+    )  # fmt: skip
+
+    answer = json.loads(done.stdout)
+    found = {check["check"]: check for check in answer["checks"]}
+    assert done.returncode == 0, answer
+    assert tuple(found) == (OPENS, *map(title, RECORDING))
+    assert found["previews show the whole field"]["figures"] == {"frames_per_preview": 4.0}
+    assert found["a plan is recorded frame by frame"]["figures"]["frames"] == 8
+
+
+def test_a_live_sensor_does_not_pass_as_one_that_records() -> None:
+    def make() -> SimulatedSensor:
+        return SimulatedSensor(settings())
+
+    with pytest.raises(ContractBroken, match="expected no ROI without a plan"):
+        check_previews_show_the_whole_field(make)
 
 
 def test_the_verdict_is_read_line_by_line_and_is_the_exit_status() -> None:

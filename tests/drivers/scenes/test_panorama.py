@@ -251,6 +251,16 @@ def test_the_whole_field_of_200_megapixels_takes_little_memory() -> None:
     assert np.quantile(away, 0.999) <= ROUNDING
 
 
+def test_reduced_copies_of_what_is_pasted_count_as_kept() -> None:
+    large = PanoramaScene(size_px=(4352, 2496), seed=3)
+    window(large, 0, (0, 0, 4352, 2496))
+    before = large.kept_bytes
+
+    window(large, 0, (0, 0, 4352, 2496), 2)
+
+    assert large.kept_bytes > before
+
+
 @pytest.mark.footage
 def test_photographs_of_a_real_panorama_are_the_ground(footage: Footage) -> None:
     large = PanoramaScene(path=str(footage.data("panorama")), objects=1)

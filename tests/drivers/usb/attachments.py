@@ -1,6 +1,7 @@
 """Virtual boards at this kernel's virtual USB ports: over USB/IP, and as a gadget."""
 
 import json
+import queue
 import subprocess
 import sys
 import threading
@@ -61,6 +62,8 @@ class Gadgets:
             [sys.executable, "-m", "tests.drivers.usb.gadgets"],
             cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
+        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+        threading.Thread(target=self._listen, daemon=True).start()
         # else it would take the processor from tests whose requests have a limit of a second
         assert self._answer() == "ready"
 
@@ -80,8 +83,13 @@ class Gadgets:
         self._programs.communicate(timeout=FOUND_S)
 
     def _answer(self) -> str:
+        return self._lines.get(timeout=FOUND_S)
+
+    def _listen(self) -> None:
         assert self._programs.stdout is not None
-        return self._programs.stdout.readline().strip()
+        for line in self._programs.stdout:
+            self._lines.put(line.strip())
+        self._lines.put("")
 
     def _send(self, options: list[str]) -> None:
         assert self._programs.stdin is not None

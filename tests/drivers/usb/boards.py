@@ -6,6 +6,7 @@ from typing import Any
 from drivers.sensor import Exposure
 from drivers.usb import DualStreamBoard, DualStreamBoardSettings
 from drivers.usb.frame_header import Window
+from drivers.usb.requests import Configuration, Request
 from drivers.virtual_board import VirtualBackend, VirtualBoardSettings
 from drivers.virtual_board.board import VirtualBoard
 from drivers.virtual_board.world import World
@@ -67,3 +68,16 @@ def _mislabelled(pixel_format: int, most_px: int) -> World:
     return _Mislabelled(
         MovingSquare(), pixel_format=pixel_format, noise=0.0, seed=0, most_px=most_px
     )
+
+
+def configured(**virtual: Any) -> VirtualBoard:
+    """Return a board that waits for TRIGGER."""
+    found = backend(**virtual).board
+    size = found.profile.can.roi_sizes[0]
+    configuration = Configuration(
+        rate_mhz=10_000, roi_px=(size.width_px, size.height_px), payload_crc=True,
+        pixel_format=found.profile.can.formats[0],
+    )  # fmt: skip
+    found.tell(Request.CONFIGURE, 0, configuration.pack())
+    found.tell(Request.START, 1, b"")
+    return found

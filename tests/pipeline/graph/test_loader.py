@@ -118,6 +118,17 @@ def test_a_loop_without_a_sensor_command_is_refused(tmp_path: Path) -> None:
         load(write(tmp_path, text))
 
 
+def test_a_loop_for_which_nothing_waits_is_allowed(tmp_path: Path) -> None:
+    text = GOOD + "  judge:\n    operator: tests.samples:Tally\n    inputs: {frame: guess}\n"
+    text += "  guess:\n    operator: tests.samples:Corrected\n"
+    text += "    inputs: {frame: ticker.context, told: judge}\n"
+
+    plan = load(write(tmp_path, text))
+
+    assert plan.order().index("guess") < plan.order().index("judge")
+    assert "judge" not in plan.command_path()
+
+
 def test_in_lockstep_every_edge_is_lossless(tmp_path: Path) -> None:
     plan = load(write(tmp_path, GOOD), Overlay(clock="lockstep"))
 

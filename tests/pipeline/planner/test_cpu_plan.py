@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.graph.loader import load
 from pipeline.graph.plan import Plan
-from pipeline.planner.cpu_plan import cpu_plan, doubted, refused
+from pipeline.planner.cpu_plan import cpu_plan, doubted, refused, shares_of
 from pipeline.planner.machine import Machine
 from pipeline.run.recorded_run import (
     ProcessProfile,
@@ -18,6 +18,7 @@ from pipeline.run.recorded_run import (
     RecordedRate,
     RecordedRun,
     RecordedStage,
+    Spread,
     digest,
 )
 from tests.sample_graphs import CHAIN
@@ -120,3 +121,16 @@ def test_a_run_that_fell_short_of_its_rate_is_a_doubtful_profile(plan: Plan) -> 
     found = cpu_plan(plan, msgspec.structs.replace(recorded, rate=slow), 20.0)
 
     assert next(doubted(found, TWO)).startswith("profile: its run fell short of its rate, 8 of 20")
+
+
+def test_a_group_is_split_by_the_time_of_its_handlers() -> None:
+    stages = (
+        RecordedStage(node="a", handled=100, latency_ms=Spread(p50=3.0, p99=9.0)),
+        RecordedStage(node="b", handled=50, latency_ms=Spread(p50=2.0, p99=2.0)),
+        RecordedStage(node="c", handled=50),
+    )
+    run = RecordedRun(graph="g", clock="realtime", duration_s=1.0, edges=(), stages=stages)
+
+    assert shares_of(run, ("a", "b")) == (0.75, 0.25)
+    assert shares_of(run, ("a", "c")) == ()
+    assert shares_of(run, ("a",)) == ()
