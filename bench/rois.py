@@ -33,7 +33,7 @@ from pipeline.run.inline import InlineRunner
 
 GRAPH = ROOT / "graphs" / "several_rois.yaml"
 FIRST_CLIP = 70_000  # no training and no choice of a setting has used seeds from here on
-AREA = 1 / 16  # of the field: all windows of an exposure
+AREA = 1 / 16  # of the field: all windows of an exposure; the context has as much
 ARRANGEMENTS = {"around the choice": 1, "one": 1, "two": 2, "four": 4}
 BASE = "one"
 CLASSES = ("ball", "referee", "player")
@@ -75,8 +75,8 @@ class Clip:
                 values.append(float(shown[own].mean()))
 
 
-def changes(arrangement: str, seed: int, others: float) -> tuple[str, ...]:
-    """Return what is laid over the graph.
+def changes(arrangement: str, seed: int, others: float, area: float = AREA) -> tuple[str, ...]:
+    """Return what is laid over the graph; `area` is that of all windows together.
 
     >>> changes("two", 70000, 0.05)[1:3]
     ('capture.rois=2', 'capture.roi_area=0.03125')
@@ -86,26 +86,23 @@ def changes(arrangement: str, seed: int, others: float) -> tuple[str, ...]:
     return (
         f"capture.seed={seed}",
         f"capture.rois={count}",
-        f"capture.roi_area={AREA / count}",
+        f"capture.roi_area={area / count}",
         f"dispatch.windows={count}",
         f"dispatch.others={weight}",
     )
 
 
-def watched(
-    graph: Path, arrangement: str, seed: int, frames: int, skip: int, others: float
-) -> Clip:
+def watched(changed: tuple[str, ...], *, frames: int, skip: int) -> Clip:
     """Run one arrangement on one clip; raises `RunError` when it read more than its pixels."""
-    overlay = Overlay(clock="lockstep", changes=changes(arrangement, seed, others))
+    overlay = Overlay(clock="lockstep", changes=changed)
     clip = Clip(skip=skip)
-    with InlineRunner(load(graph, overlay), watch=clip.hear) as runner:
+    with InlineRunner(load(GRAPH, overlay), watch=clip.hear) as runner:
         for _ in runner.run(frames):
             pass
         pixels = runner.report(summaries=True)["pixels"]
     if pixels["used"] > pixels["budget"] * 1.01:
         raise RunError(
-            f"{arrangement}: expected at most {pixels['budget']} of the pixels, got "
-            f"{pixels['used']}"
+            f"{GRAPH.name}: expected at most {pixels['budget']} of the pixels, got {pixels['used']}"
         )
     return clip
 
@@ -155,9 +152,20 @@ def difference(values: NDArray[np.float64]) -> str:
     "--others", default=0.05, show_default=True, type=click.FloatRange(0, min_open=True),
     help="Weight of each track beside its probability.",
 )  # fmt: skip
+@click.option(
+    "--area", default=AREA, show_default=True, type=click.FloatRange(1 / 1024, AREA),
+    help="Share of the field that all windows of an exposure show together.",
+)  # fmt: skip
 @JSON
 def main(
-    *, count: int, frames: int, skip: int, first_clip: int, others: float, path: Path | None
+    *,
+    count: int,
+    frames: int,
+    skip: int,
+    first_clip: int,
+    others: float,
+    area: float,
+    path: Path | None,
 ) -> None:
     """Compare one, two and four windows in one exposure."""
     if skip >= frames:
@@ -165,8 +173,8 @@ def main(
     found: dict[str, list[Clip]] = {name: [] for name in ARRANGEMENTS}
     for number in range(count):
         for name, clips in found.items():
-            seed = first_clip + number
-            clips.append(watched(GRAPH, name, seed, frames, skip, others))
+            changed = changes(name, first_clip + number, others, area)
+            clips.append(watched(changed, frames=frames, skip=skip))
         shown = ", ".join(f"{n} {c[-1].means().get('player', 0):.2f}" for n, c in found.items())
         click.echo(f"clip {number + 1} of {count}: share of the players: {shown}")
     result = list(rows(found))
@@ -174,7 +182,7 @@ def main(
     if path:
         report = facts() | {
             "bench": "rois", "seed": first_clip, "clips": count, "frames": frames,
-            "frames_not_counted": skip, "weight_of_others": others,
+            "frames_not_counted": skip, "weight_of_others": others, "area_of_all_windows": area,
             "interval": "95 %, Student's t over clips, paired",
             "roi_pixels_read": {n: sum(c.read_px for c in clips) for n, clips in found.items()},
             "rows": result,

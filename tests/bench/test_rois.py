@@ -73,7 +73,7 @@ def test_every_arrangement_may_read_as_many_pixels(name: str) -> None:
 def test_the_graph_reads_four_windows_within_its_budget() -> None:
     assert {edge.output for edge in load(GRAPH).edges} >= {"roi", *FURTHER}
 
-    clip = watched(GRAPH, "four", seed=69_000, frames=5, skip=3, others=0.05)
+    clip = watched(changes("four", 69_000, 0.05), frames=5, skip=3)
 
     one = 240 * 135
     assert clip.frames == 5
