@@ -116,12 +116,18 @@ def rows_of(windows: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def check_count(schedule: RoiSchedule, rois: int) -> None:
-    """Raise `DriverError` for a schedule with more windows in one frame than a sensor reads."""
-    count = rows_of(schedule.windows).shape[1] if len(schedule.windows) else 0
-    if count > rois:
+    """Raise `DriverError` for a schedule with no or more windows in a frame than a sensor reads.
+
+    An empty schedule has no frames, and passes.
+    """
+    if not len(schedule.windows):
+        return
+    count = rows_of(schedule.windows).shape[1]
+    if not 1 <= count <= rois:
+        wanted = "1 window" if rois == 1 else f"1 to {rois} windows"
         raise DriverError(
-            f"schedule: expected at most {rois} window{'s' if rois > 1 else ''} in one exposure, "
-            f"which is what this sensor reads, got {count}"
+            f"schedule: expected {wanted} in one exposure, which is what this sensor reads, "
+            f"got {count}"
         )
 
 

@@ -10,7 +10,7 @@ from drivers.commands import CommandTable, Window
 from drivers.sensor import EMPTY_WINDOW, Exposure
 from drivers.simulated import SimulatedSensor, SimulatedSensorSettings
 from pipeline.errors import DriverError, SettingsError
-from pipeline.messages import Geometry
+from pipeline.messages import Geometry, Header, RoiSchedule
 from tests.drivers.contract import command, memory, read, started
 from tests.drivers.moving_square import MovingSquare
 
@@ -128,11 +128,25 @@ def test_memory_is_lent_for_each_window_by_the_name_of_its_output() -> None:
     assert names == ["context", "roi", "roi_2", "roi_3"]
 
 
-def test_more_windows_than_the_table_has_are_refused_with_both_numbers() -> None:
-    table = CommandTable("s", GRID, rois=2)
+@pytest.mark.parametrize(
+    ("rois", "count", "named"),
+    [
+        (2, 3, r"schedule: expected 1 to 2 windows .*, got 3"),
+        (1, 2, r"schedule: expected 1 window .*, got 2"),
+        (1, 0, r"schedule: expected 1 window .*, got 0"),
+    ],
+)
+def test_no_and_more_windows_than_a_sensor_reads_are_refused_with_both_numbers(
+    rois: int, count: int, named: str
+) -> None:
+    table = CommandTable("s", GRID, rois=rois)
+    windows = np.zeros((5, count, 4), np.int32)
+    schedule = RoiSchedule(
+        header=Header(stream="s", seq=0, stamp_ns=0), first_seq=1, windows=windows
+    )
 
-    with pytest.raises(DriverError, match=r"schedule: expected at most 2 windows .*, got 3"):
-        table.accept(command("s", made_from=0, first=1, windows=[[LEFT, RIGHT, NEXT]]))
+    with pytest.raises(DriverError, match=named):
+        table.accept(schedule)
 
 
 def test_windows_without_area_are_not_read_except_the_first() -> None:
