@@ -1,109 +1,107 @@
-"""Score a detector on labelled pictures: `python -m bench.detector FOLDER --classes 0=person,…`.
+"""Score a detector on labelled pictures: `python -m bench.detector FOLDER [--split test]`.
 
 FOLDER holds `images/` and, in `labels/`, a text of the same name for each: rows of class number,
 centre and size as shares of the picture, as YOLO trainings read them. Every picture is shrunk to
-the context's size first. Prints and writes, by class, precision and recall at the detector's own
-confidence, average precision, the confidence of the greatest F1 here, and the time of one picture.
+the context's size first. Prints and writes, by class and by match (the first part of a file's
+name), precision and recall, average precision, the confidence of the greatest F1 here, a ball by
+its centre and among the best three, and the time of one picture. The operating point is the
+detector's own confidence, or with `--choose-on` that of the greatest F1 on other pictures.
 """
 
 import json
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
-import cv2
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from bench.detector_scoring import BEST, Looker, Marks, figures, spread, thresholds_of
 from bench.machine import facts
 from bench.options import JSON, Bench, file_name
-from drivers.datasets.pictures import read_picture
-from operators.saliency import SaliencySettings
-from operators.saliency.detector import Detector
-from operators.saliency.judging import (
-    FLOOR,
-    Tally,
-    at_threshold,
-    average_precision,
-    best_threshold,
-    find_hits,
-)
-from pipeline.errors import DriverError, SettingsError
+from operators.saliency.judging import FLOOR
+from operators.saliency.splits import DEVELOPMENT, TEST
+from operators.saliency.stills import class_names, labelled, pictures_of
+from pipeline.errors import SettingsError
 from pipeline.whole_file import write_whole
 
-PICTURES = (".jpg", ".jpeg", ".png")
-MOST_NUMBER = 20_000
-Array = NDArray[np.float32]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Labelled:
-    """A picture and what is in it."""
-
-    picture: NDArray[np.uint8]  # (h, w, 3) RGB
-    boxes: Array  # (n, 4) xyxy, its pixels
-    numbers: NDArray[np.int64]  # (n,) classes of the labels
+SPLITS = {"all": ("",), "test": TEST, "development": DEVELOPMENT}
+# what the shipped detector's classes are called where labels know fewer, or have other names
+KNOWN = {"goalkeeper": "player", "sports ball": "ball"}
+COLUMNS = {
+    "class": "class", "present": "there", "confidence": "at", "precision": "prec.",
+    "recall": "recall", "average_precision": "AP", "best_confidence": "best at",
+    f"among_{BEST}": f"in {BEST}",
+}  # fmt: skip
+PERSON = {"player": "person", "referee": "person", "ball": "ball"}
 
 
 @click.command(cls=Bench)
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--classes", required=True, help="NUMBER=NAME,…: labels' class and the detector's.")
+@click.option("--classes", default="", help="NUMBER=NAME,…: labels' class and the detector's.")
 @click.option("--weights", default="yolox_nano", show_default=True, help="As saliency.weights.")
 @click.option("--scale", default=0.25, show_default=True, type=click.FloatRange(0.01, 1))
 @click.option("--every", default=1, show_default=True, type=click.IntRange(1), help="Pictures.")
+@click.option("--split", default="all", show_default=True, type=click.Choice([*SPLITS]))
+@click.option("--choose-on", type=click.Choice([*SPLITS]), help="Choose confidences there.")
 @click.option("--threads", default=1, show_default=True, type=click.IntRange(1))
 @JSON
 def main(
-    folder: Path, classes: str, weights: str, scale: float, every: int, threads: int,
-    path: Path | None,
+    folder: Path, classes: str, weights: str, scale: float, every: int, split: str,
+    choose_on: str | None, threads: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Score a detector on labelled pictures."""
-    low = Detector(SaliencySettings(weights=weights, confidence=FLOOR, threads=threads))
-    own = Detector(SaliencySettings(weights=weights, threads=threads))
-    wanted = classes_of(classes, own.names)
-    files = pictures_of(folder)[::every]
-    rows: dict[str, list[tuple[Array, NDArray[np.bool_]]]] = {n: [] for n in wanted.values()}
-    present = dict.fromkeys(rows, 0)
-    wall_ms, cpu_ms = [], []
-    for file in track(files, "score", console=Console(stderr=True)):
-        item = labelled(file)
-        found, (wall, cpu) = look(low, item.picture, scale)
-        wall_ms.append(wall)
-        cpu_ms.append(cpu)
-        for name in rows:
-            true = np.isin(item.numbers, [n for n, of in wanted.items() if of == name])
-            scores, hits = marked(found[name], item.boxes[true])
-            rows[name].append((scores, hits))
-            present[name] += int(true.sum())
-    tallies = {
-        name: Tally(
-            scores=np.concatenate([s for s, _ in parts]),
-            hits=np.concatenate([h for _, h in parts]),
-            present=present[name],
-        )
-        for name, parts in rows.items()
-    }
+    wanted, names = _classes(folder, classes)
+    low = Looker(weights, names, scale, threads, confidence=FLOOR)
+    wanted = {number: low.known(name) for number, name in wanted.items()}
+    files = of_split(folder, split)[::every]
+    chosen: Mapping[str, float] = {}
+    if choose_on:
+        known = sum(_marked(of_split(folder, choose_on), wanted, low, "choose").values(), Marks())
+        chosen = thresholds_of(known.tallies)
+    marks = _marked(files, wanted, low, "score")
+    whole = sum(marks.values(), Marks())
+    own = {name: chosen.get(name, low.confidence_of(name)) for name in whole.tallies}
     report = {
-        "bench": "detector", **facts(), "weights": file_name(own.path), "data": folder.name,
-        "pictures": len(files), "scale": scale, "input_px": list(low.size_px), "threads": threads,
-        "ms": spread(wall_ms), "processor_ms": spread(cpu_ms),
-        "classes": [figures(name, t, own.confidence_of(name)) for name, t in tallies.items()],
+        "bench": "detector", **facts(), "weights": file_name(low.path), "data": folder.name,
+        "split": split, "chosen_on": choose_on or "", "pictures": len(files), "scale": scale,
+        "input_px": list(low.input_px), "threads": threads,
+        "ms": spread(low.wall_ms), "processor_ms": spread(low.processor_ms),
+        "classes": figures(whole, own),
+        "matches": {match: figures(part, own) for match, part in marks.items()},
     }  # fmt: skip
     if path:
         write_whole(path, json.dumps(report, indent=1) + "\n")
     Console().print(shown(report))
 
 
-def classes_of(text: str, names: tuple[str, ...]) -> dict[int, str]:
+def of_split(folder: Path, split: str) -> list[Path]:
+    """Return the pictures of a part; raises `SettingsError` where a folder has none of it."""
+    found = [p for p in pictures_of(folder) if p.name.startswith(SPLITS[split])]
+    if not found:
+        raise SettingsError(f"{folder}: expected pictures of the {split} split, got none")
+    return found
+
+
+def _classes(folder: Path, text: str) -> tuple[dict[int, str], dict[str, str]]:
+    """Return the detector's class of each class of the labels, and names to report classes by.
+
+    Without a text they are those of a soccer match, which `data.yaml` names.
+    """
+    if text:
+        return classes_of(text), {}
+    known = class_names(folder / "data.yaml")
+    wanted = {number: KNOWN.get(name, name) for number, name in known.items()}
+    return wanted, PERSON if "person" in wanted.values() else {}
+
+
+def classes_of(text: str) -> dict[int, str]:
     """Return the detector's class of each class of the labels; raises `SettingsError`.
 
-    >>> classes_of("0=sports ball,2=person", ("person", "sports ball"))
+    >>> classes_of("0=sports ball,2=person")
     {0: 'sports ball', 2: 'person'}
     """
     found = {}
@@ -111,113 +109,35 @@ def classes_of(text: str, names: tuple[str, ...]) -> dict[int, str]:
         number, equals, name = part.strip().partition("=")
         if not (equals and number.isdecimal() and len(number) < 6):
             raise SettingsError(f"classes: expected NUMBER=NAME, got {part[:40]!r}")
-        if name not in names:
-            raise SettingsError(f"classes: expected one of {', '.join(names)}, got {name[:40]!r}")
         found[int(number)] = name
     return found
 
 
-def pictures_of(folder: Path) -> list[Path]:
-    """Return the pictures that have labels, by name; raises `DriverError` where there are none."""
-    found = sorted(p for p in (folder / "images").glob("*") if p.suffix.lower() in PICTURES)
-    found = [p for p in found if labels_of(p).is_file()]
-    if not found:
-        raise DriverError(f"{folder}: expected images/ and labels/ with a text for each, got none")
-    return found
-
-
-def labels_of(picture: Path) -> Path:
-    """Return the file with a picture's labels."""
-    return picture.parent.parent / "labels" / f"{picture.stem}.txt"
-
-
-def labelled(path: Path) -> Labelled:
-    """Read a picture and its labels; raises `DriverError` with file and line."""
-    picture = np.asarray(read_picture(path), np.uint8)
-    height, width = picture.shape[:2]
-    rows = list(read_rows(labels_of(path)))
-    shares = np.array([row[1:] for row in rows], np.float32).reshape(-1, 4)
-    half = shares[:, 2:] / 2
-    boxes = np.hstack([shares[:, :2] - half, shares[:, :2] + half])
-    return Labelled(
-        picture=picture,
-        boxes=(boxes * np.array([width, height] * 2)).astype(np.float32),
-        numbers=np.array([row[0] for row in rows], np.int64),
-    )
-
-
-def read_rows(path: Path) -> Iterator[tuple[float, ...]]:
-    """Yield class number, centre x, y, width and height of each line that is not empty."""
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines()):
-        try:
-            row = tuple(float(word) for word in line.split())
-        except ValueError:
-            row = ()
-        inside = len(row) == 5 and all(0 <= share <= 1 for share in row[1:])
-        if inside and row[0].is_integer() and 0 <= row[0] <= MOST_NUMBER:
-            yield row
-        elif line.strip():
-            what = "a class number and four shares of 0..1"
-            raise DriverError(f"{path}:{number + 1}: expected {what}, got {line[:60]!r}")
-
-
-def look(
-    detector: Detector, picture: NDArray[np.uint8], scale: float
-) -> tuple[dict[str, tuple[Array, Array]], tuple[float, float]]:
-    """Return boxes in the picture's pixels and scores by class; milliseconds, of a processor too.
-
-    The latter is what it takes on a machine that does nothing else.
-    """
-    size = (max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale)))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if scale < 1 else picture
-    began, cpu = time.perf_counter(), time.process_time()
-    found, at, _ = detector.look(np.asarray(small, np.uint8))
-    taken_ms = (time.perf_counter() - began) * 1e3, (time.process_time() - cpu) * 1e3
-    offset = np.array([at.left_px, at.top_px] * 2, np.float32)
-    back = np.array([picture.shape[1] / size[0], picture.shape[0] / size[1]] * 2, np.float32)
-    boxes = (found.boxes - offset) / np.float32(at.gain) * back
-    named = [(name, found.classes == row) for row, name in enumerate(detector.names)]
-    return {name: (boxes[mine], found.scores[mine]) for name, mine in named}, taken_ms
-
-
-def marked(found: tuple[Array, Array], truth: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the scores of one class in one picture, best first, and which are hits."""
-    boxes, scores = found
-    hits, _ = find_hits(boxes, truth, np.zeros(len(truth), np.bool_))
-    return scores, hits
-
-
-def figures(name: str, tally: Tally, confidence: float) -> dict[str, Any]:
-    """Return the row of a class."""
-    at = at_threshold(tally, confidence)
-    return {
-        "class": name,
-        "present": tally.present,
-        "confidence": round(confidence, 3),
-        "precision": round(at["precision"], 3),
-        "recall": round(at["recall"], 3),
-        "average_precision": round(average_precision(tally), 3),
-        "best_confidence": best_threshold(tally),
-    }
-
-
-def spread(times_ms: list[float]) -> dict[str, float]:
-    """Return median, 5th and 95th percentile."""
-    low, middle, high = np.quantile(times_ms, (0.05, 0.5, 0.95))
-    return {"median": round(middle, 1), "p05": round(low, 1), "p95": round(high, 1)}
+def _marked(
+    files: list[Path], wanted: Mapping[int, str], looker: Looker, what: str
+) -> dict[str, Marks]:
+    """Look at pictures; what was found in those of each match."""
+    marks: dict[str, Marks] = defaultdict(Marks)
+    for file in track(files, what, console=Console(stderr=True)):
+        marks[file.stem.partition("_")[0]].add(looker, labelled(file), wanted)
+    return dict(marks)
 
 
 def shown(report: dict[str, Any]) -> Table:
-    """Return the figures for a terminal."""
+    """Return the figures for a terminal: all pictures, then those of each match."""
     low, middle, high = (report["processor_ms"][name] for name in ("p05", "median", "p95"))
     table = Table(
         title=f"{report['weights']} on {report['pictures']} pictures of {report['data']} at "
         f"{report['scale']:g}; {middle:g} ms of a processor each ({low:g}–{high:g})"
     )
-    for column in report["classes"][0]:
-        table.add_column(column.replace("_", " "))
-    for row in report["classes"]:
-        table.add_row(*(str(value) for value in row.values()))
+    for column in ("match", *COLUMNS.values()):
+        table.add_column(column)
+    parts = {"": report["classes"]}
+    if len(report["matches"]) > 1:
+        parts |= report["matches"]
+    for match, rows in parts.items():
+        for row in rows:
+            table.add_row(match or "all", *(str(row.get(name, "")) for name in COLUMNS))
     return table
 
 

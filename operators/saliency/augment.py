@@ -53,10 +53,10 @@ def move(example: Example, rng: np.random.Generator) -> Example:
         boxes = boxes[:, [2, 1, 0, 3]] * np.array([-1, 1, -1, 1], np.float32)
     boxes = boxes + np.array([x, y, x, y], np.float32)
     moved = replace(example, picture=np.asarray(picture, np.uint8), boxes=boxes)
-    return _cut(moved, width, height)
+    return cut(moved, width, height)
 
 
-def _cut(example: Example, width: int, height: int) -> Example:
+def cut(example: Example, width: int, height: int) -> Example:
     limits = np.array([width, height, width, height], np.float32)
     inside = np.clip(example.boxes, 0, limits)
     share = _area(inside) / np.maximum(_area(example.boxes), 1e-6)
@@ -133,11 +133,11 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
     tall = float(np.median(people[:, 3] - people[:, 1])) if len(people) else 36.0
     picture = example.picture.copy()
     for _ in range(rng.poisson(1.5)):
-        _draw_lookalike(picture, _somewhere(example, rng), tall, rng)
+        _draw_lookalike(picture, somewhere(example, rng), tall, rng)
     found = []
     for _ in range(rng.poisson(1.2)):
         diameter = float(np.clip(tall * rng.uniform(*BALL_TO_PERSON), 2.2, 14))
-        found.append(_draw_ball(picture, _somewhere(example, rng), diameter, rng))
+        found.append(_draw_ball(picture, somewhere(example, rng), diameter, rng))
     balls = np.array(found, np.float32).reshape(-1, 4)
     pasted = replace(
         example,
@@ -146,10 +146,10 @@ def paste(example: Example, rng: np.random.Generator) -> Example:
         labels=np.concatenate([example.labels, np.full(len(balls), BALL_LABEL)]),
         ignored=np.concatenate([example.ignored, np.zeros(len(balls), np.bool_)]),
     )
-    return _cut(pasted, picture.shape[1], picture.shape[0])
+    return cut(pasted, picture.shape[1], picture.shape[0])
 
 
-def _somewhere(example: Example, rng: np.random.Generator) -> tuple[float, float]:
+def somewhere(example: Example, rng: np.random.Generator) -> tuple[float, float]:
     """Return a position: near a person or anywhere, sometimes on a bright spot."""
     height, width = example.picture.shape[:2]
     draw = rng.random()

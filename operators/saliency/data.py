@@ -1,8 +1,8 @@
-"""Training batches of rendered scenes, augmented differently in each epoch."""
+"""Training batches of rendered scenes and labelled stills, augmented differently each time."""
 
 # mypy: disallow-subclassing-any=False
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from operators.saliency.augment import augment
+from operators.saliency.augment import BALL_LABEL, augment
+from operators.saliency.crops import augmented
 from operators.saliency.example import CONTEXT_PX, INPUT_PX, Example
+from operators.saliency.pasting import Bank
+from operators.saliency.stills import Stills
 from operators.training.arrays import read
 from operators.training.device import moved
 from pipeline.errors import DriverError
@@ -27,7 +30,7 @@ class Batch:
 
     pictures: Tensor  # (B, 3, H, W) uint8 RGB, channels last in memory
     boxes: Tensor  # (B, M, 4) xyxy, input pixels
-    labels: Tensor  # (B, M) index into NAMES, -1: none
+    labels: Tensor  # (B, M) index into NAMES, ANYONE, or -1: none
     ignored: Tensor  # (B, M) bool: too hidden to count
 
     def to(self, device: torch.device) -> "Batch":
@@ -79,6 +82,71 @@ class Rendered(Dataset[Example]):
         )
 
 
+class Real(Dataset[Example]):
+    """Crops of labelled stills, as one endless stream; item n depends on the seed and n alone.
+
+    A folder of fewer stills has its turn more often than its number of stills would give it: by
+    the square root. The stills are kept in memory, 6 MB each for full HD.
+    """
+
+    def __init__(self, folders: Iterable[Stills], *, seed: int) -> None:
+        self._seed, self._folders = seed, tuple(folders)
+        counts = np.array([len(folder.files) for folder in self._folders], np.float64)
+        self._turns = np.sqrt(counts) / np.sqrt(counts).sum()
+        self._kept: dict[Path, Example] = {}
+
+    def __len__(self) -> int:
+        return sum(len(folder.files) for folder in self._folders)
+
+    def __getitem__(self, number: int) -> Example:
+        rng = np.random.default_rng([self._seed, number, 1])
+        folder = self._folders[rng.choice(len(self._folders), p=self._turns)]
+        bank = Bank(count=len(folder.files), still=lambda index: self._still(folder, index))
+        still = bank.still(int(rng.integers(bank.count)))
+        example = augmented(still, bank, rng)
+        # nothing says where the ball is that must be somewhere: no place counts as empty
+        return example if (still.labels == BALL_LABEL).any() else without_ball(example)
+
+    def __getstate__(self) -> dict[str, object]:
+        """What goes to another process: not the pictures, which it reads itself."""
+        return {**vars(self), "_kept": {}}
+
+    def _still(self, folder: Stills, index: int) -> Example:
+        file = folder.files[index]
+        if file not in self._kept:
+            self._kept[file] = folder.example(file)
+        return self._kept[file]
+
+
+def without_ball(example: Example) -> Example:
+    """The example with a ball that may be found anywhere, or not at all."""
+    height, width = example.picture.shape[:2]
+    return replace(
+        example,
+        boxes=np.concatenate([example.boxes, np.array([[0, 0, width, height]], np.float32)]),
+        labels=np.append(example.labels, BALL_LABEL),
+        ignored=np.append(example.ignored, True),
+    )
+
+
+class Mixed(Dataset[Example]):
+    """Item n is of `real` with probability `share`, of `drawn` otherwise."""
+
+    def __init__(self, drawn: Rendered | None, real: Real | None, share: float, seed: int) -> None:
+        if drawn is None and real is None:
+            raise DriverError("data: expected rendered scenes or stills, got none")
+        self._drawn, self._real, self._share, self._seed = drawn, real, share, seed
+
+    def __len__(self) -> int:
+        return sum(len(part) for part in (self._drawn, self._real) if part is not None)
+
+    def __getitem__(self, number: int) -> Example:
+        if self._drawn is None or self._real is None:
+            return (self._drawn or self._real)[number]  # type: ignore[index]
+        first = np.random.default_rng([self._seed, number, 2]).random() < self._share
+        return self._real[number] if first else self._drawn[number]
+
+
 def rendered_in(folder: Path) -> list[Path]:
     """The files of a folder that `render` has finished."""
     return [path for path in sorted(folder.glob("*.npz")) if path.stem.isdigit()]
@@ -112,12 +180,11 @@ def collate(examples: list[Example]) -> Batch:
 
 
 def stream(
-    files: Iterable[Path], size: int, steps: range, *, seed: int, workers: int = 1,
-    raw_share: float = 0.0,
-) -> Iterator[Batch]:  # fmt: skip
+    source: Dataset[Example], size: int, steps: range, *, workers: int = 1
+) -> Iterator[Batch]:
     """The batches of some steps of a training, prepared by processes beside it."""
     loader = DataLoader(
-        Rendered(files, seed=seed, raw_share=raw_share),
+        source,
         batch_size=size,
         sampler=range(steps.start * size, steps.stop * size),
         num_workers=workers,

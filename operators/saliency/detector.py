@@ -54,6 +54,8 @@ class Detector:
         self.network = Network(self.path, threads=settings.threads)
         self.known = described(self.path, self.network.metadata)
         self.input, self.size_px = _input_of(self.network, settings, self.known)
+        # whether other settings may ask for another size
+        self.open_sides = any(isinstance(n, str) for n in self.network.inputs[self.input][2:])
         size_px = self.size_px
         # one run on an empty picture tells the shapes of exports with open sides
         blank = np.zeros((1, 3, size_px[1], size_px[0]), np.float32)
@@ -71,7 +73,9 @@ class Detector:
         )
         self._grid: Grid | None = yolox_grid(*size_px) if self.kind == "yolox" else None
         raw = self.kind in ("yolox", "yolox_decoded")
-        self._box = Letterbox(*size_px, scale=1 if raw else 1 / 255, bgr=raw, corner=raw)
+        self._box = Letterbox(
+            *size_px, scale=1 if raw else 1 / 255, bgr=raw, corner=raw, keep=self.open_sides
+        )
 
     def look(self, picture: NDArray[np.uint8]) -> tuple[Candidates, Placement, Array | None]:
         """Objects in input pixels with reported classes, the placement and the feature map."""

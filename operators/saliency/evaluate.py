@@ -1,13 +1,14 @@
 """Score a detector on held-out scenes: `python -m operators.saliency.evaluate --help`.
 
-Runs the operator as in a graph. Thresholds are chosen on validation scenes (`--choose`, which
-writes them into the network's metadata); reported figures come from test scenes, or from a
-SoccerNet sequence (`--data`).
+Runs the operator as in a graph. Thresholds are chosen on validation scenes, or on the stills for
+development of a folder (`--stills`), with `--choose`, which writes them into the network's
+metadata; reported figures come from test scenes, or from a SoccerNet sequence (`--data`).
 """
 
 import argparse
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from drivers.datasets.sequence import span
 from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.scenes.soccer import SoccerScene
-from operators.saliency.example import BALL, NAMES, Example
+from operators.saliency.example import BALL, CONTEXT_PX, NAMES, Example
 from operators.saliency.judging import (
     FLOOR,
     Tally,
@@ -29,6 +30,8 @@ from operators.saliency.judging import (
 )
 from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
 from operators.saliency.saliency import SHIPPED, Detector, Saliency, SaliencySettings
+from operators.saliency.splits import DEVELOPMENT
+from operators.saliency.stills import stills
 from operators.training.command_line import count, in_a_sentence
 from operators.training.progress import each_of
 from pipeline import Detections, Frame, SettingsError
@@ -105,6 +108,17 @@ def scenes(seeds: Iterable[int], count: int) -> Iterator[Example]:
         scene.close()
 
 
+def development(folder: Path) -> Iterator[Example]:
+    """The stills of a folder that are for development, as a context shows them."""
+    found = stills(folder, only=DEVELOPMENT)
+    for file in found.files:
+        item = found.example(file)
+        height, width = item.picture.shape[:2]
+        small = cv2.resize(item.picture, CONTEXT_PX, interpolation=cv2.INTER_AREA)
+        gain = np.array([CONTEXT_PX[0] / width, CONTEXT_PX[1] / height] * 2, np.float32)
+        yield replace(item, picture=np.asarray(small, np.uint8), boxes=item.boxes * gain)
+
+
 def sequence(folder: Path, stride: int, frames: tuple[int, int]) -> Iterator[Example]:
     """Every `stride`-th picture of frames A-B (from 1; 0: to the end) of a SoccerNet sequence."""
     source = SoccerNetSequence(path=str(folder))
@@ -144,6 +158,8 @@ def choose(
     low = SaliencySettings(weights=str(weights), confidence=FLOOR, threads=threads)
     tallies = collect(examples, low, side_share)
     limits = {name: best_threshold(tallies[name]) for name in NAMES}
+    # the box of a ball of three pixels need only be off by one to overlap it too little
+    limits[BALL] = best_threshold(tallies[f"{BALL} centre"])
     onnx_files.describe(weights, {"confidence": str(limits)})
     return limits
 
@@ -167,6 +183,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--frames", type=span, default=(1, 0), help="with --data: A-B, from 1")
     parser.add_argument("--moments", type=count, default=12, help="pictures of each scene")
     parser.add_argument("--choose", action="store_true", help="choose thresholds, then score")
+    parser.add_argument("--stills", type=Path, help="with --choose: those for development here")
     parser.add_argument("--threads", type=count, default=2)
     parser.add_argument(
         "--side-share", type=share, default=1.0,
@@ -182,7 +199,8 @@ def main(words: Sequence[str] | None = None) -> None:
     Detector(settings)  # refused now, and not after the drawing
     result: dict[str, object] = {"weights": given.weights.name, "side_share": given.side_share}
     if given.choose:
-        validation = each_of(scenes(SEEDS["validation"], given.moments), "choose")
+        drawn = scenes(SEEDS["validation"], given.moments)
+        validation = each_of(development(given.stills) if given.stills else drawn, "choose")
         result["thresholds"] = choose(given.weights, validation, given.threads, given.side_share)
     test = scenes(SEEDS["test"], given.moments)
     source = sequence(given.data, given.stride, given.frames) if given.data else test

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 PEOPLE = ("player", "referee")
 BALL = "ball"
 NAMES = (*PEOPLE, BALL)
+ANYONE = len(NAMES)  # label of a person of whom it is not known which of `PEOPLE`
 CONTEXT_PX = (480, 270)  # width, height of a quarter of full HD
 DOMAIN = "soccer"  # the kind of scene that the classes are of
 INPUT_PX = (480, 288)  # the same with sides that are multiples of 32
@@ -19,5 +20,5 @@ class Example:
 
     picture: NDArray[np.uint8]  # (h, w, 3) RGB
     boxes: NDArray[np.float32]  # (n, 4) xyxy, its pixels
-    labels: NDArray[np.int64]  # (n,) index into NAMES
+    labels: NDArray[np.int64]  # (n,) index into NAMES, or ANYONE
     ignored: NDArray[np.bool_]  # (n,) too hidden to count

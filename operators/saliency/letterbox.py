@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+LEAST_GAIN = 1.07
+
 
 @dataclass(frozen=True, kw_only=True)
 class Placement:
@@ -30,10 +32,11 @@ class Letterbox:
         bgr: bool,
         corner: bool,
         fill: int = 114,
+        keep: bool = False,
     ) -> None:
         self._scale = np.float32(scale)
         self._order = (2, 1, 0) if bgr else (0, 1, 2)
-        self._corner = corner
+        self._corner, self._keep = corner, keep
         self._fill = np.float32(fill * scale)
         self.tensor = np.full((1, 3, height_px, width_px), self._fill, np.float32)
         self._source: tuple[int, ...] = ()
@@ -62,7 +65,7 @@ class Letterbox:
         self._source = picture.shape
         height_px, width_px = self.tensor.shape[2:]
         self._placement = place(
-            picture.shape[1], picture.shape[0], width_px, height_px, self._corner
+            picture.shape[1], picture.shape[0], width_px, height_px, self._corner, self._keep
         )
         shape = (self._placement.height_px, self._placement.width_px)
         self._planes = [np.empty(shape, np.uint8) for _ in range(3 if picture.ndim == 3 else 1)]
@@ -70,14 +73,22 @@ class Letterbox:
 
 
 def place(
-    width_px: int, height_px: int, into_width_px: int, into_height_px: int, corner: bool
-) -> Placement:
+    width_px: int, height_px: int, into_width_px: int, into_height_px: int, corner: bool,
+    keep: bool = False,
+) -> Placement:  # fmt: skip
     """Scale (w, h) to the largest size inside (W, H); in the top left corner or in the middle.
+
+    With `keep` a picture that nearly fills (W, H) keeps its pixels: to enlarge it by less than
+    `LEAST_GAIN` would take time and blur it.
 
     >>> place(480, 270, 480, 288, False)
     Placement(gain=1.0, left_px=0, top_px=9, width_px=480, height_px=270)
+    >>> place(2040, 1148, 2048, 1152, False, keep=True)
+    Placement(gain=1.0, left_px=4, top_px=2, width_px=2040, height_px=1148)
     """
     gain = min(into_width_px / width_px, into_height_px / height_px)
+    if keep and 1 < gain < LEAST_GAIN:
+        gain = 1.0
     wide, high = max(1, round(width_px * gain)), max(1, round(height_px * gain))
     left, top = (0, 0) if corner else ((into_width_px - wide) // 2, (into_height_px - high) // 2)
     return Placement(gain=gain, left_px=left, top_px=top, width_px=wide, height_px=high)

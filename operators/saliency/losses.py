@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from operators.saliency.data import Batch
-from operators.saliency.example import INPUT_PX, NAMES, PEOPLE
+from operators.saliency.example import ANYONE, INPUT_PX, NAMES, PEOPLE
 from operators.saliency.model import BALL_STRIDE, STRIDES, Raw, ball_boxes, cell_centres
 
 
@@ -22,7 +22,7 @@ class Assigned:
     quality: Tensor  # (B, A, people) wanted scores, 0 where nobody is
     boxes: Tensor  # (B, A, 4) wanted box, where there is one
     weight: Tensor  # (B, A) its quality
-    counts: Tensor  # (B, A) 0 where a hidden person may or may not be found
+    counts: Tensor  # (B, A, people) 0 where a hidden person, or one of this class, may be found
 
 
 def paired_iou(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
@@ -41,8 +41,10 @@ def assign(raw: Raw, batch: Batch, centres: Tensor, reach: Tensor, best: int = 9
     """Task-aligned assignment (Feng et al., TOOD 2021): the anchors that already do best learn.
 
     `centres` (A, 2) and `reach` (A,), how far outside a box its anchors may lie, in input pixels.
+    Where it is not known which person it is, the likelier class is wanted and no other counts.
     """
-    person = (batch.labels >= 0) & (batch.labels < len(PEOPLE))
+    anyone = batch.labels == ANYONE
+    person = ((batch.labels >= 0) & (batch.labels < len(PEOPLE))) | anyone
     wanted = person & ~batch.ignored
     sides = torch.cat(
         [centres - batch.boxes[:, :, None, :2], batch.boxes[:, :, None, 2:] - centres], -1
@@ -52,7 +54,8 @@ def assign(raw: Raw, batch: Batch, centres: Tensor, reach: Tensor, best: int = 9
     overlap, _ = paired_iou(batch.boxes[:, :, None], raw.boxes[:, None])
     scores = raw.scores.sigmoid().transpose(1, 2)  # (B, people, A)
     row = batch.labels.clamp(0, len(PEOPLE) - 1)[..., None].expand(-1, -1, scores.shape[2])
-    metric = scores.gather(1, row).sqrt() * overlap**4 + 1e-9
+    score = torch.where(anyone[..., None], scores.amax(1, keepdim=True), scores.gather(1, row))
+    metric = score.sqrt() * overlap**4 + 1e-9
     metric = metric * (inside & wanted[..., None])
     limit = metric.topk(best, 2).values[..., -1:]
     metric = metric * ((metric >= limit) & (metric > 0))
@@ -62,11 +65,14 @@ def assign(raw: Raw, batch: Batch, centres: Tensor, reach: Tensor, best: int = 9
     metric = metric * mine
     scale = (overlap * mine).amax(2, keepdim=True) / metric.amax(2, keepdim=True).clamp(min=1e-9)
     weight = (metric * scale).amax(1)  # (B, A)
+    unsure = anyone.gather(1, owner) & (weight > 0)  # (B, A)
     label = batch.labels.clamp(0, len(PEOPLE) - 1).gather(1, owner)
+    label = torch.where(unsure, scores.argmax(1), label)
     boxes = batch.boxes.gather(1, owner[..., None].expand(-1, -1, 4))
-    quality = F.one_hot(label, len(PEOPLE)) * weight[..., None]
+    classes = F.one_hot(label, len(PEOPLE))
+    seen = (~hidden | (weight > 0))[..., None] & (~unsure[..., None] | (classes > 0))
     return Assigned(
-        quality=quality, boxes=boxes, weight=weight, counts=(~hidden | (weight > 0)).float()
+        quality=classes * weight[..., None], boxes=boxes, weight=weight, counts=seen.float()
     )
 
 
@@ -78,7 +84,7 @@ def people_loss(raw: Raw, batch: Batch, centres: Tensor, reach: Tensor) -> tuple
     chosen = aim.weight > 0
     _, generalised = paired_iou(raw.boxes[chosen], aim.boxes[chosen])
     boxes = ((1 - generalised) * aim.weight[chosen]).sum()
-    return (scores.sum(-1) * aim.counts).sum() / total, boxes / total
+    return (scores * aim.counts).sum() / total, boxes / total
 
 
 def ball_loss(raw: Raw, batch: Batch) -> tuple[Tensor, Tensor]:

@@ -97,12 +97,12 @@ class Saliency(Operator[SaliencySettings, Detections]):
     def on_frame(self, frame: Frame) -> Detections:
         detector = self._detector
         if not frame.pixels.size:
-            return _answer(frame, _nothing(), np.zeros((0, 0), np.float32), detector)
-        found, placement, features = detector.look(_rgb(frame))
+            return answer(frame, nothing(), np.zeros((0, 0), np.float32), detector)
+        found, placement, features = detector.look(rgb(frame))
         appearance = np.zeros((len(found.scores), 0), np.float32)
         if features is not None:
             appearance = roi_align(features, found.boxes, stride_px=FEATURE_STRIDE_PX)
-        return _answer(frame, to_sensor(found, placement, frame), appearance, detector)
+        return answer(frame, to_sensor(found, placement, frame), appearance, detector)
 
 
 def to_sensor(found: Candidates, placement: Placement, frame: Frame) -> Candidates:
@@ -120,9 +120,10 @@ def to_sensor(found: Candidates, placement: Placement, frame: Frame) -> Candidat
     return Candidates(boxes=boxes, angles=found.angles, scores=found.scores, classes=found.classes)
 
 
-def _answer(
+def answer(
     frame: Frame, found: Candidates, features: NDArray[np.float32], detector: Detector
 ) -> Detections:
+    """The message about a frame, of objects in sensor pixels and their features (n, C)."""
     return Detections(
         header=frame.header,
         boxes=found.boxes,
@@ -134,14 +135,16 @@ def _answer(
     )
 
 
-def _nothing() -> Candidates:
+def nothing() -> Candidates:
+    """No objects."""
     none = np.zeros(0, np.float32)
     return Candidates(
         boxes=np.zeros((0, 4), np.float32), angles=none, scores=none, classes=none.astype(np.intp)
     )
 
 
-def _rgb(frame: Frame) -> NDArray[np.uint8]:
+def rgb(frame: Frame) -> NDArray[np.uint8]:
+    """The pixels of a frame; raises `MessageError` for those that are no RGB or grey picture."""
     if frame.pixel_format not in ("rgb8", "grey8") or frame.pixels.dtype != np.uint8:
         raise MessageError(
             f"saliency.frame: expected rgb8 or grey8 pixels, got {frame.pixel_format} "

@@ -1,6 +1,7 @@
-"""Train the shipped detector on procedural scenes: `python -m operators.saliency.train --help`.
+"""Train the shipped detector: `python -m operators.saliency.train --help`.
 
-This module defines the options; the training itself, which needs torch, is in `training_run.py`.
+It learns from procedural scenes and from labelled stills, where there are some. This module
+defines the options; the training itself, which needs torch, is in `training_run.py`.
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -9,6 +10,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from operators.saliency.splits import HELD_OUT
 from operators.saliency.training_settings import TrainSettings
 from operators.training.command_line import GOES_ON, add_numbers, in_a_sentence
 from operators.training.ranges import DEVICES
@@ -19,15 +21,21 @@ def asked(words: Sequence[str] | None) -> tuple[TrainSettings, Path | None]:
     """Parse the command line: the settings, and the file to export to instead of training."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="rendered scenes")
+    parser.add_argument("--stills", type=Path, nargs="+", default=(), help="labelled, to train on")
+    parser.add_argument(
+        "--leave-out", nargs="*", default=HELD_OUT, metavar="NAME",
+        help="beginnings of names of stills not to train on; the test's unless given",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, required=True, help="checkpoint and log")
     parser.add_argument("--export", type=Path, help="write detector.onnx here, train nothing")
-    parser.add_argument("--init", type=Path, help="checkpoint whose weights to begin with")
+    parser.add_argument("--init", type=Path, help="checkpoint or .onnx to begin with")
     parser.add_argument("--compiled", action="store_true", help="compile first: needs g++")
     parser.add_argument("--device", default="auto", help=DEVICES)
     add_numbers(parser, TrainSettings)
     given = vars(parser.parse_args(words))
     target = given.pop("export")
-    return TrainSettings(**(given | {"data": tuple(given["data"])})), target
+    lists = {name: tuple(given[name]) for name in ("data", "stills", "leave_out")}
+    return TrainSettings(**(given | lists)), target
 
 
 @in_a_sentence(GOES_ON)

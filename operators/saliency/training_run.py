@@ -1,4 +1,4 @@
-"""Training of the shipped detector on procedural scenes.
+"""Training of the shipped detector on procedural scenes and labelled stills.
 
 It renders missing scenes, trains in bfloat16 with a running mean of the weights, and writes
 checkpoints at intervals, from which it resumes. `--export` writes the ONNX file that fovea ships.
@@ -13,12 +13,15 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.utils.data import Dataset
 
-from operators.saliency.data import Batch, rendered_in, stream
-from operators.saliency.example import DOMAIN, INPUT_PX, NAMES
+from operators.saliency.data import Batch, Mixed, Real, Rendered, collate, rendered_in, stream
+from operators.saliency.example import DOMAIN, INPUT_PX, NAMES, Example
+from operators.saliency.initial import from_onnx
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.render import made_with, render
+from operators.saliency.stills import Stills, labels_of, stills
 from operators.saliency.training_settings import TrainSettings
 from operators.training import checkpoint
 from operators.training.device import device_of
@@ -30,6 +33,7 @@ from operators.training.schedule import warmed_cosine
 from pipeline.fleet.placement import file_digest
 
 PHASES = Phases("draw scenes", "train")
+CALIBRATION = 64  # pictures over which an exported network is measured before training goes on
 TRAIN_SEEDS = 10_000  # first seed of the training scenes; evaluate.py uses others
 
 
@@ -50,11 +54,22 @@ class Run(checkpoint.Progress):
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        pictures = made_with(settings.moments, settings.span) | {"data": contents(given(settings))}
-        super().__init__(settings.out, parts, of_settings(settings) | pictures)
-        if settings.init is not None:
-            checkpoint.take(settings.init, {"mean": self.mean})
-            self.net.load_state_dict(self.mean.state_dict())
+        pictures = made_with(settings.moments, settings.span) | {
+            "data": contents(given(settings)), "stills": real_contents(folders(settings)),
+        }  # fmt: skip
+        super().__init__(settings.out, parts, of_settings(settings, "stills") | pictures)
+
+    def begin(self, source: Dataset[Example]) -> None:
+        """Take the weights to begin with, unless the training goes on already."""
+        init = self.settings.init
+        if init is None or self.step:
+            return
+        if init.suffix == ".onnx":
+            numbers = range(CALIBRATION)
+            from_onnx(init, self.mean, collate([source[k] for k in numbers]).to(self.device))
+        else:
+            checkpoint.take(init, {"mean": self.mean})
+        self.net.load_state_dict(self.mean.state_dict())
 
     @torch.no_grad()
     def follow(self) -> None:
@@ -80,6 +95,33 @@ def given(settings: TrainSettings) -> list[Path]:
     return [path for folder in folders for path in rendered_in(folder)]
 
 
+def folders(settings: TrainSettings) -> list[Stills]:
+    """Return the stills to train on; raises `DriverError` as `stills` does."""
+    return [stills(folder, without=settings.leave_out) for folder in settings.stills]
+
+
+def source_of(settings: TrainSettings) -> Mixed:
+    """Return all pictures of a training; scenes must be drawn before."""
+    files, real = [*drawn(settings), *given(settings)], folders(settings)
+    for folder in real:
+        for file in folder.files:
+            folder.rows(file)  # a malformed text is refused now, and not in the midst of training
+    seed = settings.seed
+    return Mixed(
+        Rendered(files, seed=seed, raw_share=settings.raw_share) if files else None,
+        Real(real, seed=seed) if real else None,
+        settings.stills_share,
+        seed,
+    )
+
+
+def real_contents(found: Sequence[Stills]) -> str:
+    """What is in stills and their labels."""
+    files = [file for folder in found for file in folder.files]
+    known = [file.name + file_digest(file) + file_digest(labels_of(file)) for file in files]
+    return f"{len(files)} files, {sha256(''.join(known).encode()).hexdigest()[:16]}"
+
+
 def contents(files: Sequence[Path]) -> str:
     """What is in files, and how often."""
     known = {path: file_digest(path) + file_digest(path.with_suffix(".npy")) for path in set(files)}
@@ -98,6 +140,8 @@ def train(settings: TrainSettings) -> Run:
         seeds, settings.moments, settings.span, settings.data[0], settings.threads,
         PHASES["draw scenes"],
     )  # fmt: skip
+    source = source_of(settings)
+    run.begin(source)
     run.net.train()
     forward = torch.compile(run.net) if settings.compiled else run.net
     started = time.monotonic() - run.elapsed_s
@@ -108,11 +152,7 @@ def train(settings: TrainSettings) -> Run:
     steps = range(run.step, run.step if over else settings.steps)
     # with a GPU, all CPU cores are available for the loader
     workers = 1 if run.device.type == "cpu" else settings.threads
-    files = [*drawn(settings), *given(settings)]
-    batches = stream(
-        files, settings.batch, steps, seed=settings.seed, workers=workers,
-        raw_share=settings.raw_share,
-    )  # fmt: skip
+    batches = stream(source, settings.batch, steps, workers=workers)
     with bar(PHASES["train"], settings.steps, run.step) as shown:
         told = ""
         for batch in batches:
@@ -149,7 +189,7 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
 
 
 def export(net: DetectorNet, path: Path) -> None:
-    """Write the detector as ONNX."""
+    """Write the detector as ONNX; its input may have any sides that are multiples of 32."""
     net = fused(net).to(memory_format=torch.contiguous_format)
     width, height = INPUT_PX
     write(
@@ -157,10 +197,16 @@ def export(net: DetectorNet, path: Path) -> None:
         {"images": torch.zeros(1, 3, height, width)},
         path,
         ("output", "features"),
+        open_sides={
+            "images": {2: "height", 3: "width"},
+            "output": {2: "anchors"},
+            "features": {2: "rows", 3: "columns"},
+        },
+        imgsz=str([height, width]),
         names=str(dict(enumerate(NAMES))),
         stride="32",
         task="detect",
         format="yolo",
         domain=DOMAIN,
-        trained_on="pictures of soccer matches",
+        trained_on="soccer matches: scenes that fovea draws itself, and labelled stills",
     )

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from operators.saliency.splits import HELD_OUT
 from operators.training.ranges import above_zero, at_least, known_device
 from pipeline.errors import SettingsError
 
@@ -13,6 +14,9 @@ class TrainSettings:
 
     data: tuple[Path, ...]
     out: Path
+    stills: tuple[Path, ...] = ()  # folders of labelled stills
+    leave_out: tuple[str, ...] = HELD_OUT  # beginnings of names of stills that are not trained on
+    stills_share: float = 0.65  # of the pictures of a batch, where there are stills
     scenes: int = 320
     moments: int = 12
     span: int = 900  # frames of each scene over which its moments are spread
@@ -26,13 +30,14 @@ class TrainSettings:
     minutes: float = 120.0
     compiled: bool = False
     raw_share: float = 0.0  # share of the pictures that are seen through a raw sensor
-    init: Path | None = None  # a checkpoint to begin with instead of random weights
+    init: Path | None = None  # checkpoint or .onnx to begin with instead of random weights
     device: str = "auto"  # where the network is; scenes are drawn on processors
 
     def __post_init__(self) -> None:
         at_least(1, self, "moments", "span", "steps", "batch", "threads")
         at_least(0, self, "scenes", "warmup", "decay", "seed")  # no scenes: other data alone
         above_zero(self, "rate", "minutes")
-        if not 0 <= self.raw_share <= 1:
-            raise SettingsError(f"raw_share: must be within 0..1, got {self.raw_share}")
+        for name in ("raw_share", "stills_share"):
+            if not 0 <= (share := getattr(self, name)) <= 1:
+                raise SettingsError(f"{name}: must be within 0..1, got {share}")
         known_device(self.device)

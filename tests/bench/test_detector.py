@@ -89,3 +89,80 @@ def test_a_folder_without_labelled_pictures_is_refused(tmp_path: Path, weights: 
 
     assert done.exit_code == 1
     assert "expected images/ and labels/" in done.output
+
+
+@pytest.fixture
+def match(tmp_path: Path) -> Path:
+    """Stills of a match for testing and of one for development, each with a player and a ball."""
+    folder = tmp_path / "matches"
+    (folder / "images").mkdir(parents=True)
+    (folder / "labels").mkdir()
+    (folder / "data.yaml").write_text("names: [ball, goalkeeper, player, referee]\n")
+    for name in ("798b45_0_1", "744b27_0_1", "08fd33_0_1", "121364_0_1"):
+        cv2.imwrite(str(folder / "images" / f"{name}.png"), np.full((120, 160, 3), 90, np.uint8))
+        rows = ("2 0.375 0.333333 0.25 0.333333", "0 0.8 0.8 0.02 0.03")
+        (folder / "labels" / f"{name}.txt").write_text("\n".join(rows))
+    return folder
+
+
+@pytest.fixture
+def soccer_weights(tmp_path: Path) -> str:
+    """It finds the player at .9, and the ball third best, at .3, three pixels off."""
+    rows = np.zeros((1, 300, 6), np.float32)
+    rows[0, 0] = (*PERSON, 0.9, 0)
+    for row, (x, score) in enumerate([(2, 0.5), (8, 0.4), (35, 0.3)]):
+        rows[0, row + 1] = (x - 0.5, 23.5, x + 0.5, 24.5, score, 2)
+    return constant_network(
+        tmp_path / "soccer.onnx", rows, size_px=(40, 30),
+        names="['player', 'referee', 'ball']", confidence="{'ball': 0.6}",
+    )  # fmt: skip
+
+
+def test_each_match_of_the_split_has_its_figures(match: Path, soccer_weights: str) -> None:
+    path = match / "figures.json"
+
+    done = run(str(match), "--weights", soccer_weights, "--split", "test", "--json", str(path))
+
+    assert done.exit_code == 0, done.output
+    report = json.loads(path.read_text())
+    assert sorted(report["matches"]) == ["744b27", "798b45"]
+    by_name = {row["class"]: row for row in report["classes"]}
+    assert (by_name["player"]["present"], by_name["player"]["recall"]) == (2, 1.0)
+    assert by_name["referee"]["present"] == 0
+    # as a box the ball is missed, as a place it is the third candidate
+    assert by_name["ball"]["average_precision"] == 0
+    centre = by_name["ball by centre"]
+    assert (centre["among_3"], centre["recall"], centre["confidence"]) == (1.0, 0.0, 0.6)
+
+
+def test_confidences_may_be_chosen_on_other_pictures(match: Path, soccer_weights: str) -> None:
+    path = match / "figures.json"
+    words = ["--split", "test", "--choose-on", "development", "--json", str(path)]
+
+    done = run(str(match), "--weights", soccer_weights, *words)
+
+    assert done.exit_code == 0, done.output
+    report = json.loads(path.read_text())
+    assert report["chosen_on"] == "development"
+    by_name = {row["class"]: row for row in report["classes"]}
+    assert by_name["ball by centre"]["confidence"] == by_name["ball"]["confidence"] == 0.3
+    assert by_name["ball by centre"]["recall"] == 1.0
+
+
+def test_labels_that_know_persons_only_are_scored_by_persons(
+    match: Path, soccer_weights: str
+) -> None:
+    (match / "data.yaml").write_text("names: [sports ball, sports ball, person, person]\n")
+
+    done = run(str(match), "--weights", soccer_weights)
+
+    assert done.exit_code == 0, done.output
+    assert "person" in done.output
+    assert "referee" not in done.output
+
+
+def test_a_folder_without_pictures_of_the_split_is_refused(folder: Path, weights: str) -> None:
+    done = run(str(folder), "--classes", "2=person", "--weights", weights, "--split", "test")
+
+    assert done.exit_code == 1
+    assert "expected pictures of the test split, got none" in done.output

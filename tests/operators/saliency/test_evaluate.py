@@ -1,11 +1,13 @@
 """Scores of detections."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 pytest.importorskip("onnx", reason="needs the train extra")
 
-from operators.saliency.evaluate import collect, scenes, shrunk
+from operators.saliency.evaluate import choose, collect, development, scenes, shrunk
 from operators.saliency.judging import (
     Tally,
     at_threshold,
@@ -14,6 +16,9 @@ from operators.saliency.judging import (
     find_hits,
 )
 from operators.saliency.saliency import SaliencySettings
+from pipeline.inference import Network
+from tests.operators.networks import constant_network
+from tests.operators.saliency.labelled_stills import match_of_stills
 
 PERSON = [10.0, 10.0, 20.0, 40.0]
 
@@ -117,3 +122,28 @@ def test_players_found_in_a_leaner_context_are_judged_where_they_are() -> None:
     players = collect([pictured], SaliencySettings(), 0.7071)["player"]
 
     assert players.hits.sum() > players.present / 2
+
+
+def test_thresholds_are_chosen_on_stills_for_development_alone(tmp_path: Path) -> None:
+    match_of_stills(tmp_path, "08fd33_1", "798b45_1", "aa_1")
+
+    found = list(development(tmp_path))
+
+    assert len(found) == 1
+    assert found[0].picture.shape == (270, 480, 3)
+    assert np.allclose(found[0].boxes[1], [144, 110, 156, 140])
+
+
+def test_a_chosen_confidence_of_the_ball_is_that_of_its_place(tmp_path: Path) -> None:
+    # found twice as large as it is, at the right place
+    rows = np.zeros((1, 300, 6), np.float32)
+    rows[0, 0] = (245, 154, 255, 164, 0.4, 2)
+    weights = constant_network(
+        tmp_path / "n.onnx", rows, names="['player', 'referee', 'ball']", confidence="{'ball': 0.9}"
+    )
+    match_of_stills(tmp_path, "08fd33_1")
+
+    limits = choose(Path(weights), development(tmp_path), 1)
+
+    assert limits["ball"] == 0.4
+    assert "0.4" in Network(Path(weights), threads=1).metadata["confidence"]

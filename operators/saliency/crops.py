@@ -1,0 +1,139 @@
+"""A labelled still of any size -> a picture of the context's size at a scale that the loop uses.
+
+The loop shows a network three kinds of pictures: a whole broadcast view shrunk to the context,
+tiles of a context that shows the whole pitch, and a ROI at full resolution. They differ in the
+height of people in pixels, so the scale is chosen by that.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.saliency.augment import clutter, cut, paste
+from operators.saliency.example import ANYONE, BALL, CONTEXT_PX, NAMES, Example
+from operators.saliency.pasting import Bank, paste_balls, paste_people
+from operators.training.photometric import degrade, recolour
+
+BALL_LABEL = NAMES.index(BALL)
+PERSON_PX = (8.0, 60.0)  # height of people after shrinking, from a lean context to a ROI
+MOST_ENLARGED = 1.6
+USUAL_SHARE = 0.45  # of the crops that have the scale of the context, or of a tile
+WEIGHTS = {BALL_LABEL: 4.0, NAMES.index("referee"): 2.5}  # of what a crop is placed around
+
+
+def augmented(still: Example, bank: Bank, rng: np.random.Generator) -> Example:
+    """Crop, mirror, add people and balls of other stills, recolour kits, litter, degrade."""
+    example = crop(still, rng)
+    if rng.random() < 0.5:
+        example = mirrored(example)
+    if rng.random() < 0.3:
+        example = recoloured_kits(example, rng)
+    if rng.random() < 0.35:
+        example = recoloured_referees(example, rng)
+    example = paste_people(example, bank, rng)
+    example = paste_balls(example, bank, rng)
+    if rng.random() < 0.15:
+        example = _with(example, clutter(example, rng))
+    example = paste(example, rng)
+    picture = recolour(example.picture, rng)
+    if rng.random() < 0.15:
+        picture = coarser(picture, rng.uniform(0.55, 0.9))
+    return _with(example, degrade(picture, rng))
+
+
+def scale_of(still: Example, rng: np.random.Generator) -> float:
+    """Pixels of the crop over those of the still, never so few that the still is too small."""
+    height, width = still.picture.shape[:2]
+    least = max(CONTEXT_PX[0] / width, CONTEXT_PX[1] / height)
+    people = still.boxes[still.labels != BALL_LABEL]
+    tall = float(np.median(people[:, 3] - people[:, 1])) if len(people) else 54.0
+    usual = least if tall * least >= PERSON_PX[0] else 1.0
+    if rng.random() < USUAL_SHARE:
+        return float(np.clip(usual * rng.uniform(0.85, 1.25), least, MOST_ENLARGED))
+    low = max(least, PERSON_PX[0] / tall)
+    high = float(np.clip(PERSON_PX[1] / tall, low, MOST_ENLARGED))
+    return float(np.exp(rng.uniform(np.log(low), np.log(max(low, high)))))
+
+
+def crop(still: Example, rng: np.random.Generator) -> Example:
+    """A random part of the still at a random scale, mostly around an object."""
+    height, width = still.picture.shape[:2]
+    scale = scale_of(still, rng)
+    wide, tall = (min(round(side / scale), most) for side, most in zip(
+        CONTEXT_PX, (width, height), strict=True))  # fmt: skip
+    left, top = rng.integers(0, width - wide + 1), rng.integers(0, height - tall + 1)
+    if len(still.labels) and rng.random() < 0.75:
+        weights = np.array([WEIGHTS.get(label, 1.0) for label in still.labels.tolist()])
+        box = still.boxes[rng.choice(len(weights), p=weights / weights.sum())]
+        x, y = (box[:2] + box[2:]) / 2 + (rng.random(2) - 0.5) * (wide * 0.9, tall * 0.9)
+        left = int(np.clip(x - wide / 2, 0, width - wide))
+        top = int(np.clip(y - tall / 2, 0, height - tall))
+    part = still.picture[top : top + tall, left : left + wide]
+    how = cv2.INTER_AREA if wide > CONTEXT_PX[0] else cv2.INTER_LINEAR
+    gain = np.array([CONTEXT_PX[0] / wide, CONTEXT_PX[1] / tall] * 2, np.float32)
+    moved = Example(
+        picture=np.asarray(cv2.resize(part, CONTEXT_PX, interpolation=how), np.uint8),
+        boxes=(still.boxes - np.array([left, top] * 2, np.float32)) * gain,
+        labels=still.labels,
+        ignored=still.ignored,
+    )
+    return cut(moved, *CONTEXT_PX)
+
+
+def mirrored(example: Example) -> Example:
+    """Left and right exchanged."""
+    width = example.picture.shape[1]
+    boxes = example.boxes[:, [2, 1, 0, 3]] * np.array([-1, 1, -1, 1], np.float32)
+    return Example(
+        picture=np.ascontiguousarray(example.picture[:, ::-1]),
+        boxes=boxes + np.array([width, 0, width, 0], np.float32),
+        labels=example.labels,
+        ignored=example.ignored,
+    )
+
+
+def recoloured_kits(example: Example, rng: np.random.Generator) -> Example:
+    """The colours of all players turned by one angle; referees and grass keep theirs."""
+    turn = int(rng.integers(10, 170))
+    return _dressed(example, (NAMES.index("player"), ANYONE), turn, 1.0)
+
+
+def recoloured_referees(example: Example, rng: np.random.Generator) -> Example:
+    """All referees in black, or their colours turned by one angle; all others keep theirs.
+
+    Few matches show few kits: what makes a referee is not to be dressed like either team.
+    """
+    dark = rng.random() < 0.4
+    turn, light = (0, rng.uniform(0.15, 0.4)) if dark else (int(rng.integers(10, 170)), 1.0)
+    return _dressed(example, (NAMES.index("referee"),), turn, float(light))
+
+
+def _dressed(example: Example, labels: tuple[int, ...], turn: int, light: float) -> Example:
+    """People of some labels with other colours: hue turned in steps of 2 degrees, value scaled."""
+    picture = example.picture.copy()
+    people = example.boxes[np.isin(example.labels, labels)]
+    for left, top, right, bottom in np.round(people).astype(int).tolist():
+        part = picture[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
+        if not part.size:
+            continue
+        hsv = cv2.cvtColor(part, cv2.COLOR_RGB2HSV)
+        green = (hsv[..., 0] > 28) & (hsv[..., 0] < 85)
+        hsv[..., 0] = (hsv[..., 0].astype(np.int16) + turn) % 180
+        hsv[..., 2] = cv2.convertScaleAbs(hsv[..., 2], alpha=light)
+        turned = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)
+        part[~green] = turned[~green]
+    return _with(example, picture)
+
+
+def coarser(picture: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
+    """What a leaner context shows, enlarged to the network's input as the letterbox does."""
+    height, width = picture.shape[:2]
+    size = (max(1, round(width * share)), max(1, round(height * share)))
+    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.resize(small, (width, height)), np.uint8)
+
+
+def _with(example: Example, picture: NDArray[np.uint8]) -> Example:
+    return Example(
+        picture=picture, boxes=example.boxes, labels=example.labels, ignored=example.ignored
+    )

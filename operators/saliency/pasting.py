@@ -1,0 +1,168 @@
+"""Add people and balls cut out of other stills to a training picture: Example -> Example.
+
+Referees are one person in nine and a ball is in each picture once: copies of them let the network
+see both before many backgrounds. What is copied is cut out by its difference in colour from the
+grass around it; what does not stand out clearly is not copied.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.saliency.augment import BALL_LABEL, BALL_TO_PERSON, somewhere
+from operators.saliency.example import NAMES, Example
+
+Array = NDArray[np.float32]
+REFEREE_LABEL = NAMES.index("referee")
+LEAST_DIFFERENCE = 26.0  # levels of the most different channel
+PERSON_COVER, BALL_COVER = (0.18, 0.8), (0.35, 0.9)  # share of the box that stands out
+MOST_GAIN = 1.3  # of a copy: a more enlarged one is blurred
+MOST_HIDDEN = 0.5  # share of an object that a copy may cover
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bank:
+    """Where copies come from: how many stills there are, and each of them."""
+
+    count: int
+    still: Callable[[int], Example]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cutout:
+    """An object without its background."""
+
+    picture: NDArray[np.uint8]  # (h, w, 3) RGB
+    alpha: Array  # (h, w) 0..1
+
+
+def paste_people(example: Example, bank: Bank, rng: np.random.Generator) -> Example:
+    """Add up to four people beside those who are there, as tall as they are."""
+    for _ in range(int(rng.integers(0, 5)) if rng.random() < 0.5 else 0):
+        people = np.flatnonzero((example.labels != BALL_LABEL) & ~example.ignored)
+        if not len(people):
+            break
+        near = example.boxes[rng.choice(people)]
+        tall, feet = float(near[3] - near[1]), float(near[3])
+        taken = _chosen(bank, rng, _referees if rng.random() < 0.5 else _people)
+        if taken is None:
+            continue
+        still, row = taken
+        box = still.boxes[row]
+        gain = tall * rng.uniform(0.85, 1.15) / max(float(box[3] - box[1]), 1.0)
+        piece = cutout(still, row, gain, PERSON_COVER)
+        if piece is None:
+            continue
+        high, wide = piece.alpha.shape
+        x = (near[0] + near[2]) / 2 + rng.normal() * 4 * tall
+        y = feet + rng.normal() * 0.5 * tall - high
+        example = _laid(example, piece, int(x - wide / 2), int(y), int(still.labels[row]), rng)
+    return example
+
+
+def paste_balls(example: Example, bank: Bank, rng: np.random.Generator) -> Example:
+    """Add up to two real balls of the size that people's height tells."""
+    people = example.boxes[example.labels != BALL_LABEL]
+    if not len(people):
+        return example
+    tall = float(np.median(people[:, 3] - people[:, 1]))
+    for _ in range(int(rng.integers(1, 3)) if rng.random() < 0.5 else 0):
+        taken = _chosen(bank, rng, _balls)
+        if taken is None:
+            continue
+        still, row = taken
+        box = still.boxes[row]
+        diameter = max(tall * rng.uniform(*BALL_TO_PERSON), 1.8)
+        piece = cutout(
+            still, row, diameter / max(float((box[2:] - box[:2]).max()), 1.0), BALL_COVER
+        )
+        if piece is None:
+            continue
+        x, y = somewhere(example, rng)
+        high, wide = piece.alpha.shape
+        example = _laid(example, piece, int(x - wide / 2), int(y - high / 2), BALL_LABEL, rng)
+    return example
+
+
+def _people(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(labels != BALL_LABEL)
+
+
+def _referees(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(labels == REFEREE_LABEL)
+
+
+def _balls(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(labels == BALL_LABEL)
+
+
+def _chosen(
+    bank: Bank, rng: np.random.Generator, fits: Callable[[NDArray[np.int64]], NDArray[np.bool_]]
+) -> tuple[Example, int] | None:
+    """A random still and an object in it; none where that still has nothing that fits."""
+    still = bank.still(int(rng.integers(bank.count)))
+    rows = np.flatnonzero(fits(still.labels))
+    return (still, int(rng.choice(rows))) if len(rows) else None
+
+
+def cutout(still: Example, row: int, gain: float, cover: tuple[float, float]) -> Cutout | None:
+    """An object, scaled, without its background; none where it does not stand out."""
+    left, top, right, bottom = np.round(still.boxes[row]).astype(int).tolist()
+    high, wide = still.picture.shape[:2]
+    margin = 2
+    if left < margin or top < margin or right > wide - margin or bottom > high - margin:
+        return None
+    part = still.picture[top - margin : bottom + margin, left - margin : right + margin]
+    size = round(part.shape[1] * gain), round(part.shape[0] * gain)
+    if gain > MOST_GAIN or min(size) < 2 or min(part.shape[:2]) < 2 * margin + 3:
+        return None
+    frame = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
+    away = np.abs(part.astype(np.float32) - np.median(frame, axis=0)).max(2)
+    alpha = np.clip((away - LEAST_DIFFERENCE / 2) / LEAST_DIFFERENCE, 0, 1).astype(np.float32)
+    alpha[:1], alpha[-1:], alpha[:, :1], alpha[:, -1:] = 0, 0, 0, 0
+    alpha = np.asarray(cv2.GaussianBlur(alpha, (0, 0), 0.7), np.float32)
+    inner = alpha[margin:-margin, margin:-margin]
+    if not cover[0] <= float((inner > 0.5).mean()) <= cover[1]:
+        return None
+    how = cv2.INTER_AREA if gain < 1 else cv2.INTER_LINEAR
+    return Cutout(
+        picture=np.asarray(cv2.resize(part, size, interpolation=how), np.uint8),
+        alpha=np.asarray(cv2.resize(alpha, size, interpolation=how), np.float32),
+    )
+
+
+def _laid(
+    example: Example, piece: Cutout, left: int, top: int, label: int, rng: np.random.Generator
+) -> Example:
+    """The example with a piece laid over it, unless that leaves the picture or hides an object."""
+    height, width = example.picture.shape[:2]
+    high, wide = piece.alpha.shape
+    box = np.array([left, top, left + wide, top + high], np.float32)
+    if left < 0 or top < 0 or left + wide > width or top + high > height:
+        return example
+    low, far = np.maximum(example.boxes[:, :2], box[:2]), np.minimum(example.boxes[:, 2:], box[2:])
+    common = np.clip(far - low, 0, None).prod(1)
+    own = (example.boxes[:, 2:] - example.boxes[:, :2]).prod(1)
+    if label != BALL_LABEL and (common > MOST_HIDDEN * np.maximum(own, 1)).any():
+        return example
+    picture = example.picture.copy()
+    under = picture[top : top + high, left : left + wide].astype(np.float32)
+    over = piece.picture[:, ::-1] if rng.random() < 0.5 else piece.picture
+    alpha = piece.alpha[:, ::-1] if over is not piece.picture else piece.alpha
+    mixed = under + alpha[..., None] * (over.astype(np.float32) * rng.uniform(0.85, 1.15) - under)
+    picture[top : top + high, left : left + wide] = np.clip(mixed, 0, 255).astype(np.uint8)
+    solid = np.argwhere(alpha > 0.3)
+    if not len(solid):
+        return example
+    (y0, x0), (y1, x1) = solid.min(0), solid.max(0) + 1
+    tight = np.array([[left + x0, top + y0, left + x1, top + y1]], np.float32)
+    return replace(
+        example,
+        picture=picture,
+        boxes=np.concatenate([example.boxes, tight]),
+        labels=np.append(example.labels, label),
+        ignored=np.append(example.ignored, False),
+    )

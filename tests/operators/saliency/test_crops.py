@@ -1,0 +1,133 @@
+"""Crops of stills have the context's size, boxes inside, and people of the heights of the loop."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from operators.saliency.crops import crop, mirrored, recoloured_kits, recoloured_referees
+from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, Example
+from operators.saliency.pasting import BALL_COVER, PERSON_COVER, Bank, cutout, paste_people
+from operators.saliency.stills import stills
+from tests.operators.saliency.labelled_stills import match_of_stills
+
+SEEDS = st.integers(0, 2**32 - 1)
+BALL, PLAYER, REFEREE = (NAMES.index(name) for name in ("ball", "player", "referee"))
+
+
+def still(tall_px: float = 54.0, size: tuple[int, int] = (1920, 1080)) -> Example:
+    """People in a row and a ball, on grass."""
+    width, height = size
+    picture = np.full((height, width, 3), (60, 130, 50), np.uint8)
+    x = np.linspace(0.1, 0.9, 9)[:, None] * width
+    people = np.hstack([x, x * 0 + height / 2, x + tall_px / 2, x * 0 + height / 2 + tall_px])
+    boxes = np.vstack([people, [[width / 3, height / 3, width / 3 + 6, height / 3 + 6]]])
+    return Example(
+        picture=picture, boxes=boxes.astype(np.float32), labels=np.array([PLAYER] * 9 + [BALL]),
+        ignored=np.zeros(10, np.bool_),
+    )  # fmt: skip
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS, st.sampled_from([(54.0, (1920, 1080)), (17.0, (2160, 1080)), (40.0, (500, 300))]))
+def test_a_crop_has_the_size_of_the_context_and_boxes_inside(
+    seed: int, kind: tuple[float, tuple[int, int]]
+) -> None:
+    found = crop(still(*kind), np.random.default_rng(seed))
+
+    assert found.picture.shape == (CONTEXT_PX[1], CONTEXT_PX[0], 3)
+    assert (found.boxes >= 0).all()
+    assert (found.boxes[:, 2:] <= CONTEXT_PX).all()
+    assert len(found.boxes) == len(found.labels) == len(found.ignored)
+
+
+@pytest.mark.parametrize(("tall", "size"), [(54.0, (1920, 1080)), (17.0, (2160, 1080))])
+def test_people_are_as_tall_as_the_loop_shows_them(tall: float, size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(1)
+    crops = [crop(still(tall, size), rng) for _ in range(60)]
+
+    whole = [c.boxes[(c.labels == PLAYER) & ~c.ignored] for c in crops]
+    heights = np.concatenate([b[:, 3] - b[:, 1] for b in whole])
+
+    assert np.quantile(heights, 0.05) > 7
+    assert heights.max() < 66
+    # of a camera that shows the whole pitch, the context itself is what a tile shows
+    assert np.mean((heights > 10) & (heights < 24)) > 0.4
+
+
+@given(SEEDS)
+@settings(max_examples=20, deadline=None)
+def test_mirroring_twice_changes_nothing(seed: int) -> None:
+    example = crop(still(), np.random.default_rng(seed))
+
+    again = mirrored(mirrored(example))
+
+    assert np.array_equal(again.picture, example.picture)
+    assert np.allclose(again.boxes, example.boxes, atol=1e-3)
+
+
+@pytest.mark.parametrize("dressed", ["players", "referees"])
+def test_new_kits_leave_grass_and_all_others_as_they_were(dressed: str) -> None:
+    example = still()
+    labels = example.labels.copy()
+    labels[0], labels[1] = REFEREE, ANYONE
+    for box in example.boxes[:9].astype(int):
+        example.picture[box[1] + 4 : box[3] - 4, box[0] + 4 : box[2] - 4] = (200, 30, 40)
+    painted = Example(
+        picture=example.picture, boxes=example.boxes, labels=labels, ignored=example.ignored
+    )
+
+    recolour = recoloured_kits if dressed == "players" else recoloured_referees
+    found = recolour(painted, np.random.default_rng(3))
+
+    changed = (found.picture != example.picture).any(2)
+    for row, box in enumerate(example.boxes[:9].astype(int)):
+        inside = changed[box[1] + 5 : box[3] - 5, box[0] + 5 : box[2] - 5]
+        assert inside.all() if (row > 0) == (dressed == "players") else not inside.any()
+    grass = (example.picture == (60, 130, 50)).all(2)
+    assert not changed[grass].any()
+
+
+@pytest.fixture
+def bank(tmp_path: Path) -> Bank:
+    """One still with a ball, two players and a referee."""
+    folder = stills(match_of_stills(tmp_path, "aa_1"))
+    example = folder.example(folder.files[0])
+    return Bank(count=1, still=lambda _: example)
+
+
+def test_a_copied_person_has_a_tight_box_and_the_class_it_had(bank: Bank) -> None:
+    target = crop(still(), np.random.default_rng(5))
+
+    found = [paste_people(target, bank, np.random.default_rng(seed)) for seed in range(40)]
+
+    more = [f for f in found if len(f.labels) > len(target.labels)]
+    assert more
+    assert {int(label) for f in more for label in f.labels} >= {PLAYER, REFEREE}
+    for example in more:
+        box = example.boxes[len(target.labels)]
+        left, top, right, bottom = box.astype(int)
+        red = is_red(example.picture[top:bottom, left:right])
+        assert red.mean() > 0.4
+        assert (box >= 0).all()
+        assert (box[2:] <= CONTEXT_PX).all()
+
+
+def test_what_does_not_stand_out_is_not_copied(bank: Bank) -> None:
+    example = bank.still(0)
+    dull = Example(
+        picture=np.full_like(example.picture, 90), boxes=example.boxes, labels=example.labels,
+        ignored=example.ignored,
+    )  # fmt: skip
+
+    assert cutout(example, 1, 0.5, PERSON_COVER) is not None
+    assert cutout(example, 0, 0.5, BALL_COVER) is not None
+    assert cutout(dull, 1, 0.5, PERSON_COVER) is None
+    assert cutout(example, 1, 2.0, PERSON_COVER) is None  # enlarged, it would be blurred
+
+
+def is_red(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    return np.asarray(picture[..., 0].astype(int) - picture[..., 1] > 60)

@@ -1,0 +1,121 @@
+"""Training pictures come from scenes and stills, and never from stills that are left out."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+
+from operators.saliency.data import Mixed, Real, Rendered, collate, rendered_in
+from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES
+from operators.saliency.stills import stills
+from operators.saliency.training_run import Run, folders, source_of
+from operators.saliency.training_settings import TrainSettings
+from pipeline import SettingsError
+from pipeline.errors import DriverError
+from tests.operators.saliency.labelled_stills import match_of_stills, write_names, write_still
+
+BALL = NAMES.index("ball")
+
+
+@pytest.fixture
+def pitch(tmp_path: Path) -> Path:
+    """A folder whose labels know persons only."""
+    write_names(tmp_path / "pitch", "person", "sports ball")
+    write_still(tmp_path / "pitch", "p_1", [(0, 300, 200, 9, 17), (1, 500, 300, 6, 6)])
+    return tmp_path / "pitch"
+
+
+@pytest.fixture
+def match(tmp_path: Path) -> Path:
+    return match_of_stills(tmp_path / "match", "aa_1", "aa_2", "08fd33_1", "798b45_3")
+
+
+def test_a_picture_depends_on_seed_and_number_alone(match: Path, pitch: Path) -> None:
+    first = Real([stills(match), stills(pitch)], seed=1)
+    again = pickle.loads(pickle.dumps(first))  # as it is sent to a worker
+
+    whole = [first[k] for k in range(6)]
+
+    for k in (5, 0, 3):
+        assert np.array_equal(again[k].picture, whole[k].picture)
+        assert np.array_equal(again[k].boxes, whole[k].boxes)
+    other = Real([stills(match), stills(pitch)], seed=2)
+    assert not np.array_equal(other[0].picture, whole[0].picture)
+
+
+def test_both_kinds_of_stills_have_their_turn(match: Path, pitch: Path) -> None:
+    real = Real([stills(match), stills(pitch)], seed=1)
+
+    seen = {int(label) for k in range(40) for label in real[k].labels}
+
+    assert seen == {*range(len(NAMES)), ANYONE}
+
+
+def test_where_no_ball_is_labelled_no_place_counts_as_empty(tmp_path: Path) -> None:
+    write_names(tmp_path, "ball", "player")
+    write_still(tmp_path, "aa_1", [(1, 400, 250, 24, 60)])
+    real = Real([stills(tmp_path)], seed=1)
+
+    for k in range(5):
+        example = real[k]
+        anywhere = (example.labels == BALL) & example.ignored
+        assert example.boxes[anywhere][-1].tolist() == [0, 0, *CONTEXT_PX]
+
+
+def test_stills_held_out_are_not_trained_on(match: Path, pitch: Path, tmp_path: Path) -> None:
+    given = TrainSettings(data=(tmp_path,), out=tmp_path, scenes=0, stills=(match, pitch))
+
+    names = [file.stem for folder in folders(given) for file in folder.files]
+
+    assert names == ["aa_1", "aa_2", "p_1"]
+
+
+def test_a_malformed_label_is_refused_before_training(match: Path, tmp_path: Path) -> None:
+    (match / "labels" / "aa_2.txt").write_text("2 0.5 0.5 0.1 1.7\n")
+    given = TrainSettings(data=(tmp_path,), out=tmp_path, scenes=0, stills=(match,))
+
+    with pytest.raises(DriverError, match=r"aa_2\.txt:1: expected a class number and four shares"):
+        source_of(given)
+
+
+def test_other_stills_or_labels_are_another_training(match: Path, tmp_path: Path) -> None:
+    given = TrainSettings(data=(tmp_path,), out=tmp_path, scenes=0, stills=(match,))
+    Run(given).save()
+    Run(given).resume()
+    (match / "labels" / "aa_2.txt").write_text("2 0.5 0.5 0.1 0.1\n")
+
+    with pytest.raises(SettingsError, match="stills: this folder's training has 2 files"):
+        Run(given).resume()
+
+
+def test_scenes_and_stills_are_mixed_by_their_share(match: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "5.npy", np.zeros((1, 270, 480, 3), np.uint8))
+    np.savez(
+        tmp_path / "5.npz", first=np.zeros(2, int), boxes=np.zeros((0, 4), np.float32),
+        labels=np.zeros(0, np.int64), ignored=np.zeros(0, np.bool_), made_with=np.array("{}"),
+    )  # fmt: skip
+    drawn, real = Rendered(rendered_in(tmp_path), seed=1), Real([stills(match)], seed=1)
+
+    def people(share: float) -> int:
+        mixed = Mixed(drawn, real, share, 1)
+        return sum(bool((mixed[k].labels != BALL).any()) for k in range(40))
+
+    assert people(0.0) == 0
+    assert 8 < people(0.5) < 32
+    assert people(1.0) > 30
+    with pytest.raises(DriverError, match="data: expected rendered scenes or stills, got none"):
+        Mixed(None, None, 0.5, 1)
+
+
+def test_a_batch_holds_crops_as_the_network_sees_them(match: Path) -> None:
+    real = Real([stills(match)], seed=1)
+
+    batch = collate([real[0], real[1]])
+
+    assert tuple(batch.pictures.shape) == (2, 3, 288, 480)
+    assert batch.boxes.shape[0] == 2
+    with pytest.raises(SettingsError, match=r"stills_share: must be within 0\.\.1, got 2"):
+        TrainSettings(data=(match,), out=match, stills_share=2.0)

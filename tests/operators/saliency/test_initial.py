@@ -1,0 +1,81 @@
+"""An exported detector can be trained on: its weights are taken back, and it says the same."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+pytest.importorskip("onnx", reason="needs the train extra")
+import torch
+
+from operators.saliency.data import Batch
+from operators.saliency.example import INPUT_PX
+from operators.saliency.initial import from_onnx
+from operators.saliency.model import DetectorNet, Exported
+from pipeline import WeightsError
+from pipeline.inference import Network
+from tests.operators.networks import constant_network
+from tests.operators.saliency.exported import exported_detector
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported_detector(tmp_path_factory.mktemp("exported"))
+
+
+def batch() -> Batch:
+    made = torch.Generator().manual_seed(1)
+    pictures = torch.randint(0, 256, (4, 3, 96, 160), dtype=torch.uint8, generator=made)
+    empty = torch.zeros(4, 1)
+    return Batch(pictures=pictures, boxes=torch.zeros(4, 1, 4), labels=empty, ignored=empty)
+
+
+def test_the_network_says_what_the_file_says(exported: Path) -> None:
+    net = DetectorNet()
+    pictures = batch().pictures[:1].float() / 255
+
+    from_onnx(exported, net, batch())
+
+    with torch.no_grad():
+        output, features = Exported(net.eval())(pictures)
+    said = Network(exported, threads=1)({"images": pictures.numpy()})
+    # all but the ball's scores, whose peaks are among equals in a network without training
+    assert np.allclose(output.numpy()[:, :6], said["output"][:, :6], atol=1e-2)
+    assert np.allclose(features.numpy(), said["features"], atol=1e-3)
+
+
+def test_norms_remember_what_they_see(exported: Path) -> None:
+    net = DetectorNet()
+    from_onnx(exported, net, batch())
+    pictures = batch().pictures.float() / 255
+
+    with torch.no_grad():
+        remembered = net.eval()(pictures).features
+        shown = net.train()(pictures).features
+
+    assert (remembered - shown).abs().max() < 0.05 * remembered.abs().max()
+
+
+def test_another_network_is_refused(tmp_path: Path) -> None:
+    other = constant_network(tmp_path / "n.onnx", np.zeros((1, 7, 10), np.float32))
+
+    with pytest.raises(WeightsError, match=r"n\.onnx: expected this detector's .*, got none"):
+        from_onnx(Path(other), DetectorNet(), batch())
+    (tmp_path / "broken.onnx").write_bytes(b"\x00no")
+    with pytest.raises(WeightsError, match=r"broken\.onnx: expected an ONNX file, got"):
+        from_onnx(tmp_path / "broken.onnx", DetectorNet(), batch())
+
+
+@pytest.mark.parametrize("size", [(480, 288), (256, 160)])
+def test_the_file_takes_pictures_of_any_sides_that_are_multiples_of_32(
+    exported: Path, size: tuple[int, int]
+) -> None:
+    width, height = size
+
+    said = Network(exported, threads=1)({"images": np.zeros((1, 3, height, width), np.float32)})
+
+    people = sum((width // s) * (height // s) for s in (8, 16, 32))
+    assert said["output"].shape == (1, 7, people + width * height // 16)
+    assert said["features"].shape == (1, 64, height // 8, width // 8)
+    assert INPUT_PX == (480, 288)

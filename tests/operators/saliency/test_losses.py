@@ -1,0 +1,71 @@
+"""What is not known of a person does not count, and everything else does."""
+
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("torch", reason="needs the train extra")
+import torch
+
+from operators.saliency.data import Batch
+from operators.saliency.example import ANYONE, INPUT_PX, NAMES
+from operators.saliency.losses import losses
+from operators.saliency.model import STRIDES, Raw, cell_centres
+
+WIDTH, HEIGHT = INPUT_PX
+BOX = (100.0, 100.0, 124.0, 160.0)
+BALL = NAMES.index("ball")
+
+
+def raw(player: float = -3.0, referee: float = -3.0) -> Raw:
+    """A network that gives these logits, and the box, to the cell in the middle of the person."""
+    centres = torch.cat(
+        [cell_centres(HEIGHT // s, WIDTH // s, s, torch.device("cpu")) for s in STRIDES]
+    )
+    boxes = torch.cat([centres - 8, centres + 8], 1)[None].clone()
+    scores = torch.full((1, len(centres), 2), -6.0)
+    best = int((centres - torch.tensor([112.0, 130.0])).norm(dim=1).argmin())
+    boxes[0, best] = torch.tensor(BOX)
+    scores[0, best] = torch.tensor([player, referee])
+    return Raw(
+        scores=scores, boxes=boxes, features=torch.zeros(1, 64, HEIGHT // 8, WIDTH // 8),
+        heat=torch.full((1, 1, HEIGHT // 4, WIDTH // 4), -4.0),
+        ball=torch.zeros(1, 4, HEIGHT // 4, WIDTH // 4),
+    )  # fmt: skip
+
+
+def batch(label: int, box: tuple[float, ...] = BOX, ignored: bool = False) -> Batch:
+    return Batch(
+        pictures=torch.zeros(1, 3, HEIGHT, WIDTH), boxes=torch.tensor([[box]]),
+        labels=torch.tensor([[label]]), ignored=torch.tensor([[ignored]]),
+    )  # fmt: skip
+
+
+def people(found: Raw, truth: Batch) -> float:
+    return float(losses(found, truth)["people"])
+
+
+def test_anyone_may_be_taken_for_a_player_or_a_referee() -> None:
+    assert people(raw(player=3.0), batch(ANYONE)) == pytest.approx(
+        people(raw(referee=3.0), batch(ANYONE)), rel=1e-5
+    )
+    assert people(raw(player=3.0), batch(0)) < people(raw(referee=3.0), batch(0)) - 1
+
+
+def test_anyone_must_be_found_nevertheless() -> None:
+    assert people(raw(), batch(ANYONE)) > people(raw(player=3.0), batch(ANYONE)) + 0.5
+
+
+def test_both_classes_of_anyone_do_not_count_twice() -> None:
+    both, one = people(raw(3.0, 2.0), batch(ANYONE)), people(raw(3.0, -6.0), batch(ANYONE))
+
+    assert both == pytest.approx(one, abs=1e-3)
+
+
+def test_a_ball_that_may_be_anywhere_makes_no_place_empty() -> None:
+    found = raw()
+    lit = replace(found, heat=found.heat + 6)
+    nowhere, anywhere = batch(-1), batch(BALL, (0.0, 0.0, WIDTH, HEIGHT), ignored=True)
+
+    assert float(losses(lit, nowhere)["heat"]) > 100
+    assert float(losses(lit, anywhere)["heat"]) == 0

@@ -1,0 +1,135 @@
+"""Tiles of a large context: one answer per frame, in sensor pixels, of all that was seen."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from operators.saliency import MovedSaliency, Saliency
+from operators.saliency.moved import MovedSaliencySettings
+from operators.saliency.saliency import SHIPPED
+from pipeline import Detections, Frame, SettingsError
+from pipeline.testing import drive, header
+from tests.operators.networks import constant_network
+
+CONTEXT, SENSOR = (960, 576), (7680, 4608)  # 2 x 2 tiles, 3 x 3 with an overlap
+
+
+def frame(seq: int, pixels: NDArray[np.uint8]) -> Frame:
+    return Frame(header=header(seq), pixels=pixels, window=(0, 0, *SENSOR))
+
+
+def flat(level: int = 80) -> NDArray[np.uint8]:
+    return np.full((CONTEXT[1], CONTEXT[0], 3), level, np.uint8)
+
+
+def answers(frames: list[Frame], weights: str, **settings: object) -> list[Detections]:
+    found = drive(MovedSaliency, frames, {"weights": weights, **settings})
+    return [answer for answer in found if isinstance(answer, Detections)]
+
+
+@pytest.fixture
+def one_in_each(tmp_path: Path) -> str:
+    """A network that finds a player in the middle of every tile, and features of one channel."""
+    output = np.zeros((1, 6, 64), np.float32)
+    output[0, :, 0] = (240, 144, 10, 20, 0.9, 0)
+    features = np.arange(36 * 60, dtype=np.float32).reshape(1, 1, 36, 60)
+    return constant_network(
+        tmp_path / "n.onnx", output, features=features, names="{0: 'player', 1: 'ball'}"
+    )
+
+
+def test_what_each_tile_finds_is_told_once_in_sensor_pixels(one_in_each: str) -> None:
+    (found,) = answers([frame(0, flat())], one_in_each, tiles=100, overlap_px=0)
+
+    middles = (found.boxes[:, :2] + found.boxes[:, 2:]) / 2
+    expected = [[x, y] for y in (1152, 3456) for x in (1920, 5760)]
+    assert sorted(middles.tolist(), key=lambda p: (p[1], p[0])) == expected
+    assert np.allclose(found.boxes[:, 2:] - found.boxes[:, :2], [80, 160])
+    assert found.features.shape == (4, 1)
+    assert found.features[0, 0] > 0
+
+
+def test_no_more_tiles_are_looked_at_than_set_and_all_within_some_frames(one_in_each: str) -> None:
+    found = answers([frame(k, flat()) for k in range(4)], one_in_each, tiles=3, overlap_px=48)
+
+    assert [len(answer.boxes) for answer in found] == [3, 6, 9, 9]
+
+
+def test_what_was_seen_is_told_again_where_nothing_moved(one_in_each: str) -> None:
+    first, second = answers(
+        [frame(0, flat()), frame(1, flat())], one_in_each, tiles=4, overlap_px=0
+    )
+
+    assert np.array_equal(first.boxes, second.boxes)
+    assert np.array_equal(first.features, second.features)
+
+
+def test_what_two_tiles_find_on_both_sides_of_their_border_counts_once(tmp_path: Path) -> None:
+    # beside the right border and, the same person a pixel off, beside the left one
+    output = np.zeros((1, 6, 64), np.float32)
+    output[0, :, 0], output[0, :, 1] = (479, 144, 10, 20, 0.9, 0), (1, 144, 10, 20, 0.8, 0)
+    weights = constant_network(tmp_path / "n.onnx", output, names="{0: 'player', 1: 'ball'}")
+
+    (found,) = answers([frame(0, flat())], weights, tiles=4, overlap_px=0)
+
+    x = (found.boxes[:, 0] + found.boxes[:, 2]) / 16
+    assert len(found.boxes) == 6  # two in each row of tiles at the border would be eight
+    assert np.abs(x - 480).min() < 2
+
+
+def test_a_context_of_another_size_begins_anew(one_in_each: str) -> None:
+    small = Frame(
+        header=header(1), pixels=np.full((270, 480, 3), 9, np.uint8), window=(0, 0, 1920, 1080)
+    )
+
+    first, second = answers([frame(0, flat()), small], one_in_each, tiles=4, overlap_px=0)
+
+    assert (len(first.boxes), len(second.boxes)) == (4, 1)
+
+
+def test_an_empty_picture_finds_nothing(one_in_each: str) -> None:
+    empty = Frame(header=header(0), pixels=np.zeros((0, 0, 3), np.uint8), window=(0, 0, 0, 0))
+
+    (found,) = answers([empty], one_in_each)
+
+    assert len(found.boxes) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("tiles", 0, "tiles: must be at least 1, got 0"),
+        ("overlap_px", 300, r"overlap_px: must be within 0\.\.256, got 300"),
+        ("change_levels", 0, "change_levels: must be above 0 and below 255, got 0"),
+        ("refresh_frames", 0, "refresh_frames: must be at least 1, got 0"),
+        ("nms_iou", 2, r"nms_iou: must be within 0\.\.1, got 2"),
+    ],
+)
+def test_a_setting_out_of_range_is_refused(name: str, value: float, sentence: str) -> None:
+    with pytest.raises(SettingsError, match=sentence):
+        MovedSaliencySettings(**{name: value})  # type: ignore[arg-type]
+
+
+def test_an_overlap_as_large_as_a_tile_is_refused(tmp_path: Path) -> None:
+    output = np.zeros((1, 6, 64), np.float32)
+    weights = constant_network(tmp_path / "n.onnx", output, size_px=(128, 96))
+    settings = MovedSaliencySettings(weights=weights, overlap_px=96)
+
+    with pytest.raises(SettingsError, match=r"overlap_px: must be below the sides of a tile"):
+        list(MovedSaliency.advise(settings, {}))
+
+
+def test_the_shipped_detector_sees_in_tiles_what_it_sees_in_the_whole() -> None:
+    """One tile is what `Saliency` would look at."""
+    pixels = np.random.default_rng(1).integers(0, 256, (288, 480, 3)).astype(np.uint8)
+    given = Frame(header=header(0), pixels=pixels, window=(0, 0, 480, 288))
+    low = {"weights": str(SHIPPED), "confidence": 0.02}
+
+    (tile,) = drive(MovedSaliency, [given], low)
+    (whole,) = drive(Saliency, [given], low)
+
+    assert isinstance(tile, Detections)
+    assert isinstance(whole, Detections)
+    assert np.array_equal(tile.boxes, whole.boxes)

@@ -1,0 +1,105 @@
+"""Tiles cover a picture, each place is owned once, and what changed is looked at first."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from operators.saliency.tiles import Changes, grid
+
+TILE = (480, 288)
+SIZE = (1000, 600)
+
+
+def picture(seed: int = 1) -> NDArray[np.uint8]:
+    rng = np.random.default_rng(seed)
+    return np.asarray(rng.integers(60, 90, (SIZE[1], SIZE[0], 3)), np.uint8)
+
+
+def looked_at_all() -> Changes:
+    changes = Changes(grid(*SIZE, TILE, 48), levels=12)
+    for tile in changes.due(picture(), 100, 50):
+        changes.looked(tile)
+    return changes
+
+
+@given(st.integers(1, 3000), st.integers(1, 2000), st.integers(0, 100))
+@settings(max_examples=60, deadline=None)
+def test_each_place_is_owned_by_one_tile_that_shows_it(width: int, height: int, ov: int) -> None:
+    tiles = grid(width, height, TILE, ov)
+
+    owned = (tiles.cores[:, 2:] - tiles.cores[:, :2]).prod(1)
+    assert owned.sum() == width * height
+    assert (tiles.cores[:, :2] >= tiles.windows[:, :2]).all()
+    assert (tiles.cores[:, 2:] <= tiles.windows[:, 2:]).all()
+    sides = tiles.windows[:, 2:] - tiles.windows[:, :2]
+    assert (sides == np.minimum(TILE, (width, height))).all()
+
+
+@given(st.integers(481, 3000), st.integers(8, 96))
+@settings(max_examples=60, deadline=None)
+def test_neighbours_overlap_by_what_is_asked_for(width: int, overlap: int) -> None:
+    windows = grid(width, 288, TILE, overlap).windows
+
+    assert (windows[:-1, 2] - windows[1:, 0] >= overlap).all()
+
+
+def test_what_was_never_seen_is_looked_at_first_and_then_nothing_unless_it_changes() -> None:
+    changes = Changes(grid(*SIZE, TILE, 48), levels=12)
+
+    first = changes.due(picture(), 4, 50)
+    for tile in first:
+        changes.looked(tile)
+    second = changes.due(picture(), 100, 50)
+    for tile in second:
+        changes.looked(tile)
+
+    assert len(first) == 4
+    assert not set(first) & set(second)
+    assert sorted(first + second) == list(range(9))
+    assert changes.due(picture(), 100, 50) == []
+
+
+def test_a_tile_is_due_where_something_moved() -> None:
+    changes = looked_at_all()
+    later = picture()
+    later[20:40, 10:20] = 250
+
+    assert changes.due(later, 100, 50) == [0]
+
+
+def test_slow_motion_is_judged_by_what_the_tile_showed_when_it_was_looked_at() -> None:
+    changes = looked_at_all()
+
+    for brightness in range(2, 12, 2):  # each step is less than the noise
+        assert changes.due(picture() + np.uint8(brightness), 100, 50) == []
+
+    assert len(changes.due(picture() + np.uint8(14), 100, 50)) == 9
+
+
+def test_noise_is_no_change() -> None:
+    assert looked_at_all().due(picture(seed=2), 100, 50) == []
+
+
+def test_a_tile_that_changes_little_has_its_turn_beside_one_that_changes_much() -> None:
+    changes = looked_at_all()
+    turns = []
+    for k in range(40):
+        now = picture()
+        now[400:600, 600:1000] = 90 + 40 * (k % 2) + 60  # the last tile, all of it, always
+        now[20:24, 10 : 14 + 4 * (k % 2)] = 250  # the first, a little
+        due = changes.due(now, 1, 1000)
+        for tile in due:
+            changes.looked(tile)
+        turns += due
+
+    assert 0 in turns
+    assert turns.count(8) > turns.count(0)
+
+
+def test_a_tile_without_change_is_looked_at_again_after_a_while() -> None:
+    changes = looked_at_all()
+
+    waited = [changes.due(picture(), 100, 5) for _ in range(5)]
+
+    assert [len(due) for due in waited] == [0, 0, 0, 0, 9]
