@@ -5,7 +5,8 @@ device. `make` returns a new sensor each time. Its pictures must differ from fra
 must have at least ten of them.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from drivers.commands import Window
-from drivers.sensor import DualStreamSensor, Exposure
+from drivers.sensor import FURTHER, DualStreamSensor, Exposure
 from pipeline.errors import DriverError, PoolExhausted
 from pipeline.messages import Geometry, Header, RoiSchedule
 
@@ -62,8 +63,10 @@ def read(sensor: DualStreamSensor) -> Exposure:
     return exposure
 
 
-def command(stream: str, *, made_from: int, first: int, windows: list[Window]) -> RoiSchedule:
-    """Return a command for the frames from `first` on, one window for each."""
+def command(
+    stream: str, *, made_from: int, first: int, windows: Sequence[Window | Sequence[Window]]
+) -> RoiSchedule:
+    """Return a command for the frames from `first` on, one window or a list of them for each."""
     header = Header(stream=stream, seq=made_from, stamp_ns=0)
     return RoiSchedule(header=header, first_seq=first, windows=np.array(windows, np.int32))
 
@@ -149,6 +152,38 @@ def check_windows_of_any_kind_become_windows_of_the_roi(make: Make) -> Figures:
     return {"windows": len(ODD_WINDOWS)}
 
 
+def check_several_windows_are_read_together_or_refused(make: Make) -> Figures:
+    """Each window of a frame is a frame of the same exposure; more than it reads are an error."""
+    with running(make) as sensor:
+        can = sensor.capabilities()
+        if not can.roi_sizes_px:
+            return {SKIPPED: "it reads no region"}
+        grid, seen = can.geometry, read(sensor).header
+        apart = [grid.aligned(k * (grid.width_px - grid.roi_width_px) // 4) for k in range(5)]
+        row = [(x, 0, x + grid.roi_width_px, grid.roi_height_px) for x in apart]
+        try:
+            sensor.set_rois(_rows(seen, [row[: can.rois + 1]]))
+        except DriverError:
+            pass
+        else:
+            raise ContractBroken(
+                f"set_rois: expected an error for {can.rois + 1} windows in one frame, of which "
+                f"it reads {can.rois}, got none"
+            )
+        sensor.set_rois(_rows(seen, [row[: can.rois]] * can.lead_frames))
+        last = [read(sensor) for _ in range(can.lead_frames)][-1]
+    frames = (last.roi, *last.further)
+    _expect("windows of one exposure", [frame.window for frame in frames], row[: can.rois])
+    for frame in frames:
+        _expect("header of a window", frame.header, last.header)
+        _expect("command of a window", frame.command_seq, seen.seq)
+    return {"rois": can.rois}
+
+
+def _rows(seen: Header, rows: list[list[Window]]) -> RoiSchedule:
+    return command(seen.stream, made_from=seen.seq, first=seen.seq + 1, windows=rows)
+
+
 def check_late_and_foreign_commands_are_counted(make: Make) -> Figures:
     """A command for a frame that is over, or of another stream, is counted and not used."""
     with running(make) as sensor:
@@ -182,7 +217,7 @@ def check_an_exposure_without_memory_is_spent(make: Make) -> Figures:
 
 def check_pictures_lie_in_the_memory_lent(make: Make) -> Figures:
     """Nothing is copied between the sensor's memory and the frame pool."""
-    lent: dict[str, list[NDArray[Any]]] = {"context": [], "roi": []}
+    lent: dict[str, list[NDArray[Any]]] = defaultdict(list)
 
     def loan(
         output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
@@ -194,7 +229,10 @@ def check_pictures_lie_in_the_memory_lent(make: Make) -> Figures:
         exposure = sensor.read(loan)
     if exposure is None:
         raise ContractBroken("read: expected an exposure, got the end of the stream")
-    for output, pixels in (("context", exposure.context.pixels), ("roi", exposure.roi.pixels)):
+    outputs = {"context": exposure.context, "roi": exposure.roi}
+    outputs |= dict(zip(FURTHER, exposure.further, strict=False))
+    for output, frame in outputs.items():
+        pixels = frame.pixels
         if pixels.size and not any(pixels is memory for memory in lent[output]):
             raise ContractBroken(f"{output}: expected the memory that was lent, got other memory")
     return {"bytes": sum(each[0].nbytes for each in lent.values() if each)}
@@ -219,6 +257,7 @@ CHECKS: tuple[Check, ...] = (
     check_each_opening_is_a_new_stream,
     check_commands_shape_the_frames_they_name,
     check_windows_of_any_kind_become_windows_of_the_roi,
+    check_several_windows_are_read_together_or_refused,
     check_late_and_foreign_commands_are_counted,
     check_an_exposure_without_memory_is_spent,
     check_pictures_lie_in_the_memory_lent,

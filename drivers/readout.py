@@ -72,13 +72,18 @@ def exposure_of(
     return Exposure(
         header=header,
         context=Frame(header=header, pixels=context, pixel_format=pixel_format, window=whole),
-        roi=Frame(
-            header=header,
-            pixels=roi,
-            pixel_format=roi_pixel_format or pixel_format,
-            window=aim.window,
-            command_seq=aim.command_seq,
-            status=aim.status,
-        ),
+        roi=roi_frame(header, roi, aim, roi_pixel_format or pixel_format),
         truth=truth,
+    )
+
+
+def roi_frame(header: Header, pixels: NDArray[Any], aim: Commanded, pixel_format: str) -> Frame:
+    """One window of an exposure as a frame."""
+    return Frame(
+        header=header,
+        pixels=pixels,
+        pixel_format=pixel_format,
+        window=aim.window,
+        command_seq=aim.command_seq,
+        status=aim.status,
     )

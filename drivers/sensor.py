@@ -15,6 +15,8 @@ from pipeline.forecast import Forecast
 from pipeline.messages import Frame, Geometry, Header, RoiSchedule
 
 EMPTY_WINDOW = (0, 0, 0, 0)
+FURTHER = ("roi_2", "roi_3", "roi_4")  # outputs of the windows beside `roi`
+MOST_ROIS = 1 + len(FURTHER)  # windows of one exposure
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +34,7 @@ class Capabilities:
     same_exposure: bool = (
         True  # False: the ROI is exposed after the context, `Frame.delay_ns` later
     )
+    rois: int = 1  # windows that it reads in one exposure, `MOST_ROIS` at most
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,17 +48,19 @@ class Mode:
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """Both pictures of one exposure, under one header.
+    """The pictures of one exposure, under one header.
 
     `roi` is empty, with an empty window, when the sensor reads no region in this exposure. A sensor
     that cannot expose both at once says so (`Capabilities.same_exposure`, `Frame.delay_ns`). A
-    simulated sensor may include the ground truth; only the oracle strategy uses it.
+    simulated sensor may include the ground truth; only the oracle strategy uses it. `further` are
+    windows 2 to K of a sensor that reads K, empty where they are not read.
     """
 
     header: Header
     context: Frame
     roi: Frame
     truth: Annotations | None = None
+    further: tuple[Frame, ...] = ()  # Capabilities.rois - 1 of them
 
 
 class DualStreamSensor(Protocol):
@@ -92,12 +97,15 @@ class DualStreamSensor(Protocol):
 
         Windows of the wrong size are replaced by one of the ROI's size around the same centre;
         then clamped to the field, then aligned down to the sensor's step. The frame contains the
-        actual window. Late schedules and those of another stream are counted, not used.
+        actual window. Late schedules and those of another stream are counted, not used. Raises
+        `DriverError` for more windows in one frame than `Capabilities.rois`.
         """
         ...
 
     def read(self, loan: Loan) -> Exposure | None:
         """The next exposure, written into memory from `loan("context" | "roi", shape, dtype)`.
+
+        Windows 2 to K are written into memory from `loan("roi_2", …)` to `loan("roi_4", …)`.
 
         Memory that is lent with `ahead=True` stays lent until an exposure with it was returned:
         for a device that writes before it says what comes; at most two of an output.

@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import DTypeLike, NDArray
 
-from drivers.sensor import DualStreamSensor, StatesStreams
+from drivers.sensor import FURTHER, DualStreamSensor, StatesStreams
 from drivers.source import Annotations
 from pipeline.contract import Input, Output, Source
 from pipeline.errors import DriverError, SettingsError
@@ -39,6 +39,12 @@ class CaptureSettings:
         """The origin of the pictures, for messages."""
         return str(getattr(self.build(), "source", self.sensor))
 
+    @property
+    def rois(self) -> int:
+        """How many windows the sensor reads in one exposure, by its options; 1 if unsaid."""
+        sensor = _load(self.sensor)
+        return int(getattr(build(sensor.settings_type, self.options, "options"), "rois", 1))
+
     def build(self) -> DualStreamSensor:
         """Return the sensor, not yet open; raises `SettingsError`."""
         sensor = _load(self.sensor)
@@ -52,6 +58,9 @@ class Capture(Source[CaptureSettings, Frame]):
     schedule = Input(RoiSchedule, command=True)
     context = Output(Frame)
     roi = Output(Frame)
+    roi_2 = Output(Frame)  # further windows of the same exposure, where the sensor reads several
+    roi_3 = Output(Frame)
+    roi_4 = Output(Frame)
     truth = Output(Truth)
 
     _sensor: DualStreamSensor | None = None
@@ -91,6 +100,7 @@ class Capture(Source[CaptureSettings, Frame]):
         if exposure is None:
             return None
         answers: dict[str, Message] = {"context": exposure.context, "roi": exposure.roi}
+        answers.update(zip(FURTHER, exposure.further, strict=False))
         if exposure.truth is not None:
             answers["truth"] = truth_of(exposure.truth, exposure.header)
         return answers

@@ -48,6 +48,44 @@ def covered(boxes: Array, window: Array) -> Array:
     return np.asarray(common / np.maximum(areas(boxes), 1e-9), np.float32)
 
 
+def outside(boxes: Array, window: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the parts of boxes outside a window: (n, 4), (4,) -> disjoint (m, 4), their rows (m,).
+
+    Each box leaves at most four parts: above, below, left and right of the window.
+
+    >>> outside(np.array([[0, 0, 4, 4]], np.float32), np.array([2, 0, 9, 9]))[0].tolist()
+    [[0.0, 0.0, 2.0, 4.0]]
+    """
+    x0, y0, x1, y1 = np.asarray(boxes, np.float32).T
+    left, top, right, bottom = (np.float32(side) for side in window)
+    above, below = np.clip(top, y0, y1), np.clip(bottom, y0, y1)
+    before, after = np.clip(left, x0, x1), np.clip(right, x0, x1)
+    parts = np.stack([
+        np.stack([x0, y0, x1, above], -1),
+        np.stack([x0, below, x1, y1], -1),
+        np.stack([x0, above, before, below], -1),
+        np.stack([after, above, x1, below], -1),
+    ])  # fmt: skip
+    place, rows = np.nonzero(areas(parts) > 0)
+    return parts[place, rows], rows
+
+
+def covered_by(boxes: Array, windows: Array) -> Array:
+    """Fraction of each box inside any of several windows: (n, 4), (k, 4) -> (n,), 0..1.
+
+    >>> two = np.array([[0, 0, 2, 2], [1, 0, 3, 2]], np.float32)
+    >>> covered_by(np.array([[0, 0, 4, 2]], np.float32), two).tolist()
+    [0.75]
+    """
+    left, rows = np.asarray(boxes, np.float32), np.arange(len(boxes))
+    for window in windows:
+        left, parents = outside(left, window)
+        rows = rows[parents]
+    missing = np.bincount(rows, areas(left), len(boxes))
+    whole = areas(boxes)
+    return np.asarray(np.where(whole > 0, 1 - missing / np.maximum(whole, 1e-9), 0), np.float32)
+
+
 def centres(boxes: Array) -> Array:
     """Centre of each box: (..., 4) -> (..., 2), (x, y)."""
     return np.asarray((boxes[..., :2] + boxes[..., 2:]) / 2, np.float32)

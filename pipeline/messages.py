@@ -207,10 +207,16 @@ class Scanpath(Message):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoiSchedule(Message):
-    """The sensor command: one window per frame from `first_seq` on; T = 0: no change."""
+    """The sensor command: one window per frame from `first_seq` on; T = 0: no change.
+
+    A sensor that reads several windows in one exposure takes (frames, windows, 4); a row without
+    area is a window that is not read.
+    """
 
     first_seq: int
-    windows: Annotated[NDArray[np.int32], Shape.of("frames", 4)]  # xyxy, sensor pixels
+    windows: Annotated[
+        NDArray[np.int32], Shape((("frames", 4), ("frames", "windows", 4)))
+    ]  # xyxy, sensor pixels
     scanpath_seq: int = -1  # seq of the scanpath behind it
 
 

@@ -107,6 +107,10 @@ PLACES = {
     "long_horizon": Place(
         section="Late plans", order=21, title="Plans of 200 frames: the network beside rules"
     ),
+    "rois": Place(
+        section="Tracking under a pixel budget", order=30,
+        title="One large ROI against two and four small ones at equal pixels",
+    ),
     "crash": Place(section="Faults, swaps and long runs", order=1, title="SIGKILL under load"),
     "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
     "swap": Place(section="Faults, swaps and long runs", order=5, title="Swaps"),

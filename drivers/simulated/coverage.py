@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.source import Annotations
-from pipeline.boxes import centres, covered
+from pipeline.boxes import centres, covered_by
 
 
 class Coverage:
@@ -17,9 +17,9 @@ class Coverage:
         self._sums: dict[str, float] = {}
         self._frames: dict[str, int] = {}
 
-    def add(self, truth: Annotations, window: tuple[int, int, int, int]) -> None:
-        """Account for one exposure."""
-        shares = covered(truth.boxes, np.array(window, np.float32))
+    def add(self, truth: Annotations, *windows: tuple[int, int, int, int]) -> None:
+        """Account for one exposure: what several windows show of a box counts once."""
+        shares = covered_by(truth.boxes, np.array(windows, np.float32))
         labels = np.array(truth.labels)
         for label in set(truth.labels):
             mean = float(shares[labels == label].mean())

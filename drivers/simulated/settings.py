@@ -7,6 +7,7 @@ from typing import Any
 
 from drivers.noise import Response
 from drivers.readout import geometry_of
+from drivers.sensor import MOST_ROIS
 from drivers.simulated.sources import check_arguments, scene_path
 from drivers.simulated.strategies import (
     STRATEGIES,
@@ -36,6 +37,7 @@ class SimulatedSensorSettings:
     context_scale: float = 0.25  # context side per field side
     roi_area: float = 0.0625  # share of the field that the ROI shows, aspect kept
     roi_scale: float = 1.0  # read-out side per ROI side
+    rois: int = 1  # windows of `roi_area` each in one exposure, 1 to 4
     step_px: int = 0  # windows start at multiples of it; 0: 1, or 2 under a mosaic
     rate_hz: float = 0.0  # 0: the source's own
     seed: int = 0
@@ -71,7 +73,7 @@ class SimulatedSensorSettings:
             raise SettingsError(f"step_px: a mosaic needs an even step, got {self.step_px}")
         if self.size_px != (0, 0) and not all(16 <= side <= 32_768 for side in self.size_px):
             raise SettingsError(f"size_px: expected sides of 16 to 32768, got {self.size_px}")
-        check_budget(self.strategy, self.budget, self.context_scale, self.roi_area, self.roi_scale)
+        self._check_rois()
         if self.source:
             given = {"path": self.path} if self.path else {}
             check_arguments("source", self.source, {**given, **self.source_options})
@@ -80,6 +82,23 @@ class SimulatedSensorSettings:
         if self.rate_hz and not RATES_HZ[0] <= self.rate_hz <= RATES_HZ[1]:
             low, high = RATES_HZ
             raise SettingsError(f"rate_hz: expected {low:g} to {high:g}, got {self.rate_hz}")
+
+    def _check_rois(self) -> None:
+        if not 1 <= self.rois <= MOST_ROIS:
+            raise SettingsError(f"rois: expected 1 to {MOST_ROIS}, got {self.rois}")
+        if self.rois > 1 and self.strategy != "foveated":
+            raise SettingsError(
+                f"rois: {self.strategy} reads one window at most, several need the strategy "
+                f"foveated, got {self.rois}"
+            )
+        check_budget(
+            self.strategy,
+            self.budget,
+            self.context_scale,
+            self.roi_area,
+            self.roi_scale,
+            self.rois,
+        )
 
     def _check_raw(self) -> None:
         usual = {"pixel_format": "", "full_well_e": 0, "read_noise_e": 0, "black_level": 0}
@@ -131,6 +150,7 @@ class SimulatedSensorSettings:
             roi_area=self.roi_area,
             roi_scale=self.roi_scale,
             multiple_px=self.multiple_px,
+            rois=self.rois,
         )
 
     def geometry(self, size_px: tuple[int, int]) -> Geometry:

@@ -16,8 +16,9 @@ import numpy as np
 from drivers.commands import Commanded, CommandTable, counts_of
 from drivers.readout import exposure_of
 from drivers.scan import scan_window
-from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
+from drivers.sensor import EMPTY_WINDOW, FURTHER, Capabilities, Exposure, Mode
 from drivers.simulated.coverage import Coverage, where
+from drivers.simulated.further import FurtherWindows, read_further
 from drivers.simulated.playback import Playback, Timing
 from drivers.simulated.prefetch import Ready
 from drivers.simulated.readout import Readout
@@ -28,7 +29,7 @@ from pipeline.boxes import roi_window
 from pipeline.contract import HEADLINE, RATE, Loan
 from pipeline.errors import DriverError, PoolExhausted, SettingsError
 from pipeline.forecast import Forecast, PictureStream, pictures
-from pipeline.messages import Header, RoiSchedule
+from pipeline.messages import Frame, Header, RoiSchedule
 from pipeline.pixel_formats import FORMATS
 
 USUAL_RATE_HZ = 30.0  # of a source that has no rate of its own
@@ -46,6 +47,8 @@ class SimulatedSensor:
         self._commands: CommandTable | None = None
         self._coverage = Coverage()
         self._windows: Counter[str] = Counter()
+        self._further = FurtherWindows(settings.rois)
+        self._emitted_px, self._full_px = 0, 1
         self._exposed = self._overrun = 0
         self._rate_hz = 0.0  # of base frames, from `start` on
 
@@ -85,6 +88,7 @@ class SimulatedSensor:
             rates_hz=RATES_HZ,
             pixel_formats=("rgb8", *self._mosaics()),
             lead_frames=1 + self._settings.latency_frames,
+            rois=self._settings.rois,
         )
 
     def forecast(self) -> Forecast:
@@ -100,6 +104,7 @@ class SimulatedSensor:
             found, form = settings.sampling(size_px), settings.form.name
             interval = found.interval
             sides = {"context": found.context_px, "roi": found.roi_px}
+            sides |= dict.fromkeys(FURTHER[: found.rois - 1], found.roi_px)
             streams = {n: pictures(px, form, rate_hz / interval) for n, px in sides.items()}
         return Forecast(
             streams=streams,
@@ -164,7 +169,8 @@ class SimulatedSensor:
             self._playback.done(ready)
         self._exposed += 1
         if ready.truth is not None and any(self._sampling.window_px):
-            self._coverage.add(ready.truth, exposure.roi.window)
+            windows = [frame.window for frame in exposure.further]
+            self._coverage.add(ready.truth, exposure.roi.window, *windows)
         return exposure
 
     def stop(self) -> None:
@@ -184,7 +190,8 @@ class SimulatedSensor:
         """Frames, pixels against the budget, commands, and how much of the truth the ROI saw.
 
         `elapsed` is source time in frames; `late` are those of `skipped` that the strategy did
-        not leave out on purpose; `windows` counts the status of the ROI.
+        not leave out on purpose; `windows` counts the status of the ROI, `further_windows`
+        what became of windows 2 to K.
         """
         played = self._playback
         elapsed = played.elapsed if played else 0
@@ -200,10 +207,11 @@ class SimulatedSensor:
             },
             "pixels": {
                 "budget": self._settings.share,
-                "used": round(self._exposed * self._share / elapsed, 6) if elapsed else 0.0,
+                "used": round(self._emitted_px / elapsed / self._full_px, 6) if elapsed else 0.0,
             },
             "commands": counts_of(self._commands),
             "windows": dict(self._windows),
+            **self._further.summary(),
             "roi_coverage": self._coverage.shares(),
             "roi_coverage_frames": self._coverage.frames(),
         }
@@ -240,7 +248,7 @@ class SimulatedSensor:
     def _prepare(self, source: FrameSource) -> None:
         settings = self._settings
         self._sampling = settings.sampling(source.size_px)
-        self._share = self._sampling.emitted_px() / math.prod(source.size_px)
+        self._full_px = math.prod(source.size_px)
         self._geometry = geometry = settings.geometry(source.size_px)
         self._readout = Readout(
             form=settings.form,
@@ -250,24 +258,27 @@ class SimulatedSensor:
             most_px=max(math.prod(self._sampling.context_px), math.prod(self._sampling.roi_px)),
         )
         self._commands = CommandTable(
-            self._stream, geometry, latency_frames=settings.latency_frames
+            self._stream, geometry, latency_frames=settings.latency_frames, rois=settings.rois
         )
-        self._window = roi_window(
-            np.array([side / 2 for side in source.size_px], np.float32), geometry
-        )
+        middle = roi_window(np.array([side / 2 for side in source.size_px], np.float32), geometry)
+        self._held = [middle] + [EMPTY_WINDOW] * (settings.rois - 1)
 
     def _expose(self, header: Header, ready: Ready, loan: Loan) -> Exposure:
         found, readout, seq = self._sampling, self._readout, header.seq
         whole = (0, 0, self._geometry.width_px, self._geometry.height_px)
         context = loan("context", readout.shape(found.context_px), readout.dtype)
         aim = Commanded(EMPTY_WINDOW, -1, "ok")
+        further: tuple[Frame, ...] = ()
         roi = np.empty(readout.shape((0, 0)), readout.dtype)
         if any(found.roi_px):
             roi = loan("roi", readout.shape(found.roi_px), readout.dtype)
-            aim = self._aim(seq, ready.truth)
+            lent = self._further.memory(loan, readout, found.roi_px)
+            aim, *others = self._aims(seq, ready.truth)
             readout.read(ready.pixels, aim.window, roi, seq=seq, port=1)
+            further = read_further(header, ready.pixels, others, lent, readout, found.roi_px)
         readout.read(ready.pixels, whole, context, seq=seq, port=0)
-        return exposure_of(
+        self._emitted_px += found.emitted_px(1 + sum(frame.pixels.size > 0 for frame in further))
+        exposure = exposure_of(
             header,
             context,
             roi,
@@ -276,11 +287,21 @@ class SimulatedSensor:
             roi_pixel_format=readout.form_of(aim.window, found.roi_px).name,
             truth=ready.truth,
         )
+        return replace(exposure, further=further) if further else exposure
+
+    def _aims(self, seq: int, truth: Annotations | None) -> list[Commanded]:
+        """Where the windows look in frame `seq`; what nothing covers holds the last ones."""
+        if self._settings.rois == 1 or self._commands is None:
+            return [self._aim(seq, truth)]
+        found = self._further.effective(self._commands.look_up_all(seq, held=self._held))
+        self._held = [aim.window for aim in found]
+        self._windows[found[0].status] += 1
+        return found
 
     def _aim(self, seq: int, truth: Annotations | None) -> Commanded:
         """Where the ROI looks in frame `seq`; what nothing covers holds the last window."""
         settings, geometry = self._settings, self._geometry
-        found = Commanded(self._window, -1, "ok")
+        found = Commanded(self._held[0], -1, "ok")
         if settings.strategy == "round_robin":
             found = Commanded(scan_window(seq, geometry), -1, "ok")
         elif settings.strategy == "oracle" and truth is not None:
@@ -288,8 +309,8 @@ class SimulatedSensor:
             if place is not None:
                 found = Commanded(roi_window(place, geometry), -1, "ok")
         elif settings.strategy == "foveated" and self._commands is not None:
-            found = self._commands.look_up(seq, held=self._window)
-        self._window = found.window
+            found = self._commands.look_up(seq, held=self._held[0])
+        self._held = [found.window]
         self._windows[found.status] += 1
         return found
 

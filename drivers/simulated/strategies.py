@@ -35,10 +35,12 @@ class Sampling:
     roi_px: tuple[int, int]  # the ROI as read
     interval: int = 1  # source frames per exposure
     averaged: bool = False  # the exposure integrates all of them; otherwise it is the first
+    rois: int = 1  # windows of one exposure, each of `roi_px`
 
-    def emitted_px(self) -> int:
-        """Pixels of one exposure."""
-        return math.prod(self.context_px) + math.prod(self.roi_px)
+    def emitted_px(self, rois: int | None = None) -> int:
+        """Pixels of one exposure with `rois` windows; None: with as many as it may read."""
+        count = self.rois if rois is None else rois
+        return math.prod(self.context_px) + count * math.prod(self.roi_px)
 
 
 def sampling(
@@ -50,12 +52,15 @@ def sampling(
     roi_area: float,
     roi_scale: float,
     multiple_px: int = 1,
+    rois: int = 1,
 ) -> Sampling:
     """The sampling of a field of `size_px`; sides are multiples of `multiple_px`.
 
+    `rois` windows of `roi_area` each share the budget.
+
     Raises `SettingsError` with the figures when the budget cannot be met.
     """
-    check_budget(strategy, budget, context_scale, roi_area, roi_scale)
+    check_budget(strategy, budget, context_scale, roi_area, roi_scale, rois)
     none = (0, 0)
     if strategy == "full":
         return Sampling(context_px=size_px, window_px=none, roi_px=none)
@@ -75,18 +80,24 @@ def sampling(
         context_px=scaled(size_px, context_scale, multiple_px),
         window_px=window_px,
         roi_px=scaled(window_px, roi_scale, multiple_px),
+        rois=rois,
     )
     used = found.emitted_px() / math.prod(size_px)
     if used > budget * (1 + TOLERANCE):
         raise SettingsError(
-            f"budget: context {_by(found.context_px)} and ROI {_by(found.roi_px)} take {used:.4g} "
-            f"of {_by(size_px)}, expected at most {budget:.4g}"
+            f"budget: context {_by(found.context_px)} and {_windows(rois)}ROI {_by(found.roi_px)} "
+            f"take {used:.4g} of {_by(size_px)}, expected at most {budget:.4g}"
         )
     return found
 
 
 def check_budget(
-    strategy: Strategy, budget: float, context_scale: float, roi_area: float, roi_scale: float
+    strategy: Strategy,
+    budget: float,
+    context_scale: float,
+    roi_area: float,
+    roi_scale: float,
+    rois: int = 1,
 ) -> None:
     """Raise `SettingsError` where no field size could meet the budget."""
     if strategy in ("temporal", "exposure"):
@@ -97,12 +108,16 @@ def check_budget(
                 f"which is 1/{1 / budget:.4g}"
             )
     if strategy in WITH_ROI:
-        context, roi = context_scale**2, roi_area * roi_scale**2
+        context, roi = context_scale**2, rois * roi_area * roi_scale**2
         if context + roi > budget * (1 + TOLERANCE):
             raise SettingsError(
-                f"budget: context {context:.4g} and ROI {roi:.4g} take {context + roi:.4g} of the "
-                f"field, expected at most {budget:.4g}"
+                f"budget: context {context:.4g} and {_windows(rois)}ROI {roi:.4g} take "
+                f"{context + roi:.4g} of the field, expected at most {budget:.4g}"
             )
+
+
+def _windows(rois: int) -> str:
+    return f"{rois} windows of the " if rois > 1 else ""
 
 
 def _by(size_px: tuple[int, int]) -> str:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.commands import check_count
 from drivers.sensor import EMPTY_WINDOW, Capabilities, Exposure, Mode
 from drivers.usb.board_forecast import UNKNOWN, board_of, forecast_of
 from drivers.usb.board_settings import (
@@ -113,7 +114,11 @@ class DualStreamBoard:
         self._started_ns = time.monotonic_ns()
 
     def set_rois(self, schedule: RoiSchedule) -> None:
-        """Send the windows of coming frames; may be called by another thread than `read`."""
+        """Send the windows of coming frames; may be called by another thread than `read`.
+
+        Raises `DriverError` for several in one exposure: the protocol has one ROI.
+        """
+        check_count(schedule, 1)
         if not len(schedule.windows):
             return
         if schedule.header.stream != self._stream:

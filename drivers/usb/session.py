@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.commands import rows_of
 from drivers.usb.board_settings import (
     DualStreamBoardSettings,
     backend_settings,
@@ -156,7 +157,7 @@ class Session:
 
     def _send(self, schedule: RoiSchedule) -> None:
         first, made_from = (s - self.first_seq for s in (schedule.first_seq, schedule.header.seq))
-        windows = schedule.windows[max(0, -first) :]
+        windows = rows_of(schedule.windows)[max(0, -first) :, 0]
         if not len(windows) or self._connection is None:
             return
         corners = [roi_window(c, self.geometry)[:2] for c in centres(windows.astype(np.float32))]

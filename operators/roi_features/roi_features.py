@@ -1,5 +1,7 @@
 """Encode tracked objects at full resolution: ROI Frame and Tracks -> RoiFeatures.
 
+A sensor that reads several windows in one exposure sends the others as `roi_2` to `roi_4`.
+
 Each track inside the ROI is cropped, scaled to the encoder's square and encoded, in one batch if
 the network allows. A network with a second output, `classes`, also verifies: it gives the
 probability that each object is of its labelled class.
@@ -27,6 +29,7 @@ from pipeline.boxes import covered
 from pipeline.inference import Network
 from pipeline.weights import weights_file
 
+FURTHER_WAIT_MS = 50.0  # realtime: for further windows of an exposure, where they are connected
 SHIPPED = Path(__file__).with_name("roi_encoder.onnx")
 
 
@@ -67,6 +70,9 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
 
     roi = Input(Frame, keep="latest")
     tracks = Input(Tracks, keep="latest")
+    roi_2 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
+    roi_3 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
+    roi_4 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
 
     def open(self) -> None:
         self._encoder = Encoder(self.settings)
@@ -75,29 +81,65 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
         """Return None: only scratch memory changes."""
 
     def on_roi_tracks(self, roi: Frame, tracks: Tracks) -> RoiFeatures:
-        if roi.pixels.size and (roi.pixels.ndim != 3 or roi.pixels.dtype != np.uint8):
-            raise MessageError(
-                f"roi_features.roi: expected rgb8 pixels, got {roi.pixel_format} "
-                f"{roi.pixels.dtype}; put operators.downsample before it"
-            )
-        rows = self._inside(roi, tracks)
-        features, logits = self._encoder(roi, tracks.boxes[rows, -1])
+        return self.on_roi_tracks_roi_2_roi_3_roi_4(roi, tracks)
+
+    def on_roi_tracks_roi_2(self, roi: Frame, tracks: Tracks, roi_2: Frame | None) -> RoiFeatures:
+        return self.on_roi_tracks_roi_2_roi_3_roi_4(roi, tracks, roi_2)
+
+    def on_roi_tracks_roi_2_roi_3(
+        self, roi: Frame, tracks: Tracks, roi_2: Frame | None, roi_3: Frame | None
+    ) -> RoiFeatures:
+        return self.on_roi_tracks_roi_2_roi_3_roi_4(roi, tracks, roi_2, roi_3)
+
+    def on_roi_tracks_roi_2_roi_3_roi_4(
+        self,
+        roi: Frame,
+        tracks: Tracks,
+        roi_2: Frame | None = None,
+        roi_3: Frame | None = None,
+        roi_4: Frame | None = None,
+    ) -> RoiFeatures:
+        """Encode each track in the window that shows most of it."""
+        frames = [frame for frame in (roi, roi_2, roi_3, roi_4) if frame is not None]
+        for frame in frames:
+            check_pixels(frame)
+        rows, places = self._inside(frames, tracks)
+        encoder = self._encoder
+        features = np.zeros((len(rows), encoder.channels), np.float32)
+        logits = np.zeros((len(rows), len(encoder.names)), np.float32)
+        for place, frame in enumerate(frames):
+            own = places == place
+            features[own], logits[own] = encoder(frame, tracks.boxes[rows[own], -1])
         labels = [tracks.name_of(int(row)) for row in rows]
         return RoiFeatures(
             header=roi.header,
             ids=tracks.ids[rows],
             features=features,
-            genuine=verdicts(logits, self._encoder.names, labels),
+            genuine=verdicts(logits, encoder.names, labels),
         )
 
-    def _inside(self, roi: Frame, tracks: Tracks) -> NDArray[np.intp]:
-        """Rows of the tracks to encode, in their own order."""
-        if not roi.pixels.size or not len(tracks.ids):
-            return np.zeros(0, np.intp)
-        shares = covered(tracks.boxes[:, -1], np.array(roi.window, np.float32))
-        rows = np.flatnonzero(shares >= self.settings.inside)
+    def _inside(
+        self, frames: Sequence[Frame], tracks: Tracks
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows of the tracks to encode, in their own order, and the frame of each."""
+        shares = np.zeros((len(frames), len(tracks.ids)), np.float32)
+        for place, frame in enumerate(frames):
+            if frame.pixels.size and len(tracks.ids):
+                window = np.array(frame.window, np.float32)
+                shares[place] = covered(tracks.boxes[:, -1], window)
+        rows = np.flatnonzero(shares.max(0) >= self.settings.inside)
         best = np.argsort(-tracks.scores[rows], kind="stable")[: self.settings.max_objects]
-        return np.sort(rows[best])
+        rows = np.sort(rows[best])
+        return rows, shares[:, rows].argmax(0)
+
+
+def check_pixels(roi: Frame) -> None:
+    """Raise `MessageError` for pixels that are not RGB of 8 bit."""
+    if roi.pixels.size and (roi.pixels.ndim != 3 or roi.pixels.dtype != np.uint8):
+        raise MessageError(
+            f"roi_features.roi: expected rgb8 pixels, got {roi.pixel_format} "
+            f"{roi.pixels.dtype}; put operators.downsample before it"
+        )
 
 
 class Encoder:

@@ -24,11 +24,12 @@ MARGIN_PX = 2  # picture pixels around a cut, for the interpolation at its edge
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Streams:
-    """The two pictures of one exposure, and memory for looks."""
+    """The pictures of one exposure, and memory for looks."""
 
     context: Frame
     roi: Frame
     scratch: dict[int, Picture] = field(default_factory=dict)
+    further: tuple[Frame, ...] = ()  # other windows of a sensor that reads several
 
     def look(self, centre: NDArray[np.float32], side_px: float, out_px: int) -> Picture:
         """A square of `side_px` sensor pixels around `centre` (x, y) as (out_px, out_px, 3) RGB.
@@ -44,6 +45,8 @@ class Streams:
         if inside != square:
             out[:] = 0
             draw(self.context, square, out)
+            for frame in self.further:
+                draw(frame, square, out)
         if inside[2] > inside[0] and inside[3] > inside[1]:
             draw(self.roi, square, out)
         return out

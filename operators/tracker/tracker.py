@@ -5,19 +5,26 @@ that a scanpath chose, and changes when the policy chooses another object or has
 one for some frames. An empty `Percept` means that the object is lost, or that there is none yet.
 The commands `follow` and `reset` override the policy.
 
+A sensor that reads several windows in one exposure sends the others as `roi_2` to `roi_4`. A look
+takes its pixels from all of them. The one that shows most of the object, or of the policy's object
+where none is followed, takes the place of the ROI in the rules.
+
 There is one class per method: `CorrelationTracker`, `VitTracker`, `MixFormerTracker`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from operators.tracker.following import FAR_PX, Following, Method, Rules, TrackerState, proposed
 from operators.tracker.look import Picture, Streams
 from pipeline import Frame, Header, Input, Operator, Percept, Scanpath, SettingsError
+from pipeline.boxes import covered
 
+FURTHER_WAIT_MS = 50.0  # realtime: for further windows of an exposure, where they are connected
 COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after", "cue_after")
 
 
@@ -62,6 +69,9 @@ class Tracker(Operator[S, Percept]):
     commands: ClassVar[tuple[str, ...]] = ("follow", "reset")
     context = Input(Frame, keep="latest")
     roi = Input(Frame, keep="latest")
+    roi_2 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
+    roi_3 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
+    roi_4 = Input(Frame, keep="latest", optional=True, wait_ms=FURTHER_WAIT_MS)
     scanpath = Input(Scanpath, join=False)
 
     def method(self) -> Method:
@@ -112,9 +122,35 @@ class Tracker(Operator[S, Percept]):
 
     def on_context_roi(self, context: Frame, roi: Frame) -> Percept:
         """Find the object in this exposure, or start on one."""
-        following = self._following
-        streams = Streams(context=context, roi=roi, scratch=self._scratch)
-        score = following.step(streams, proposed(self._scanpath, context.header.seq))
+        return self._find(context, [roi])
+
+    def on_context_roi_roi_2(self, context: Frame, roi: Frame, roi_2: Frame | None) -> Percept:
+        """Likewise, with a second window."""
+        return self._find(context, [roi, roi_2])
+
+    def on_context_roi_roi_2_roi_3(
+        self, context: Frame, roi: Frame, roi_2: Frame | None, roi_3: Frame | None
+    ) -> Percept:
+        """Likewise, with three windows."""
+        return self._find(context, [roi, roi_2, roi_3])
+
+    def on_context_roi_roi_2_roi_3_roi_4(
+        self,
+        context: Frame,
+        roi: Frame,
+        roi_2: Frame | None,
+        roi_3: Frame | None,
+        roi_4: Frame | None,
+    ) -> Percept:
+        """Likewise, with four windows."""
+        return self._find(context, [roi, roi_2, roi_3, roi_4])
+
+    def _find(self, context: Frame, frames: Sequence[Frame | None]) -> Percept:
+        following, shown = self._following, proposed(self._scanpath, context.header.seq)
+        box = following.box[0] if len(following.box) else shown.box if shown else None
+        roi, *further = ordered([frame for frame in frames if frame is not None], box)
+        streams = Streams(context=context, roi=roi, further=tuple(further), scratch=self._scratch)
+        score = following.step(streams, shown)
         count = len(following.box)
         self._frames, self._answered = self._frames + 1, self._answered + count
         return Percept(
@@ -152,6 +188,18 @@ class Tracker(Operator[S, Percept]):
         self._following.forget()
         if any(self.settings.init_box):
             self._following.take(np.array(self.settings.init_box, np.float32))
+
+
+def ordered(frames: Sequence[Frame], box: NDArray[np.float32] | None) -> list[Frame]:
+    """Return the windows of one exposure, first the one that shows most of a box (4,)."""
+    if len(frames) == 1 or box is None:
+        return list(frames)
+    shares = [
+        float(covered(box[None], np.array(f.window, np.float32))[0]) * (f.pixels.size > 0)
+        for f in frames
+    ]
+    best = int(np.argmax(shares))
+    return [frames[best], *frames[:best], *frames[best + 1 :]]
 
 
 def check_box(name: str, box: tuple[float, float, float, float]) -> None:

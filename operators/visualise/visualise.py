@@ -69,6 +69,9 @@ class Visualise(Operator[VisualiseSettings, None]):
 
     context = Input(Frame, join=False, optional=True, tap=True)
     roi = Input(Frame, join=False, optional=True, tap=True)
+    roi_2 = Input(Frame, join=False, optional=True, tap=True)
+    roi_3 = Input(Frame, join=False, optional=True, tap=True)
+    roi_4 = Input(Frame, join=False, optional=True, tap=True)
     detections = Input(Detections, join=False, optional=True, tap=True)
     tracks = Input(Tracks, join=False, optional=True, tap=True)
     scanpath = Input(Scanpath, join=False, optional=True, tap=True)
@@ -137,10 +140,19 @@ class Visualise(Operator[VisualiseSettings, None]):
 
     def on_roi(self, roi: Frame) -> None:
         """The ROI where it lies, with its rim."""
-        if self._wanted(roi):
-            self._picture("sensor/roi", roi)
-            rim = np.array([roi.window] if roi.pixels.size else [], np.float32)
-            self._boxes("sensor/roi_window", rim, YELLOW, [roi.status])
+        self._window("roi", roi)
+
+    def on_roi_2(self, roi_2: Frame) -> None:
+        """The second window of a sensor that reads several."""
+        self._window("roi_2", roi_2)
+
+    def on_roi_3(self, roi_3: Frame) -> None:
+        """The third window."""
+        self._window("roi_3", roi_3)
+
+    def on_roi_4(self, roi_4: Frame) -> None:
+        """The fourth window."""
+        self._window("roi_4", roi_4)
 
     def on_detections(self, detections: Detections) -> None:
         """Boxes with class and score."""
@@ -178,8 +190,11 @@ class Visualise(Operator[VisualiseSettings, None]):
     def on_schedule(self, schedule: RoiSchedule) -> None:
         """The windows the sensor was told."""
         if self._wanted(schedule) and len(schedule.windows):
-            labels = [str(schedule.first_seq + k) for k in range(len(schedule.windows))]
-            self._boxes("sensor/schedule", schedule.windows.astype(np.float32), YELLOW, labels)
+            windows = schedule.windows.reshape(len(schedule.windows), -1, 4)
+            frames, places = np.nonzero(windows[..., 2] > windows[..., 0])
+            labels = [str(schedule.first_seq + k) for k in frames]
+            told = windows[frames, places].astype(np.float32)
+            self._boxes("sensor/schedule", told, YELLOW, labels)
 
     def on_percept(self, percept: Percept) -> None:
         """What the consumer saw, read or did."""
@@ -203,6 +218,13 @@ class Visualise(Operator[VisualiseSettings, None]):
     def _at(self, header: Header) -> None:
         self._out.set_time("frame", sequence=header.seq)
         self._out.set_time("stamp", duration=np.timedelta64(header.stamp_ns, "ns"))
+
+    def _window(self, name: str, frame: Frame) -> None:
+        """Show one ROI where it lies, with its rim."""
+        if self._wanted(frame):
+            self._picture(f"sensor/{name}", frame)
+            rim = np.array([frame.window] if frame.pixels.size else [], np.float32)
+            self._boxes(f"sensor/{name}_window", rim, YELLOW, [frame.status])
 
     def _wanted(self, message: Message) -> bool:
         """Whether this frame is shown; if so, sets the time and tells how its stage did."""

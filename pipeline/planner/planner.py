@@ -116,8 +116,8 @@ def stream_rows(plan: Plan, told: Mapping[str, Forecast], made: Sequence[str]) -
     for node in plan.nodes:
         for output, message in outputs_of(load_operator(node.operator)).items():
             stream = told[node.name].streams.get(output)
-            if stream is None and message is not Frame:
-                continue
+            if stream is None and (message is not Frame or not plan.readers(node.name, output)):
+                continue  # such as further windows of a sensor that reads one
             rows.append(
                 StreamRow(
                     output=node.name if output == "out" else f"{node.name}.{output}",

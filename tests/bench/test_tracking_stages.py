@@ -70,7 +70,7 @@ def stages(folder: Path, answer: str) -> Stages:
             "dispatch: expected answers for its outputs (out), got one for 'oops'",
         ),
         ("another message", "dispatch.out: expected a RoiSchedule or None, got a Scanpath"),
-        ("another shape", "dispatch.out: RoiSchedule.windows: expected shape (frames, 4), got"),
+        ("another shape", "dispatch.out: RoiSchedule.windows: expected shape (frames, 4) or"),
         ("a fraction", "dispatch.out: RoiSchedule.first_seq: expected int, got a float 0.5"),
     ],
 )

@@ -42,6 +42,8 @@ def play(subject: SimulatedSensor) -> list[Exposure]:
         {"source": f"{HERE}:MovingSquare", "scene": ""},
         {"roi_scale": 0.5},
         {"loop": True, "frames": 0},
+        {"rois": 2, "roi_area": 0.03},
+        {"rois": 4, "roi_area": 0.015, "mosaic": True, "latency_frames": 1},
     ],
 )
 def test_it_keeps_the_contract_of_a_sensor(settings: dict[str, Any]) -> None:

@@ -34,7 +34,9 @@ def produced(subject: Capture) -> tuple[Frame, Frame]:
 
 
 def test_it_has_two_streams_and_the_truth_and_takes_sensor_commands() -> None:
-    assert outputs_of(Capture) == {"context": Frame, "roi": Frame, "truth": Truth}
+    further = dict.fromkeys(("roi_2", "roi_3", "roi_4"), Frame)
+
+    assert outputs_of(Capture) == {"context": Frame, "roi": Frame, **further, "truth": Truth}
     assert inputs_of(Capture)["schedule"].command
 
 
@@ -46,6 +48,18 @@ def test_both_streams_of_one_exposure_share_a_header() -> None:
     assert context.header is roi.header
     assert (context.pixels.shape, roi.pixels.shape) == ((48, 80, 3), (48, 80, 3))
     subject.close()
+
+
+def test_further_windows_are_frames_of_outputs_of_their_own() -> None:
+    subject = capture(rois=3, roi_area=0.015)
+    subject.open()
+    frames = subject.produce()
+    subject.close()
+
+    assert frames is not None
+    assert list(frames) == ["context", "roi", "roi_2", "roi_3", "truth"]
+    assert frames["roi_3"].header is frames["context"].header
+    assert (subject.settings.rois, capture().settings.rois) == (3, 1)
 
 
 def test_it_ends_with_its_source_and_releases_it() -> None:

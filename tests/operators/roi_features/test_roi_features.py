@@ -69,6 +69,24 @@ def test_each_object_inside_is_encoded_for_any_size_of_batch(
     assert answer.header.seq == 3
 
 
+def test_each_object_is_encoded_in_the_window_that_shows_most_of_it(tmp_path: Path) -> None:
+    weights = mean_encoder(tmp_path / "e.onnx", batch="n", side_px=32, as_map=False)
+    first = roi_with((20, 20, 120, 120, 200))
+    second = replace(roi_with((0, 0, 480, 270, 50)), window=(900, 270, 1380, 540))
+    unread = Frame(header=header(3), pixels=np.zeros((0, 0, 3), np.uint8))
+    # the middle one is half in the first window and wholly in the second; the last in none
+    tracks = tracks_at((500, 290, 600, 390), (910, 300, 1010, 400), (1500, 600, 1600, 700))
+
+    (answer,) = drive(
+        RoiEncoder,
+        [{"roi": first, "tracks": tracks, "roi_2": second, "roi_3": unread}],
+        {"weights": weights, "margin": 0.0},
+    )
+
+    assert answer.ids.tolist() == [10, 11]
+    assert answer.features[:, 0] == pytest.approx([200 / 255, 50 / 255], abs=1e-5)
+
+
 def test_a_binned_roi_is_read_at_its_own_scale(tmp_path: Path) -> None:
     weights = mean_encoder(tmp_path / "e.onnx", batch="n", side_px="s", as_map=False)
     full = roi_with((20, 20, 120, 120, 200))

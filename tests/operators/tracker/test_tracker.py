@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from operators.tracker import CorrelationSettings, CorrelationTracker
-from pipeline import Percept, SettingsError
+from pipeline import Frame, Percept, SettingsError
 from pipeline.boxes import iou
 from pipeline.codec import dumps, loads
 from pipeline.commands import carry_out
 from pipeline.testing import drive, header
-from tests.operators.tracker.made_up import World
+from tests.operators.tracker.made_up import AWAY, World
 
 WORLD = World(seed=11)
 START = {"init_box": tuple(WORLD.box(0).tolist())}
@@ -49,6 +49,29 @@ def test_an_object_is_followed_while_the_roi_comes_and_goes():
     percepts = drive(CorrelationTracker, frames, START)
 
     assert min(overlap(p) for p in percepts) > 0.6
+
+
+def test_an_object_is_followed_through_any_of_several_windows():
+    def exposure(k: int) -> dict[str, Frame]:
+        near, far = WORLD.frames(k), WORLD.frames(k, at=AWAY)
+        return {"context": near["context"], "roi": far["roi"], "roi_3": near["roi"]}
+
+    several = drive(CorrelationTracker, [exposure(k) for k in range(20)], START)
+    single = drive(CorrelationTracker, [WORLD.frames(k) for k in range(20)], START)
+    beside = drive(CorrelationTracker, [WORLD.frames(k, at=AWAY) for k in range(20)], START)
+
+    pairs = list(zip(several, single, beside, strict=True))
+    assert all(np.array_equal(a.boxes, b.boxes) for a, b, _ in pairs)
+    assert any(not np.array_equal(a.boxes, c.boxes) for a, _, c in pairs)
+
+
+def test_following_starts_in_the_window_that_shows_the_policys_object():
+    near, far = WORLD.frames(1), WORLD.frames(1, at=AWAY)
+    exposure = {"context": near["context"], "roi": far["roi"], "roi_2": near["roi"]}
+
+    percepts = drive(CorrelationTracker, [WORLD.scanpath(0, object_id=6), exposure])
+
+    assert percepts[-1].ids.tolist() == [6]
 
 
 def test_without_anything_to_follow_the_answer_is_empty():
