@@ -1,12 +1,13 @@
 """The graph's tracker in an episode, with or without a cue: exposures in, the object's box out.
 
-With a cue it is the tracker that ships: it gives up an object that it does not find, and starts
-again on what a scanpath shows. Every strategy gets its cue in the same way, from the same policy
-with the same prompt, out of what its own pictures show (`sight`). A foveated row hears the policy
-that plans its ROI. Without a cue the tracker hears of no policy and never gives up.
+With a cue it is the tracker that ships: it begins as on an object that a policy has shown, gives up
+what it does not find or what the policy shows elsewhere, and starts again on what a scanpath shows.
+Every strategy gets its cue in the same way, from the same policy with the same prompt, out of what
+its own pictures show (`sight`). A foveated row hears the policy that plans its ROI. Without a cue
+the tracker hears of no policy and never gives up.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from bench.tracking.roi_path import RecordedRoiPath, RoiPath, still
 from bench.tracking.stages import CUE
 from bench.tracking.targets import Target
 from drivers.commands import Window
+from operators.tracker.following import TrackerState
 from pipeline.messages import Frame, Percept, Scanpath, altered
 
 if TYPE_CHECKING:
@@ -39,11 +41,13 @@ class Consumer:
         self._near: Box = self.box
         self._window = window
         given = self.box - corner(window) if self._local else self.box
-        settings: dict[str, Any] = {"init_box": tuple(float(v) for v in given)}
-        if not self._cued:
-            settings["lost_after"] = NEVER
         header = loop.camera.header(frame)
-        loop.stages.begin(header, "tracker", tracker=settings)
+        if self._cued:  # as if a policy had shown it: a prompted tracker would not listen to one
+            loop.stages.begin(header, "tracker")
+            loop.stages.restore("tracker", TrackerState(box=given[None].astype(np.float32)))
+        else:
+            settings = {"init_box": tuple(float(v) for v in given), "lost_after": NEVER}
+            loop.stages.begin(header, "tracker", tracker=settings)
         if self._cued and not self._own_policy:
             prompt = {"target": "", "prompt_box": tuple(float(v) for v in target.boxes[frame])}
             loop.stages.begin(header, "roi_features", CUE, cue=prompt)

@@ -78,6 +78,10 @@ class Stages:
             part.on_settings(replace(self._own[name], **settings.get(name, {})))
             part.on_stream(header)
 
+    def restore(self, name: str, state: object) -> None:
+        """Let a stage go on from the state of another instance."""
+        self._parts[name].restore(state)
+
     def call(self, name: str, **messages: Message) -> Any:
         """Pass one set of messages to a stage; return its answer, None for nothing.
 

@@ -44,6 +44,9 @@ class Initialised:
             self.frame = -1
         self._stages.begin(header, *names, **settings)
 
+    def restore(self, name: str, state: object) -> None:
+        self._stages.restore(name, state)
+
     def call(self, name: str, **messages: Message) -> Any:
         if name == "tracker" and self.frame < 0:
             self.frame = messages["context"].header.seq

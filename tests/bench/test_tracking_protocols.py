@@ -22,7 +22,9 @@ from bench.tracking.job import sight_of
 from bench.tracking.report import same_help
 from bench.tracking.stages import CUE, Stages
 from bench.tracking.targets import targets
-from pipeline.messages import Header, Message
+from operators.tracker import TrackerState
+from pipeline.boxes import iou
+from pipeline.messages import Header, Message, Scanpath
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
 FRAMES = 14
@@ -62,6 +64,10 @@ class Heard:
                 self.prompts.append(box)
         self._stages.begin(header, *names, **settings)
 
+    def restore(self, name: str, state: TrackerState) -> None:
+        self.state = state
+        self._stages.restore(name, state)
+
     def call(self, name: str, **messages: Message) -> Any:
         if name == "tracker" and "scanpath" in messages:
             self.scanpaths.append(messages["scanpath"].first_seq)  # type: ignore[attr-defined]
@@ -97,9 +103,32 @@ def test_with_a_cue_every_strategy_hears_one_scanpath_an_exposure_from_the_same_
     first = outcome.first - 1
     assert heard.scanpaths == [frame + 1 for frame in heard.exposures[:-1]]
     assert heard.prompts == [pytest.approx(tuple(ball.boxes[first]))]
-    assert "lost_after" not in heard.settings  # as in the graph
+    assert heard.settings == {}  # as in the graph
+    assert (heard.state.prompted, heard.state.begun) == (False, False)
     assert len(outcome.iou) == len(outcome.away_px) == FRAMES - outcome.first
     assert 1.0 not in outcome.iou
+
+
+def test_a_cue_brings_a_tracker_to_what_the_policy_shows(clip: Clip, stages: Stages) -> None:
+    state = TrackerState(box=np.array([[100, 100, 120, 120]], np.float32))
+    camera = Camera(clip, acquisition("full", Fraction(1), clip.size_px))
+    stages.begin(camera.header(0), "tracker")
+    stages.restore("tracker", state)
+    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
+    answers = []
+
+    for frame in range(3):
+        shown = Scanpath(
+            header=camera.header(frame), ids=np.array([5], np.int32),
+            probability=np.ones((1, 1), np.float32), choice=np.array([5], np.int32),
+            boxes=ball.boxes[frame][None], first_seq=frame,
+        )  # fmt: skip
+        stages.call("tracker", scanpath=shown)
+        context, roi = camera.expose(frame, frame, (0, 0, 0, 0))
+        answers.append(stages.call("tracker", context=context, roi=roi).boxes)
+
+    assert iou(answers[0], ball.boxes[:1])[0, 0] == 0
+    assert iou(answers[2], ball.boxes[2:3])[0, 0] > 0.9  # after two frames beside it
 
 
 @pytest.mark.parametrize("strategy", ["full", "oracle"])
