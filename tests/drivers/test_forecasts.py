@@ -48,7 +48,9 @@ def stated(sensor: object) -> Forecast:
 def sent(sensor: DualStreamSensor) -> tuple[Forecast, dict[str, tuple[Any, ...]]]:
     """Return what an open sensor states, and size, format and bytes of the pictures it sends."""
 
-    def memory(_output: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    def memory(
+        _output: str, shape: tuple[int, ...], dtype: DTypeLike, /, *, ahead: bool = False
+    ) -> NDArray[Any]:
         return np.empty(shape, dtype)
 
     sensor.open(realtime=False)

@@ -35,10 +35,13 @@ try:
     main()
 finally:
     frames = set()
-    for chunk in RrdReader(path).stream():
-        batch = chunk.to_record_batch()
-        if "frame" in batch.schema.names:
-            frames |= set(batch.column("frame").to_pylist())
+    try:
+        for chunk in RrdReader(path).stream():
+            batch = chunk.to_record_batch()
+            if "frame" in batch.schema.names:
+                frames |= set(batch.column("frame").to_pylist())
+    except RuntimeError as error:  # as the message of the run has to say then
+        print("unreadable:", error, file=sys.stderr)
     print("newest", max((f for f in frames if f is not None), default=-1))
 """
 
