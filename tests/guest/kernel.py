@@ -39,7 +39,7 @@ def get(folder: Path) -> None:
         place.chmod(0o755)  # apt downloads as a user of its own
         run(["apt-get", "download", _package()], place)
         (package,) = place.glob("*.deb")
-        run(["dpkg-deb", "-x", str(package), "kernel"], place)
+        run(["dpkg-deb", "-x", package.name, "kernel"], place)
         (place / "kernel").rename(folder)
 
 
