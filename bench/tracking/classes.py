@@ -20,6 +20,7 @@ from pipeline.graph.plan import Plan, load_operator
 TRACKER, POLICY = "tracker", "policy"  # nodes
 TRACKERS = {
     "correlation": "operators.tracker:CorrelationTracker",
+    "template": "operators.tracker:TemplateTracker",
     "vittrack": "operators.tracker:VitTracker",
     "mixformer": "operators.tracker:MixFormerTracker",
 }

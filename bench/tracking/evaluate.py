@@ -8,11 +8,11 @@ frames out, the frames that it keeps count, as in the paper; the mean over all f
 last box is kept, is in another column. A strategy with a ROI begins with the ROI on the target and
 the target's box as prompt; `centred` stays in the middle.
 
-The tracker is the one that ships: it hears the policy's scanpath, gives up an object that it does
-not find and starts again on what the policy shows. Every strategy gets this cue in the same way,
-from what its own pictures show; `--cue none` measures a tracker that hears no policy, as the paper
-does. It sees the context where the ROI shows nothing, as in the shipped loop; with `--sees each` a
-second row is of a tracker that sees the ROI alone, and with `--sees all` a third one of a tracker
+By default the tracker hears no policy and never gives up, as in the paper. With `--cue policy` it
+is the one that ships: it hears a scanpath made from what the row's own pictures show, gives up
+what it does not find and starts again on what the policy shows; bench/README.md says how rows then
+differ. It sees the context where the ROI shows nothing, as in the shipped loop; with `--sees each`
+a second row is of a tracker that sees the ROI alone, and with `--sees all` a third one of a tracker
 whose state is in coordinates of the ROI and moves with it, which is how the paper's figures read
 (its oracle beats full resolution, and a window in the middle is worth 1.7 % of it).
 """
@@ -78,7 +78,7 @@ FOLLOWED = "starts every few frames (short), one to the end of the clip (long), 
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--tracker", default="", help=FOLLOWS)
 @click.option("--sees", default="both", type=click.Choice(list(SEES)), help=VIEWS)
-@click.option("--cue", default="policy", type=click.Choice(list(CUES)), help=HEARS)
+@click.option("--cue", default="none", type=click.Choice(list(CUES)), help=HEARS)
 @click.option("--protocol", default="short", type=click.Choice(list(PROTOCOLS)), help=FOLLOWED)
 @click.option("--many", is_flag=True, help="HOTA, AssA and IDF1 of the graph's tracks instead")
 @click.option("--states", is_flag=True, help="rows of the free, still and carried ball, too")

@@ -36,6 +36,11 @@ class Stages:
                 raise GraphError(
                     f"{graph}: tracking is evaluated on {', '.join(NEEDED)}; no {name}"
                 )
+        if "percept" in self.plan.inputs(POLICY):
+            raise GraphError(
+                f"{graph}: policy.percept: expected a policy that hears no tracker, got one that "
+                "does: its windows would depend on the tracker, which is not played here"
+            )
         self._parts: dict[str, Operator[Any, Any]] = {}
         self._executors: dict[str, Executor] = {}
         self._own: dict[str, Any] = {}  # settings, as the graph has them

@@ -20,7 +20,7 @@ from operators.saliency.letterbox import Placement
 from operators.saliency.roi_align import roi_align
 from operators.saliency.saliency import Saliency, SaliencySettings, answer, nothing, rgb, to_sensor
 from operators.saliency.tiles import Changes, Grid, grid
-from pipeline import Detections, Frame, Input, Operator, SettingsError
+from pipeline import Detections, Frame, Header, Input, Operator, SettingsError
 from pipeline.boxes import centres
 
 Array = NDArray[np.float32]
@@ -74,6 +74,10 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
     def open(self) -> None:
         self._detector = Detector(self.settings)
         self._shape: tuple[int, ...] = ()
+
+    def on_stream(self, header: Header) -> None:
+        """Forget all tiles: another stream shows something else."""
+        self._shape = ()
 
     def state(self) -> None:
         """Nothing must survive: a successor looks at all tiles within a few frames."""

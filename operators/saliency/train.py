@@ -44,16 +44,16 @@ def main(words: Sequence[str] | None = None) -> None:
     settings, target = asked(words)
     need("torch", "train")
     from operators.saliency.model import DetectorNet
-    from operators.saliency.training_run import export, train
+    from operators.saliency.training_run import export, train, trained_on
     from operators.training import checkpoint
 
     if target is not None:
         net = DetectorNet()
         checkpoint.take(checkpoint.path_in(settings.out), {"mean": net})
-        export(net, target / "detector.onnx")
+        export(net, target / "detector.onnx", trained_on(settings))
         return
     run = train(settings)
-    export(run.mean, settings.out / "detector.onnx")
+    export(run.mean, settings.out / "detector.onnx", trained_on(settings))
     print(json.dumps({"step": run.step, "elapsed_s": run.elapsed_s}))
 
 

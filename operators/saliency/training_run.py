@@ -21,6 +21,7 @@ from operators.saliency.initial import from_onnx
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.render import made_with, render
+from operators.saliency.splits import HELD_OUT
 from operators.saliency.stills import Stills, labels_of, stills
 from operators.saliency.training_settings import TrainSettings
 from operators.training import checkpoint
@@ -188,7 +189,17 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     return {name: part.detach() for name, part in parts.items()}
 
 
-def export(net: DetectorNet, path: Path) -> None:
+def trained_on(settings: TrainSettings) -> str:
+    """Return what a training has seen, for the file that it writes."""
+    if not settings.stills:
+        return "soccer matches: scenes that fovea draws itself"
+    names = " and ".join(folder.resolve().name for folder in settings.stills)
+    given = ", ".join(settings.leave_out) or "nothing"
+    without = "" if settings.leave_out == HELD_OUT else f", {given} left out"
+    return f"soccer matches: scenes that fovea draws itself, labelled stills ({names}){without}"
+
+
+def export(net: DetectorNet, path: Path, seen: str = "soccer matches") -> None:
     """Write the detector as ONNX; its input may have any sides that are multiples of 32."""
     net = fused(net).to(memory_format=torch.contiguous_format)
     width, height = INPUT_PX
@@ -208,5 +219,5 @@ def export(net: DetectorNet, path: Path) -> None:
         task="detect",
         format="yolo",
         domain=DOMAIN,
-        trained_on="soccer matches: scenes that fovea draws itself, and labelled stills",
+        trained_on=seen,
     )

@@ -137,8 +137,9 @@ def of_source(path: Path) -> Iterator[tuple[Item, ...]]:
     if path.suffix.lower() in PICTURES:
         picture = read_picture(path)
         boxes = [b for b in labels_of(path, picture) if inside(b, picture)]
-        order = sorted(rng.permutation(len(boxes)).tolist(), key=lambda k: size_of(boxes[k]))
-        chosen = order[:2] + order[2:][: OF_STILL - 2]  # the smallest is mostly the ball
+        order = sorted(range(len(boxes)), key=lambda k: size_of(boxes[k]))
+        rest = rng.permutation(order[2:])[: OF_STILL - 2]
+        chosen = [*order[:2], *rest.tolist()]  # the smallest is mostly the ball
         for box in [*(boxes[k] for k in chosen), *anything(picture, rng, 2)]:
             yield (piece(picture, box),)
         return

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from bench.tables import NAMES, main, studies, together
-from bench.tracking.cases import ROI_ALONE
+from bench.tracking.cases import NO_CUE, ROI_ALONE
 from bench.tracking.evaluate import asked, command
 from bench.tracking.options import options_of
 from bench.tracking.replaced import PARTS
@@ -29,7 +29,7 @@ def test_the_evaluation_accepts_every_study(quick: bool, tmp_path: Path) -> None
         with command.make_context(name, [*words, "--tracker", "correlation"]) as context:
             cases, _, clips = asked(options_of(context.params))
         assert len(clips) == (1 if quick else CLIPS.get(name, 10))
-        rows[name] = [case.name.removesuffix(ROI_ALONE) for case in cases]
+        rows[name] = [case.name.removesuffix(NO_CUE).removesuffix(ROI_ALONE) for case in cases]
 
     real = {name for name in NAMES if name.endswith("soccernet")}
     assert set(found) == set(NAMES) - real - {"run-time"}

@@ -39,7 +39,7 @@ def read(*words: str) -> Options:
         (["--delay", "60"], "delay: plans reach 16 frames"),
         (["--delay", "soon"], "delay: expected whole numbers"),
         (["--replace", "luck"], "replace: expected detections"),
-        (["--tracker", "magic"], "tracker: expected correlation, vittrack, mixformer or NAME"),
+        (["--tracker", "magic"], "tracker: expected correlation, template, vittrack"),
         (["--frames", "5-2"], "frames: expected A-B"),
         (["--frames", "0-9"], "frames: expected A-B"),
         (["--frames", "1"], "frames: expected A-B with B after A, got 1-1"),
@@ -137,7 +137,7 @@ def test_options_have_defaults_ranges_and_names() -> None:
 def test_only_strategies_that_are_asked_for_have_rows() -> None:
     found = cases(read("--strategies", "foveated,spatial", "--budgets", "1/8"))
 
-    assert [case.name for case in found] == ["foveated", "spatial"]
+    assert [case.name for case in found] == ["foveated, no cue", "spatial, no cue"]
     assert read().sees == "both"
     assert not read().states
 
@@ -163,7 +163,7 @@ def test_every_strategy_has_a_row_for_each_budget_and_full_has_one() -> None:
         *((s, b) for s in ALL if s not in ("full", "pursuit") for b in ("1/8", "1/4")),
     }
     assert [(c.name, c.policy) for c in found if c.name.startswith("pursuit")] == [
-        ("pursuit", "pursuit")
+        ("pursuit, no cue", "pursuit")
     ] * 2
     assert len(found) == 2 * len(ALL) - 1
 

@@ -24,6 +24,7 @@ from bench.tracking.stages import CUE, Stages
 from bench.tracking.targets import targets
 from operators.tracker import TrackerState
 from pipeline.boxes import iou
+from pipeline.errors import GraphError
 from pipeline.messages import Header, Message, Scanpath
 
 GRAPH = Path(__file__).resolve().parents[2] / "graphs" / "tracking.yaml"
@@ -210,3 +211,14 @@ def test_frames_without_an_answer_are_lost_and_not_near() -> None:
     found = figures_of([0.9] * 5 + [0.0] * 20 + [0.9] * 5, [1.0] * 5 + [np.inf] * 20 + [1.0] * 5)
 
     assert (found.until_lost, found.lost, found.hits, found.near) == (5, True, 10, 10)
+
+
+def test_a_policy_that_hears_the_tracker_is_refused(tmp_path: Path) -> None:
+    graph = tmp_path / "fed_back.yaml"
+    known = GRAPH.read_text()
+    graph.write_text(
+        known.replace("features: roi_features}", "features: roi_features, percept: tracker}")
+    )
+
+    with pytest.raises(GraphError, match=r"policy\.percept: expected a policy that hears no"):
+        Stages(graph)

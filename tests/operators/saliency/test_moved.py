@@ -1,5 +1,6 @@
 """Tiles of a large context: one answer per frame, in sensor pixels, of all that was seen."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,17 @@ def test_a_context_of_another_size_begins_anew(one_in_each: str) -> None:
     first, second = answers([frame(0, flat()), small], one_in_each, tiles=4, overlap_px=0)
 
     assert (len(first.boxes), len(second.boxes)) == (4, 1)
+
+
+def test_another_stream_begins_anew(one_in_each: str) -> None:
+    subject = MovedSaliency(MovedSaliencySettings(weights=one_in_each, tiles=1, overlap_px=0))
+    subject.open()
+    subject.on_stream(header(0))
+    before = [len(subject.on_frame(frame(k, flat())).boxes) for k in range(3)]
+
+    subject.on_stream(replace(header(3), stream="another"))
+
+    assert (before, len(subject.on_frame(frame(3, flat())).boxes)) == ([1, 2, 3], 1)
 
 
 def test_an_empty_picture_finds_nothing(one_in_each: str) -> None:
