@@ -48,14 +48,14 @@ class CommandTable:
 
         Raises `DriverError` for more windows in one frame than the sensor reads.
         """
-        check_count(schedule, self._rois)
         if not len(schedule.windows):
             return
         with self._guard:
-            last = schedule.first_seq + len(schedule.windows) - 1
             if schedule.header.stream != self._stream:
                 self.foreign += 1
                 return
+            check_count(schedule, self._rois)
+            last = schedule.first_seq + len(schedule.windows) - 1
             if last < max(self._next_seq, self._earliest(schedule)):
                 self.late += 1
             else:

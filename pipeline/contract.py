@@ -159,8 +159,8 @@ class Operator(Generic[S, Out]):
         """Return memory of an output; an array written there is sent without a copy.
 
         It may be written until the handler returns; with `ahead` until a message with it is sent,
-        in this call or a later one. At most two arrays of an output are lent ahead: a third takes
-        the place of the oldest.
+        in this call or a later one. At most two arrays of an output are lent ahead; a third loan
+        raises `PoolExhausted`.
         """
         return self._loan(output, shape, dtype, ahead=ahead)
 

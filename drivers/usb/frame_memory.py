@@ -42,6 +42,7 @@ class FrameMemory:
             for stream, shape, dtype in kinds:
                 lent = self._next.pop(stream, None)
                 if lent is not None and (lent.shape != shape or lent.dtype != dtype):
+                    taken.append((stream, lent))
                     got = f"{shape} of {np.dtype(dtype)}"
                     raise LinkError(f"{stream.name.lower()}: expected {lent.shape}, got {got}")
                 if lent is None:
@@ -49,6 +50,10 @@ class FrameMemory:
                 taken.append((stream, lent))
         except PoolExhausted:
             self._next |= dict(taken)
+            raise
+        except LinkError:  # which ends all reads
+            for stream, memory in taken:
+                self._spare[stream].append(memory)
             raise
         return [memory for _, memory in taken]
 

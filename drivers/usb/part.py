@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.usb.errors import LinkError
+
 
 @dataclass(eq=False)
 class Part:
@@ -15,6 +17,7 @@ class Part:
     received: int = 0  # bytes
     submitted: int = 0  # bytes, of the reads that have returned or are in flight
     short: bool = False  # a short packet ended it before it was full
+    failure: LinkError | None = None  # of one of its reads
 
     def __len__(self) -> int:
         return len(self.memory)

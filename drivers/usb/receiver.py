@@ -9,6 +9,7 @@ memory for it: so the link does not wait while the host is busy with what it has
 import zlib
 from collections import deque
 from collections.abc import Mapping, Sequence
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,8 @@ class Receiver:
                 header = self._read(stream, part)
                 if header is not None:
                     found[stream] = header
+            elif part.short:  # an empty packet ended a payload
+                self._lose_step(stream)
         return found
 
     def payloads(
@@ -104,7 +107,9 @@ class Receiver:
 
     def _receive(self, parts: Sequence[Part], timeout_s: float) -> None:
         """Receive parts, the first of their streams, and go on with what follows them."""
-        coming = [part for parts in self._coming.values() for part in parts]
+        # one of each stream in turn, so that no stream waits for reads that hold another's pixels
+        turns = zip_longest(*self._coming.values())
+        coming = [part for turn in turns for part in turn if part is not None]
         ahead = [part for part in coming if not any(part is one for one in parts)]
         try:
             self._link.receive(parts, timeout_s, ahead)

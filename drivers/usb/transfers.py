@@ -113,6 +113,8 @@ class InFlight:
             self._end(lambda part: part.short or not any(part is one for one in wanted))
             while True:
                 self._collect()
+                if failed := next((part.failure for part in parts if part.failure), None):
+                    raise failed
                 self._submit(wanted)
                 left_s = deadline_s - time.monotonic()
                 if left_s <= 0 or all(part.over for part in parts):
@@ -138,7 +140,7 @@ class InFlight:
 
     def _submit(self, parts: Sequence[Part]) -> None:
         """Submit reads of parts, in their order, as far as there is room for them."""
-        left = deque(part for part in parts if not (part.short or part.submitted == len(part)))
+        left = deque(p for p in parts if not (p.short or p.failure or p.submitted == len(p)))
         for slot in self._slots[: self.depth]:
             if slot.part is not None or not left:
                 continue
@@ -177,22 +179,19 @@ class InFlight:
         return sum(slot.part is not None for slot in self._slots)
 
     def _collect(self) -> None:
-        """Account for what has returned; raises `LinkError` when a read failed."""
-        failure: LinkError | None = None
+        """Account for what has returned; a read that failed is a failure of its part."""
         while self._done:
             slot = self._slots[self._done.popleft()]
             part, slot.part = slot.part, None
             found = slot.transfer.contents
-            if found.status not in (COMPLETED, CANCELLED):
+            if part is not None and found.status not in (COMPLETED, CANCELLED):
                 kind, why = FAILURES.get(found.status, (LinkError, "a read failed"))
-                failure = kind(why)
+                part.failure = kind(why)
             if part is not None and part.received == slot.start and not part.short:
                 part.received += found.actual
                 if found.status == COMPLETED and found.actual < found.length:
                     part.short = True
                     self._cancel(part)
-        if failure is not None:
-            raise failure
 
     def _cancel(self, part: Part) -> None:
         """Cancel what would read on behind the end of a part."""
@@ -214,8 +213,7 @@ class InFlight:
             if time.monotonic() > deadline_s:
                 raise Unplugged("reads in flight cannot be cancelled")
             self._wait(0.1, slots)
-        with suppress(LinkError):  # that it failed is known
-            self._collect()
+        self._collect()
         for part in ended.values():
             if part is not None:
                 part.submitted = part.received

@@ -60,8 +60,9 @@ def corrected(
         or (row >= 0 and tracks.visible[row, -1])
         or consumer.seq < 0
         or not 0 <= late <= LATEST
+        or target.bound_id < 0
         or consumer.object_id != target.bound_id
-        or consumer.score < least_score
+        or not consumer.score >= least_score
         or not alike(consumer.box[None], target.box)[0]
     ):
         return target

@@ -160,7 +160,8 @@ class Following:
         score 0, so that it is found again where the policy shows it.
         """
         rules, elsewhere = self.rules, shown is not None and shown.object_id != NOBODY
-        if shown is None or not elsewhere or rules.cue_margin >= 1 or same(self._box[0], shown.box):
+        off = self._prompted or rules.cue_margin >= 1
+        if shown is None or not elsewhere or off or same(self._box[0], shown.box):
             self._surer = 0
             return score
         before = tuple(part.copy() for part in self._method.memory())

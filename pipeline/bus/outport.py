@@ -131,8 +131,8 @@ class OutPort:
             array = lease.array(shape, dtype)
             if array is not None:
                 return array
-        if ahead and len(self._ahead) == MOST_AHEAD:  # of an exposure that was not sent
-            self._pool.abandon(self._ahead.pop(0))
+        if ahead and len(self._ahead) == MOST_AHEAD:
+            raise PoolExhausted(f"{self._message.__name__}: {MOST_AHEAD} slots are lent ahead")
         lease = self._pool.lease(nbytes)
         (self._ahead if ahead else self._leases).append(lease)
         array = lease.array(shape, dtype)
@@ -199,6 +199,14 @@ class OutPort:
         self._send(self._wrap(MESSAGE, lease.ref() if lease else None, body), (message,))
         if lease is not None:
             self._pool.prepare()
+
+    def give_back(self, message: Message | None) -> None:
+        """Release the slot lent ahead that holds a message which is not sent."""
+        arrays = [a for a in vars(message).values() if isinstance(a, np.ndarray)] if message else []
+        for lease in list(self._ahead):
+            if any(lease.offset_of(array) is not None for array in arrays):
+                self._ahead.remove(lease)
+                self._pool.abandon(lease)
 
     def discard(self) -> None:
         """Release loans that were not sent, without those made ahead."""

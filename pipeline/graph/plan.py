@@ -170,11 +170,16 @@ class Plan:
                 found.setdefault(node.process, []).append(node)
         return {name: tuple(nodes) for name, nodes in found.items()}
 
+    def _waits(self, edge: Edge) -> bool:
+        """Return whether the writer of an edge waits for its reader."""
+        return self.clock == "realtime" and edge.keep == "every"
+
     def order(self) -> tuple[str, ...]:
         """Return node names, writers before readers.
 
         Command edges do not count; nor do those of a loop for which nothing waits, such as feedback
-        from a consumer to a policy.
+        from a consumer to a policy. In real time the writer of a lossless edge waits for its
+        reader; in lockstep a frame is answered before the next one, so that no queue fills.
         """
         edges = [edge for edge in self.edges if not edge.command]
         waiting = {node.name for node in self.nodes}
@@ -185,11 +190,14 @@ class Plan:
                 done += free
                 waiting -= set(free)
                 continue
-            joined = [e for e in edges if e.join or not {e.source, e.target} <= waiting]
+            joined = [
+                e for e in edges
+                if e.join or self._waits(e) or not {e.source, e.target} <= waiting
+            ]  # fmt: skip
             if len(joined) == len(edges):
                 raise GraphError(
                     f"nodes {', '.join(sorted(waiting))} wait for one another: expected a sensor "
-                    "command or an unjoined input in every loop, got none"
+                    "command or an unjoined input that may lose in every loop, got none"
                 )
             edges = joined
         return tuple(done)

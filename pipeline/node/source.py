@@ -93,13 +93,15 @@ class SourceRunner(OperatorRunner):
     def _expose(self) -> bool:
         begun = time.monotonic_ns()
         self.busy(begun, int(self.account.last_seq))
+        frames: Answers | None = None
         try:
             frames = self.executor.produce()
             if frames is None:
                 return False
             self._send(frames, begun)
         except PoolExhausted:
-            for port in self.outs.values():
+            for name, port in self.outs.items():
+                port.give_back((frames or {}).get(name))
                 port.discard()
                 port.overrun()
         self.idle()

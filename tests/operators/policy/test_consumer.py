@@ -39,6 +39,12 @@ def test_it_moves_with_the_camera_since_the_consumers_frame() -> None:
     np.testing.assert_allclose(found.box - HERE, [8, 0, 8, 0], atol=0.01)
 
 
+def test_a_target_without_a_track_is_not_that_of_a_tracker_without_one() -> None:
+    before = target(bound_id=-1)
+
+    assert corrected(before, consumer(object_id=-1), tracks(8, *STILL), 0.5) is before
+
+
 def test_a_detection_is_believed_more_than_the_consumer() -> None:
     before = target()
 
@@ -50,13 +56,23 @@ def test_a_detection_is_believed_more_than_the_consumer() -> None:
     [
         Consumer(),
         consumer(score=0.4),
+        consumer(score=float("nan")),
         consumer(object_id=2),
         consumer(seq=3),
         consumer(seq=9),
         consumer(box=np.array([110, 100, 190, 180], np.float32)),
         consumer(box=HERE + 900),
     ],
-    ids=["none", "unsure", "another object", "too old", "of the future", "another size", "far"],
+    ids=[
+        "none",
+        "unsure",
+        "not a number",
+        "another object",
+        "too old",
+        "of the future",
+        "another size",
+        "far",
+    ],
 )
 def test_a_consumer_that_cannot_know_changes_nothing(told: Consumer) -> None:
     before = target()

@@ -341,9 +341,13 @@ def test_memory_lent_ahead_is_sent_with_a_later_message(edge: Edge) -> None:
     assert [int(m.pixels[0, 0, 0]) for m in messages if isinstance(m, Frame)] == [77, 77]
 
 
-def test_a_third_loan_ahead_takes_the_place_of_the_oldest(edge: Edge) -> None:
-    lent = [edge.out.loan((60, 60, 3), np.uint8, ahead=True) for _ in range(6)]
+def test_a_third_loan_ahead_is_refused_until_one_was_sent_or_given_back(edge: Edge) -> None:
+    first, second = (edge.out.loan((60, 60, 3), np.uint8, ahead=True) for _ in range(2))
 
-    assert lent[0].ctypes.data != lent[1].ctypes.data
-    assert len({pixels.ctypes.data for pixels in lent}) <= 3
-    edge.out.loan((60, 60, 3), np.uint8)  # the third slot is free
+    with pytest.raises(PoolExhausted, match="2 slots are lent ahead"):
+        edge.out.loan((60, 60, 3), np.uint8, ahead=True)
+    edge.out.give_back(Frame(header=header(0), pixels=first))
+    third = edge.out.loan((60, 60, 3), np.uint8, ahead=True)
+
+    assert third.ctypes.data != second.ctypes.data
+    edge.out.loan((60, 60, 3), np.uint8)  # a slot is left for one that is not ahead

@@ -127,6 +127,9 @@ def test_a_loop_for_which_nothing_waits_is_allowed(tmp_path: Path) -> None:
 
     assert plan.order().index("guess") < plan.order().index("judge")
     assert "judge" not in plan.command_path()
+    lossless = text.replace("told: judge", "told: {from: judge, keep: every}")
+    with pytest.raises(GraphError, match="unjoined input that may lose in every loop"):
+        load(write(tmp_path, lossless))
 
 
 def test_in_lockstep_every_edge_is_lossless(tmp_path: Path) -> None:
