@@ -1,10 +1,10 @@
 """The graph's tracker in an episode, with or without a cue: exposures in, the object's box out.
 
-With a cue it is the tracker that ships: it begins as on an object that a policy has shown, gives up
-what it does not find or what the policy shows elsewhere, and starts again on what a scanpath shows.
-Every strategy gets its cue in the same way, from the same policy with the same prompt, out of what
-its own pictures show (`sight`). A foveated row hears the policy that plans its ROI. Without a cue
-the tracker hears of no policy and never gives up.
+With a cue the tracker gets a scanpath in every frame, as in the graph. It starts on an object of
+that scanpath, drops one that it does not find or that the scanpath has elsewhere, and starts again.
+The scanpath is made from what the row's own pictures show (`sight`): for a foveated row by the
+policy that plans its ROI, for the others by the graph's, so that rows with a cue are not
+comparable. Without a cue the tracker gets no scanpath and never drops its object.
 """
 
 from typing import TYPE_CHECKING

@@ -27,7 +27,7 @@ class Rules:
     context: bool = True  # False: the tracker sees the ROI alone
     aimed: bool = True  # the first ROI is on the target; False: in the middle
     local: bool = False  # the tracker's state is in pixels of the ROI and moves with it
-    cue: bool = False  # the tracker hears a scanpath; False: it hears none and never gives up
+    cue: bool = False  # the tracker gets a scanpath; False: none, and it never drops its object
     to_end: bool = False  # one start, followed to the end of the clip
 
     def last(self, start: int, frames: int) -> int:
