@@ -18,7 +18,8 @@ def add_numbers(parser: argparse.ArgumentParser, settings: type[Any]) -> None:
     """An option for every number among the settings of a training."""
     for name, made in settings.__dataclass_fields__.items():
         if type(made.default) in (int, float):
-            parser.add_argument(f"--{name}", type=type(made.default), default=made.default)
+            option = f"--{name.replace('_', '-')}"
+            parser.add_argument(option, type=type(made.default), default=made.default)
 
 
 def count(text: str) -> int:

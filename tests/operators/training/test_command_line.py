@@ -127,6 +127,8 @@ def test_wrong_options_of_a_training_are_refused(
 
     few = ("--scenes", 8, "--moments", 2)
     assert "must be at least 1, got 0" in said("--data", data, "--out", out, "--steps", 0)
+    if room == "saliency":
+        assert "raw_share: must be within" in said("--data", data, "--out", out, "--raw-share", 2)
     assert "rate: must be above 0, got nan" in said("--data", data, "--out", out, "--rate", "nan")
     no_folder = f"fovea: {file}: expected a folder, got a file"
     assert said("--data", data, "--out", file, *few) == no_folder
