@@ -1,6 +1,6 @@
 """What the shipped detector loses on the noise of a raw sensor, against clean RGB.
 
-`python -m bench.raw_loss [--groups 5] [--json FILE]`. The same held-out procedural pictures are
+`python -m bench.raw_loss [--weights FILE] [--json FILE]`. The same held-out procedural pictures are
 seen clean, and through a sensor of 12 bit that counts light: `binned` reads all 1920x1080 pixels of
 its mosaic, which Downsample averages to 480x270; `mosaic` reads a mosaic of 480x270, which is
 demosaiced. Scenes are split into groups of their own seeds; the spread is that of the groups.
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.machine import facts
-from bench.options import JSON, Bench
+from bench.options import JSON, Bench, file_name
 from drivers.noise import Response
 from drivers.scenes.soccer import SoccerScene
 from drivers.simulated.readout import Readout
@@ -101,7 +101,7 @@ def eyes(seed: int) -> dict[str, Eye]:
     return found
 
 
-def group(seeds: range, count: int, seed: int) -> dict[str, Figures]:
+def group(seeds: range, count: int, seed: int, weights: str) -> dict[str, Figures]:
     """Precision and recall in each condition over `count` pictures of every scene."""
     seen: dict[str, list[Example]] = {CLEAN: []}
     through = eyes(seed)
@@ -111,7 +111,7 @@ def group(seeds: range, count: int, seed: int) -> dict[str, Figures]:
         for name, eye in through.items():
             shown = replace(item, picture=eye.see(scene.picture(index), number))
             seen.setdefault(name, []).append(shown)
-    settings = SaliencySettings()
+    settings = SaliencySettings(weights=weights)
     return {name: figures(collect(items, settings)) for name, items in seen.items()}
 
 
@@ -152,20 +152,22 @@ def rows(groups: list[dict[str, Figures]]) -> list[dict[str, Any]]:
 @click.option("--scenes", default=4, type=click.IntRange(1, 4), help="In each group.")
 @click.option("--moments", "each", default=8, type=click.IntRange(1), help="Pictures of a scene.")
 @click.option("--seed", default=1, type=click.IntRange(0), help="Of the noise.")
+@click.option("--weights", default="", help="As saliency.weights; the shipped detector's if none.")
 @JSON
-def main(*, count: int, scenes: int, each: int, seed: int, path: Path | None) -> None:
+def main(*, count: int, scenes: int, each: int, seed: int, weights: str, path: Path | None) -> None:
     """Measure what noise costs the detector, in points of precision and recall."""
     cv2.setNumThreads(1)
     groups = []
     for number in range(count):
         first = SEEDS["test"][number * scenes]
-        groups.append(group(range(first, first + scenes), each, seed + number))
+        groups.append(group(range(first, first + scenes), each, seed + number, weights))
         click.echo(f"group {number + 1} of {count}: scenes {first} to {first + scenes - 1}")
     table = rows(groups)
     for row in table:
         click.echo("  ".join(f"{value!s:>15}" for value in row.values()))
     report = facts() | {
-        "bench": "raw_loss", "seed": seed, "groups": count, "scenes_of_a_group": scenes,
+        "bench": "raw_loss", "weights": file_name(SaliencySettings(weights=weights).detector.path),
+        "seed": seed, "groups": count, "scenes_of_a_group": scenes,
         "pictures": count * scenes * each, "first_scene": SEEDS["test"][0],
         "electrons_at_white_and_read_noise": {n: f"{w:g}, {r:g}" for n, (w, r) in NOISES.items()},
         "rows": table,
