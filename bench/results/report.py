@@ -111,6 +111,10 @@ PLACES = {
         section="Tracking under a pixel budget", order=30,
         title="One large ROI against two and four small ones at equal pixels",
     ),
+    "rules": Place(
+        section="Tracking under a pixel budget", order=31,
+        title="Each rule of the policies left out once",
+    ),
     "crash": Place(section="Faults, swaps and long runs", order=1, title="SIGKILL under load"),
     "chaos": Place(section="Faults, swaps and long runs", order=3, title="Random faults"),
     "swap": Place(section="Faults, swaps and long runs", order=5, title="Swaps"),

@@ -1,0 +1,299 @@
+"""Leave out each rule of the policies once: `python -m bench.rules [GRAPH] [--json FILE]`.
+
+Runs the graph in line on drawn clips: the ball asked for by its class, and a referee and a player
+each asked for by the box that they have in the first frame. In each run one rule is replaced by
+what would be there without it, or its setting by the value that makes it do nothing. Prints the
+share of the target inside the ROI and the tracker's IoU, over all frames in which the target is
+visible, and the difference to the run with all rules, paired by clip: what loses nothing can go.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import click
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+from bench.machine import facts
+from bench.options import JSON, ROOT, Bench, file_name
+from bench.prototype import table
+from bench.tracking.classes import planned
+from bench.tracking.intervals import METHOD, Block, difference, mean
+from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
+from pipeline.boxes import covered, iou
+from pipeline.errors import RunError
+from pipeline.file_arguments import GRAPH_FILE
+from pipeline.graph.plan import Plan
+from pipeline.messages import Frame, Message, Percept, Truth
+from pipeline.run.inline import InlineRunner
+
+ALL = "all rules"
+FIRST_CLIP = 50_000  # seeds on which rules may be chosen; figures of tables begin at 70,000
+POLICIES = {  # as `planned` takes them
+    "learned": str(ROOT / "operators" / "policy" / "policy.onnx"), "pursuit": "pursuit",
+}  # fmt: skip
+PROMPTED = ("referee", "player")
+FIGURES = ("share in the ROI", "IoU")
+Part = tuple[str, Any]  # module:name, and what stands there instead
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """A rule of a policy, and how to do without it."""
+
+    policy: str  # of POLICIES
+    parts: tuple[Part, ...] = ()  # replaced in operators.policy
+    changes: tuple[str, ...] = ()  # settings of the graph
+
+
+def nobody(tracks: Any, *_: Any) -> Any:
+    """No track is anything: (n,)."""
+    return np.zeros(len(tracks.ids), np.bool_)
+
+
+def at_rest(_: Any) -> Any:
+    """A camera that does not move: (2,)."""
+    return np.zeros(2, np.float32)
+
+
+def returns(value: Any) -> Callable[..., Any]:
+    """A function that has one answer to everything."""
+    return lambda *_, **__: value
+
+
+def none_of(*arguments: Any) -> Any:
+    """None of the candidates, whose ids are the last argument but one or the last: (n,)."""
+    ids = next(a for a in reversed(arguments) if isinstance(a, np.ndarray))
+    return np.zeros(len(ids), np.bool_)
+
+
+LEARNED = {
+    "a person carries the ball": Rule(
+        policy="learned", parts=(("target:carrier_of", returns(-1)),)
+    ),
+    "the prompted place is a candidate": Rule(
+        policy="learned", parts=(("decision:encode_place", returns(None)),)
+    ),
+    "candidates have the prompt's size": Rule(
+        policy="learned", parts=(("decision:unlike", none_of),)
+    ),
+    "what the ROI refuted is out": Rule(
+        policy="learned", changes=("policy.least_genuine=0",)
+    ),
+    "the target's own track is likelier": Rule(
+        policy="learned", changes=("policy.target_prior=1",)
+    ),
+    "bound again where it was": Rule(policy="learned", parts=(("target:_back", returns(-1)),)),
+    "bound again by the choice": Rule(policy="learned", parts=(("target:_again", returns(-1)),)),
+    "places move with the camera": Rule(
+        policy="learned",
+        parts=(("target:camera_motion", at_rest), ("conditioning:camera_motion", at_rest)),
+    ),
+    "what the ROI showed is an input": Rule(
+        policy="learned", parts=(("learned:remember", lambda memory, *_: memory),)
+    ),
+}  # fmt: skip
+PURSUIT = {
+    "a candidate is seen three times": Rule(policy="pursuit", changes=("policy.confirm=1",)),
+    "a rival must be clearly better": Rule(policy="pursuit", parts=(("pursuit:MARGIN", 0.0),)),
+    "a rival takes the gaze": Rule(
+        policy="pursuit", parts=(("pursuit:challenged", lambda tracks, now, *_: now),)
+    ),
+    "who moves is likelier": Rule(policy="pursuit", parts=(("candidates:MOVING_BONUS", 0.0),)),
+    "who is inside a person is less likely": Rule(
+        policy="pursuit", parts=(("candidates:INSIDE_MALUS", 0.0),)
+    ),
+    "a person nearby carries it": Rule(policy="pursuit", parts=(("pursuit:can_carry", nobody),)),
+    "doubt grows with time": Rule(policy="pursuit", parts=(("pursuit:GROWTH", 0.0),)),
+    "the field is searched": Rule(policy="pursuit", changes=("policy.patience=1000000",)),
+}  # fmt: skip
+RULES: Mapping[str, Rule] = {**LEARNED, **PURSUIT}
+
+
+@contextmanager
+def without(rule: Rule) -> Iterator[None]:
+    """Do without a rule; raises `RunError` where its place is no more."""
+    with ExitStack() as stack:
+        for place, other in rule.parts:
+            module_name, _, name = place.partition(":")
+            module = import_module(f"operators.policy.{module_name}")
+            if not hasattr(module, name):
+                raise RunError(f"{place}: expected a rule of operators.policy, got none")
+            stack.enter_context(patch.object(module, name, other))
+        yield
+
+
+@dataclass(kw_only=True, eq=False)
+class Watch:
+    """What became of one target in one run; values of frames in which it is visible."""
+
+    kind: str
+    object_id: int = -1  # -1: any of the class
+    values: dict[str, list[float]] = field(default_factory=lambda: {f: [] for f in FIGURES})
+    _windows: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)  # by frame
+    _answers: dict[int, Any] = field(default_factory=dict)
+    _truths: dict[int, Truth] = field(default_factory=dict)
+
+    def hear(self, output: str, message: Message) -> None:
+        """Take a message of the graph."""
+        if isinstance(message, Frame) and output == "capture.roi":
+            self._windows[message.header.seq] = message.window
+        elif isinstance(message, Percept) and output.partition(".")[0] == "tracker":
+            if len(message.boxes):
+                self._answers[message.header.seq] = message.boxes[0]
+        elif isinstance(message, Truth) and output == "capture.truth":
+            self._truths[message.header.seq] = message
+
+    def judge(self) -> None:
+        """Compare what was heard with the truth, when a run has ended."""
+        for seq, truth in self._truths.items():
+            box = self._own(truth)
+            if box is None:
+                continue
+            window = np.array(self._windows.get(seq, (0, 0, 0, 0)), np.float32)
+            found = self._answers.get(seq)
+            self.values[FIGURES[0]].append(float(covered(box, window)[0]))
+            self.values[FIGURES[1]].append(
+                0.0 if found is None else float(iou(found[None], box)[0, 0])
+            )
+
+    def _own(self, truth: Truth) -> Any:
+        for row, label in enumerate(truth.labels):
+            if (
+                CLASS_OF_ROLE.get(label, label) == self.kind
+                and truth.visibility[row] >= LEAST_VISIBLE
+                and self.object_id in (-1, int(truth.ids[row]))
+            ):
+                return truth.boxes[row][None]
+        return None
+
+
+def first_truth(plan: Plan) -> Truth:
+    """Return what the source knows of its first frame; raises `RunError` if it knows nothing."""
+    found: list[Truth] = []
+
+    def hear(output: str, message: Message) -> None:
+        if isinstance(message, Truth) and output == "capture.truth":
+            found.append(message)
+
+    with InlineRunner(plan, watch=hear) as runner:
+        for _ in runner.run(1):
+            pass
+    if not found:
+        raise RunError(f"{plan.name}: expected a source that knows the truth, got none")
+    return found[0]
+
+
+def asked(truth: Truth, targets: Sequence[str]) -> dict[str, tuple[Watch, tuple[str, ...]]]:
+    """Return how each target is asked for in a clip: by its class, or by its first box."""
+    found: dict[str, tuple[Watch, tuple[str, ...]]] = {}
+    for kind in targets:
+        if kind not in PROMPTED:
+            found[kind] = Watch(kind=kind), (f"policy.target={kind}",)
+            continue
+        for row, label in enumerate(truth.labels):
+            if CLASS_OF_ROLE.get(label, label) == kind and truth.visibility[row] >= LEAST_VISIBLE:
+                box = ", ".join(f"{side:.1f}" for side in truth.boxes[row])
+                prompt = ("policy.target=", f"policy.prompt_box=[{box}]")
+                found[kind] = Watch(kind=kind, object_id=int(truth.ids[row])), prompt
+                break
+    return found
+
+
+def run(plan: Plan, rule: Rule | None, watch: Watch, frames: int) -> None:
+    """Run the graph with all rules but one."""
+    left_out = without(rule) if rule else ExitStack()
+    with left_out, InlineRunner(plan, watch=watch.hear) as runner:
+        for _ in runner.run(frames):
+            pass
+    watch.judge()
+
+
+def rows(found: Mapping[tuple[str, str, str], Mapping[str, Watch]]) -> Iterator[dict[str, Any]]:
+    """Yield the figures of each policy, target and rule, over clips."""
+    for (policy, kind, name), clips in found.items():
+        usual = found[policy, kind, ALL]
+        row: dict[str, Any] = {"policy": policy, "target": kind, "without": name}
+        for figure in FIGURES:
+            own, all_rules = blocks(clips, figure), blocks(usual, figure)
+            row[figure] = round(mean(own).iou, 3)
+            if name != ALL:
+                row[f"{figure}: gained without"] = worded(*difference(own, all_rules))
+            else:
+                row[f"{figure}: gained without"] = ""
+        yield row | {"clips": len(clips)}
+
+
+def blocks(clips: Mapping[str, Watch], figure: str) -> dict[str, Block]:
+    """Return each clip's sum of a figure."""
+    return {
+        clip: Block(total=sum(w.values[figure]), frames=len(w.values[figure]), starts=1)
+        for clip, w in clips.items()
+        if w.values[figure]
+    }
+
+
+def worded(middle: float, low: float, high: float) -> str:
+    """Return a difference with its interval, if it has one.
+
+    >>> worded(0.1, 0.05, 0.15), worded(0.1, float("nan"), float("nan"))
+    ('+0.100 (+0.050 .. +0.150)', '+0.100')
+    """
+    return f"{middle:+.3f}" + (f" ({low:+.3f} .. {high:+.3f})" if low == low else "")
+
+
+@click.command(cls=Bench)
+@click.argument("graph", default="tracking", type=GRAPH_FILE)
+@click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
+@click.option("--clips", default=8, show_default=True, type=click.IntRange(1))
+@click.option("--frames", default=150, show_default=True, type=click.IntRange(2))
+@click.option("--first-clip", default=FIRST_CLIP, show_default=True, type=click.IntRange(0))
+@click.option("--targets", default="ball,referee,player", show_default=True)
+@click.option("--policies", default=",".join(POLICIES), show_default=True)
+@JSON
+def main(
+    graph: Path, changes: tuple[str, ...], clips: int, frames: int, first_clip: int, targets: str,
+    policies: str, path: Path | None,
+) -> None:  # fmt: skip
+    """Leave out each rule once."""
+    cv2.setNumThreads(1)
+    for name in policies.split(","):
+        if name not in POLICIES:
+            raise RunError(f"--policies: expected some of {', '.join(POLICIES)}, got {name[:40]!r}")
+    cases = [
+        (policy, name, rule)
+        for policy in policies.split(",")
+        for name, rule in {ALL: None, **RULES}.items()
+        if rule is None or rule.policy == policy
+    ]
+    found: dict[tuple[str, str, str], dict[str, Watch]] = {}
+    for seed in range(first_clip, first_clip + clips):
+        common = (*changes, f"capture.seed={seed}")
+        truth = first_truth(planned(graph, common))
+        for policy, name, rule in track(cases, f"clip {seed}", console=Console(stderr=True)):
+            for kind, (watch, prompt) in asked(truth, targets.split(",")).items():
+                laid = (*common, *prompt, *(rule.changes if rule else ()))
+                run(planned(graph, laid, policy=POLICIES[policy]), rule, watch, frames)
+                found.setdefault((policy, kind, name), {})[str(seed)] = watch
+    result = list(rows(found))
+    Console().print(table(f"rules left out once, {clips} clips of {frames} frames", result))
+    if path:
+        report = facts() | {
+            "bench": "rules", "graph": file_name(graph), "changes": list(changes),
+            "seed": first_clip, "clips": clips, "frames": frames, "targets": targets,
+            "interval": METHOD, "rows": result,
+        }  # fmt: skip
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,70 @@
+"""Rules of the policies are left out one at a time, and the others are as they were."""
+
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.rules import ALL, FIGURES, RULES, Rule, Watch, rows, without
+from pipeline.errors import RunError
+from pipeline.messages import Frame, Percept, Truth
+from pipeline.testing import header
+
+
+def part(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(import_module(f"operators.policy.{module}"), name)
+
+
+@pytest.mark.parametrize("rule", [r for r in RULES.values() if r.parts], ids=str)
+def test_a_rule_is_replaced_only_while_it_is_left_out(rule: Rule) -> None:
+    before = [part(place) for place, _ in rule.parts]
+    with without(rule):
+        assert [part(place) for place, _ in rule.parts] == [other for _, other in rule.parts]
+    assert [part(place) for place, _ in rule.parts] == before
+
+
+def test_a_rule_that_is_no_more_is_refused() -> None:
+    with (
+        pytest.raises(RunError, match="target:gone: expected a rule"),
+        without(Rule(policy="learned", parts=(("target:gone", 0),))),
+    ):
+        pass
+
+
+def watched(*, box: tuple[int, int, int, int], window: tuple[int, int, int, int]) -> Watch:
+    """A target at 10..20; window and answer are known in the second of two frames."""
+    watch = Watch(kind="ball")
+    for seq in (0, 1):
+        truth = Truth(
+            header=header(seq), boxes=np.array([[10, 10, 20, 20]], np.float32),
+            ids=np.array([7], np.int32), labels=("ball",), visibility=np.ones(1, np.float32),
+        )  # fmt: skip
+        watch.hear("capture.truth", truth)
+    roi = Frame(header=header(1), pixels=np.zeros((1, 1, 3), np.uint8), window=window)
+    watch.hear("capture.roi", roi)
+    answer = Percept(
+        header=header(1), boxes=np.array([box], np.float32), ids=np.zeros(1, np.int32),
+        scores=np.ones(1, np.float32),
+    )  # fmt: skip
+    watch.hear("tracker", answer)
+    watch.judge()
+    return watch
+
+
+def test_frames_without_an_answer_count_as_missed() -> None:
+    watch = watched(box=(10, 10, 20, 20), window=(0, 0, 15, 40))
+
+    assert watch.values == {FIGURES[0]: [0, 0.5], FIGURES[1]: [0, 1]}
+
+
+def test_what_is_lost_without_a_rule_is_told_beside_its_figure() -> None:
+    usual = {"1": watched(box=(10, 10, 20, 20), window=(0, 0, 40, 40))}
+    worse = {"1": watched(box=(10, 10, 20, 15), window=(0, 0, 40, 40))}
+
+    found = list(rows({("learned", "ball", ALL): usual, ("learned", "ball", "a rule"): worse}))
+
+    assert [row[FIGURES[1]] for row in found] == [0.5, 0.25]
+    assert found[1][f"{FIGURES[1]}: gained without"] == "-0.250"
+    assert found[1][f"{FIGURES[0]}: gained without"] == "+0.000"
