@@ -44,6 +44,17 @@ def main(
     sequence: Path, weights: str, scale: float, every: int, threads: int, path: Path | None
 ) -> None:
     """Say how often the ball is among a detector's best candidates."""
+    report = facts() | candidates(sequence, weights, scale=scale, every=every, threads=threads)
+    if path:
+        write_whole(path, json.dumps(report, indent=1) + "\n")
+    for table in shown(report):
+        Console().print(table)
+
+
+def candidates(
+    sequence: Path, weights: str, *, scale: float, every: int = 1, threads: int = 1
+) -> dict[str, Any]:
+    """Return the report on a detector and a sequence; raises `DriverError`, `WeightsError`."""
     looker = Looker(weights, {}, scale, threads, confidence=FLOOR)
     for name in NAMES:
         looker.known(name)
@@ -66,16 +77,12 @@ def main(
             among[ball.state[k]].append(among_best(found[BALL], true))
     source.close()
     own = {name: looker.confidence_of(name) for name in marks.tallies}
-    report = {
-        "bench": "ball_candidates", **facts(), "weights": file_name(looker.path),
-        "data": sequence.name, "frames": len(frames), "scale": scale, "best": BEST,
+    return {
+        "bench": "ball_candidates", "weights": file_name(looker.path), "data": sequence.name,
+        "frames": len(frames), "scale": scale, "best": BEST,
         "among": {state: _share(rows) for state, rows in sorted(among.items())},
         "classes": figures(marks, own),
     }  # fmt: skip
-    if path:
-        write_whole(path, json.dumps(report, indent=1) + "\n")
-    for table in shown(report):
-        Console().print(table)
 
 
 def labelled(source: SoccerNetSequence, index: int, truth: Annotations) -> Labelled:

@@ -54,6 +54,26 @@ def main(
     choose_on: str | None, threads: int, path: Path | None,
 ) -> None:  # fmt: skip
     """Score a detector on labelled pictures."""
+    report = facts() | scored(
+        folder,
+        weights,
+        scale=scale,
+        split=split,
+        choose_on=choose_on or "",
+        threads=threads,
+        classes=classes,
+        every=every,
+    )
+    if path:
+        write_whole(path, json.dumps(report, indent=1) + "\n")
+    Console().print(shown(report))
+
+
+def scored(
+    folder: Path, weights: str, *, scale: float, split: str, choose_on: str, threads: int = 1,
+    classes: str = "", every: int = 1,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the report on a detector and a folder; raises `SettingsError`, `WeightsError`."""
     wanted, names = _classes(folder, classes)
     low = Looker(weights, names, scale, threads, confidence=FLOOR)
     wanted = {number: low.known(name) for number, name in wanted.items()}
@@ -65,17 +85,14 @@ def main(
     marks = _marked(files, wanted, low, "score")
     whole = sum(marks.values(), Marks())
     own = {name: chosen.get(name, low.confidence_of(name)) for name in whole.tallies}
-    report = {
-        "bench": "detector", **facts(), "weights": file_name(low.path), "data": folder.name,
-        "split": split, "chosen_on": choose_on or "", "pictures": len(files), "scale": scale,
+    return {
+        "bench": "detector", "weights": file_name(low.path), "data": folder.name,
+        "split": split, "chosen_on": choose_on, "pictures": len(files), "scale": scale,
         "input_px": list(low.input_px), "threads": threads,
         "ms": spread(low.wall_ms), "processor_ms": spread(low.processor_ms),
         "classes": figures(whole, own),
         "matches": {match: figures(part, own) for match, part in marks.items()},
     }  # fmt: skip
-    if path:
-        write_whole(path, json.dumps(report, indent=1) + "\n")
-    Console().print(shown(report))
 
 
 def of_split(folder: Path, split: str) -> list[Path]:

@@ -101,7 +101,7 @@ PLACES = {
         section="Time of each part", order=11, title="The whole pitch, drawn where a sensor looks"
     ),
     "raw_loss": Place(
-        section="Networks and scenes", order=10, title="The detector on raw frames with noise"
+        section="Networks and scenes", order=12, title="The detector on raw frames with noise"
     ),
     "prototype": Place(section="Late plans", order=20, title="The 200-megapixel prototype"),
     "long_horizon": Place(
@@ -130,6 +130,10 @@ PLACES = {
     "detector": Place(
         section="Networks and scenes", order=10,
         title="A general detector on labelled pictures, each shrunk to the context's size",
+    ),
+    "detector_versions": Place(
+        section="Networks and scenes", order=11,
+        title="The detector before and after training on real stills, by match and scale",
     ),
     "fuzz": Place(
         section="Several hosts and security", order=5,
