@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from operators.saliency.saliency import SaliencySettings
 
 SHIPPED = Path(__file__).with_name("detector.onnx")
+EIGHT_BITS = Path(__file__).with_name("detector_int8.onnx")  # the same in half the time
+NAMED = {"": SHIPPED, "eight_bits": EIGHT_BITS}
 FEATURE_STRIDE_PX = 8
 USUAL_CONFIDENCE = 0.25
 INPUT_TYPES = ("tensor(float)", HALF)
@@ -50,7 +52,7 @@ class Detector:
 
     def __init__(self, settings: "SaliencySettings") -> None:
         self.settings = settings
-        self.path = weights_file(settings.weights, SHIPPED)
+        self.path = NAMED.get(settings.weights) or weights_file(settings.weights, SHIPPED)
         self.network = Network(self.path, threads=settings.threads)
         self.known = described(self.path, self.network.metadata)
         self.input, self.size_px = _input_of(self.network, settings, self.known)

@@ -27,7 +27,9 @@ __all__ = ["SHIPPED", "Detector", "Saliency", "SaliencySettings"]
 class SaliencySettings:
     """What a graph may set."""
 
-    weights: str = ""  # an ONNX file, or a name that `fovea weights` knows; empty: the shipped one
+    # an ONNX file, or a name that `fovea weights` knows; empty: the shipped one; eight_bits: the
+    # shipped one quantised
+    weights: str = ""
     format: Format = "auto"  # of the network's output
     input_px: tuple[int, int] = (0, 0)  # width, height where the network leaves them open
     names: Mapping[str, str] = field(default_factory=dict)  # network's class or its number -> name

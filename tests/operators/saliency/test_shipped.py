@@ -22,7 +22,7 @@ LEAST_RECALL = 0.86  # below .955 - 3 * .041 / sqrt(2)
 Answer = tuple[Detections, Annotations]
 
 
-def looked(seed: int, *, threads: int = 1, noise: int = 0) -> list[Answer]:
+def looked(seed: int, *, threads: int = 1, noise: int = 0, weights: str = "") -> list[Answer]:
     """Return detections and truth of widely spaced frames, with up to `noise` grey levels added."""
     scene, rng = SoccerScene(size_px=(1920, 1080), seed=seed), np.random.default_rng(seed)
     frames, truths = [], []
@@ -33,7 +33,9 @@ def looked(seed: int, *, threads: int = 1, noise: int = 0) -> list[Answer]:
         frames.append(Frame(header=header(index), pixels=noisy, window=(0, 0, 1920, 1080)))
         truths.append(scene.truth(index))
     scene.close()
-    return list(zip(drive(Saliency, frames, {"threads": threads}), truths, strict=True))
+    return list(
+        zip(drive(Saliency, frames, {"threads": threads, "weights": weights}), truths, strict=True)
+    )
 
 
 def recall(answers: Sequence[Answer]) -> float:
@@ -63,6 +65,12 @@ def test_threads_and_a_grey_level_of_noise_change_little(threads: int, noise: in
     found = [recall(looked(seed, threads=threads, noise=noise)) for seed in HELD_OUT]
 
     assert np.mean(found) > LEAST_RECALL
+
+
+def test_in_eight_bits_it_finds_as_many_players(answers: list[list[Answer]]) -> None:
+    quantised = [recall(looked(seed, weights="eight_bits")) for seed in HELD_OUT]
+
+    assert np.mean(quantised) > np.mean([recall(each) for each in answers]) - 0.05
 
 
 def test_every_detected_object_has_features(answers: list[list[Answer]]) -> None:
