@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.tracking.budgets import acquisition
-from bench.tracking.camera import Camera
+from bench.tracking.camera import Camera, Kept
 from bench.tracking.clip import Clip, ClipName, names, read
 from drivers.scenes.panorama import PanoramaScene
 from drivers.simulated.windows import picture_of
@@ -90,15 +90,26 @@ def test_the_whole_pitch_is_a_clip_of_windows() -> None:
     clip.close()
 
 
-def test_contexts_that_are_kept_have_a_limit(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.tracking.camera.CONTEXT_BYTES", 3 * 3 * 800 * 400)
-    camera = Camera(clip, acquisition("oracle", Fraction(1, 8), SIZE_PX))
+def test_contexts_are_made_once_for_all_strategies_up_to_a_limit(clip: Clip) -> None:
+    one = 3 * 800 * 400  # bytes
+    kept = Kept(most_bytes=3 * one + 10)
+    oracle, context = (
+        Camera(clip, acquisition(name, Fraction(1, 8), SIZE_PX), kept)
+        for name in ("oracle", "context")
+    )
 
-    contexts = [camera.context(frame) for frame in range(5)]
+    first = [oracle.context(frame).pixels for frame in range(5)]
+    again = [context.context(frame).pixels for frame in range(5)]
 
-    assert camera.context(4) is contexts[4]
-    assert camera.context(0) is not contexts[0]
-    np.testing.assert_array_equal(camera.context(0).pixels, contexts[0].pixels)
+    assert [a is b for a, b in zip(first, again, strict=True)] == [True] * 3 + [False] * 2
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert kept.nbytes == 3 * one
+
+    spatial = Camera(clip, acquisition("spatial", Fraction(1, 32), SIZE_PX), kept)
+    small = spatial.context(0).pixels
+    assert kept.nbytes == small.nbytes  # the size that was longest unused made room
+    assert spatial.context(0).pixels is small
 
 
 def test_panoramas_are_clips() -> None:
