@@ -11,6 +11,7 @@ import os
 from collections import OrderedDict
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -197,10 +198,10 @@ class Camera:
         last = read(frame)
         if not self.how.sampling.averaged or first == frame:
             return last
-        total = last.astype(np.uint32)
+        total = last.astype(np.float32)
         for each in range(first, frame):
-            total += read(each)
-        return np.rint(total / np.float32(frame + 1 - first)).astype(np.uint8)
+            cv2.accumulate(read(each), total)
+        return np.rint(total / (frame + 1 - first)).astype(np.uint8)
 
 
 def search_area(box: NDArray[np.float32], size_px: tuple[int, int]) -> Window:

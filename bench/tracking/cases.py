@@ -21,7 +21,7 @@ SEES = {
     "each": ((True, False), (False, False)),
     "all": ((True, False), (False, False), (False, True)),
 }
-CUES = {"shared": (True,), "none": (False,), "each": (True, False)}
+CUES = {"reference": (True,), "none": (False,), "each": (True, False)}
 PROTOCOLS = {"short": (False,), "long": (True,), "both": (False, True)}
 
 

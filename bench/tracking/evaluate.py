@@ -8,9 +8,9 @@ frames out, the frames that it keeps count, as in the paper; the mean over all f
 last box is kept, is in another column. A strategy with a ROI begins with the ROI on the target and
 the target's box as prompt; `centred` stays in the middle.
 
-By default the tracker hears no policy and never gives up, as in the paper. With `--cue shared` it
-is the one that ships: it hears a scanpath, gives up what it does not find and starts again on what
-the scanpath shows. That is the same for all strategies of a budget: the pursuit rule's, from the
+By default the tracker hears no policy and never gives up, as in the paper. With `--cue reference`
+it is the one that ships: it hears a scanpath, gives up what it does not find and starts again on
+what the scanpath shows. That is the same for all strategies of a budget: the pursuit rule's, from the
 context that a foveated row has. The tracker sees the context where the ROI shows nothing, as in the
 shipped loop; with `--sees each` a second row is of a tracker that sees the ROI alone, and with
 `--sees all` a third one of a tracker whose state is in coordinates of the ROI and moves with it,
@@ -37,7 +37,6 @@ from bench.tracking.budgets import acquisition
 from bench.tracking.cases import CUES, PROTOCOLS, SEES, Case, Protocol, cases
 from bench.tracking.classes import TRACKER, TRACKERS, check_prompted, planned
 from bench.tracking.clip import ClipName, frames_of, is_development, names, size_of
-from bench.tracking.common import giver
 from bench.tracking.conclusions import sentences
 from bench.tracking.episode import Rules
 from bench.tracking.intervals import METHOD
@@ -47,6 +46,7 @@ from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
 from bench.tracking.report import paired, rows
 from bench.tracking.stages import Stages
+from bench.tracking.stock import giver
 from bench.tracking.tables import asked_rows, markdown, table
 from bench.tracking.units import measured
 from pipeline.errors import DriverError, FoveaError, SettingsError
@@ -59,7 +59,7 @@ VIEWS = (
     "the tracker: ROI over context (both), the ROI alone (roi), in coordinates of the ROI as in "
     "the paper (coordinates), a row of both and roi (each), a row of every one (all)"
 )
-HEARS = "the tracker hears a scanpath, the same in all rows (shared), does not (none), or each"
+HEARS = "the tracker hears a scanpath, the same in all rows (reference), does not (none), or each"
 FOLLOWED = "starts every few frames (short), one to the end of the clip (long), or both"
 
 

@@ -11,9 +11,9 @@ import cv2
 
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, read
-from bench.tracking.common import Common
 from bench.tracking.cue import Cue
 from bench.tracking.episode import Loop, Outcome, run
+from bench.tracking.stock import Stock
 from bench.tracking.store import Draft, Episode, Unit
 from bench.tracking.targets import Target, starts, targets
 from drivers.commands import Window
@@ -32,14 +32,14 @@ def follow(name: ClipName, work: Sequence[Work], protocol: Protocol, warnings_fi
     looked: dict[Case, Windows] = {}
     budgets = list(dict.fromkeys(case.budget for case, _ in work))
     ordered = sorted(work, key=lambda each: budgets.index(each[0].budget))
-    with _warnings_into(warnings_file, str(name)), Common(clip, Path(protocol.graph)) as common:
+    with _warnings_into(warnings_file, str(name)), Stock(clip, Path(protocol.graph)) as stock:
         for case, path in ordered:
-            loop = common.loop(case)
+            loop = stock.loop(case)
             windows = looked.setdefault(same_windows(case), {})
             draft = Draft(path.with_suffix(".part"))
             done = []
             for target in subjects:
-                cue = partial(common.cue, case, target)
+                cue = partial(stock.cue, case, target)
                 done.append(_followed(loop, cue, target, protocol.every, windows, draft))
             names = {"clip": str(name), "case": case.name, "budget": case.budget}
             draft.finish([unit | names for unit in done], path)

@@ -20,8 +20,8 @@ from pipeline.graph.plan import Plan
 from pipeline.weights import MANIFEST
 
 TRACKING = (
-    *("budgets", "camera", "classes", "clip", "common", "consumer", "cue", "episode", "job"),
-    *("replaced", "roi_path", "sight", "stages", "targets"),
+    *("budgets", "camera", "classes", "clip", "consumer", "cue", "episode", "job"),
+    *("replaced", "roi_path", "sight", "stages", "stock", "targets"),
 )
 CODE = (  # that determines figures, besides the operators that a case needs
     *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),

@@ -45,7 +45,7 @@ class Options:
     changes: tuple[str, ...]
     tracker: str
     sees: str  # both, roi, coordinates, each, all
-    cue: str  # shared, none, each
+    cue: str  # reference, none, each
     protocol: str  # short, long, both
     many: bool  # score all tracks of perception instead
     states: bool  # show rows of the free, the still and the carried ball, too

@@ -82,7 +82,7 @@ def _row(key: Key, tally: Tally) -> Row:
         "starts": figures.starts,
         "pixels": _round(tally.read_px / tally.full_px),
         "protocol": "long" if strategy.endswith(LONG) else "short",
-        "cue": "shared" if has_cue(strategy) else "none",
+        "cue": "reference" if has_cue(strategy) else "none",
         **{name: _round(value) for name, value in over(tally.figures).items()},
     }
     if strategy.startswith(("temporal", "exposure")):

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from bench.tracking.cases import Case, Protocol, cases
 from bench.tracking.clip import Clip, ClipName, read
-from bench.tracking.common import Common, giver
 from bench.tracking.episode import Outcome, Rules, exposures, run
 from bench.tracking.key import key
 from bench.tracking.options import Options
 from bench.tracking.stages import Stages
+from bench.tracking.stock import Stock, giver
 from bench.tracking.targets import Target, targets
 from operators.tracker import TrackerState
 from pipeline.errors import SettingsError
@@ -35,16 +35,16 @@ def clip() -> Clip:
 
 
 @pytest.fixture(scope="module")
-def common(clip: Clip) -> Iterator[Common]:
-    with Common(clip, GRAPH) as common:
-        yield common
+def stock(clip: Clip) -> Iterator[Stock]:
+    with Stock(clip, GRAPH) as stock:
+        yield stock
 
 
 @pytest.fixture(scope="module")
-def player(clip: Clip, common: Common) -> Target:
+def player(clip: Clip, stock: Stock) -> Target:
     """Return a player whom the shipped detector finds, so that the cue has something to show."""
     for found in targets(clip.truths, ["player"], players=99, seed=0):
-        cue = common.cue(row("spatial"), found, START) if found.boxes[START].any() else None
+        cue = stock.cue(row("spatial"), found, START) if found.boxes[START].any() else None
         if cue and min(plan.choice[0] for plan in cue.plans[:9]) >= 0:
             return found
     raise AssertionError("no player is found in the context")
@@ -88,10 +88,10 @@ def row(strategy: str, budget: str = "1/8", rules: Rules = CUED, **more: Any) ->
     return Case(strategy=strategy, budget=budget, name="", rules=rules, policy=policy, **more)
 
 
-def followed(common: Common, target: Target, case: Case) -> tuple[Outcome, Heard, list[int]]:
-    loop = common.loop(case)
+def followed(stock: Stock, target: Target, case: Case) -> tuple[Outcome, Heard, list[int]]:
+    loop = stock.loop(case)
     heard = Heard(loop.stages)
-    cue = common.cue(case, target, START)
+    cue = stock.cue(case, target, START)
     found = run(replace(loop, stages=cast(Stages, heard), cue=cue), target, START)
     return found, heard, exposures(loop.camera, START, FRAMES - 1)
 
@@ -115,11 +115,11 @@ ROWS = {
 
 @pytest.mark.parametrize("name", ROWS)
 def test_every_row_hears_the_identical_cue_in_every_exposure_after_the_first_plan(
-    common: Common, player: Target, name: str
+    stock: Stock, player: Target, name: str
 ) -> None:
-    reference, first, _ = followed(common, player, ROWS["full"])
+    reference, first, _ = followed(stock, player, ROWS["full"])
 
-    outcome, heard, exposed = followed(common, player, ROWS[name])
+    outcome, heard, exposed = followed(stock, player, ROWS[name])
 
     assert sorted(first.told) == list(range(START + 1, FRAMES))
     assert sorted(heard.told) == [frame for frame in exposed if frame > START]
@@ -137,12 +137,12 @@ def test_all_rows_of_a_budget_have_their_cue_from_the_same_tracks_and_rule() -> 
 
 @pytest.mark.parametrize("name", ["exposure", "true parts"])
 def test_a_cue_does_not_depend_on_the_row_that_was_followed_before_it(
-    clip: Clip, common: Common, player: Target, name: str
+    clip: Clip, stock: Stock, player: Target, name: str
 ) -> None:
-    with Common(clip, GRAPH) as fresh:
+    with Stock(clip, GRAPH) as fresh:
         followed(fresh, player, replace(ROWS[name], rules=Rules(to_end=True)))
         after = fresh.cue(ROWS[name], player, START)
-    shared = common.cue(ROWS["spatial"], player, START)
+    shared = stock.cue(ROWS["spatial"], player, START)
 
     assert after is not None
     assert shared is not None
@@ -153,9 +153,9 @@ def test_a_cue_does_not_depend_on_the_row_that_was_followed_before_it(
 
 
 def test_the_cue_is_what_the_tracker_of_the_loop_with_the_pursuit_rule_hears(
-    common: Common, player: Target
+    stock: Stock, player: Target
 ) -> None:
-    _, heard, _ = followed(common, player, ROWS["pursuit"])
+    _, heard, _ = followed(stock, player, ROWS["pursuit"])
 
     for frame, (choice, boxes) in heard.told.items():
         own = heard.planned[frame - 1]  # of the row's own policy, one frame before
@@ -164,8 +164,8 @@ def test_the_cue_is_what_the_tracker_of_the_loop_with_the_pursuit_rule_hears(
     assert len({boxes.tobytes() for _, boxes in heard.told.values()}) > FRAMES / 2
 
 
-def test_the_cue_begins_where_the_true_box_is(common: Common, player: Target) -> None:
-    cue = common.cue(row("temporal"), player, START)
+def test_the_cue_begins_where_the_true_box_is(stock: Stock, player: Target) -> None:
+    cue = stock.cue(row("temporal"), player, START)
 
     assert cue is not None
     assert cue.heard(START) is None
@@ -173,17 +173,17 @@ def test_the_cue_begins_where_the_true_box_is(common: Common, player: Target) ->
     assert plan is not None
     assert plan.first_seq == START + 1
     assert np.abs(plan.boxes[0] - player.boxes[START + 1]).max() < 40
-    assert common.cue(row("temporal", rules=Rules()), player, START) is None
+    assert stock.cue(row("temporal", rules=Rules()), player, START) is None
 
 
-def test_a_late_cue_is_late_for_every_row_by_as_many_frames(common: Common, player: Target) -> None:
+def test_a_late_cue_is_late_for_every_row_by_as_many_frames(stock: Stock, player: Target) -> None:
     late = replace(CUED, cue_delay=3)
 
     told = [
-        followed(common, player, row(name, rules=replace(late, delay=delay)))[1].told
+        followed(stock, player, row(name, rules=replace(late, delay=delay)))[1].told
         for name, delay in (("spatial", 0), ("foveated", 3))
     ]
-    prompt = followed(common, player, row("spatial"))[1].told
+    prompt = followed(stock, player, row("spatial"))[1].told
 
     assert sorted(told[0]) == sorted(told[1]) == list(range(START + 4, FRAMES))
     for frame, (choice, _) in told[0].items():
@@ -191,9 +191,9 @@ def test_a_late_cue_is_late_for_every_row_by_as_many_frames(common: Common, play
 
 
 def test_the_tracker_of_a_row_with_a_cue_is_the_graphs_with_one_rule_off(
-    common: Common, player: Target
+    stock: Stock, player: Target
 ) -> None:
-    _, heard, _ = followed(common, player, ROWS["centred"])
+    _, heard, _ = followed(stock, player, ROWS["centred"])
 
     (state,) = heard.states
     assert list(heard.tracker) == ["hidden_after"]
@@ -203,7 +203,11 @@ def test_the_tracker_of_a_row_with_a_cue_is_the_graphs_with_one_rule_off(
 
 
 def options(**more: Any) -> Options:
-    words = {"strategies": "full,spatial,foveated", "budgets": "1/8,1/16", "cue": "shared"} | more
+    words = {
+        "strategies": "full,spatial,foveated",
+        "budgets": "1/8,1/16",
+        "cue": "reference",
+    } | more
     return asked(*(f"--{name}={value}" for name, value in words.items()))
 
 
@@ -219,7 +223,7 @@ def test_all_rows_hear_late_plans_late_and_several_delays_are_refused() -> None:
     late = {(case.strategy, case.rules.cue_delay) for case in cases(options(delay="2"))}
 
     assert late == {("full", 2), ("spatial", 2), ("foveated", 2)}
-    with pytest.raises(SettingsError, match="delay: expected one with --cue shared"):
+    with pytest.raises(SettingsError, match="delay: expected one with --cue reference"):
         options(delay="0,2")
     assert options(delay="0,2", cue="none").delay == (0, 2)
 

@@ -9,9 +9,9 @@ import pytest
 
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, read
-from bench.tracking.common import Common
 from bench.tracking.episode import Rules
 from bench.tracking.key import clip_key, key
+from bench.tracking.stock import Stock
 from bench.tracking.store import Draft, Unit, forget_damaged, units
 from bench.tracking.units import cut, measured
 from pipeline.errors import DriverError
@@ -175,10 +175,10 @@ def test_warnings_of_the_parts_are_kept_and_counted(
 
 def test_tracks_of_one_detector_are_not_used_for_another() -> None:
     found = []
-    with Common(read(ClipName(seed=70_003), (1, 3)), GRAPH) as common:
+    with Stock(read(ClipName(seed=70_003), (1, 3)), GRAPH) as stock:
         for more in ("saliency.confidence=0.25", "saliency.confidence=0.999"):
             case = row("foveated", "1/8", changes=(more,), policy="pursuit")
-            found.append(common.loop(case).tracks[2])
+            found.append(stock.loop(case).tracks[2])
 
     assert [bool(len(tracks.ids)) for tracks in found] == [True, False]
 

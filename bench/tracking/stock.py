@@ -1,4 +1,4 @@
-"""What the cases of one clip have in common, each made once: stages, pictures, tracks and cues."""
+"""What the cases of one clip use jointly, each made once: stages, pictures, tracks and cues."""
 
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ from pipeline.messages import Tracks
 MOST_PLANS = 40_000  # of the cues that are kept; of one with 25 objects about 3 kB
 
 
-class Common:
+class Stock:
     """Use it as a context manager; nothing is opened or made before it is asked for."""
 
     def __init__(self, clip: Clip, graph: Path) -> None:
@@ -35,7 +35,7 @@ class Common:
         self._tracks: dict[object, Mapping[int, Tracks]] = {}
         self._cues: OrderedDict[object, Cue] = OrderedDict()
 
-    def __enter__(self) -> "Common":
+    def __enter__(self) -> "Stock":
         return self
 
     def __exit__(self, *_: object) -> None:
