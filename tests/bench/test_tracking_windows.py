@@ -9,8 +9,14 @@ from numpy.typing import NDArray
 from bench.tracking.budgets import acquisition
 from bench.tracking.camera import Camera, Kept
 from bench.tracking.clip import Clip, ClipName, names, read
+from bench.tracking.cue import Cue
+from bench.tracking.episode import Loop, Rules, run
+from bench.tracking.options import GRAPH
+from bench.tracking.stages import Stages
+from bench.tracking.targets import Target
 from drivers.scenes.panorama import PanoramaScene
 from drivers.simulated.windows import picture_of
+from pipeline.messages import Scanpath
 
 SIZE_PX = (3200, 1600)
 FRAMES = 8
@@ -114,3 +120,42 @@ def test_contexts_are_made_once_for_all_strategies_up_to_a_limit(clip: Clip) -> 
 
 def test_panoramas_are_clips() -> None:
     assert [str(name) for name in names("panorama:5", 2)] == ["panorama-5", "panorama-6"]
+
+
+def test_a_cue_brings_the_tracker_to_another_object_as_with_whole_pictures() -> None:
+    scene = PanoramaScene(size_px=(1600, 800), seed=3, objects=4)
+    frames = range(12)
+    truths = [scene.truth(k) for k in frames]
+    own, other = (np.stack([truth.boxes[n] for truth in truths]) for n in (0, 1))
+    seen = np.ones(len(frames), np.float32)
+    target = Target(kind="ball", id=0, boxes=own, visible=seen, state=("free",) * len(frames))
+    found = []
+
+    for pictures, source in (
+        ([picture_of(scene, k) for k in frames], scene),
+        ([scene.picture(k).copy() for k in frames], None),
+    ):
+        name = ClipName(seed=3, scene="panorama")
+        made = Clip(name=name, size_px=(1600, 800), pictures=pictures, truths=truths, source=source)
+        camera = Camera(made, acquisition("full", Fraction(1), (1600, 800)))
+        shown = [
+            Scanpath(
+                header=camera.header(k), ids=np.array([7], np.int32),
+                probability=np.ones((1, 1), np.float32), choice=np.array([7], np.int32),
+                boxes=other[k + 1][None], first_seq=k + 1,
+            )
+            for k in frames[:-1]
+        ]  # fmt: skip
+        with Stages(GRAPH, policy="pursuit") as stages:
+            rules = Rules(cue=True)
+            cue = Cue(start=0, plans=shown)
+            loop = Loop(camera=camera, stages=stages, rules=rules, cue=cue)
+            outcome = run(loop, target, 0)
+        found.append((outcome.iou, outcome.away_px))
+
+    (ious, away), (whole_ious, whole_away) = found
+    assert ious[0] > 0.5  # on its object
+    assert max(ious[2:]) == 0  # then on the cue's, without a frame between them
+    assert max(away) < np.inf
+    np.testing.assert_allclose(ious, whole_ious, atol=0.02)
+    np.testing.assert_allclose(away, whole_away, atol=1.0)
