@@ -2,12 +2,16 @@
 
 A clip that is read by windows has no whole pictures. Where a strategy reads every pixel of it, a
 tracker is shown a small picture of the whole and, at full resolution, the object and its search
-area; the sensor's count is that of all pixels.
+area; the sensor's count is that of all pixels. Reduced pictures of the whole field are made once
+for all cameras that share a `Kept`.
 """
 
 import math
+import os
 from collections import OrderedDict
+from collections.abc import Callable
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,20 +30,51 @@ OVERVIEW = 0.25  # side of the small picture of the whole, at most `OVERVIEW_PX`
 OVERVIEW_PX = 2040
 SEARCH_SIZES = 8.0  # side of the search area in sizes of the box; both trackers look at 6 or less
 LEAST_SEARCH_PX = 128
-CONTEXT_BYTES = 256 << 20  # of contexts that are kept; 250 of 480x270 are 97 MB
+KEPT_BYTES = 3 << 30  # of reduced pictures; 250 of 1920x1080 are 1.6 GB
+KEPT_SHARE = 8  # of the machine's memory, at most: one over this
+
+
+class Kept:
+    """Reduced pictures of a clip's whole field, by size and frame, up to a number of bytes.
+
+    Where there is no room, pictures of the size that was longest unused go; of the size in use none
+    goes, because frames are read in order, again and again.
+    """
+
+    def __init__(self, most_bytes: int = 0) -> None:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        self._most = most_bytes or min(KEPT_BYTES, memory // KEPT_SHARE)
+        self._pictures: OrderedDict[tuple[int, int], dict[int, NDArray[np.uint8]]] = OrderedDict()
+        self.nbytes = 0
+
+    def get(self, size_px: tuple[int, int], frame: int) -> NDArray[np.uint8] | None:
+        """Return the picture of a frame; None: it is not kept."""
+        self._pictures.setdefault(size_px, {})
+        self._pictures.move_to_end(size_px)
+        return self._pictures[size_px].get(frame)
+
+    def put(self, size_px: tuple[int, int], frame: int, pixels: NDArray[np.uint8]) -> None:
+        """Keep the picture of a frame if there is room; nobody may write into it."""
+        pixels.flags.writeable = False
+        while self.nbytes + pixels.nbytes > self._most:
+            oldest = next(iter(self._pictures))
+            if oldest == size_px:
+                return
+            self.nbytes -= sum(each.nbytes for each in self._pictures.pop(oldest).values())
+        self._pictures[size_px][frame] = pixels
+        self.nbytes += pixels.nbytes
 
 
 class Camera:
     """The simulated sensor's reading of a clip, exposure by exposure, with given ROI windows."""
 
-    def __init__(self, clip: Clip, how: Acquisition) -> None:
+    def __init__(self, clip: Clip, how: Acquisition, kept: Kept | None = None) -> None:
         self._clip, self.how = clip, how
+        self._kept = kept or Kept()
         width, height = clip.size_px
         most_px = math.prod(how.sampling.roi_px) if clip.windowed else width * height
         self._readout = Readout(seed=0, most_px=most_px)
         self._whole = (0, 0, width, height)
-        self._contexts: OrderedDict[int, Frame] = OrderedDict()
-        self._most_contexts = max(1, CONTEXT_BYTES // (3 * math.prod(how.sampling.context_px)))
         self._roi = np.empty(self._readout.shape(how.sampling.roi_px), np.uint8)
         self.begin()
 
@@ -64,7 +99,7 @@ class Camera:
         self.exposures += 1
         self.emitted_px += math.prod(roi.size_px) + math.prod(self.how.sampling.context_px)
         if self.by_windows and near is not None:
-            roi = self._surroundings(frame, first, near)
+            roi = self.around(frame, near, first)
         return context, roi
 
     def counted(self) -> tuple[int, int]:
@@ -97,7 +132,7 @@ class Camera:
         if self.by_windows:
             share = min(OVERVIEW, OVERVIEW_PX / self._clip.size_px[0])
             size_px = scaled(self._clip.size_px, share, 1)
-            pixels = self._mean(self._whole, size_px, frame, first)
+            pixels = self._mean(frame, first, lambda k: self._reduced(size_px, k))
             return Frame(header=header, pixels=pixels, window=self._whole)
         if self.how.sampling.averaged:
             pictures = self._clip.pictures[first : frame + 1]
@@ -109,16 +144,8 @@ class Camera:
             if isinstance(picture, WindowedPicture):  # `by_windows` reads those
                 raise RunError(f"{self._clip.name}: expected whole pictures, got windows")
             return Frame(header=header, pixels=picture, window=self._whole)
-        known = self._contexts.get(frame)
-        if known is None:
-            out = np.empty(self._readout.shape(self.how.sampling.context_px), np.uint8)
-            self._readout.read(picture, self._whole, out, seq=frame, port=0)
-            known = Frame(header=header, pixels=out, window=self._whole)
-            self._contexts[frame] = known
-            if len(self._contexts) > self._most_contexts:
-                self._contexts.popitem(last=False)
-        self._contexts.move_to_end(frame)
-        return known
+        pixels = self._reduced(self.how.sampling.context_px, frame)
+        return Frame(header=header, pixels=pixels, window=self._whole)
 
     def nothing(self, frame: int) -> Frame:
         """Return a picture without pixels."""
@@ -140,24 +167,41 @@ class Camera:
         self._readout.read(self._clip.pictures[frame], window, self._roi, seq=frame, port=1)
         return Frame(header=self.header(frame), pixels=self._roi, window=window)
 
-    def _surroundings(self, frame: int, first: int, box: NDArray[np.float32]) -> Frame:
-        """Return the search area around a box at full resolution."""
+    def around(self, frame: int, box: NDArray[np.float32], first: int | None = None) -> Frame:
+        """Return the search area around a box (4,) at full resolution; it is not counted.
+
+        `first`: of the frames that the exposure at `frame` averages; None: as many as it has.
+        """
         window = search_area(box, self._clip.size_px)
         size_px = window[2] - window[0], window[3] - window[1]
-        pixels = self._mean(window, size_px, frame, first)
+        begun = frame - self.how.sampling.interval + 1 if first is None else first
+        pixels = self._mean(frame, begun, lambda k: self._read(window, size_px, k))
         return Frame(header=self.header(frame), pixels=pixels, window=window)
 
+    def _reduced(self, size_px: tuple[int, int], frame: int) -> NDArray[np.uint8]:
+        """Return the whole field at a size, a kept one again."""
+        known = self._kept.get(size_px, frame)
+        if known is None:
+            known = self._read(self._whole, size_px, frame)
+            self._kept.put(size_px, frame, known)
+        return known
+
+    def _read(self, window: Window, size_px: tuple[int, int], frame: int) -> NDArray[np.uint8]:
+        out = np.empty(self._readout.shape(size_px), np.uint8)
+        self._readout.read(self._clip.pictures[frame], window, out, seq=frame, port=0)
+        return out
+
     def _mean(
-        self, window: Window, size_px: tuple[int, int], frame: int, first: int
+        self, frame: int, first: int, read: Callable[[int], NDArray[np.uint8]]
     ) -> NDArray[np.uint8]:
-        """Return a window at `frame`; with averaging the mean over `first` … `frame`."""
-        frames = range(first if self.how.sampling.averaged else frame, frame + 1)
-        total = np.zeros((size_px[1], size_px[0], 3), np.float32)
-        out = np.empty(total.shape, np.uint8)
-        for each in frames:
-            self._readout.read(self._clip.pictures[each], window, out, seq=each, port=0)
-            total += out
-        return out if len(frames) == 1 else np.rint(total / len(frames)).astype(np.uint8)
+        """Return what is read at `frame`; with averaging the mean over `first` … `frame`."""
+        last = read(frame)
+        if not self.how.sampling.averaged or first == frame:
+            return last
+        total = last.astype(np.float32)
+        for each in range(first, frame):
+            cv2.accumulate(read(each), total)
+        return np.rint(total / (frame + 1 - first)).astype(np.uint8)
 
 
 def search_area(box: NDArray[np.float32], size_px: tuple[int, int]) -> Window:

@@ -21,7 +21,7 @@ SEES = {
     "each": ((True, False), (False, False)),
     "all": ((True, False), (False, False), (False, True)),
 }
-CUES = {"policy": (True,), "none": (False,), "each": (True, False)}
+CUES = {"reference": (True,), "none": (False,), "each": (True, False)}
 PROTOCOLS = {"short": (False,), "long": (True,), "both": (False, True)}
 
 
@@ -57,7 +57,10 @@ class Protocol:
 
 
 def cases(options: Options) -> list[Case]:
-    """Return a case for each row asked for; without a plan one per budget, of `full` one in all."""
+    """Return a case for each row asked for; without a plan one per budget, of `full` one in all.
+
+    A cue comes from the context of a budget: with one, `full` has a row for each of them, too.
+    """
     rules = rules_of(options)
     found: list[Case] = []
     for strategy, budget in product(options.strategies, options.budgets):
@@ -67,9 +70,13 @@ def cases(options: Options) -> list[Case]:
             told = replace(options, policy={"": PURSUIT}, replace=())
             own = _planned(told, str(budget), rules)
             found += [replace(c, name=c.name.replace("foveated", PURSUIT, 1)) for c in own]
-        elif strategy != "full" or budget == options.budgets[0]:
-            share = "1" if strategy == "full" else str(budget)
-            found += _plain(strategy, share, rules, options.changes)
+        elif strategy == "full":
+            cued = [rule for rule in rules if rule.cue]
+            found += _plain(strategy, str(budget), cued, options.changes)
+            if budget == options.budgets[0]:
+                found += _plain(strategy, "1", [r for r in rules if not r.cue], options.changes)
+        else:
+            found += _plain(strategy, str(budget), rules, options.changes)
     return [replace(case, tracker=options.tracker) for case in found]
 
 
@@ -106,6 +113,7 @@ def _plain(
             context=rule.context or not looks,
             local=rule.local and looks,
             cue=rule.cue,
+            cue_delay=rule.cue_delay,
             to_end=rule.to_end,
             longest=rule.longest,
         )
@@ -128,13 +136,14 @@ def rules_of(options: Options) -> list[Rules]:
     """Return all combinations of protocol, delay, interval, prediction, view and cue.
 
     A tracker whose state is in coordinates of the ROI is the paper's, which has no cue; its
-    strategies without a ROI are then measured without one, too.
+    strategies without a ROI are then measured without one, too. A cue comes as late as the plans.
     """
     foreseen = {"kalman": (True,), "hold": (False,), "both": (True, False)}[options.prediction]
     found = [
         Rules(
             delay=d, replan=ta, prediction=p, context=context, local=local,
-            cue=cue and not local, to_end=to_end, longest=options.longest,
+            cue=cue and not local, cue_delay=d if cue and not local else 0, to_end=to_end,
+            longest=options.longest,
         )
         for to_end, d, ta, p, (context, local), cue in product(
             PROTOCOLS[options.protocol], options.delay, options.replan, foreseen,

@@ -20,6 +20,7 @@ HELD_OUT = 70_000  # first seed of the clips that nothing is trained or chosen o
 PROCEDURAL, PANORAMA, WHOLE_PITCH = "procedural", "panorama", "whole_pitch"
 SIZES_PX = {PROCEDURAL: (1920, 1080), PANORAMA: (16_320, 9_184), WHOLE_PITCH: (7680, 4320)}
 RATE_HZ = 25.0
+KEPT_FRAMES = 400  # of the whole pitch, with what moves in them: about 1 MB each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,5 +140,7 @@ def _source(name: ClipName) -> FrameSource:
     if name.scene == PANORAMA:
         return PanoramaScene(size_px=size_px, rate_hz=RATE_HZ, seed=name.seed)
     if name.scene == WHOLE_PITCH:
-        return WholePitchScene(size_px=size_px, rate_hz=RATE_HZ, seed=name.seed)
+        return WholePitchScene(
+            size_px=size_px, rate_hz=RATE_HZ, seed=name.seed, kept_frames=KEPT_FRAMES
+        )
     return SoccerScene(size_px=size_px, rate_hz=RATE_HZ, seed=name.seed)

@@ -1,10 +1,10 @@
 """The graph's tracker in an episode, with or without a cue: exposures in, the object's box out.
 
-With a cue the tracker gets a scanpath in every frame, as in the graph. It starts on an object of
-that scanpath, drops one that it does not find or that the scanpath has elsewhere, and starts again.
-The scanpath is made from what the row's own pictures show (`sight`): for a foveated row by the
-policy that plans its ROI, for the others by the graph's, so that rows with a cue are not
-comparable. Without a cue the tracker gets no scanpath and never drops its object.
+With a cue the tracker is the one that ships: it gets a scanpath in every frame, drops an object
+that it does not find or that the scanpath has elsewhere, and starts again on the scanpath's object.
+The scanpath is the same for every strategy (`cue`). One rule of the tracker is off in all rows:
+`hidden_after`, by which it drops what the ROI does not show, holds for a ROI that was aimed by the
+policy that it hears. Without a cue it gets no scanpath and never drops its object.
 """
 
 from typing import TYPE_CHECKING
@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.tracking.roi_path import RecordedRoiPath, RoiPath, still
-from bench.tracking.stages import CUE
 from bench.tracking.targets import Target
 from drivers.commands import Window
-from operators.tracker.following import TrackerState
-from pipeline.messages import Frame, Percept, Scanpath, altered
+from operators.tracker.following import TrackerState, proposed
+from pipeline.messages import Frame, Percept, altered
 
 if TYPE_CHECKING:
     from bench.tracking.episode import Loop
@@ -31,72 +29,63 @@ class Consumer:
     """One start of the tracker; `box` is its last answer, zeros where it has none."""
 
     def __init__(self, loop: "Loop", target: Target, frame: int, window: Window) -> None:
-        self._loop, self._target = loop, target
-        how = loop.camera.how
-        self._local = loop.rules.local and how.looks
-        self._cued = loop.rules.cue
-        self._own_policy = how.strategy == "foveated"
-        self._scanpath: Scanpath | None = None
+        self._loop, self._cue = loop, loop.cue
+        self._local = loop.rules.local and loop.camera.how.looks
         self.box: Box = target.boxes[frame]
         self._near: Box = self.box
         self._window = window
         given = self.box - corner(window) if self._local else self.box
         header = loop.camera.header(frame)
-        if self._cued:  # as if a policy had shown it: a prompted tracker would not listen to one
-            loop.stages.begin(header, "tracker")
+        if self._cue:  # as if a policy had shown it: a prompted tracker would not listen to one
+            loop.stages.begin(header, "tracker", tracker={"hidden_after": NEVER})
             loop.stages.restore("tracker", TrackerState(box=given[None].astype(np.float32)))
         else:
             settings = {"init_box": tuple(float(v) for v in given), "lost_after": NEVER}
             loop.stages.begin(header, "tracker", tracker=settings)
-        if self._cued and not self._own_policy:
-            prompt = {"target": "", "prompt_box": tuple(float(v) for v in target.boxes[frame])}
-            loop.stages.begin(header, "roi_features", CUE, cue=prompt)
 
     def near(self, frame: int) -> Box:
         """Return where the object is searched for: the last box, or without one the cue's."""
-        path = self._scanpath
+        shown = self._shown(frame)
         if self.box.any():
             self._near = self.box
-        elif path is not None and 0 <= frame - path.first_seq < len(path.boxes):
-            self._near = path.boxes[frame - path.first_seq]
+        elif shown is not None:
+            self._near = shown
         return self._near
 
     def see(self, context: Frame, roi: Frame) -> Box:
         """Return the box of the object in this exposure, zeros: the tracker has none."""
-        stages = self._loop.stages
-        if self._loop.camera.how.looks and not self._loop.rules.context:
-            context = self._loop.camera.nothing(context.header.seq)
+        loop, frame = self._loop, context.header.seq
+        if loop.camera.how.looks and not loop.rules.context:
+            context = loop.camera.nothing(frame)
         window = roi.window
         if self._local:
             left, top, right, bottom = window
             roi = altered(roi, window=(0, 0, right - left, bottom - top))
-        if self._scanpath is not None:
-            stages.call("tracker", scanpath=self._scanpath)
-        percept: Percept = stages.call("tracker", context=context, roi=roi)
+        path = self._cue.heard(frame, loop.rules.cue_delay) if self._cue else None
+        if path is not None:
+            loop.stages.call("tracker", scanpath=path)
+        percept: Percept = loop.stages.call("tracker", context=context, roi=roi)
+        shown = self._shown(frame)
+        let_go = self.box.any() and not len(percept.boxes)
+        if let_go and shown is not None and loop.camera.by_windows:
+            # full resolution has the cue's object in the same exposure, though it was not made
+            roi = loop.camera.around(frame, shown)
+            percept = loop.stages.call("tracker", context=context, roi=roi)
         if len(percept.boxes):
             self.box = percept.boxes[0] + corner(window) if self._local else percept.boxes[0]
-        elif self._cued:
+        elif self._cue:
             self.box = NOWHERE
         elif self._local:  # its answer is at a place of the ROI, wherever that is now
             self.box = self.box + corner(window) - corner(self._window)
         self._window = window
         return self.box
 
-    def hear(self, frame: int, context: Frame, roi: Frame, path: RoiPath | RecordedRoiPath) -> None:
-        """Take the cue for the next exposures, from what this one showed."""
-        if not self._cued:
-            return
-        if self._own_policy:
-            self._scanpath = path.scanpath
-            return
-        loop = self._loop
-        tracks = loop.replaced.tracks(loop.tracks[frame], frame)
-        if not loop.rules.prediction:
-            tracks = still(tracks)
-        self._scanpath = loop.stages.call(CUE, tracks=tracks)
-        seen = roi if loop.camera.how.looks or loop.camera.by_windows else context
-        looks = loop.stages.call("roi_features", roi=seen, tracks=tracks)
-        loop.stages.call(CUE, features=looks)
+    def _shown(self, frame: int) -> Box | None:
+        """Return the box that the cue shows in a frame."""
+        if self._cue is None:
+            return None
+        shown = proposed(self._cue.heard(frame, self._loop.rules.cue_delay), frame)
+        return None if shown is None else shown.box
 
 
 def corner(window: Window) -> Box:

@@ -7,6 +7,7 @@ import numpy as np
 
 from bench.tracking.camera import Camera
 from bench.tracking.consumer import Box, Consumer
+from bench.tracking.cue import Cue
 from bench.tracking.replaced import Replaced
 from bench.tracking.roi_path import RecordedRoiPath, RoiPath
 from bench.tracking.stages import Stages
@@ -28,6 +29,7 @@ class Rules:
     aimed: bool = True  # the first ROI is on the target; False: in the middle
     local: bool = False  # the tracker's state is in pixels of the ROI and moves with it
     cue: bool = False  # the tracker gets a scanpath; False: none, and it never drops its object
+    cue_delay: int = 0  # frames by which the cue comes late, the same for every strategy
     to_end: bool = False  # one start, followed to the end of the clip
 
     def last(self, start: int, frames: int) -> int:
@@ -41,8 +43,8 @@ class Loop:
 
     camera: Camera
     stages: Stages
-    # of each exposure, if the strategy plans by them or the tracker has a cue
-    tracks: Sequence[Tracks] | Mapping[int, Tracks] = ()
+    tracks: Mapping[int, Tracks] = field(default_factory=dict)  # by frame, if it plans by them
+    cue: Cue | None = None  # what the tracker hears
     rules: Rules
     replaced: Replaced = field(default_factory=Replaced)
 
@@ -89,8 +91,7 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
     found.first = exposed[0] + 1  # where the truth is given, nothing is found
     if not target.boxes[exposed[0]].any():
         return found
-    known_path = looked and not (rules.cue and how.strategy == "foveated")  # it needs the plans
-    path = RecordedRoiPath(looked, start) if known_path else RoiPath(loop, target, start)
+    path = RecordedRoiPath(looked, start) if looked else RoiPath(loop, target, start)
     window = path.window(exposed[0])
     consumer = Consumer(loop, target, exposed[0], window)
     camera.begin()
@@ -107,7 +108,6 @@ def run(loop: Loop, target: Target, start: int, looked: Sequence[Window] = ()) -
                 found.windows.append(window)
                 box = loop.replaced.percept(box, target.boxes[frame], shown)
             path.after(frame, roi)
-            consumer.hear(frame, context, roi, path)
         if frame >= found.first:
             _score(found, target, frame, box, kept=kept, shown=shown)
     found.read_px, found.full_px = camera.counted()

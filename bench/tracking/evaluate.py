@@ -8,13 +8,14 @@ frames out, the frames that it keeps count, as in the paper; the mean over all f
 last box is kept, is in another column. A strategy with a ROI begins with the ROI on the target and
 the target's box as prompt; `centred` stays in the middle.
 
-By default the tracker hears no policy and never gives up, as in the paper. With `--cue policy` it
-is the one that ships: it hears a scanpath made from what the row's own pictures show, gives up
-what it does not find and starts again on what the policy shows; bench/README.md says how rows then
-differ. It sees the context where the ROI shows nothing, as in the shipped loop; with `--sees each`
-a second row is of a tracker that sees the ROI alone, and with `--sees all` a third one of a tracker
-whose state is in coordinates of the ROI and moves with it, which is how the paper's figures read
-(its oracle beats full resolution, and a window in the middle is worth 1.7 % of it).
+By default the tracker hears no policy and never gives up, as in the paper. With `--cue reference`
+it is the one that ships: it hears a scanpath, gives up what it does not find and starts again on
+what the scanpath shows. That is the same for all strategies of a budget: the pursuit rule's, from
+the context that a foveated row has. The tracker sees the context where the ROI shows nothing, as in
+the shipped loop; with `--sees each` a second row is of a tracker that sees the ROI alone, and with
+`--sees all` a third one of a tracker whose state is in coordinates of the ROI and moves with it,
+which is how the paper's figures read (its oracle beats full resolution, and a window in the middle
+is worth 1.7 % of it).
 """
 
 import json
@@ -45,6 +46,7 @@ from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
 from bench.tracking.report import paired, rows
 from bench.tracking.stages import Stages
+from bench.tracking.stock import giver
 from bench.tracking.tables import asked_rows, markdown, table
 from bench.tracking.units import measured
 from pipeline.errors import DriverError, FoveaError, SettingsError
@@ -57,7 +59,7 @@ VIEWS = (
     "the tracker: ROI over context (both), the ROI alone (roi), in coordinates of the ROI as in "
     "the paper (coordinates), a row of both and roi (each), a row of every one (all)"
 )
-HEARS = "the tracker hears the policy (policy), does not (none), or a row of each"
+HEARS = "the tracker hears a scanpath, the same in all rows (reference), does not (none), or each"
 FOLLOWED = "starts every few frames (short), one to the end of the clip (long), or both"
 
 
@@ -218,10 +220,10 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
 
 def try_out(wanted: Sequence[Case], protocol: Protocol) -> None:
     """Open every graph that is asked for; raises `FoveaError` for a network that does not fit."""
-    for parts in dict.fromkeys(case.parts for case in wanted):
-        with Stages(Path(protocol.graph), *parts) as stages:
-            if any(case.rules.cue for case in wanted):
-                stages.open_cue()
+    givers = [giver(case) for case in wanted if case.rules.cue]
+    for parts in dict.fromkeys(case.parts for case in (*wanted, *givers)):
+        with Stages(Path(protocol.graph), *parts):
+            pass
 
 
 def tracker_of(protocol: Protocol, options: Options) -> str:

@@ -6,10 +6,11 @@ from dataclasses import asdict, replace
 from hashlib import sha256
 from pathlib import Path
 
-from bench.tracking.budgets import PLANNED
+from bench.tracking.budgets import PLANNED, PURSUIT
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.classes import POLICY, planned
 from bench.tracking.clip import ClipName, frames_of
+from bench.tracking.sight import PERCEPTION
 from bench.tracking.stages import NEEDED
 from drivers.datasets.sequence import read_info
 from operators.training.identity import of_code, of_nodes
@@ -19,8 +20,8 @@ from pipeline.graph.plan import Plan
 from pipeline.weights import MANIFEST
 
 TRACKING = (
-    *("budgets", "camera", "classes", "clip", "consumer", "episode", "job", "replaced"),
-    *("roi_path", "sight", "stages", "targets"),
+    *("budgets", "camera", "classes", "clip", "consumer", "cue", "episode", "job"),
+    *("replaced", "roi_path", "sight", "stages", "stock", "targets"),
 )
 CODE = (  # that determines figures, besides the operators that a case needs
     *("drivers", "pipeline.boxes", "pipeline.inference", "pipeline.messages"),
@@ -35,13 +36,15 @@ def key(case: Case, protocol: Protocol) -> str:
     plan needs only the tracker), not on the paths of files.
     """
     plan = planned(Path(protocol.graph), *case.parts)
-    cued = case.rules.cue
-    wanted = NEEDED if case.strategy in PLANNED or cued else ("tracker",)
+    wanted = NEEDED if case.strategy in PLANNED else ("tracker",)
     plain = asdict(replace(case, changes=(), tracker="", policy=""))  # `parts` reflects these
     common = asdict(replace(protocol, graph=""))  # only the graph's parts count
     known = file_digest(MANIFEST)  # of the tracker's weights if the graph names no file
     parts = contents(plan, wanted)
-    cue = contents(planned(Path(protocol.graph), case.changes), (POLICY,)) if cued else ""
+    cue = ""
+    if case.rules.cue:
+        giver = planned(Path(protocol.graph), case.changes, case.tracker, PURSUIT)
+        cue = contents(giver, (*PERCEPTION, POLICY))
     return json.dumps([plain, common, of_code(*CODE), parts, cue, known], sort_keys=True)
 
 

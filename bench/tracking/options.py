@@ -45,7 +45,7 @@ class Options:
     changes: tuple[str, ...]
     tracker: str
     sees: str  # both, roi, coordinates, each, all
-    cue: str  # policy, none, each
+    cue: str  # reference, none, each
     protocol: str  # short, long, both
     many: bool  # score all tracks of perception instead
     states: bool  # show rows of the free, the still and the carried ball, too
@@ -73,6 +73,11 @@ class Options:
         for kind in self.targets:
             if kind not in KINDS:
                 raise SettingsError(f"targets: expected {', '.join(KINDS)}, got {kind}")
+        if self.cue != "none" and len(self.delay) > 1:
+            given = ",".join(map(str, self.delay))
+            raise SettingsError(
+                f"delay: expected one with --cue {self.cue}, as all rows hear the same, got {given}"
+            )
         if self.plot and self.plot.suffix not in PLOTS:
             raise SettingsError(f"plot: expected {', '.join(PLOTS)} at the end, got {self.plot}")
 

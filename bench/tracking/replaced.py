@@ -78,7 +78,7 @@ class Replaced:
         options = np.concatenate([tracks.predicted[:, :horizon], path.boxes[None]])
         away = np.linalg.norm(centres(options) - centres(there)[None], axis=-1)
         best = away.argmin(0)
-        ids = np.append(tracks.ids, -1)
+        ids = np.append(tracks.ids, -1).astype(np.int32)
         return altered(path, choice=ids[best], boxes=options[best, np.arange(horizon)])
 
     def percept(

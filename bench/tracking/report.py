@@ -82,6 +82,7 @@ def _row(key: Key, tally: Tally) -> Row:
         "starts": figures.starts,
         "pixels": _round(tally.read_px / tally.full_px),
         "protocol": "long" if strategy.endswith(LONG) else "short",
+        "cue": "reference" if has_cue(strategy) else "none",
         **{name: _round(value) for name, value in over(tally.figures).items()},
     }
     if strategy.startswith(("temporal", "exposure")):
@@ -163,11 +164,19 @@ def same_help(strategy: str, other: str) -> bool:
     if strategy.endswith(LONG) != other.endswith(LONG):
         return False
     ours, theirs = (
-        (ROI_COORDINATES in name, ROI_ALONE in name, NO_CUE in name or ROI_COORDINATES in name)
-        for name in (strategy, other)
+        (ROI_COORDINATES in name, ROI_ALONE in name, has_cue(name)) for name in (strategy, other)
     )
     looks = other.startswith((*WITH_ROI, PURSUIT))
     return ours[2] == theirs[2] and (not looks or ours[:2] == theirs[:2])
+
+
+def has_cue(strategy: str) -> bool:
+    """Whether the tracker of a row, by its name, hears a scanpath.
+
+    >>> has_cue("foveated, ROI alone, long"), has_cue("full, no cue"), has_cue("oracle")
+    (True, False, True)
+    """
+    return NO_CUE not in strategy and ROI_COORDINATES not in strategy
 
 
 def interval(clips: Collection[str], low: float, high: float) -> list[float | None] | None:

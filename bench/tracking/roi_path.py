@@ -10,22 +10,18 @@ from bench.tracking.budgets import PLANNED
 from bench.tracking.targets import Target
 from drivers.commands import Window
 from pipeline.boxes import centres, roi_window
-from pipeline.messages import Frame, RoiSchedule, Scanpath, Tracks, altered
+from pipeline.messages import Frame, RoiSchedule, Tracks, altered
 
 if TYPE_CHECKING:
     from bench.tracking.episode import Loop
 
 
 class RoiPath:
-    """The ROI of each frame of an episode, by strategy.
-
-    `scanpath` is the last plan of the graph's policy; None: there is none yet.
-    """
+    """The ROI of each frame of an episode, by strategy."""
 
     def __init__(self, loop: "Loop", target: Target, start: int) -> None:
         self._loop, self._target, self._rules = loop, target, loop.rules
         how = loop.camera.how
-        self.scanpath: Scanpath | None = None
         self._strategy, self._geometry = how.strategy, how.geometry
         self._planned = start - loop.rules.replan
         self._commanded: dict[int, Window] = {}
@@ -58,8 +54,8 @@ class RoiPath:
         if not self._rules.prediction:
             tracks = still(tracks)
         scanpath = stages.call("policy", tracks=tracks)
-        self.scanpath = replaced.scanpath(scanpath, tracks, self._target, frame)
-        schedule: RoiSchedule | None = stages.call("dispatch", scanpath=self.scanpath)
+        scanpath = replaced.scanpath(scanpath, tracks, self._target, frame)
+        schedule: RoiSchedule | None = stages.call("dispatch", scanpath=scanpath)
         looks = stages.call("roi_features", roi=roi, tracks=tracks)
         stages.call("policy", features=looks)
         if schedule is None or frame - self._planned < self._rules.replan:
@@ -76,8 +72,6 @@ class RoiPath:
 
 class RecordedRoiPath:
     """The ROI of each frame of an episode, from an earlier run."""
-
-    scanpath: Scanpath | None = None
 
     def __init__(self, looked: Sequence[Window], start: int) -> None:
         self._looked, self._start = looked, start

@@ -15,11 +15,10 @@ from pipeline import settings as checked
 from pipeline.contract import Operator, settings_of
 from pipeline.errors import GraphError
 from pipeline.executor import Executor, carried
-from pipeline.graph.plan import Node, load_operator
+from pipeline.graph.plan import load_operator
 from pipeline.messages import Header, Message
 
 NEEDED = ("downsample", "saliency", "association", "roi_features", "policy", "dispatch", "tracker")
-CUE = "cue"  # a second instance of the graph's own policy: it plans nothing, the tracker hears it
 
 
 class Stages:
@@ -29,7 +28,6 @@ class Stages:
         self, graph: Path, changes: Sequence[str] = (), tracker: str = "", policy: str = ""
     ) -> None:
         self.plan = planned(graph, changes, tracker, policy)
-        self._graph, self._changes = graph, changes
         known = {node.name for node in self.plan.nodes}
         for name in NEEDED:
             if name not in known:
@@ -45,19 +43,11 @@ class Stages:
         self._executors: dict[str, Executor] = {}
         self._own: dict[str, Any] = {}  # settings, as the graph has them
         for name in NEEDED:
-            self._add(name, self.plan.node(name))
-
-    def _add(self, name: str, node: Node) -> None:
-        cls = load_operator(node.operator)
-        self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))
-        self._own[name] = self._parts[name].settings
-        self._executors[name] = Executor(name, self._parts[name])
-
-    def open_cue(self) -> None:
-        """Open the policy that gives a tracker its cue, unless it is open."""
-        if CUE not in self._parts:
-            self._add(CUE, planned(self._graph, self._changes).node(POLICY))
-            self._parts[CUE].open()
+            node = self.plan.node(name)
+            cls = load_operator(node.operator)
+            self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))
+            self._own[name] = self._parts[name].settings
+            self._executors[name] = Executor(name, self._parts[name])
 
     def settings(self, name: str) -> Any:
         """Return the settings of a stage, defaults included."""

@@ -1,7 +1,7 @@
 """The evaluation: equal budgets, states of the ball, intervals, the same windows as the loop."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -174,8 +174,10 @@ def stages() -> Iterator[Stages]:
         yield stages
 
 
-def loop(camera: Camera, stages: Stages, tracks: Sequence[Tracks] = (), **rules: bool) -> Loop:
-    return Loop(camera=camera, stages=stages, tracks=tracks, rules=Rules(**rules))  # type: ignore[arg-type]
+def loop(
+    camera: Camera, stages: Stages, tracks: Mapping[int, Tracks] | None = None, **rules: bool
+) -> Loop:
+    return Loop(camera=camera, stages=stages, tracks=tracks or {}, rules=Rules(**rules))  # type: ignore[arg-type]
 
 
 def test_an_episode_has_the_windows_of_the_running_loop(clip: Clip) -> None:

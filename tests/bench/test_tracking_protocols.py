@@ -1,8 +1,7 @@
-"""Long starts, cues and coordinates of the ROI: what is scored, and that all get the same help."""
+"""Long starts, no cue and coordinates of the ROI: what is scored, and which rows are compared."""
 
 import itertools
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
@@ -14,13 +13,12 @@ from hypothesis import strategies as st
 
 from bench.tracking.budgets import acquisition
 from bench.tracking.camera import Camera
-from bench.tracking.cases import CUES, Case, rules_of
+from bench.tracking.cases import CUES, rules_of
 from bench.tracking.clip import Clip, ClipName, read
 from bench.tracking.episode import Loop, Outcome, Rules, exposures, run
 from bench.tracking.figures import figures_of
-from bench.tracking.job import sight_of
 from bench.tracking.report import same_help
-from bench.tracking.stages import CUE, Stages
+from bench.tracking.stages import Stages
 from bench.tracking.targets import targets
 from operators.tracker import TrackerState
 from pipeline.boxes import iou
@@ -43,7 +41,6 @@ def clip() -> Clip:
 @pytest.fixture(scope="module")
 def stages() -> Iterator[Stages]:
     with Stages(GRAPH, ("policy.weights=",), policy="pursuit") as stages:
-        stages.open_cue()
         yield stages
 
 
@@ -55,25 +52,14 @@ class Heard:
         self.plan = stages.plan
         self.settings: dict[str, Any] = {}
         self.scanpaths: list[int] = []
-        self.exposures: list[int] = []
-        self.prompts: list[tuple[float, ...]] = []
 
     def begin(self, header: Header, *names: str, **settings: Mapping[str, Any]) -> None:
         self.settings = dict(settings.get("tracker", self.settings))
-        for name in ("policy", CUE):
-            if box := settings.get(name, {}).get("prompt_box"):
-                self.prompts.append(box)
         self._stages.begin(header, *names, **settings)
-
-    def restore(self, name: str, state: TrackerState) -> None:
-        self.state = state
-        self._stages.restore(name, state)
 
     def call(self, name: str, **messages: Message) -> Any:
         if name == "tracker" and "scanpath" in messages:
             self.scanpaths.append(messages["scanpath"].first_seq)  # type: ignore[attr-defined]
-        elif name == "tracker":
-            self.exposures.append(messages["context"].header.seq)
         return self._stages.call(name, **messages)
 
 
@@ -82,32 +68,9 @@ def followed(
 ) -> tuple[Outcome, Heard]:
     (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
     heard = Heard(stages)
-    case = Case(strategy=strategy, budget="1/4", name="", rules=rules, policy="pursuit")
     camera = Camera(clip, acquisition(strategy, Fraction("1/4"), clip.size_px))
     loop = Loop(camera=camera, stages=cast(Stages, heard), rules=rules)
-    sight = sight_of(loop, case, FRAMES, {})
-    if sight:
-        exposed = exposures(camera, start, FRAMES - 1)
-        tracks = sight.tracks(camera, stages, loop.replaced, exposed[0])
-        loop = replace(loop, tracks=tracks)
     return run(loop, ball, start), heard
-
-
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_with_a_cue_every_strategy_hears_one_scanpath_an_exposure_from_the_same_prompt(
-    clip: Clip, stages: Stages, strategy: str
-) -> None:
-    (ball,) = targets(clip.truths, ["ball"], players=1, seed=0)
-
-    outcome, heard = followed(clip, stages, strategy, Rules(cue=True, to_end=True), 1)
-
-    first = outcome.first - 1
-    assert heard.scanpaths == [frame + 1 for frame in heard.exposures[:-1]]
-    assert heard.prompts == [pytest.approx(tuple(ball.boxes[first]))]
-    assert heard.settings == {}  # as in the graph
-    assert (heard.state.prompted, heard.state.begun) == (False, False)
-    assert len(outcome.iou) == len(outcome.away_px) == FRAMES - outcome.first
-    assert 1.0 not in outcome.iou
 
 
 def test_a_cue_brings_a_tracker_to_what_the_policy_shows(clip: Clip, stages: Stages) -> None:

@@ -10,9 +10,8 @@ import pytest
 from bench.tracking.cases import Case, Protocol
 from bench.tracking.clip import ClipName, read
 from bench.tracking.episode import Rules
-from bench.tracking.job import Seen, loop_of, sight_of
 from bench.tracking.key import clip_key, key
-from bench.tracking.stages import Stages
+from bench.tracking.stock import Stock
 from bench.tracking.store import Draft, Unit, forget_damaged, units
 from bench.tracking.units import cut, measured
 from pipeline.errors import DriverError
@@ -175,15 +174,11 @@ def test_warnings_of_the_parts_are_kept_and_counted(
 
 
 def test_tracks_of_one_detector_are_not_used_for_another() -> None:
-    clip, case = read(ClipName(seed=70_003), (1, 3)), row("foveated", "1/8")
-    seen: Seen = {}
     found = []
-    for more in ("saliency.confidence=0.25", "saliency.confidence=0.999"):
-        with Stages(GRAPH, (more,), policy="pursuit") as stages:
-            loop = loop_of(clip, case, stages)
-            sight = sight_of(loop, case, 3, seen)
-            assert sight is not None
-            found.append(sight.tracks(loop.camera, stages, loop.replaced, 2)[2])
+    with Stock(read(ClipName(seed=70_003), (1, 3)), GRAPH) as stock:
+        for more in ("saliency.confidence=0.25", "saliency.confidence=0.999"):
+            case = row("foveated", "1/8", changes=(more,), policy="pursuit")
+            found.append(stock.loop(case).tracks[2])
 
     assert [bool(len(tracks.ids)) for tracks in found] == [True, False]
 

@@ -7,10 +7,16 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.tracking.budgets import acquisition
-from bench.tracking.camera import Camera
+from bench.tracking.camera import Camera, Kept
 from bench.tracking.clip import Clip, ClipName, names, read
+from bench.tracking.cue import Cue
+from bench.tracking.episode import Loop, Rules, run
+from bench.tracking.options import GRAPH
+from bench.tracking.stages import Stages
+from bench.tracking.targets import Target
 from drivers.scenes.panorama import PanoramaScene
 from drivers.simulated.windows import picture_of
+from pipeline.messages import Scanpath
 
 SIZE_PX = (3200, 1600)
 FRAMES = 8
@@ -90,16 +96,66 @@ def test_the_whole_pitch_is_a_clip_of_windows() -> None:
     clip.close()
 
 
-def test_contexts_that_are_kept_have_a_limit(clip: Clip, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("bench.tracking.camera.CONTEXT_BYTES", 3 * 3 * 800 * 400)
-    camera = Camera(clip, acquisition("oracle", Fraction(1, 8), SIZE_PX))
+def test_contexts_are_made_once_for_all_strategies_up_to_a_limit(clip: Clip) -> None:
+    one = 3 * 800 * 400  # bytes
+    kept = Kept(most_bytes=3 * one + 10)
+    oracle, context = (
+        Camera(clip, acquisition(name, Fraction(1, 8), SIZE_PX), kept)
+        for name in ("oracle", "context")
+    )
 
-    contexts = [camera.context(frame) for frame in range(5)]
+    first = [oracle.context(frame).pixels for frame in range(5)]
+    again = [context.context(frame).pixels for frame in range(5)]
 
-    assert camera.context(4) is contexts[4]
-    assert camera.context(0) is not contexts[0]
-    np.testing.assert_array_equal(camera.context(0).pixels, contexts[0].pixels)
+    assert [a is b for a, b in zip(first, again, strict=True)] == [True] * 3 + [False] * 2
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert kept.nbytes == 3 * one
+
+    spatial = Camera(clip, acquisition("spatial", Fraction(1, 32), SIZE_PX), kept)
+    small = spatial.context(0).pixels
+    assert kept.nbytes == small.nbytes  # the size that was longest unused made room
+    assert spatial.context(0).pixels is small
 
 
 def test_panoramas_are_clips() -> None:
     assert [str(name) for name in names("panorama:5", 2)] == ["panorama-5", "panorama-6"]
+
+
+def test_a_cue_brings_the_tracker_to_another_object_as_with_whole_pictures() -> None:
+    scene = PanoramaScene(size_px=(1600, 800), seed=3, objects=4)
+    frames = range(12)
+    truths = [scene.truth(k) for k in frames]
+    own, other = (np.stack([truth.boxes[n] for truth in truths]) for n in (0, 1))
+    seen = np.ones(len(frames), np.float32)
+    target = Target(kind="ball", id=0, boxes=own, visible=seen, state=("free",) * len(frames))
+    found = []
+
+    for pictures, source in (
+        ([picture_of(scene, k) for k in frames], scene),
+        ([scene.picture(k).copy() for k in frames], None),
+    ):
+        name = ClipName(seed=3, scene="panorama")
+        made = Clip(name=name, size_px=(1600, 800), pictures=pictures, truths=truths, source=source)
+        camera = Camera(made, acquisition("full", Fraction(1), (1600, 800)))
+        shown = [
+            Scanpath(
+                header=camera.header(k), ids=np.array([7], np.int32),
+                probability=np.ones((1, 1), np.float32), choice=np.array([7], np.int32),
+                boxes=other[k + 1][None], first_seq=k + 1,
+            )
+            for k in frames[:-1]
+        ]  # fmt: skip
+        with Stages(GRAPH, policy="pursuit") as stages:
+            rules = Rules(cue=True)
+            cue = Cue(start=0, plans=shown)
+            loop = Loop(camera=camera, stages=stages, rules=rules, cue=cue)
+            outcome = run(loop, target, 0)
+        found.append((outcome.iou, outcome.away_px))
+
+    (ious, away), (whole_ious, whole_away) = found
+    assert ious[0] > 0.5  # on its object
+    assert max(ious[2:]) == 0  # then on the cue's, without a frame between them
+    assert max(away) < np.inf
+    np.testing.assert_allclose(ious, whole_ious, atol=0.02)
+    np.testing.assert_allclose(away, whole_away, atol=1.0)

@@ -1,5 +1,6 @@
 """The match from a mast: seed, frame number and window -> pixels; frame number -> truth."""
 
+from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -52,6 +53,7 @@ class WholePitchScene:
     made, except by `picture`: sensors read windows. What is in a window at full resolution does
     not depend on the window; an averaged one is the mean, up to the edges of overlapping objects.
     The same seed gives the same match, whatever the view, the light and the order of access.
+    `kept_frames` have their people and shadows drawn once, for windows of any of them.
     """
 
     shows = "soccer"
@@ -67,18 +69,22 @@ class WholePitchScene:
         light: str = "sun",
         weather: str = "dry",
         ball: bool = True,
+        kept_frames: int = 1,
     ) -> None:
         check_scene(size_px, rate_hz, seed, length)
         choices = {"view": (view, VIEWS), "light": (light, LIGHTS), "weather": (weather, WEATHERS)}
         for name, (value, known) in choices.items():
             if value not in known:
                 raise SettingsError(f"{name}: expected {' or '.join(known)}, got {value!r}")
+        if kept_frames < 1:
+            raise SettingsError(f"kept_frames: must be at least 1, got {kept_frames}")
         self.size_px = (int(size_px[0]), int(size_px[1]))
         self.rate_hz, self.length = rate_hz, length
         self._seed, self._ball = seed, ball
         self._draw_world(view, light, weather)
         self._buffer = np.empty((0, 0, 3), np.uint8)
-        self._frame = _Frame(index=-1, actors=[], figures=[])
+        self._frames: OrderedDict[int, _Frame] = OrderedDict()
+        self._kept_frames = kept_frames
 
     def _draw_world(self, view: str, light: str, weather: str) -> None:
         """Draw everything that holds for the whole match."""
@@ -151,8 +157,11 @@ class WholePitchScene:
 
     @property
     def kept_bytes(self) -> int:
-        """Memory of what is kept from frame to frame: the ground, the noise and the sprites."""
-        return self._ground.nbytes + self._grain.nbytes + self._sprites.nbytes
+        """Memory of what is kept from frame to frame: ground, noise, sprites, earlier frames."""
+        frames = list(self._frames.values())[:-1]
+        layers = [layer for frame in frames for layer in (*frame.figures, *frame.shadows)]
+        placed = sum(layer.patch.nbytes for layer in layers)
+        return self._ground.nbytes + self._grain.nbytes + self._sprites.nbytes + placed
 
     def close(self) -> None:
         """Do nothing: no resource is open."""
@@ -171,7 +180,7 @@ class WholePitchScene:
         if index < 0 or (self.length is not None and index >= self.length):
             frames = "endless" if self.length is None else f"{self.length} frames long"
             raise IndexError(f"frame {index}: the scene is {frames}, counted from 0")
-        if self._frame.index != index:
+        if index not in self._frames:
             view = self._mast.view
             now, before = self._play(index), self._play(index - self._shutter)
             actors = actors_at(now, view, (before, view), self._sprites, figures.TALL_M)
@@ -179,8 +188,11 @@ class WholePitchScene:
                 actors.append(ball_actor((now, view), (before, view), self._discs, self._seed))
                 actors.sort(key=lambda actor: actor.nearer)
             layers = [Layer(patch=a.patch, left=a.left, top=a.top) for a in actors]
-            self._frame = _Frame(index=index, actors=actors, figures=layers)
-        return self._frame
+            self._frames[index] = _Frame(index=index, actors=actors, figures=layers)
+            if len(self._frames) > self._kept_frames:
+                self._frames.popitem(last=False)
+        self._frames.move_to_end(index)
+        return self._frames[index]
 
     def _play(self, index: float) -> Moment:
         """Return the play at the time of a frame, in the camera's frame of reference."""

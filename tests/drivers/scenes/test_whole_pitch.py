@@ -312,3 +312,17 @@ def test_200_megapixels_take_little_memory_and_agree_at_every_resolution() -> No
     away = np.abs(means(roi, 16) - context[187:223, 375:439])
     assert np.quantile(away, 0.99) <= ROUNDING
     assert large.kept_bytes < 120 << 20
+
+
+def test_frames_that_are_kept_show_the_same_and_are_counted() -> None:
+    plain, keeping = (WholePitchScene(size_px=SMALL, seed=2, kept_frames=n) for n in (1, 2))
+    box = (300, 300, 900, 600)
+    order = (0, 1, 0, 2, 1, 0)
+
+    one, other = ([window(scene, k, box) for k in order] for scene in (plain, keeping))
+
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert keeping.kept_bytes > plain.kept_bytes
+    with pytest.raises(SettingsError, match="kept_frames: must be at least 1, got 0"):
+        WholePitchScene(size_px=SMALL, kept_frames=0)
