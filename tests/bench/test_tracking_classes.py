@@ -26,7 +26,7 @@ def bare_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_by_default_the_graphs_own_class_measures_with_the_graphs_settings() -> None:
     node = planned(GRAPH, ("tracker.lost_after=9",), "").node("tracker")
 
-    assert node.operator == "operators.tracker:CorrelationTracker"
+    assert node.operator == "operators.tracker:TemplateTracker"
     assert node.settings == {"lost_after": 9}
 
 
@@ -64,7 +64,7 @@ def test_units_of_different_trackers_have_different_keys() -> None:
     protocol = Protocol(graph=str(GRAPH), frames=(1, 16), kinds=("ball",))
     own, same, other = (
         key(Case(strategy="spatial", budget="1/4", name="", rules=Rules(), tracker=t), protocol)
-        for t in ("", "correlation", "vittrack")
+        for t in ("", "template", "vittrack")
     )
 
     assert own == same

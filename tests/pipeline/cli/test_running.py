@@ -24,7 +24,7 @@ def bare_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def with_network(name: str, tmp_path: Path) -> Path:
     """Return a shipped graph whose tracker needs weights that are missing."""
-    text = (GRAPHS / name).read_text().replace("CorrelationTracker", "VitTracker")
+    text = (GRAPHS / name).read_text().replace("TemplateTracker", "VitTracker")
     path = tmp_path / name
     path.write_text(text)
     return path
