@@ -5,12 +5,13 @@ many bursts were recorded and downloaded; the first one, beside which the proces
 out. Prints the frames between the newest context of a plan and the first frame that the plan
 directs, by parts, and the share of every class inside the ROI, beside the paper's figures. The
 parts: read-out and transfer of the context, the graph, and what remains: the command and the wait
-for the next exposure.
+for the exposure that obeys it.
+
+Every object has rows of its own: its share in the bursts that follow its class, and with `--each N`
+in N bursts that follow itself, prompted by its box (bench/prototype_objects.py).
 """
 
 import json
-import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,105 +19,90 @@ from typing import Any
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from bench.machine import facts
 from bench.options import JSON, Bench, file_name
-from bench.prototype_cycles import Cycle, cycles_of, node_file, read_lines, shares
+from bench.prototype_cycles import Cycle, shares
+from bench.prototype_objects import Prompter, class_rows, objects_of, prompt_rows
+from bench.prototype_run import Measured, measured
 from drivers.simulated.sources import open_scene
 from drivers.source import FrameSource
 from drivers.virtual_board.backend import VirtualBoardSettings
 from pipeline.errors import RunError
 from pipeline.file_arguments import GRAPH_FILE
-from pipeline.graph.editing import with_nodes
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.graph.plan import Plan
-from pipeline.run.supervisor import Supervisor
 from pipeline.settings import build
 from pipeline.whole_file import write_whole
 
 PAPER = {"delay": 60.0, "readout": 28.7, "compute": 31.3}  # frames, supplement "Hardware Prototype"
-MOST_S = 60.0  # of one cycle; more is an error
-LOOK_S = 0.5  # between looks at what was recorded
 PERIOD_MS = 1000 / 30
+EACH = "each object"
+TITLES = {
+    "delay": "delay of a plan, frames at 30 Hz",
+    "shares": "share of the true boxes inside the ROI, over bursts",
+    "objects": "each object one by one: its share in bursts that follow its class",
+    "prompted": "each object as the target, prompted by its box: its share",
+}
 
 
 @click.command(cls=Bench)
 @click.argument("graph", default="prototype", type=GRAPH_FILE)
 @click.option("--cycles", default=10, show_default=True, type=click.IntRange(1, 1000))
 @click.option("--targets", default="ball,referee,player", show_default=True, help="Classes.")
+@click.option(
+    "--each", default=0, show_default=True, type=click.IntRange(0, 100),
+    help="Bursts of every object of the world as the target, prompted by its box.",
+)  # fmt: skip
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE")
 @JSON
 def main(
-    graph: Path, cycles: int, targets: str, changes: tuple[str, ...], path: Path | None
+    graph: Path, cycles: int, targets: str, each: int, changes: tuple[str, ...], path: Path | None
 ) -> None:
     """Measure the prototype's loop over record cycles."""
-    console = Console()
-    found: dict[str, list[Cycle]] = {}
-    losses: dict[str, Any] = {}
-    for target in targets.split(","):
-        found[target], losses[target] = measured(graph, target, cycles, changes)
     settings = board_of(load(graph, Overlay(changes=changes, clock="lockstep")))
+    found: dict[str, Measured] = {}
+    for target in targets.split(","):
+        wanted = (*changes, f"policy.target={target}")
+        found[target] = measured(graph, wanted, cycles, title=target)
     world = world_of(settings)
     try:
-        inside = {target: [shares(c, world) for c in runs] for target, runs in found.items()}
+        inside = {
+            target: [shares(cycle, world) for cycle in run.cycles] for target, run in found.items()
+        }
+        tables = {"objects": class_rows(inside)}
+        if each:
+            found[EACH], tables["prompted"] = each_object(graph, changes, world, each)
     finally:
         world.close()
-    rows = delay_rows([cycle for runs in found.values() for cycle in runs])
-    seen = share_rows(inside)
-    console.print(table("delay of a plan, frames at 30 Hz", rows))
-    console.print(table("share of the true boxes inside the ROI, over bursts", seen))
+    rows = delay_rows([cycle for run in found.values() for cycle in run.cycles])
+    tables = {"delay": rows, "shares": share_rows(inside), **tables}
+    console = Console()
+    for name, kept in tables.items():
+        console.print(table(TITLES[name], kept))
     if path:
         result = {
             "bench": "prototype", **facts(), "graph": file_name(graph), "changes": changes,
-            "policy": load(graph).node("policy").operator, "seed": settings.seed,
-            "cycles_per_target": cycles,
-            "frames_per_burst": _spread([len(c.seqs) for runs in found.values() for c in runs]),
-            "delay": rows, "shares": seen, "lost": losses,
+            "policy": load(graph).node("policy").operator, "profile": settings.profile,
+            "seed": settings.seed, "cycles_per_target": cycles, "bursts_per_prompt": each,
+            "frames_per_burst": _spread([len(c.seqs) for r in found.values() for c in r.cycles]),
+            **tables, "lost": {target: run.lost for target, run in found.items()},
         }  # fmt: skip
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, json.dumps(result, indent=1) + "\n")
 
 
-def measured(
-    graph: Path, target: str, count: int, changes: tuple[str, ...]
-) -> tuple[list[Cycle], Any]:
-    """Run the graph for so many cycles and one more before them.
-
-    Return the cycles after the first, and what was lost on the edges.
-    """
-    with tempfile.TemporaryDirectory() as folder, Progress(transient=True) as shown:
-        file = Path(folder) / "cycles.jsonl"
-        overlay = Overlay(changes=(*changes, f"policy.target={target}"), clock="realtime")
-        plan = load(graph, overlay)
-        plan = with_nodes(plan, node_file(file))
-        task = shown.add_task(f"{plan.name}: {target}", total=count)
-        found: list[Cycle] = []
-        with Supervisor(plan) as supervisor:
-            supervisor.start()
-            deadline_s = time.monotonic() + MOST_S * (count + 2)
-            looked_s = 0.0
-            while len(found) < count:
-                supervisor.tick()
-                now_s = time.monotonic()
-                if supervisor.failure:
-                    raise RunError(supervisor.failure)
-                if now_s > deadline_s:
-                    raise RunError(f"{plan.name}: expected {count} cycles, got {len(found)}")
-                if now_s - looked_s > LOOK_S:
-                    looked_s = now_s
-                    found = cycles_of(read_lines(file))[1:]
-                    shown.update(task, completed=len(found))
-            supervisor.finish()
-            supervisor.stop()
-            dropped = {
-                f"{e.origin} -> {e.end}": supervisor.ledger.edges[e.index].report()["dropped"]
-                for e in plan.edges
-            }
-        lost = {edge: counts for edge, counts in dropped.items() if any(counts.values())}
-        return found[:count], lost
+def each_object(
+    graph: Path, changes: tuple[str, ...], world: FrameSource, each: int
+) -> tuple[Measured, list[dict[str, Any]]]:
+    """Follow every object of the world in turn; return the run and a row for each object."""
+    prompter = Prompter(world=world, objects=sorted(objects_of(world)), each=each)
+    wanted = (*changes, "policy.target=")
+    count = each * len(prompter.objects)
+    run = measured(graph, wanted, count, title=EACH, watch=prompter.watch)
+    return run, prompt_rows(prompter, run.cycles, world)
 
 
 def board_of(plan: Plan) -> VirtualBoardSettings:
@@ -145,7 +131,7 @@ def delay_rows(cycles: Sequence[Cycle]) -> list[dict[str, Any]]:
     parts = {
         "read-out and transfer of the context": (readout, PAPER["readout"]),
         "the graph": (compute, PAPER["compute"]),
-        "command, until the next exposure": (rest, None),
+        "command, until the exposure that obeys it": (rest, None),
         "the plan's newest context to the first frame that it directs": (whole, PAPER["delay"]),
     }
     return [

@@ -5,7 +5,7 @@ A cycle is a plan, the burst that it directs, and the burst's download.
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.source import CLASS_OF_ROLE, FrameSource
-from pipeline import Frame, Input, Operator, RoiSchedule, SettingsError
+from pipeline import Frame, Input, Operator, RoiSchedule, Scanpath, SettingsError
 from pipeline.boxes import covered
 
 NODE = """\
 nodes:
   cycles:
     operator: bench.prototype_cycles:Cycles
-    inputs: {{roi: capture.roi, schedule: dispatch}}
+    inputs: {{roi: capture.roi, schedule: dispatch, scanpath: policy}}
     settings: {{path: {path}}}
 """
 
@@ -41,6 +41,7 @@ class Cycles(Operator[CyclesSettings, None]):
 
     roi = Input(Frame, keep="every")
     schedule = Input(RoiSchedule, keep="every", join=False)
+    scanpath = Input(Scanpath, keep="latest", join=False, optional=True)
 
     _file: IO[str] | None = None
 
@@ -68,6 +69,11 @@ class Cycles(Operator[CyclesSettings, None]):
             kind="plan", seq=schedule.header.seq, stamp_ns=schedule.header.stamp_ns,
             first_seq=schedule.first_seq, frames=len(schedule.windows), spans=spans,
         )  # fmt: skip
+
+    def on_scanpath(self, scanpath: Scanpath) -> None:
+        """Write which object is looked at first, a negative number: a place."""
+        chosen = int(scanpath.choice[0]) if len(scanpath.choice) else -1
+        self._write(kind="aim", seq=scanpath.header.seq, object=chosen)
 
     def _write(self, **line: Any) -> None:
         if self._file is not None:
@@ -101,12 +107,42 @@ def node_file(path: Path) -> Path:
     return added
 
 
-def read_lines(path: Path) -> list[dict[str, Any]]:
-    """Return the lines written so far; a last one that is not whole is left out."""
-    if not path.is_file():
-        return []
-    text = path.read_text(encoding="utf-8")
-    return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+@dataclass(kw_only=True)
+class Recording:
+    """What the node has written so far. A last line that is not whole is left for later."""
+
+    path: Path
+    lines: list[dict[str, Any]] = field(default_factory=list)
+    bursts: int = 0  # that were downloaded: a preview came after them
+    recording: bool = False  # whether the newest frame is one of a burst
+    newest_preview: int = -1  # frame, -1: none yet
+    newest_aim: int = -1  # frame whose tracks the policy saw last, -1: none yet
+    aimed_at: int = -1  # object that it then chose, -1: none
+    _offset: int = 0  # bytes read
+
+    def update(self) -> bool:
+        """Read on; return whether something new was there."""
+        if not self.path.is_file():
+            return False
+        with self.path.open("rb") as file:
+            file.seek(self._offset)
+            text = file.read()
+        whole = text[: text.rfind(b"\n") + 1]
+        self._offset += len(whole)
+        fresh = [json.loads(line) for line in whole.splitlines()]
+        for line in fresh:
+            self._note(line)
+        self.lines += fresh
+        return bool(fresh)
+
+    def _note(self, line: Mapping[str, Any]) -> None:
+        if line["kind"] == "aim":
+            self.newest_aim, self.aimed_at = line["seq"], line["object"]
+        elif line["kind"] == "frame":
+            self.bursts += self.recording and not line["recorded"]
+            self.recording = line["recorded"]
+            if not line["recorded"]:
+                self.newest_preview = line["seq"]
 
 
 def cycles_of(lines: Iterable[Mapping[str, Any]]) -> list[Cycle]:

@@ -104,6 +104,9 @@ PLACES = {
         section="Networks and scenes", order=12, title="The detector on raw frames with noise"
     ),
     "prototype": Place(section="Late plans", order=20, title="The 200-megapixel prototype"),
+    "prototype_detector": Place(
+        section="Late plans", order=20, title="Ways to look at the prototype's context"
+    ),
     "long_horizon": Place(
         section="Late plans", order=21, title="Plans of 200 frames: the network beside rules"
     ),

@@ -1,7 +1,7 @@
 """Kinds of virtual boards: what each can do, and how long it takes."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from drivers.usb.capabilities import BoardCapabilities, CaptureMode, RoiSize
@@ -41,6 +41,13 @@ def _board(size_px: tuple[int, int], context: int, *rois: RoiSize, **more: objec
 PAPER_PX = (16_320, 9_184)
 PAPER_ROIS = (RoiSize(4080, 2296), RoiSize(8160, 4592, 2))
 
+_PROTOTYPE = _board(
+    PAPER_PX, 8, *PAPER_ROIS, modes=(CaptureMode.RECORD,), rates_mhz=(30_000, 30_000),
+    preview_mhz=7_500, burst_frames=105, readout_frames=28.7, paced=True,
+)  # fmt: skip
+# 28.7 frames of read-out and 31.3 of the paper's host (supplement "Hardware Prototype")
+PAPER_DELAY_FRAMES = 60
+
 PROFILES: Mapping[str, Profile] = MappingProxyType(
     {
         # nothing takes time: what a link and a sensor without limits would do
@@ -52,9 +59,11 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
             PAPER_PX, 8, *PAPER_ROIS, rates_mhz=(1000, 30_000), readout_frames=1.0, paced=True
         ),
         # the paper's board: 7.5 previews a second, 28.7 frames of read-out, bursts of 105 frames
-        "paper-prototype": _board(
-            PAPER_PX, 8, *PAPER_ROIS, modes=(CaptureMode.RECORD,), rates_mhz=(30_000, 30_000),
-            preview_mhz=7_500, burst_frames=105, readout_frames=28.7, paced=True,
+        "paper-prototype": _PROTOTYPE,
+        # the same before the paper's host, which is slower than this one: a plan is obeyed as late
+        # as the paper's was, however early it comes
+        "paper-prototype-slow-host": replace(
+            _PROTOTYPE, can=replace(_PROTOTYPE.can, lead_frames=PAPER_DELAY_FRAMES)
         ),
     }
 )  # fmt: skip

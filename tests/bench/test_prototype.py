@@ -1,6 +1,8 @@
 """The prototype's figures: lines of a run in, cycles, delays and shares out."""
 
 import json
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +10,13 @@ import numpy as np
 import pytest
 
 from bench.prototype import delay_rows, share_rows
-from bench.prototype_cycles import Cycle, Cycles, cycles_of, read_lines, shares
+from bench.prototype_cycles import Cycle, Cycles, Recording, cycles_of, shares
+from bench.prototype_objects import Prompter, class_rows, prompt_rows
 from drivers.scenes import PanoramaScene
+from drivers.source import Annotations
 from pipeline.boxes import centres, roi_window
 from pipeline.errors import SettingsError
-from pipeline.messages import Frame, Geometry, RoiSchedule
+from pipeline.messages import Frame, Geometry, RoiSchedule, Scanpath
 from pipeline.testing import drive, header
 
 PERIOD_NS = 33_333_333
@@ -66,7 +70,7 @@ def test_the_delay_is_the_sum_of_its_parts() -> None:
         READOUT, abs=0.01
     )
     assert rows["the graph"]["median"] == pytest.approx(COMPUTE, abs=0.01)
-    assert rows["command, until the next exposure"]["median"] == pytest.approx(1, abs=0.01)
+    assert rows["command, until the exposure that obeys it"]["median"] == pytest.approx(1, abs=0.01)
     assert cycles[0].planned == 200
     assert cycles[0].stages_ms["saliency"] == pytest.approx(33.3, abs=0.1)
 
@@ -103,14 +107,103 @@ def test_the_node_writes_what_the_cycles_are_read_from(tmp_path: Path) -> None:
         header=header(7), first_seq=8, windows=np.zeros((200, 4), np.int32), scanpath_seq=7
     )
 
-    drive(Cycles, [{"roi": roi}, {"schedule": schedule}], {"path": str(path)})
+    scanpath = Scanpath(
+        header=header(7), ids=np.array([5], np.int32), probability=np.ones((1, 1), np.float32),
+        choice=np.array([5], np.int32), boxes=np.ones((1, 4), np.float32), first_seq=8,
+    )  # fmt: skip
+
+    messages = [{"roi": roi}, {"schedule": schedule}, {"scanpath": scanpath}]
+    drive(Cycles, messages, {"path": str(path)})
     with path.open("a", encoding="utf-8") as file:
         file.write('{"kind": "fra')  # it is being written
 
-    one, two = read_lines(path)
+    recording = Recording(path=path)
+    assert recording.update()
+    one, two, three = recording.lines
     assert (one["kind"], one["seq"], one["command_seq"], one["recorded"]) == ("frame", 7, 3, True)
     assert (two["kind"], two["first_seq"], two["frames"]) == ("plan", 8, 200)
-    assert json.dumps(one)
+    assert (three["kind"], three["seq"], three["object"]) == ("aim", 7, 5)
+    assert not recording.update()
+    with path.open("a", encoding="utf-8") as file:
+        file.write('me", "seq": 8, "recorded": false}\n')
+    assert recording.update()
+    assert (recording.newest_preview, recording.newest_aim, recording.aimed_at) == (8, 7, 5)
+
+
+class Boxes:
+    """A world of three objects that move to the right."""
+
+    def truth(self, index: int) -> Annotations:
+        left = np.array([0, 100, 200], np.float32) + index
+        boxes = np.stack([left, np.zeros(3), left + 20, np.full(3, 20)], -1).astype(np.float32)
+        return Annotations(
+            boxes=boxes, ids=np.array([1, 2, 3], np.int32),
+            labels=("ball", "goalkeeper", "main referee"), visibility=np.ones(3, np.float32),
+        )  # fmt: skip
+
+
+def fed(path: Path, lines: Iterable[dict[str, Any]], prompter: Prompter) -> list[Any]:
+    """Return what the prompter asks for as line after line is written."""
+    recording, asked = Recording(path=path), []
+    for line in lines:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        recording.update()
+        prompter.watch(recording, asked.append)
+    return asked
+
+
+def preview(seq: int) -> dict[str, Any]:
+    return {"kind": "frame", "seq": seq, "recorded": False}
+
+
+def aim(seq: int, found: int) -> dict[str, Any]:
+    return {"kind": "aim", "seq": seq, "object": found}
+
+
+def test_a_prompt_is_the_box_in_the_next_preview_and_repeated_until_found(tmp_path: Path) -> None:
+    prompter = Prompter(world=Boxes(), objects=[2], each=1)  # type: ignore[arg-type]
+    lines = [preview(0), aim(0, -1), preview(4), aim(4, -1), preview(8), aim(8, -1), preview(12)]
+
+    asked = fed(tmp_path / "lines", [*lines, aim(12, -1), preview(16), aim(16, 7)], prompter)
+
+    assert [own["prompt_box"][0] for own in asked] == [104, 112]
+    fed(tmp_path / "more", [preview(20), aim(20, -1), preview(24)], prompter)
+    assert len(prompter.asked) == 2
+
+
+def test_every_object_has_its_bursts_after_the_first_cycle(tmp_path: Path) -> None:
+    prompter = Prompter(world=Boxes(), objects=[1, 2, 3], each=2)  # type: ignore[arg-type]
+    burst = {"kind": "frame", "seq": 30, "recorded": True}
+    lines = [line for k in range(8) for line in (preview(100 * k), burst)]
+
+    fed(tmp_path / "lines", lines, prompter)
+
+    assert [own for _, own in prompter.asked] == [1, 1, 1, 2, 2, 3, 3, 3]
+
+
+def test_an_object_is_judged_by_the_bursts_whose_plan_came_after_its_prompt() -> None:
+    prompter = Prompter(world=Boxes(), objects=[1, 2], each=1, asked=[(4, 1), (400, 2)])  # type: ignore[arg-type]
+    first = Cycle(
+        made_from=36, first=70, seqs=(70,), windows=np.array([[0, 0, 80, 40]], np.int32),
+        planned=200, readout_ms=0.0, compute_ms=0.0, stages_ms={},
+    )  # fmt: skip
+
+    rows = prompt_rows(prompter, [first, replace(first, made_from=436)], Boxes())  # type: ignore[arg-type]
+
+    assert [row["object"] for row in rows] == ["ball 1", "player 2"]
+    assert [row["mean"] for row in rows] == [0.5, 0.0]
+    assert [row["bursts that show it"] for row in rows] == [1, 0]
+
+
+def test_objects_of_a_class_have_rows_of_their_own() -> None:
+    cycles = [{"ball": 0.2, "player": 0.5, "player 10": 1.0, "player 2": share} for share in (0, 1)]
+
+    rows = class_rows({"player": cycles})
+
+    assert [row["object"] for row in rows] == ["player 2", "player 10"]
+    assert (rows[0]["mean"], rows[0]["min"], rows[0]["max"]) == (0.5, 0, 1)
+    assert (rows[0]["bursts that show it"], rows[0]["bursts"]) == (1, 2)
 
 
 def test_the_node_needs_a_file() -> None:

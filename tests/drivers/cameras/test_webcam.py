@@ -1,6 +1,7 @@
 """Webcams: what is refused before OpenCV is asked, and devices on the desk (mark `hardware`)."""
 
 import errno
+import json
 import os
 import struct
 from pathlib import Path
@@ -9,9 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from drivers.cameras import CameraSensor, CameraSensorSettings, Webcam, WebcamSettings, v4l2
 from drivers.cameras.opencv import decoded, fourcc_of
+from pipeline.cli import commands
 from pipeline.errors import DriverError, SettingsError
 from tests.drivers.contract import check_sensor
 
@@ -218,3 +221,21 @@ def test_a_real_device_in_use_is_refused(device: str) -> None:
 
     assert refused(device) == f"{device}: it is in use by another program"
     first.close()
+
+
+@pytest.mark.hardware
+def test_the_demo_runs_on_a_real_device(device: str, tmp_path: Path) -> None:
+    """What `make demo SOURCE=webcam` runs, in one thread and small: a guest computes slowly."""
+    frames, report = 2, tmp_path / "report.json"
+    words = ["run", "tracking", "--source", "webcam", "--inline", "--frames", str(frames)]
+    camera = "capture.camera_options"
+    changes = [f"{camera}.device={device}", f"{camera}.size_px=[640,360]"]
+    changes += ["saliency.input_px=[96,64]"]  # 480x288 take ten seconds a frame there
+    sets = [word for change in changes for word in ("--set", change)]
+
+    result = CliRunner().invoke(commands, [*words, *sets, "--report", str(report)])
+
+    assert result.exit_code == 0, result.output
+    edges = {edge["to"]: edge for edge in json.loads(report.read_text())["edges"]}
+    assert {"saliency.frame", "policy.tracks", "capture.schedule", "tracker.roi"} <= set(edges)
+    assert {to: edge["delivered"] for to, edge in edges.items()} == dict.fromkeys(edges, frames)

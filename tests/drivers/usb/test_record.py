@@ -9,6 +9,7 @@ import pytest
 from drivers.sensor import Exposure
 from drivers.usb import DualStreamBoard
 from drivers.usb.session import POLL_S
+from drivers.virtual_board.profiles import PAPER_DELAY_FRAMES
 from pipeline.errors import DriverError
 from tests.drivers.contract import command, read, started
 from tests.drivers.usb.boards import board
@@ -17,11 +18,13 @@ PREVIEW_INTERVAL = 4  # 30 exposures and 7.5 previews a second
 BURST = 105
 
 
-def prototype(*faults: dict[str, Any], **settings: Any) -> DualStreamBoard:
+def prototype(
+    *faults: dict[str, Any], profile: str = "paper-prototype", **settings: Any
+) -> DualStreamBoard:
     """The paper's board, with a small sensor and an endless source."""
     values = {"mode": "record", "rate_hz": 30.0, **settings}
     virtual = {
-        "profile": "paper-prototype", "frames": 0, "source_options": {"length": None},
+        "profile": profile, "frames": 0, "source_options": {"length": None},
         "faults": faults,
     }  # fmt: skip
     return board(virtual=virtual, **values)
@@ -71,6 +74,21 @@ def test_a_plan_is_recorded_frame_by_frame_and_then_the_previews_go_on() -> None
     assert {e.roi.command_seq for e in burst} == {last.header.seq}
     assert not after.roi.pixels.size
     assert after.header.seq % PREVIEW_INTERVAL == 0
+
+
+def test_before_a_slow_host_a_plan_is_obeyed_60_frames_after_its_context() -> None:
+    subject = started(prototype(profile="paper-prototype-slow-host"))
+    last = read(subject).header
+    windows = [(0, 2 * (k % 50), 80, 2 * (k % 50) + 48) for k in range(200)]
+
+    subject.set_rois(command(last.stream, made_from=last.seq, first=last.seq + 1, windows=windows))
+    seen = [read(subject) for _ in range(PAPER_DELAY_FRAMES // PREVIEW_INTERVAL + 1)]
+
+    subject.close()
+    first = next(e for e in seen if e.roi.pixels.size)
+    assert first.header.seq == last.seq + PAPER_DELAY_FRAMES
+    assert first.roi.window == windows[PAPER_DELAY_FRAMES - 1]
+    assert not any(e.roi.pixels.size for e in seen[: seen.index(first)])
 
 
 def test_a_plan_shorter_than_a_burst_is_recorded_as_far_as_it_goes() -> None:
