@@ -16,7 +16,7 @@ from pipeline.contract import settings_of
 from pipeline.errors import WeightsError
 from pipeline.fleet.placement import code_digest, file_digest
 from pipeline.graph.plan import Node, Plan, load_operator
-from pipeline.weights import require
+from pipeline.weights import entries, require
 
 Identity = Mapping[str, str]
 INDIFFERENT = {"data", "out", "threads", "device", "minutes", "compiled"}
@@ -69,12 +69,18 @@ def differing(before: Identity, now: Identity) -> list[str]:
     return sorted(name for name in {*before, *now} if before.get(name) != now.get(name))
 
 
-def _networks(operator: str, weights: str) -> list[Path]:
-    """The files behind a node's setting; empty means those that lie beside its code."""
-    if weights:
-        return [Path(weights) if weights.endswith(".onnx") else require(weights)]
+def _networks(operator: str, weights: str) -> list[Path | str]:
+    """The files behind a node's setting.
+
+    Empty means those beside its code, a name that only the operator knows one of them.
+    """
+    if weights.endswith(".onnx"):
+        return [Path(weights)]
+    if weights in entries():
+        return [require(weights)]
     spec = find_spec(operator.partition(":")[0])
-    return sorted(Path(spec.origin).parent.glob("*.onnx")) if spec and spec.origin else []
+    files = sorted(Path(spec.origin).parent.glob("*.onnx")) if spec and spec.origin else []
+    return [weights, *files] if weights else [*files]
 
 
 def _words(value: Any) -> str:

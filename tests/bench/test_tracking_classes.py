@@ -113,3 +113,13 @@ def test_a_foveated_row_needs_a_policy_that_can_be_given_its_target(tmp_path: Pa
 def test_the_old_name_pursue_is_refused_with_the_new_name() -> None:
     with pytest.raises(SettingsError, match="policy: pursue: renamed; expected pursuit"):
         policy_files(("pursue",))
+
+
+def test_weights_that_an_operator_knows_by_name_are_told_apart_from_its_others() -> None:
+    protocol = Protocol(graph=str(GRAPH), frames=(1, 16), kinds=("ball",))
+    own, quantised = (
+        key(Case(strategy="foveated", budget="1/4", name="", rules=Rules(), changes=c), protocol)
+        for c in ((), ("saliency.weights=eight_bits",))
+    )
+
+    assert own != quantised
