@@ -73,16 +73,20 @@ def test_an_exported_network_computes_what_torch_computes(tmp_path: Path) -> Non
     np.testing.assert_allclose(got["features"], features, **TOLERANCE)
 
 
-def test_the_shipped_detector_is_the_network_of_model_py() -> None:
+def test_the_shipped_detector_is_the_network_of_model_py_with_features_of_another() -> None:
     images = picture(5, 1, 288, 480)
     network = Network(SHIPPED_DETECTOR)
 
     got = network({"images": images})
 
     with torch.no_grad():
-        output, features = loaded(SHIPPED_DETECTOR, Exported(DetectorNet()))(
-            torch.from_numpy(images)
+        output, own = loaded(SHIPPED_DETECTOR, Exported(DetectorNet()))(torch.from_numpy(images))
+        stored = {i.name: i for i in onnx.load(SHIPPED_DETECTOR).graph.initializer}
+        kernel, offset = (
+            torch.from_numpy(onnx.numpy_helper.to_array(stored[f"alignment.{part}"]).copy())
+            for part in ("weight", "bias")
         )
+        features = torch.relu(torch.nn.functional.conv2d(own, kernel, offset))
     assert_same_output(got["output"], output.numpy())
     np.testing.assert_allclose(got["features"], features, **TOLERANCE)
     assert network.metadata["names"] == str(dict(enumerate(NAMES)))

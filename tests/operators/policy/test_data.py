@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from operators.policy.data import Recording, made_with, record
-from operators.saliency.saliency import SHIPPED
+from operators.roi_features.roi_features import SHIPPED
 from operators.training.arrays import outdated, write
 from pipeline.errors import DriverError, GraphError, WeightsError
 
@@ -30,12 +30,12 @@ def test_networks_are_compared_by_content_and_not_by_path(tmp_path: Path) -> Non
     other.write_bytes(b"another")
 
     plain, moved, changed = (
-        made_with(2, tuple(f"saliency.weights={path}" for path in given))
+        made_with(2, tuple(f"roi_features.weights={path}" for path in given))
         for given in ((), (same,), (other,))
     )
 
     assert plain == moved
-    assert {name for name in plain if plain[name] != changed[name]} == {"saliency.weights"}
+    assert {name for name in plain if plain[name] != changed[name]} == {"roi_features.weights"}
 
 
 def test_a_recording_depends_on_frames_and_code_and_not_on_threads() -> None:
