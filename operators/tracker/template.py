@@ -109,9 +109,15 @@ class Template:
         return box
 
     def follow(self, streams: Streams, box: Box) -> tuple[Box, float]:
-        """Return the object's box, given the previous one, and a confidence 0..1."""
+        """Return the object's box, given the previous one, and a confidence 0..1.
+
+        Where no picture shows the surroundings of the previous one, it stays, with confidence 0.
+        """
         side = SEARCH_FACTOR * size_of(box)
-        normalise(streams.look(centres(box), side, SEARCH_PX), self._search)
+        look = streams.look(centres(box), side, SEARCH_PX)
+        if not look.any():
+            return box, 0.0
+        normalise(look, self._search)
         maps = self._network(
             {"template": self._template, "shape": self._shape, "search": self._search}
         )

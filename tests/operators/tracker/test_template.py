@@ -14,6 +14,7 @@ from operators.tracker.vittrack import VitTrack
 from pipeline import Frame, WeightsError
 from pipeline.boxes import iou
 from pipeline.errors import SettingsError
+from pipeline.messages import altered
 from pipeline.testing import drive, header
 from tests.operators.tracker.made_up import World
 
@@ -56,6 +57,19 @@ def test_the_shipped_network_follows_a_moving_object_from_frame_to_frame():
         found.append(iou(box[None], world.box(seq)[None])[0, 0])
 
     assert np.mean(found) > 0.5
+
+
+def test_where_no_picture_shows_the_surroundings_the_box_stays():
+    world, tracker = World(seed=3), Template()
+    tracker.start(Streams(**world.frames(0)), world.box(0))
+    dark = {
+        name: altered(frame, pixels=np.zeros_like(frame.pixels))
+        for name, frame in world.frames(1).items()
+    }
+
+    box, score = tracker.follow(Streams(**dark), world.box(0))
+
+    assert (box.tolist(), score) == (world.box(0).tolist(), 0)
 
 
 def drawn(scene, seq):
