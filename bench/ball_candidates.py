@@ -26,7 +26,7 @@ from drivers.datasets.soccernet import SoccerNetSequence
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Annotations
 from operators.saliency.example import BALL, NAMES
 from operators.saliency.judging import FLOOR
-from operators.saliency.stills import Labelled
+from operators.training.stills import Labelled
 from pipeline.errors import DriverError
 from pipeline.whole_file import write_whole
 

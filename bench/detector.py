@@ -23,8 +23,8 @@ from bench.detector_scoring import BEST, Looker, Marks, figures, spread, thresho
 from bench.machine import facts
 from bench.options import JSON, Bench, file_name
 from operators.saliency.judging import FLOOR
-from operators.saliency.splits import DEVELOPMENT, TEST
-from operators.saliency.stills import class_names, labelled, pictures_of
+from operators.training.splits import DEVELOPMENT, TEST
+from operators.training.stills import class_names, labelled, pictures_of
 from pipeline.errors import SettingsError
 from pipeline.whole_file import write_whole
 

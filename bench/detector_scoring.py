@@ -19,7 +19,8 @@ from operators.saliency.judging import (
     best_threshold,
     find_hits,
 )
-from operators.saliency.stills import LABELS, Labelled
+from operators.saliency.stills import LABELS
+from operators.training.stills import Labelled
 from pipeline.errors import SettingsError
 
 CENTRE = "by centre"  # a ball within six pixels of the shrunk picture

@@ -30,10 +30,10 @@ from operators.saliency.judging import (
 )
 from operators.saliency.render import FULL_PX, RATE_HZ, example, moments
 from operators.saliency.saliency import SHIPPED, Detector, Saliency, SaliencySettings
-from operators.saliency.splits import DEVELOPMENT
 from operators.saliency.stills import stills
 from operators.training.command_line import count, in_a_sentence
 from operators.training.progress import each_of
+from operators.training.splits import DEVELOPMENT
 from pipeline import Detections, Frame, SettingsError
 from pipeline.executor import Executor
 from pipeline.extras import LateModule, need

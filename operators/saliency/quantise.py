@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from operators.saliency.description import described
 from operators.saliency.example import INPUT_PX
 from operators.saliency.letterbox import Letterbox
-from operators.saliency.splits import HELD_OUT
 from operators.saliency.stills import stills
 from operators.training.command_line import count, in_a_sentence
 from operators.training.progress import each_of
+from operators.training.splits import HELD_OUT
 from pipeline.extras import LateModule, need
 from pipeline.inference import Network
 

@@ -10,10 +10,10 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from operators.saliency.splits import HELD_OUT
 from operators.saliency.training_settings import TrainSettings
 from operators.training.command_line import GOES_ON, add_numbers, in_a_sentence
 from operators.training.ranges import DEVICES
+from operators.training.splits import HELD_OUT
 from pipeline.extras import need
 
 

@@ -21,8 +21,7 @@ from operators.saliency.initial import from_onnx
 from operators.saliency.losses import losses
 from operators.saliency.model import DetectorNet, Exported
 from operators.saliency.render import made_with, render
-from operators.saliency.splits import HELD_OUT
-from operators.saliency.stills import Stills, labels_of, stills
+from operators.saliency.stills import Stills, stills
 from operators.saliency.training_settings import TrainSettings
 from operators.training import checkpoint
 from operators.training.device import device_of
@@ -31,6 +30,8 @@ from operators.training.log import EVERY, note, shorten
 from operators.training.onnx_files import fused, write
 from operators.training.progress import Phases, bar
 from operators.training.schedule import warmed_cosine
+from operators.training.splits import HELD_OUT
+from operators.training.stills import labels_of
 from pipeline.fleet.placement import file_digest
 
 PHASES = Phases("draw scenes", "train")

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from operators.saliency.splits import HELD_OUT
 from operators.training.ranges import above_zero, at_least, known_device
+from operators.training.splits import HELD_OUT
 from pipeline.errors import SettingsError
 
 

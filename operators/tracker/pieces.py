@@ -21,6 +21,8 @@ from operators.tracker.look import size_of
 from operators.training.arrays import Arrays, outdated, read, write
 from operators.training.identity import Identity, of_code
 from operators.training.progress import tracked
+from operators.training.splits import HELD_OUT
+from operators.training.stills import PICTURES, labels_of, read_rows
 from pipeline.boxes import centres, from_centres
 from pipeline.errors import DriverError
 
@@ -29,10 +31,8 @@ TRAIN_SEEDS = 33_000  # no other part of the project uses them
 OF_STILL, OF_MOMENT, OF_VIDEO = 6, 6, 24  # objects of a still and a moment; pictures of a video
 GAPS = (1, 40)  # frames between the two moments of a pair
 LEAST_PX, LEAST_SEEN = 6.0, 0.5
-PICTURES = (".jpg", ".jpeg", ".png")
-# Test and development matches of football, the second half of soccertrack/wide, and a clip that is
-# for evaluation only: names of files and folders that begin like this are never read.
-HELD_OUT = ("744b27", "798b45", "08fd33", "G_20231125_TOP_B_2nd", "SNMOT-116")
+# names of files and folders that begin like this are never read; the last is a clip for evaluation
+NEVER_READ = (*HELD_OUT, "SNMOT-116")
 Box = NDArray[np.float32]  # (4,) xyxy
 Picture = NDArray[np.uint8]
 
@@ -96,7 +96,7 @@ def sources_of(place: Path) -> list[Path]:
     else:
         below = place / "images" if (place / "images").is_dir() else place
         found = sorted(p for p in below.glob("*") if p.suffix.lower() in PICTURES)
-    kept = [p for p in found if not any(part.startswith(HELD_OUT) for part in p.parts)]
+    kept = [p for p in found if not any(part.startswith(NEVER_READ) for part in p.parts)]
     if not kept:
         raise DriverError(f"{place}: expected pictures or a video that are not held out, got none")
     return kept
@@ -136,7 +136,7 @@ def of_source(path: Path) -> Iterator[tuple[Item, ...]]:
     rng = np.random.default_rng(list(path.stem.encode())[:64])
     if path.suffix.lower() in PICTURES:
         picture = read_picture(path)
-        boxes = [b for b in labels_of(path, picture) if inside(b, picture)]
+        boxes = [b for b in boxes_of(path, picture) if inside(b, picture)]
         order = sorted(range(len(boxes)), key=lambda k: size_of(boxes[k]))
         rest = rng.permutation(order[2:])[: OF_STILL - 2]
         chosen = [*order[:2], *rest.tolist()]  # the smallest is mostly the ball
@@ -167,23 +167,15 @@ def anything(picture: Picture, rng: np.random.Generator, count: int) -> Iterator
         yield max(tried, key=lambda found: found[0])[1]
 
 
-def labels_of(path: Path, picture: Picture) -> list[Box]:
-    """Boxes of a picture in a folder `images/` with `labels/` beside; empty without such."""
-    file = path.parent.parent / "labels" / f"{path.stem}.txt"
+def boxes_of(path: Path, picture: Picture) -> Iterator[Box]:
+    """Boxes of a picture in a folder `images/` with `labels/` beside; none without such."""
+    file = labels_of(path)
     if not file.is_file():
-        return []
+        return
     size = np.array([picture.shape[1], picture.shape[0]], np.float32)
-    found = []
-    for number, line in enumerate(file.read_text(errors="replace").splitlines()):
-        try:
-            _, *shares = (float(word) for word in line.split())
-            x, y, width, height = shares
-        except ValueError as error:
-            what = "a class number and four shares"
-            raise DriverError(f"{file}:{number + 1}: expected {what}, got {line[:60]!r}") from error
+    for _, x, y, width, height in read_rows(file):
         middle = np.array([x, y], np.float32) * size
-        found.append(from_centres(middle, np.array([width, height], np.float32) * size))
-    return found
+        yield from_centres(middle, np.array([width, height], np.float32) * size)
 
 
 def inside(box: Box | None, picture: Picture) -> bool:

@@ -15,7 +15,7 @@ from torch.nn import functional as F
 
 from operators.tracker.data import batch
 from operators.tracker.model import Deployed, TemplateNet
-from operators.tracker.pieces import HELD_OUT, TRAIN_SEEDS, Pieces, load, prepare
+from operators.tracker.pieces import NEVER_READ, TRAIN_SEEDS, Pieces, load, prepare
 from operators.tracker.template import INPUTS, OUTPUTS
 from operators.tracker.training_settings import TrainSettings
 from operators.training import checkpoint
@@ -138,5 +138,5 @@ def export(run: Run, path: Path) -> None:
         tuple(OUTPUTS),
         steps=f"{run.step} of {run.settings.steps}",
         trained_on=f"scenes from seed {TRAIN_SEEDS}, {run.identity['stills'] or 'no stills'}",
-        held_out=" ".join(HELD_OUT),
+        held_out=" ".join(NEVER_READ),
     )

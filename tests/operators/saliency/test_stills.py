@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from operators.saliency.example import ANYONE, NAMES
-from operators.saliency.splits import DEVELOPMENT, HELD_OUT, TEST, split_of
 from operators.saliency.stills import stills
 from pipeline.errors import DriverError, FoveaError
 from tests.operators.saliency.labelled_stills import match_of_stills, write_names, write_still
@@ -78,17 +77,3 @@ def test_names_of_another_kind_are_refused(tmp_path: Path, text: str, sentence: 
 
     with pytest.raises(FoveaError, match=sentence):
         stills(tmp_path)
-
-
-def test_the_split_follows_its_rule_and_shares_no_match() -> None:
-    counts = {
-        "08fd33": 33, "121364": 12, "2e57b9": 40, "40cd38": 17, "42ba34": 32,
-        "538438": 44, "54745b": 16, "55c9d1": 6, "744b27": 37, "798b45": 34,
-    }  # fmt: skip
-
-    test, development = split_of(counts)
-
-    assert set(test) <= set(TEST)
-    assert development in DEVELOPMENT
-    assert not set(TEST) & set(DEVELOPMENT)
-    assert set(HELD_OUT) == {*TEST, *DEVELOPMENT}
