@@ -9,9 +9,13 @@ from numpy.typing import NDArray
 from pipeline import Frame
 
 FILL = 114  # grey value outside the frame
+# least side of a square, ROI pixels: a ball of 11 px is told from a boot by what is around it
+LEAST_PX = 40.0
 
 
-def to_squares(boxes: NDArray[np.float32], roi: Frame, margin: float) -> NDArray[np.float32]:
+def to_squares(
+    boxes: NDArray[np.float32], roi: Frame, margin: float, least_px: float = LEAST_PX
+) -> NDArray[np.float32]:
     """Squares around boxes, with a margin: (n, 4) sensor pixels -> (n, 4) xyxy, ROI pixels."""
     left, top, right, bottom = roi.window
     scale = np.array(
@@ -20,6 +24,7 @@ def to_squares(boxes: NDArray[np.float32], roi: Frame, margin: float) -> NDArray
     low = (boxes[:, :2] - np.array([left, top], np.float32)) * scale
     high = (boxes[:, 2:] - np.array([left, top], np.float32)) * scale
     half = (high - low).max(1, keepdims=True) * np.float32((1 + margin) / 2)
+    half = np.maximum(half, np.float32(least_px / 2))
     middle = (low + high) / 2
     return np.concatenate([middle - half, middle + half], 1)
 

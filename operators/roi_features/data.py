@@ -100,13 +100,17 @@ def candidates(
 
 def moment(source: FrameSource, index: int, scene: int, rng: np.random.Generator) -> Crops:
     """The crops of one frame of a source that knows the truth."""
-    found = candidates(source, index, rng)
+    return cut_out(candidates(source, index, rng), scene, index)
+
+
+def cut_out(found: Candidates, scene: int, moment: int) -> Crops:
+    """The crops of candidates in a picture, numbered by its scene and moment."""
     return Crops(
         pictures=crops_of(found.picture, found.boxes),
         kinds=found.kinds,
         persons=found.persons,
         scenes=np.full(len(found.boxes), scene),
-        moments=np.full(len(found.boxes), index),
+        moments=np.full(len(found.boxes), moment),
     )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.roi_features.crops import cut, to_squares
+from operators.roi_features.crops import LEAST_PX, cut, to_squares
 from pipeline import (
     Frame,
     Input,
@@ -42,6 +42,7 @@ class RoiEncoderSettings:
     weights: str = ""
     crop_px: int = 96  # side s where the network leaves it open
     margin: float = 0.15  # added to the box's longer side
+    least_px: float = LEAST_PX  # of a crop's side, ROI pixels
     inside: float = 0.5  # least share of a box that the ROI must show
     max_objects: int = 25  # best ones, by score
     batch: int = 0  # crops a call; 0: as the network says, all at once where it leaves it open
@@ -59,8 +60,9 @@ class RoiEncoderSettings:
             raise SettingsError(f"batch: must not be negative, got {self.batch}")
         if not 0 < self.inside <= 1:
             raise SettingsError(f"inside: must be above 0 and at most 1, got {self.inside}")
-        if self.margin < 0:
-            raise SettingsError(f"margin: must not be negative, got {self.margin}")
+        for name, number in {"margin": self.margin, "least_px": self.least_px}.items():
+            if number < 0:
+                raise SettingsError(f"{name}: must not be negative, got {number}")
         if min(self.std) <= 0:
             raise SettingsError(f"std: must be above 0, got {self.std}")
 
@@ -188,7 +190,7 @@ class Encoder:
         logits = np.zeros((len(boxes), len(self.names)), np.float32)
         if not len(boxes):
             return features, logits
-        squares = to_squares(boxes, roi, self._settings.margin)
+        squares = to_squares(boxes, roi, self._settings.margin, self._settings.least_px)
         for start in range(0, len(boxes), self._at_once):
             part = squares[start : start + self._at_once]
             for row, crop in enumerate(cut(np.asarray(roi.pixels, np.uint8), part, self._size_px)):

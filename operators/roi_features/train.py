@@ -1,4 +1,4 @@
-"""Train the ROI encoder on procedural scenes: `python -m operators.roi_features.train --help`.
+"""Train the ROI encoder on scenes and stills: `python -m operators.roi_features.train --help`.
 
 This module defines the options; the training itself, which needs torch, is in `training_run.py`.
 """
@@ -20,11 +20,16 @@ def asked(words: Sequence[str] | None) -> TrainSettings:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--data", type=Path, required=True, help="rendered crops, made if missing")
     parser.add_argument("--out", type=Path, required=True, help="checkpoint, log, roi_encoder.onnx")
+    parser.add_argument(
+        "--stills", type=Path, nargs="*", default=[],
+        help="folders with images/, labels/ and data.yaml, beside the scenes",
+    )  # fmt: skip
     parser.add_argument("--init", type=Path, help="ImageNet weights to begin with")
     parser.add_argument("--head-of", type=Path, help="a checkpoint.pt: keep its features")
     parser.add_argument("--device", default="auto", help=DEVICES)
     add_numbers(parser, TrainSettings)
-    return TrainSettings(**vars(parser.parse_args(words)))
+    given = vars(parser.parse_args(words))
+    return TrainSettings(**given | {"stills": tuple(given["stills"])})
 
 
 @in_a_sentence(GOES_ON)

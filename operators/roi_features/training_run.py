@@ -1,4 +1,4 @@
-"""Training of the ROI encoder on procedural scenes.
+"""Training of the ROI encoder on procedural scenes and labelled stills.
 
 It has two objectives. Classification, including false candidates: in the context, a ball and a boot
 are four pixels each; at full resolution they can be distinguished. Identification, by supervised
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
+from operators.roi_features import stills
 from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, made_with, render
 from operators.roi_features.model import CLASSES, EncoderNet, load_imagenet
 from operators.roi_features.training_settings import OF_SCENE, TrainSettings
@@ -31,8 +32,9 @@ from operators.training.onnx_files import fused, write
 from operators.training.photometric import degrade, recolour
 from operators.training.progress import Phases, bar
 from operators.training.schedule import warmed_cosine
+from operators.training.stills import contents
 
-PHASES = Phases("draw crops", "train")
+PHASES = Phases("draw crops", "cut out stills", "train")
 TRAIN_SEEDS = 20_000  # no other part of the project uses them
 TEMPERATURE = 0.1
 # crops of one scene in a batch: that many people, twice each, the ball, and false candidates
@@ -118,7 +120,10 @@ class Run(checkpoint.Progress):
         )
         parts = {"net": self.net, "optimiser": self.optimiser}
         crops = made_with(settings.moments, settings.span)
-        super().__init__(settings.out, parts, of_settings(settings) | crops)
+        if settings.stills:
+            files = [path for folder in settings.stills for path in stills.of_training(folder)]
+            crops |= stills.made_with() | {"stills": contents(files)}
+        super().__init__(settings.out, parts, of_settings(settings, "stills") | crops)
 
     def prepare(self) -> None:
         """Switch to training mode; frozen layers keep their batch statistics."""
@@ -138,6 +143,7 @@ def train(settings: TrainSettings) -> EncoderNet:
         seeds, settings.moments, settings.span, settings.data, settings.threads,
         PHASES["draw crops"],
     )  # fmt: skip
+    files += stills.prepare(settings.data / "stills", settings.stills, PHASES["cut out stills"])
     crops = load(files)
     run.prepare()
     began = time.monotonic() - run.elapsed_s

@@ -15,6 +15,7 @@ class TrainSettings:
 
     data: Path
     out: Path
+    stills: tuple[Path, ...] = ()  # folders of labelled stills, beside the scenes
     scenes: int = 150
     moments: int = 10
     span: int = 900  # frames of each scene over which its moments are spread

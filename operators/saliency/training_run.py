@@ -31,7 +31,7 @@ from operators.training.onnx_files import fused, write
 from operators.training.progress import Phases, bar
 from operators.training.schedule import warmed_cosine
 from operators.training.splits import HELD_OUT
-from operators.training.stills import labels_of
+from operators.training.stills import contents as contents_of_stills
 from pipeline.fleet.placement import file_digest
 
 PHASES = Phases("draw scenes", "train")
@@ -56,8 +56,9 @@ class Run(checkpoint.Progress):
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=settings.rate, betas=(0.9, 0.99))
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
+        real = [file for folder in folders(settings) for file in folder.files]
         pictures = made_with(settings.moments, settings.span) | {
-            "data": contents(given(settings)), "stills": real_contents(folders(settings)),
+            "data": contents(given(settings)), "stills": contents_of_stills(real),
         }  # fmt: skip
         super().__init__(settings.out, parts, of_settings(settings, "stills") | pictures)
 
@@ -115,13 +116,6 @@ def source_of(settings: TrainSettings) -> Mixed:
         settings.stills_share,
         seed,
     )
-
-
-def real_contents(found: Sequence[Stills]) -> str:
-    """What is in stills and their labels."""
-    files = [file for folder in found for file in folder.files]
-    known = [file.name + file_digest(file) + file_digest(labels_of(file)) for file in files]
-    return f"{len(files)} files, {sha256(''.join(known).encode()).hexdigest()[:16]}"
 
 
 def contents(files: Sequence[Path]) -> str:

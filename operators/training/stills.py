@@ -4,8 +4,9 @@ A text in `labels/` has a row for each object of the picture of the same name: c
 and size as shares of the picture, as YOLO trainings read them. `data.yaml` names the classes.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.datasets.pictures import read_picture
 from pipeline.errors import DriverError
+from pipeline.fleet.placement import file_digest
 from pipeline.graph.yaml_lines import YamlFile
 from pipeline.wording import shown
 
@@ -66,6 +68,12 @@ def pictures_of(folder: Path) -> list[Path]:
 def labels_of(picture: Path) -> Path:
     """Return the file with a picture's labels."""
     return picture.parent.parent / "labels" / f"{picture.stem}.txt"
+
+
+def contents(files: Sequence[Path]) -> str:
+    """What is in pictures and their labels, as a text that differs where they differ."""
+    known = [file.name + file_digest(file) + file_digest(labels_of(file)) for file in files]
+    return f"{len(files)} files, {sha256(''.join(known).encode()).hexdigest()[:16]}"
 
 
 def labelled(path: Path) -> Labelled:
