@@ -30,6 +30,7 @@ CROP_PX, MARGIN = 96, 0.15
 FULL_PX, RATE_HZ = (1920, 1080), 25.0
 LEAST_SEEN = 0.4
 BACKGROUND = CLASSES.index("background")
+ANYONE = len(CLASSES)  # a person of whom it is not told which of the classes
 PEOPLE, BALLS, OTHERS = 8, 3, 12  # crops of a moment, at most
 NOBODY = -1
 Boxes = NDArray[np.float32]
@@ -41,7 +42,7 @@ class Crops:
     """Squares of one or many moments."""
 
     pictures: Picture  # (n, 96, 96, 3) RGB
-    kinds: NDArray[np.int64]  # (n,) index into CLASSES
+    kinds: NDArray[np.int64]  # (n,) index into CLASSES, or ANYONE
     persons: NDArray[np.int64]  # (n,) id, constant over a scene; NOBODY: no person
     scenes: NDArray[np.int64]  # (n,)
     moments: NDArray[np.int64]  # (n,) frame

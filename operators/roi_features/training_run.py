@@ -21,7 +21,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from operators.roi_features import stills
-from operators.roi_features.data import CROP_PX, NOBODY, Crops, load, made_with, render
+from operators.roi_features.data import ANYONE, CROP_PX, NOBODY, Crops, load, made_with, render
 from operators.roi_features.model import CLASSES, EncoderNet, load_imagenet
 from operators.roi_features.training_settings import OF_SCENE, TrainSettings
 from operators.training import checkpoint
@@ -52,7 +52,8 @@ def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.
         twice = rng.permutation(persons[(persons != NOBODY) & (times > 1)])[:PEOPLE]
         chosen = [rng.choice(own[crops.persons[own] == p], 2, replace=False) for p in twice]
         chosen.append(rng.choice(ball, BALLS) if len(ball) else ball)
-        chosen.append(rng.choice(false, OF_SCENE - sum(map(len, chosen))))
+        rest = false if len(false) else own  # no false ones in a still whose ball is not marked
+        chosen.append(rng.choice(rest, OF_SCENE - sum(map(len, chosen))))
         rows += chosen
     return np.concatenate(rows)
 
@@ -91,11 +92,22 @@ def identity_loss(vectors: Tensor, persons: Tensor, scenes: Tensor) -> Tensor:
     return -each[same.any(1)].mean()
 
 
+def class_loss(logits: Tensor, kinds: Tensor) -> Tensor:
+    """Cross-entropy of the classes; of ANYONE, that it is a player or a referee."""
+    anyone = kinds == ANYONE
+    known = F.cross_entropy(
+        logits, kinds.masked_fill(anyone, 0), label_smoothing=0.02, reduction="none"
+    )
+    people = [CLASSES.index(name) for name in ("player", "referee")]
+    person = -logits.log_softmax(1)[:, people].logsumexp(1)
+    return torch.where(anyone, person, known).mean()
+
+
 def losses(net: EncoderNet, given: dict[str, Tensor], weight: float) -> dict[str, Tensor]:
     """Return both losses; training minimises their sum."""
     # in bfloat16 depthwise convolutions are slower, and a step takes twice as long
     features, kinds = net(given["pictures"])
-    what = F.cross_entropy(kinds, given["kinds"], label_smoothing=0.02)
+    what = class_loss(kinds, given["kinds"])
     who = identity_loss(features, given["persons"], given["scenes"])
     return {"what": what, "who": weight * who}  # only reported if the features are frozen
 
