@@ -24,7 +24,7 @@ from operators.policy.data import Recording
 from operators.policy.decision import Rules
 from operators.policy.gaze_plan import GazePlan, row_of, stay
 from operators.policy.network import PolicyNetwork
-from operators.policy.pursuit import PursuitState, pursue
+from operators.policy.pursuit import PursuitPolicySettings, PursuitState, pursue
 from operators.policy.rollout import Episode, Task, roll, tasks
 from operators.policy.target import TargetSpec
 from operators.policy.tokens import Array, Objects
@@ -120,10 +120,10 @@ def followed(recording: Recording, task: Task, frames: int, make: Rule) -> list[
 
 def _pursuit(recording: Recording, task: Task) -> Planner:
     state = [PursuitState(spec=_spec(recording, task))]
+    rules = PursuitPolicySettings(horizon=recording.sides["horizon"])
 
     def plan(tracks: Tracks, frame: int) -> GazePlan:
-        horizon = recording.sides["horizon"]
-        found, state[0] = pursue(tracks, state[0], confirm=3, patience=24, horizon=horizon)
+        found, state[0] = pursue(tracks, state[0], rules)
         return found
 
     return plan
@@ -131,10 +131,11 @@ def _pursuit(recording: Recording, task: Task) -> Planner:
 
 def _hold(recording: Recording, task: Task) -> Planner:
     state = [PursuitState(spec=_spec(recording, task))]
+    rules = PursuitPolicySettings(horizon=recording.sides["horizon"])
 
     def plan(tracks: Tracks, frame: int) -> GazePlan:
         horizon = recording.sides["horizon"]
-        found, state[0] = pursue(tracks, state[0], confirm=3, patience=24, horizon=horizon)
+        found, state[0] = pursue(tracks, state[0], rules)
         locked = row_of(tracks, state[0].locked)
         if locked >= 0:
             return stay(tracks.boxes[locked, -1], horizon)

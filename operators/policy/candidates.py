@@ -10,8 +10,11 @@ from pipeline import Tracks
 from pipeline.boxes import areas, centres, intersections, sizes
 
 BRISK = 0.25  # box sizes per frame: minimum speed that counts as moving
-MOVING_BONUS = 0.15  # score bonus of a moving candidate
-INSIDE_MALUS = 0.15  # score penalty of a candidate inside a person
+# Of the odds, in nats. The first three are a logistic regression over 2,136 balls that the shipped
+# detector reports in stills of one match, 28 of them right; see operators/roi_features/CARD.md.
+BIAS, SCORE_GAIN, SHOWN_GAIN = -1.5, 1.8, 1.15
+MOVING_BONUS = 1.0  # of a moving candidate
+INSIDE_MALUS = 1.0  # of a candidate inside a person
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,17 +55,32 @@ def mobility(tracks: Tracks) -> NDArray[np.float32]:
     return np.asarray(np.minimum(brisk, 1), np.float32)
 
 
-def worth(tracks: Tracks, carriers: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return a rating per track: (n,). Its score, higher if it moves, lower inside a carrier.
+def odds(
+    tracks: Tracks, carriers: NDArray[np.bool_], shown: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Return the logarithm of the odds that each track is of its class: (n,).
 
-    False balls are boots and socks (inside a person) and marks on the ground (still), hence
-    `INSIDE_MALUS` and `MOVING_BONUS`.
+    From its score, what the ROI showed of it (`shown`, 0..1 at even odds, 0.5: nothing), its motion
+    and its place: false balls are boots and socks (inside a person) and marks on the ground
+    (still), hence `INSIDE_MALUS` and `MOVING_BONUS`.
     """
     boxes = tracks.boxes[:, -1]
     shared = intersections(boxes, boxes[carriers])
     inside = (shared > 0.8 * areas(boxes)[:, None]).any(axis=1)
     malus = np.where(inside & ~carriers, INSIDE_MALUS, 0)
-    return (tracks.scores + MOVING_BONUS * mobility(tracks) - malus).astype(np.float32)
+    found = BIAS + SCORE_GAIN * logit(tracks.scores) + SHOWN_GAIN * logit(shown)
+    return np.asarray(found + MOVING_BONUS * mobility(tracks) - malus, np.float32)
+
+
+def probability(odds: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the probability of logarithms of odds."""
+    return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
+
+
+def logit(share: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the logarithm of the odds; shares near 0 and 1 count as .005 and .995."""
+    kept = np.clip(share.astype(np.float64), 0.005, 0.995)
+    return np.asarray(np.log(kept / (1 - kept)))
 
 
 def nearest(

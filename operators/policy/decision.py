@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from operators.policy.conditioning import encode_condition, encode_place, unlike
 from operators.policy.consumer import Consumer, corrected
 from operators.policy.gaze_plan import GazePlan, field_centre, stay
-from operators.policy.memory import Memory, blank, recall, refuted
+from operators.policy.memory import Memory, blank, recall
 from operators.policy.target import Choice, TargetSpec, TargetState, carrier_row, follow
 from operators.policy.tokens import Array, Objects, encode_objects, joined, without
 from pipeline import Tracks
@@ -63,7 +63,7 @@ def observe(
     ids = np.append(tracks.ids, np.int32(target.bound_id))
     looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
     candidates = encode_objects(tracks, looks[:-1])
-    candidates = without(candidates, refuted(memory, candidates.ids, rules.least_genuine))
+    candidates = without(candidates, memory.verdicts.refuted(candidates.ids, rules.least_genuine))
     if carrier_row(target, tracks) >= 0:  # a carried target has no path of its own
         candidates = without(candidates, candidates.ids == target.bound_id)
     spot = encode_place(target, spec, tracks, looks[-1], patience=rules.patience)

@@ -8,8 +8,11 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
   `confirm` frames in succession, before the gaze changes. Moving candidates are preferred to still
   ones, and those outside people to those inside (see candidates.py).
 - A target unseen for a few frames that was last near a person is carried by them: look there.
+- A candidate of a class is the target where its odds allow it, by its score and by what the ROI
+  showed of it (verdicts.py): a weak one only once it was verified, and no longer when refuted.
 - Nobody near: look where it was foreseen last, and doubt more with every frame (the box grows);
-  after `patience` frames visit the field window by window, nearest to the last place first.
+  after `patience` frames look at candidates without a verdict, most worth in one window first, in
+  turn with the field, window by window, nearest to the last place first.
 """
 
 import logging
@@ -20,7 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.candidates import Sightings, count, nearest, none_seen, worth
+from operators.policy.candidates import Sightings, count, nearest, none_seen, odds, probability
 from operators.policy.carrier import PEOPLE, can_carry
 from operators.policy.former import CARRIERS, STRATEGY
 from operators.policy.gaze_plan import (
@@ -33,7 +36,7 @@ from operators.policy.gaze_plan import (
     scanpath,
     stay,
 )
-from operators.policy.search import search
+from operators.policy.search import DWELL, fullest, search
 from operators.policy.target import (
     BIND_IOU,
     GROWTH,
@@ -43,11 +46,13 @@ from operators.policy.target import (
     check_label,
     unknown_label,
 )
+from operators.policy.verdicts import Verdicts, judged, none_given
 from pipeline import Header, Input, Operator, Percept, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
 log = logging.getLogger(__name__)
-MARGIN = 0.2  # score by which a rival must be better
+MARGIN = 1.0  # of the odds, in nats, by which a rival must be better
+VERIFY_FRAMES = 4  # frames for which the ROI stays: two looks, and the delay of a command
 COAST = 3  # frames without detection before a person nearby counts as carrier
 CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 
@@ -65,6 +70,7 @@ class PursuitPolicySettings:
     horizon: int = 16  # Tp, frames planned
     confirm: int = 3  # sightings before the gaze moves to a candidate
     patience: int = 24  # frames to wait at the last place before searching
+    least_probability: float = 0.05  # of a candidate of class `target`, by score, looks and motion
 
     def __post_init__(self) -> None:
         check_horizon(self.horizon)
@@ -72,6 +78,10 @@ class PursuitPolicySettings:
             raise SettingsError(f"confirm: must be at least 1, got {self.confirm}")
         if self.patience < 0:
             raise SettingsError(f"patience: must be at least 0, got {self.patience}")
+        if not 0 <= self.least_probability < 1:
+            raise SettingsError(
+                f"least_probability: must be at least 0 and below 1, got {self.least_probability}"
+            )
         check_box("prompt_box", self.prompt_box)
 
     @property
@@ -98,10 +108,13 @@ class PursuitState:
     rival: int = -1
     rival_frames: int = 0
     sightings: Sightings = field(default_factory=none_seen)
+    verdicts: Verdicts = field(default_factory=none_given)
+    verifying: NDArray[np.float32] = field(default_factory=lambda: np.zeros(4, np.float32))
+    verifying_until: int = -DWELL  # frame up to which the ROI stays at that box
 
     def asked_for(self, spec: TargetSpec) -> "PursuitState":
-        """Return the state for this target, reset if the target is another one."""
-        return self if spec == self.spec else PursuitState(spec=spec)
+        """Return the state for this target, reset if the target is another one; keep verdicts."""
+        return self if spec == self.spec else PursuitState(spec=spec, verdicts=self.verdicts)
 
 
 class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
@@ -110,7 +123,9 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
     percept = Input(Percept, join=False)
-    live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box")
+    live: ClassVar[tuple[str, ...]] = (
+        "target", "target_id", "prompt_box", "least_probability",
+    )  # fmt: skip
 
     @classmethod
     def advise(cls, settings: PursuitPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
@@ -146,10 +161,13 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
         self._state = state.asked_for(self._state.spec)
 
     def on_features(self, features: RoiFeatures) -> None:
-        """Do nothing; the input makes policies interchangeable."""
+        """Judge what the ROI showed."""
+        if np.isfinite(features.genuine).all():
+            verdicts = judged(self._state.verdicts, features)
+            self._state = replace(self._state, verdicts=verdicts)
 
     def on_percept(self, percept: Percept) -> None:
-        """Do nothing, as with features."""
+        """Do nothing; the input makes policies interchangeable."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
@@ -158,39 +176,60 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
             self._names = tracks.names
             if sentence := unknown_label(s.target, tracks.names):
                 log.warning(sentence)
-        plan, self._state = pursue(
-            tracks, self._state, confirm=s.confirm, patience=s.patience, horizon=s.horizon
-        )
+        plan, self._state = pursue(tracks, self._state, s)
         return scanpath(tracks, plan)
 
 
 def pursue(
-    tracks: Tracks, before: PursuitState, *, confirm: int, patience: int, horizon: int
+    tracks: Tracks, before: PursuitState, rules: PursuitPolicySettings
 ) -> tuple[GazePlan, PursuitState]:
-    """Return the plan for the frames after these tracks, and the new state."""
-    spec = before.spec
+    """Return the plan for the frames after these tracks, and the new state.
+
+    Of `rules` its numbers count; the target is the state's.
+    """
     now = replace(before, sightings=count(before.sightings, tracks))
-    now = locked_on(tracks, now, spec, confirm)
+    now = locked_on(tracks, now, rules)
     row = row_of(tracks, now.locked)
     if row < 0:
-        return wait(tracks, now, spec, patience=patience, horizon=horizon), now
-    now = noted(tracks, row, now, spec)
+        return unlocked(tracks, now, rules)
+    now = noted(tracks, row, now, now.spec)
     carrier = row_of(tracks, now.carrier_id)
     if tracks.header.seq - now.seen_seq > COAST and carrier >= 0:
-        return stay(future(tracks, carrier, horizon), horizon), now
-    return follow(tracks, row, horizon), now
+        return stay(future(tracks, carrier, rules.horizon), rules.horizon), now
+    return follow(tracks, row, rules.horizon), now
 
 
-def locked_on(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> PursuitState:
+def locked_on(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> PursuitState:
     """Keep, gain or change the track that is the target."""
+    spec = now.spec
     if row_of(tracks, now.locked) >= 0:
-        by_class = not spec.one
-        return challenged(tracks, now, spec, confirm) if by_class else now
+        if spec.one:
+            return now
+        if likely(tracks, now, rules)[row_of(tracks, now.locked)]:
+            return challenged(tracks, now, rules)
     row = first_lock(tracks, spec) if now.seen_seq < 0 else -1
     if row < 0 and (now.seen_seq >= 0 or not spec.one):
-        row = regained(tracks, now, spec, confirm)
+        row = regained(tracks, now, rules)
     locked = int(tracks.ids[row]) if row >= 0 else -1
     return replace(now, locked=locked, rival=-1, rival_frames=0)
+
+
+def eligible(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> NDArray[np.bool_]:
+    """Return which tracks may be the target: (n,)."""
+    fit = of_class(tracks, now.target or now.spec.label) & tracks.visible[:, -1]
+    fit &= now.sightings.counts >= rules.confirm
+    return fit if now.spec.one else fit & likely(tracks, now, rules)
+
+
+def likely(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> NDArray[np.bool_]:
+    """Return which tracks are probable enough to be what they are reported as: (n,)."""
+    return np.asarray(probability(rated(tracks, now)) >= rules.least_probability)
+
+
+def rated(tracks: Tracks, now: PursuitState) -> NDArray[np.float32]:
+    """Return the logarithm of the odds of each track: (n,)."""
+    carriers = can_carry(tracks, now.spec.carriers, now.target or now.spec.label)
+    return odds(tracks, carriers, now.verdicts.of(tracks.ids))
 
 
 def first_lock(tracks: Tracks, spec: TargetSpec) -> int:
@@ -203,36 +242,33 @@ def first_lock(tracks: Tracks, spec: TargetSpec) -> int:
     return -1
 
 
-def regained(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> int:
+def regained(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> int:
     """Row of the best confirmed candidate, -1: none.
 
     One of many alike (asked for by id or by box) must be near where it was lost; the distance it
     may have gone grows with time. A class may turn up anywhere.
     """
-    known = now.target if now.target else spec.label
-    fit = of_class(tracks, known) & (now.sightings.counts >= confirm) & tracks.visible[:, -1]
-    if spec.one:
+    fit = eligible(tracks, now, rules)
+    if now.spec.one:
         gone = tracks.header.seq - now.seen_seq
         away = np.linalg.norm(centres(tracks.boxes[:, -1]) - centres(now.box), axis=1)
         fit &= away <= (1 + GROWTH * gone) * sizes(now.box[None])
         value = -away.astype(np.float32)
     else:
-        value = worth(tracks, can_carry(tracks, spec.carriers, known))
+        value = rated(tracks, now)
     return int(np.where(fit, value, -np.inf).argmax()) if fit.any() else -1
 
 
-def challenged(tracks: Tracks, now: PursuitState, spec: TargetSpec, confirm: int) -> PursuitState:
+def challenged(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> PursuitState:
     """Change to a rival that has been clearly better for `confirm` frames in succession."""
-    fit = of_class(tracks, now.target or spec.label) & tracks.visible[:, -1]
-    fit &= now.sightings.counts >= confirm
+    fit, value = eligible(tracks, now, rules), rated(tracks, now)
     own = row_of(tracks, now.locked)
-    value = worth(tracks, can_carry(tracks, spec.carriers, now.target))
     best = int(np.where(fit, value, -np.inf).argmax())
     if not fit[best] or value[best] <= value[own] + MARGIN:
         return replace(now, rival=-1, rival_frames=0)
     rival = int(tracks.ids[best])
     frames = now.rival_frames + 1 if rival == now.rival else 1
-    if frames < confirm:
+    if frames < rules.confirm:
         return replace(now, rival=rival, rival_frames=frames)
     return replace(now, locked=rival, rival=-1, rival_frames=0)
 
@@ -256,20 +292,40 @@ def noted(tracks: Tracks, row: int, now: PursuitState, spec: TargetSpec) -> Purs
     )
 
 
-def wait(
-    tracks: Tracks, now: PursuitState, spec: TargetSpec, *, patience: int, horizon: int
-) -> GazePlan:
+def unlocked(
+    tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings
+) -> tuple[GazePlan, PursuitState]:
     """Return where to look without a target: its carrier, its last position, then everywhere."""
+    spec, horizon = now.spec, rules.horizon
     carrier = row_of(tracks, now.carrier_id)
     if carrier >= 0:
-        return stay(future(tracks, carrier, horizon), horizon)
+        return stay(future(tracks, carrier, horizon), horizon), now
     header = tracks.header
     if now.seen_seq < 0 and spec.boxed:
-        return stay(np.array(spec.box, np.float32), horizon)
-    frames = header.seq + 1 + np.arange(horizon) - now.seen_seq
+        return stay(np.array(spec.box, np.float32), horizon), now
+    ahead = header.seq + 1 + np.arange(horizon)
+    if now.seen_seq < 0 or header.seq - now.seen_seq > rules.patience:
+        now = verifying(tracks, now)
+        if header.seq < now.verifying_until:
+            return stay(now.verifying, horizon), now
     if now.seen_seq < 0:
-        return stay(search(header.geometry, None, header.seq + 1 + np.arange(horizon)), horizon)
+        return stay(search(header.geometry, None, ahead), horizon), now
+    frames = ahead - now.seen_seq
     side = (now.box[2:] - now.box[:2]) * (1 + GROWTH * frames[:, None])
     doubtful = from_centres(np.broadcast_to(centres(now.box), side.shape), side)
-    places = search(header.geometry, centres(now.box), np.maximum(frames - patience - 1, 0))
-    return stay(np.where((frames <= patience)[:, None], doubtful, places), horizon)
+    places = search(header.geometry, centres(now.box), np.maximum(frames - rules.patience - 1, 0))
+    return stay(np.where((frames <= rules.patience)[:, None], doubtful, places), horizon), now
+
+
+def verifying(tracks: Tracks, now: PursuitState) -> PursuitState:
+    """Choose the window to verify candidates in, for a few frames, then as long none."""
+    seq = tracks.header.seq
+    if now.spec.one or seq < now.verifying_until + DWELL:
+        return now
+    fit = of_class(tracks, now.target or now.spec.label) & now.verdicts.open(tracks.ids)
+    rows = np.flatnonzero(fit & tracks.visible[:, -1])
+    if not len(rows):
+        return now
+    value = probability(rated(tracks, now)[rows])
+    box = fullest(tracks.boxes[rows, -1], value, tracks.header.geometry)
+    return replace(now, verifying=box, verifying_until=seq + VERIFY_FRAMES)

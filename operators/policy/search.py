@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import Geometry
-from pipeline.boxes import from_centres
+from pipeline.boxes import centres, from_centres
 
 DWELL = 2  # frames per window: enough for a consumer to see it, short enough to be quick
 
@@ -35,3 +35,16 @@ def tiles(geometry: Geometry) -> NDArray[np.float32]:
     counts = [max(-(-whole // max(part, 1)), 1) for whole, part in sides]
     x, y = ((np.arange(n) + 0.5) * whole / n for n, (whole, _) in zip(counts, sides, strict=True))
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2).astype(np.float32)
+
+
+def fullest(
+    boxes: NDArray[np.float32], values: NDArray[np.float32], geometry: Geometry
+) -> NDArray[np.float32]:
+    """Return the box (4,), around one of the objects, whose window holds the largest sum of values.
+
+    `boxes` is (n, 4) with n > 0, `values` (n,).
+    """
+    middles = centres(boxes)
+    half = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32) / 2
+    inside = (np.abs(middles[:, None] - middles[None]) < half).all(2)
+    return np.asarray(boxes[int((inside * values).sum(1).argmax())], np.float32)

@@ -41,10 +41,29 @@ TEMPERATURE = 0.1
 PEOPLE, BALLS = 7, 3
 
 
-def batch_rows(crops: Crops, size: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def scenes_of(
+    crops: Crops, count: int, share: float, rng: np.random.Generator
+) -> NDArray[np.int64]:
+    """Draw scenes (count,), stills with that share where there are some."""
+    known = np.unique(crops.scenes)
+    still = known >= stills.FIRST_SCENE
+    if still.any() and not still.all():
+        of_stills = int(rng.binomial(count, share))
+        return np.concatenate(
+            [
+                rng.choice(known[~still], count - of_stills, replace=False),
+                rng.choice(known[still], min(of_stills, int(still.sum())), replace=False),
+            ]
+        )
+    return np.asarray(rng.choice(known, count, replace=False))
+
+
+def batch_rows(
+    crops: Crops, size: int, rng: np.random.Generator, share: float = 0.5
+) -> NDArray[np.intp]:
     """Rows of a batch: some scenes, of each some people at two moments, the ball, false ones."""
     rows: list[NDArray[np.intp]] = []
-    for scene in rng.choice(np.unique(crops.scenes), size // OF_SCENE, replace=False):
+    for scene in scenes_of(crops, size // OF_SCENE, share, rng):
         own = np.flatnonzero(crops.scenes == scene)
         ball = own[crops.kinds[own] == CLASSES.index("ball")]
         false = own[crops.kinds[own] == CLASSES.index("background")]
@@ -177,7 +196,7 @@ def advance(run: Run, crops: Crops) -> dict[str, float]:
     """One step of the optimiser: the parts of the loss."""
     s = run.settings
     rng = np.random.default_rng([s.seed, 12, run.step])
-    rows = batch_rows(crops, s.batch, rng)
+    rows = batch_rows(crops, s.batch, rng, s.stills_share)
     # mirroring would change a shirt number
     mirrored = (crops.persons[rows] == NOBODY) & (rng.random(len(rows)) < 0.5)
     pictures = [

@@ -16,6 +16,7 @@ class TrainSettings:
     data: Path
     out: Path
     stills: tuple[Path, ...] = ()  # folders of labelled stills, beside the scenes
+    stills_share: float = 0.35  # of the scenes of a batch, where there are stills
     scenes: int = 150
     moments: int = 10
     span: int = 900  # frames of each scene over which its moments are spread
@@ -38,6 +39,8 @@ class TrainSettings:
         at_least(1, self, "span", "steps", "threads")
         at_least(0, self, "warmup", "decay", "identity", "seed")
         above_zero(self, "rate", "minutes")
+        if not 0 <= self.stills_share <= 1:
+            raise SettingsError(f"stills_share: must be within 0..1, got {self.stills_share}")
         if self.scenes < self.batch // OF_SCENE:
             raise SettingsError(
                 f"scenes: a batch of {self.batch} needs at least {self.batch // OF_SCENE}, "

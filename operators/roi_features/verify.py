@@ -6,7 +6,9 @@ is right where a person of that class is (IoU 0.3), a ball where its centre is a
 Detections of a class whose objects are not marked in a still are left out.
 
 `--calibrate FILE` fits a temperature and a bias for each class on these detections, such that the
-probabilities are true shares, and writes the encoder with them.
+probabilities are true shares where as many detections are right as wrong, and writes the encoder
+with them. How many are right depends on the detector's threshold (of a hundred weak balls one), so
+the reader multiplies the odds with those of its own: odds = prior odds x p / (1 - p).
 """
 
 import argparse
@@ -111,11 +113,14 @@ def probabilities(found: Verified, theta: NDArray[np.float64] | None = None) -> 
 def calibration(found: Verified) -> NDArray[np.float64]:
     """Fit (1 + k,): logarithm of the inverse temperature, and a bias for each class.
 
-    Minimised is the cross-entropy of the event that a detection is of its class, each reported
-    class with equal weight; a weak prior of 0 keeps classes that are rarely reported in place.
+    Minimised is the cross-entropy of the event that a detection is of its class, with equal
+    weights of the classes and of right and wrong ones; a weak prior keeps them near 0.
     """
-    classes, counts = np.unique(found.kinds, return_counts=True)
-    weight = 1 / counts[np.searchsorted(classes, found.kinds)]
+    classes = np.unique(found.kinds)
+    weight = np.zeros(len(found.kinds))
+    for kind in classes:
+        own = found.kinds == kind
+        weight[own] = even(found.right[own])
 
     def cost(theta: NDArray[np.float64]) -> float:
         chance = np.clip(probabilities(found, theta), 1e-7, 1 - 1e-7)
@@ -126,18 +131,26 @@ def calibration(found: Verified) -> NDArray[np.float64]:
     return np.asarray(minimize(cost, start, method="L-BFGS-B").x)
 
 
+def even(right: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return weights (n,) whose sum is 1, and 0.5 over the right ones, where there are both."""
+    share = right.mean()
+    weights = np.where(right, 0.5 / max(share, 1e-9), 0.5 / max(1 - share, 1e-9))
+    return np.asarray(weights / weights.sum())
+
+
 def figures(chance: NDArray[np.float64], right: NDArray[np.bool_]) -> dict[str, float]:
     """Figures of one class: detections and their share that is right, and of the verdicts.
 
     auc: chance that a right detection is rated above a wrong one. At a probability of 0.5:
-    precision, recall. ece: expected calibration error over ten bins. nll: cross-entropy.
+    precision, recall. ece: expected calibration error over ten bins, and nll: cross-entropy, both
+    with even weights of right and wrong ones.
     """
-    taken, count = chance >= 0.5, int(right.sum())
+    taken, count, weight = chance >= 0.5, int(right.sum()), even(right)
     ranks = rankdata(chance)
     wrong = len(right) - count
     area = (ranks[right].sum() - count * (count + 1) / 2) / max(count * wrong, 1)
     place = np.minimum((chance * BINS).astype(int), BINS - 1)
-    sums = [np.bincount(place, values, BINS) for values in (chance, right.astype(float))]
+    sums = [np.bincount(place, weight * values, BINS) for values in (chance, right.astype(float))]
     safe = np.clip(chance, 1e-7, 1 - 1e-7)
     return {
         "detections": len(right),
@@ -145,8 +158,8 @@ def figures(chance: NDArray[np.float64], right: NDArray[np.bool_]) -> dict[str, 
         "auc": float(area) if count and wrong else float("nan"),
         "precision": float(right[taken].mean()) if taken.any() else 0.0,
         "recall": float(taken[right].mean()) if count else 0.0,
-        "ece": float(np.abs(sums[0] - sums[1]).sum() / len(right)),
-        "nll": float(-np.where(right, np.log(safe), np.log1p(-safe)).mean()),
+        "ece": float(np.abs(sums[0] - sums[1]).sum()),
+        "nll": float(-(weight * np.where(right, np.log(safe), np.log1p(-safe))).sum()),
     }
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from operators.policy.memory import Memory, blank, fault, recall, refuted, remember
+from operators.policy.memory import Memory, blank, fault, recall, remember
 from pipeline import MessageError, RoiFeatures
 from pipeline.testing import header
 
@@ -42,10 +42,10 @@ def test_looks_older_than_the_history_are_gone() -> None:
 def test_two_looks_are_needed_to_refute_and_later_ones_can_change_it() -> None:
     ids = np.array([1], np.int32)
 
-    assert not refuted(after(look(1, genuine=0.0, t1=1)), ids, 0.2)[0]
+    assert not after(look(1, genuine=0.0, t1=1)).verdicts.refuted(ids, 0.2)[0]
     twice = after(look(1, genuine=0.0, t1=1), look(2, genuine=0.1, t1=1))
-    assert refuted(twice, ids, 0.2)[0]
-    assert not refuted(remember(twice, look(3, genuine=0.9, t1=1), 4), ids, 0.2)[0]
+    assert twice.verdicts.refuted(ids, 0.2)[0]
+    assert not remember(twice, look(3, genuine=0.9, t1=1), 4).verdicts.refuted(ids, 0.2)[0]
 
 
 def test_looks_are_recalled_by_id_in_any_order() -> None:

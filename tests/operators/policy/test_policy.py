@@ -107,7 +107,7 @@ def test_looks_are_kept_for_a_few_frames_and_verdicts_on_a_bounded_number_of_obj
     memory = subject.state().memory
     assert memory.ids.tolist() == [496, 497, 497, 498, 498, 499, 499, 500]
     assert memory.features[:, 0].tolist() == memory.seqs.tolist()
-    assert len(memory.judged) == 100
+    assert len(memory.verdicts.ids) == 100
 
 
 def test_features_that_change_their_width_are_refused():

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from operators.policy import PursuitPolicy
-from pipeline import Scanpath, Tracks
+from operators.policy import PursuitPolicy, PursuitPolicySettings
+from pipeline import RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.testing import drive
 from tests.operators.policy.made_up import tracks
 
@@ -137,3 +137,70 @@ def test_a_class_that_no_track_can_have_is_warned_of_once(caplog: pytest.LogCapt
     pursue(*frames, target="dog")
 
     assert caplog.messages == ["policy.target: expected one of ball, player, got dog"]
+
+
+def looked(*frames: Tracks, genuine: dict[int, float], **values: object) -> list[Scanpath]:
+    """Return the plans of a policy to which the ROI shows these objects in every frame."""
+    subject = PursuitPolicy(PursuitPolicySettings(**BALL | values))
+    subject.open()
+    paths = []
+    for frame in frames:
+        paths.append(subject.on_tracks(frame))
+        subject.on_features(
+            RoiFeatures(
+                header=frame.header,
+                ids=np.array(list(genuine), np.int32),
+                features=np.zeros((len(genuine), 3), np.float32),
+                genuine=np.array(list(genuine.values()), np.float32),
+            )
+        )
+    return paths
+
+
+def weak(seq: int) -> Tracks:
+    """Return two faint balls far apart."""
+    frame = tracks(seq, (1, 0, 300, 300, 0), (2, 0, 1500, 800, 0))
+    frame.scores[:] = 0.2
+    return frame
+
+
+def test_a_faint_candidate_is_the_target_only_once_the_roi_verified_it():
+    frames = [weak(k) for k in range(8)]
+
+    assert first_choices(looked(*frames, genuine={})) == [-1] * 8
+    assert first_choices(looked(*frames, genuine={2: 0.9})) == [-1, -1, *[2] * 6]
+
+
+def test_a_target_that_the_roi_refutes_is_given_up():
+    frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(8)]
+
+    kept, refuted = (looked(*frames, genuine={1: p})[-1] for p in (0.6, 0.02))
+
+    assert kept.choice[0] == 1
+    assert refuted.choice[0] == -1
+
+
+def test_a_prompted_target_is_kept_whatever_the_roi_shows():
+    frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(8)]
+
+    assert first_choices(looked(*frames, genuine={1: 0.0}, target_id=1)) == [1] * 8
+
+
+def test_without_a_target_the_window_with_most_unverified_candidates_is_looked_at_first():
+    frames = [
+        tracks(k, (1, 0, 300, 300, 0), (2, 0, 1500, 800, 0), (3, 0, 1560, 800, 0)) for k in range(6)
+    ]
+    for frame in frames:
+        frame.scores[:] = 0.2
+
+    paths = looked(*frames, genuine={})
+
+    centre = (paths[0].boxes[0, :2] + paths[0].boxes[0, 2:]) / 2
+    assert abs(centre[0] - 1530) <= 30
+    places = {tuple(path.boxes[0].tolist()) for path in paths}
+    assert len(places) > 1  # and after a few frames the field
+
+
+def test_a_probability_out_of_range_is_refused():
+    with pytest.raises(SettingsError, match="least_probability: must be at least 0"):
+        PursuitPolicySettings(least_probability=1.0)
