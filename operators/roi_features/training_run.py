@@ -117,8 +117,7 @@ def class_loss(logits: Tensor, kinds: Tensor) -> Tensor:
     known = F.cross_entropy(
         logits, kinds.masked_fill(anyone, 0), label_smoothing=0.02, reduction="none"
     )
-    people = [CLASSES.index(name) for name in ("player", "referee")]
-    person = -logits.log_softmax(1)[:, people].logsumexp(1)
+    person = -logits.log_softmax(1)[:, : CLASSES.index("ball")].logsumexp(1)  # people come first
     return torch.where(anyone, person, known).mean()
 
 

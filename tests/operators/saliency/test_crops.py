@@ -12,7 +12,7 @@ from operators.saliency.crops import crop, mirrored, recoloured_kits, recoloured
 from operators.saliency.example import ANYONE, CONTEXT_PX, NAMES, Example
 from operators.saliency.pasting import BALL_COVER, PERSON_COVER, Bank, cutout, paste_people
 from operators.saliency.stills import stills
-from tests.operators.saliency.labelled_stills import match_of_stills
+from tests.operators.training.labelled_stills import match_of_stills
 
 SEEDS = st.integers(0, 2**32 - 1)
 BALL, PLAYER, REFEREE = (NAMES.index(name) for name in ("ball", "player", "referee"))

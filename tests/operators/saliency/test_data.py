@@ -15,7 +15,7 @@ from operators.saliency.training_run import Run, folders, source_of
 from operators.saliency.training_settings import TrainSettings
 from pipeline import SettingsError
 from pipeline.errors import DriverError
-from tests.operators.saliency.labelled_stills import match_of_stills, write_names, write_still
+from tests.operators.training.labelled_stills import match_of_stills, write_names, write_still
 
 BALL = NAMES.index("ball")
 

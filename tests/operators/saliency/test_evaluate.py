@@ -18,7 +18,7 @@ from operators.saliency.judging import (
 from operators.saliency.saliency import SaliencySettings
 from pipeline.inference import Network
 from tests.operators.networks import constant_network
-from tests.operators.saliency.labelled_stills import match_of_stills
+from tests.operators.training.labelled_stills import match_of_stills
 
 PERSON = [10.0, 10.0, 20.0, 40.0]
 

@@ -11,7 +11,7 @@ import onnx
 from operators.saliency.quantise import main, quantise, quantised_nodes
 from operators.saliency.saliency import SHIPPED
 from pipeline.inference import Network
-from tests.operators.saliency.labelled_stills import match_of_stills
+from tests.operators.training.labelled_stills import match_of_stills
 
 
 def test_it_says_nearly_the_same_and_keeps_its_metadata(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from operators.saliency.example import ANYONE, NAMES
 from operators.saliency.stills import stills
 from pipeline.errors import DriverError, FoveaError
-from tests.operators.saliency.labelled_stills import match_of_stills, write_names, write_still
+from tests.operators.training.labelled_stills import match_of_stills, write_names, write_still
 
 
 def test_classes_are_those_that_the_names_say(tmp_path: Path) -> None:
