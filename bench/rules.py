@@ -111,6 +111,13 @@ PURSUIT = {
     "who is inside a person is less likely": Rule(
         policy="pursuit", parts=(("candidates:INSIDE_MALUS", 0.0),)
     ),
+    "what the ROI showed counts": Rule(policy="pursuit", parts=(("candidates:SHOWN_GAIN", 0.0),)),
+    "an unlikely candidate is none": Rule(
+        policy="pursuit", changes=("policy.least_probability=0",)
+    ),
+    "the unverified is looked at first": Rule(
+        policy="pursuit", parts=(("pursuit:verifying", lambda tracks, now: now),)
+    ),
     "a person nearby carries it": Rule(policy="pursuit", parts=(("pursuit:can_carry", nobody),)),
     "doubt grows with time": Rule(policy="pursuit", parts=(("pursuit:GROWTH", 0.0),)),
     "the field is searched": Rule(policy="pursuit", changes=("policy.patience=1000000",)),

@@ -70,7 +70,9 @@ class PursuitPolicySettings:
     horizon: int = 16  # Tp, frames planned
     confirm: int = 3  # sightings before the gaze moves to a candidate
     patience: int = 24  # frames to wait at the last place before searching
-    least_probability: float = 0.05  # of a candidate of class `target`, by score, looks and motion
+    # of a candidate of class `target`, by score, looks, motion and place, where the shipped detector
+    # and encoder rate them; 0: any
+    least_probability: float = 0.0
 
     def __post_init__(self) -> None:
         check_horizon(self.horizon)
@@ -305,7 +307,7 @@ def unlocked(
         return stay(np.array(spec.box, np.float32), horizon), now
     ahead = header.seq + 1 + np.arange(horizon)
     if now.seen_seq < 0 or header.seq - now.seen_seq > rules.patience:
-        now = verifying(tracks, now)
+        now = verifying(tracks, now) if rules.least_probability else now
         if header.seq < now.verifying_until:
             return stay(now.verifying, horizon), now
     if now.seen_seq < 0:

@@ -141,7 +141,7 @@ def test_a_class_that_no_track_can_have_is_warned_of_once(caplog: pytest.LogCapt
 
 def looked(*frames: Tracks, genuine: dict[int, float], **values: object) -> list[Scanpath]:
     """Return the plans of a policy to which the ROI shows these objects in every frame."""
-    subject = PursuitPolicy(PursuitPolicySettings(**BALL | values))
+    subject = PursuitPolicy(PursuitPolicySettings(**BALL | {"least_probability": 0.05} | values))
     subject.open()
     paths = []
     for frame in frames:
