@@ -70,7 +70,7 @@ class PursuitPolicySettings:
     horizon: int = 16  # Tp, frames planned
     confirm: int = 3  # sightings before the gaze moves to a candidate
     patience: int = 24  # frames to wait at the last place before searching
-    # of a candidate of class `target`, by score, looks, motion and place, as the shipped detector and
+    # of a candidate of class `target`, by score, looks, motion, place, as the shipped detector and
     # encoder give them; 0: any
     least_probability: float = 0.0
 
