@@ -12,7 +12,7 @@ from pipeline.boxes import areas, centres, intersections, sizes
 BRISK = 0.25  # box sizes per frame: minimum speed that counts as moving
 # Of the odds, in nats. The first three are a logistic regression over 2,136 balls that the shipped
 # detector reports in stills of one match, 28 of them right; see operators/roi_features/CARD.md.
-BIAS, SCORE_GAIN, SHOWN_GAIN = -1.5, 1.8, 1.15
+BIAS, SCORE_GAIN, SHOWN_GAIN = -1.1, 2.3, 0.6
 MOVING_BONUS = 1.0  # of a moving candidate
 INSIDE_MALUS = 1.0  # of a candidate inside a person
 

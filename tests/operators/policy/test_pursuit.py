@@ -160,7 +160,7 @@ def looked(*frames: Tracks, genuine: dict[int, float], **values: object) -> list
 def weak(seq: int) -> Tracks:
     """Return two faint balls far apart."""
     frame = tracks(seq, (1, 0, 300, 300, 0), (2, 0, 1500, 800, 0))
-    frame.scores[:] = 0.2
+    frame.scores[:] = 0.3
     return frame
 
 
@@ -191,7 +191,7 @@ def test_without_a_target_the_window_with_most_unverified_candidates_is_looked_a
         tracks(k, (1, 0, 300, 300, 0), (2, 0, 1500, 800, 0), (3, 0, 1560, 800, 0)) for k in range(6)
     ]
     for frame in frames:
-        frame.scores[:] = 0.2
+        frame.scores[:] = 0.3
 
     paths = looked(*frames, genuine={})
 
