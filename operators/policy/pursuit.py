@@ -53,6 +53,7 @@ from pipeline.boxes import centres, from_centres, iou, sizes
 log = logging.getLogger(__name__)
 MARGIN = 1.0  # of the odds, in nats, by which a rival must be better
 VERIFY_FRAMES = 4  # frames for which the ROI stays: two looks, and the delay of a command
+SURE = 0.8  # probability from which a candidate is the target to the consumer
 COAST = 3  # frames without detection before a person nearby counts as carrier
 CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 
@@ -198,7 +199,18 @@ def pursue(
     carrier = row_of(tracks, now.carrier_id)
     if tracks.header.seq - now.seen_seq > COAST and carrier >= 0:
         return stay(future(tracks, carrier, rules.horizon), rules.horizon), now
+    if not told(tracks, row, now, rules):
+        return stay(future(tracks, row, rules.horizon), rules.horizon), now
     return follow(tracks, row, rules.horizon), now
+
+
+def told(tracks: Tracks, row: int, now: PursuitState, rules: PursuitPolicySettings) -> bool:
+    """Whether the consumer is told that a track is the target, and not only shown its place.
+
+    A faint candidate is looked at to be verified; a consumer that is bound to it loses its own.
+    """
+    sure = probability(rated(tracks, now)[row : row + 1])[0] >= SURE
+    return bool(sure or not rules.least_probability)
 
 
 def locked_on(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> PursuitState:
@@ -220,7 +232,7 @@ def eligible(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) ->
     """Return which tracks may be the target: (n,)."""
     fit = of_class(tracks, now.target or now.spec.label) & tracks.visible[:, -1]
     fit &= now.sightings.counts >= rules.confirm
-    return fit if now.spec.one else fit & likely(tracks, now, rules)
+    return fit & likely(tracks, now, rules)
 
 
 def likely(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> NDArray[np.bool_]:

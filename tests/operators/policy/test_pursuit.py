@@ -164,26 +164,47 @@ def weak(seq: int) -> Tracks:
     return frame
 
 
-def test_a_faint_candidate_is_the_target_only_once_the_roi_verified_it():
-    frames = [weak(k) for k in range(8)]
+def shown(path: Scanpath, x: float, y: float) -> bool:
+    """Whether a plan looks at a ball there in the next frame."""
+    centre = (path.boxes[0, :2] + path.boxes[0, 2:]) / 2
+    return bool(np.abs(centre - (x, y)).max() < 10 and np.ptp(path.boxes[0, ::2]) < 20)
 
-    assert first_choices(looked(*frames, genuine={})) == [-1] * 8
-    assert first_choices(looked(*frames, genuine={2: 0.9})) == [-1, -1, *[2] * 6]
+
+def test_a_faint_candidate_is_followed_only_once_the_roi_verified_it():
+    frames = [weak(k) for k in range(12)]
+
+    assert not any(shown(path, 1500, 800) for path in looked(*frames, genuine={2: 0.3})[9:])
+    assert all(shown(path, 1500, 800) for path in looked(*frames, genuine={2: 0.9})[3:])
+
+
+def test_a_consumer_is_told_of_a_candidate_only_when_it_is_surely_the_target():
+    frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(8)]
+
+    faint = looked(*frames, genuine={1: 0.6})[-1]
+    for frame in frames:
+        frame.scores[:] = 0.7
+    sure = looked(*frames, genuine={1: 0.9})[-1]
+
+    assert shown(faint, 300, 300)
+    assert shown(sure, 300, 300)
+    assert (faint.choice[0], sure.choice[0]) == (-1, 1)
 
 
 def test_a_target_that_the_roi_refutes_is_given_up():
-    frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(8)]
+    frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(40)]
 
-    kept, refuted = (looked(*frames, genuine={1: p})[-1] for p in (0.6, 0.02))
+    kept, refuted = (looked(*frames, genuine={1: p}, patience=5)[-1] for p in (0.6, 0.02))
 
-    assert kept.choice[0] == 1
-    assert refuted.choice[0] == -1
+    assert shown(kept, 300, 300)
+    assert not shown(refuted, 300, 300)
 
 
 def test_a_prompted_target_is_kept_whatever_the_roi_shows():
     frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(8)]
 
-    assert first_choices(looked(*frames, genuine={1: 0.0}, target_id=1)) == [1] * 8
+    paths = looked(*frames, genuine={1: 0.0}, target_id=1)
+
+    assert all(shown(path, 300, 300) for path in paths)
 
 
 def test_without_a_target_the_window_with_most_unverified_candidates_is_looked_at_first():
