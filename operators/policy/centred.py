@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from operators.policy.former import STRATEGY
 from operators.policy.gaze_plan import check_horizon, field_centre, scanpath, stay
-from pipeline import Input, Operator, Percept, RoiFeatures, Scanpath, Tracks
+from pipeline import Input, Operator, RoiFeatures, Scanpath, Tracks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,13 +29,9 @@ class CentredPolicy(Operator[CentredPolicySettings, Scanpath]):
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
-    percept = Input(Percept, join=False)
 
     def on_features(self, features: RoiFeatures) -> None:
         """Do nothing; the input makes policies interchangeable."""
-
-    def on_percept(self, percept: Percept) -> None:
-        """Do nothing, as with features."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.conditioning import encode_condition, encode_place, unlike
-from operators.policy.consumer import Consumer, corrected
 from operators.policy.gaze_plan import GazePlan, field_centre, stay
 from operators.policy.memory import Memory, blank, recall
 from operators.policy.target import Choice, TargetSpec, TargetState, carrier_row, follow
@@ -28,7 +27,6 @@ class PolicyState:
     spec: TargetSpec = field(default_factory=TargetSpec)  # the target that was asked for
     target: TargetState = field(default_factory=TargetState)
     memory: Memory = field(default_factory=blank)
-    consumer: Consumer = field(default_factory=Consumer)  # its last answer
     first_seq: int = 0  # the frame of row 0 of the last choice
     choice: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))  # (Tp,)
     probability: Array = field(default_factory=lambda: np.zeros(0, np.float32))  # (Tp,)
@@ -37,7 +35,7 @@ class PolicyState:
         """Return the state for this target, reset if it is another one; keep all ROI features."""
         if spec == self.spec:
             return self
-        return PolicyState(spec=spec, memory=self.memory, consumer=self.consumer)
+        return PolicyState(spec=spec, memory=self.memory)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +46,6 @@ class Rules:
     least_genuine: float = 0.2
     roi_channels: int = 576
     target_prior: float = 30.0  # prior odds of the target's own track; 1: none
-    feedback_score: float = 0.5  # the consumer's, from which its box counts; 1: never
 
 
 def observe(
@@ -58,8 +55,6 @@ def observe(
     seq, observed = tracks.header.seq, tracks.boxes.shape[1]
     spec, memory = before.spec, before.memory
     target = follow(before.target, spec, tracks, chosen_for(before, seq))
-    if rules.feedback_score < 1:
-        target = corrected(target, before.consumer, tracks, rules.feedback_score)
     ids = np.append(tracks.ids, np.int32(target.bound_id))
     looks = recall(memory, ids, seq=seq, observed=observed, channels=rules.roi_channels)
     candidates = encode_objects(tracks, looks[:-1])

@@ -10,3 +10,4 @@ STRATEGY: Mapping[str, str] = {
 }
 CARRIERS: Mapping[str, str] = {"held_by": "renamed; expected carriers"}
 PRIOR: Mapping[str, str] = {"loyalty": "renamed; expected target_prior"}
+FEEDBACK: Mapping[str, str] = {"feedback_score": "removed; what the consumer sees gained nothing"}

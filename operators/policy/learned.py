@@ -14,7 +14,6 @@ import numpy as np
 
 from operators.policy.carrier import PEOPLE
 from operators.policy.conditioning import unmet
-from operators.policy.consumer import consumer_of
 from operators.policy.decision import (
     PolicyState,
     Rules,
@@ -26,7 +25,7 @@ from operators.policy.decision import (
     with_prior,
     without_candidates,
 )
-from operators.policy.former import CARRIERS, PRIOR, STRATEGY
+from operators.policy.former import CARRIERS, FEEDBACK, PRIOR, STRATEGY
 from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
@@ -36,7 +35,6 @@ from pipeline import (
     Header,
     Input,
     Operator,
-    Percept,
     RoiFeatures,
     Scanpath,
     SettingsError,
@@ -50,7 +48,7 @@ log = logging.getLogger(__name__)
 class LearnedPolicySettings:
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
-    FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR}
+    FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR, **FEEDBACK}
 
     # an ONNX file of operators.policy.train; empty: the shipped one; long_horizon: the shipped one
     # of To 10 and Tp 200
@@ -59,8 +57,6 @@ class LearnedPolicySettings:
     seed: int = 0  # of what is drawn
     target_prior: float = Rules.target_prior  # see `decision.with_prior`; 1: the network alone
     least_genuine: float = Rules.least_genuine  # below it an object is refuted
-    # of the consumer, from which its box corrects the target's position; 1: never
-    feedback_score: float = Rules.feedback_score
     target: str = ""  # class name (ball, referee, player …); empty: any
     target_id: int = -1  # track id
     prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
@@ -77,9 +73,8 @@ class LearnedPolicySettings:
         for name in ("place_patience", "seed"):
             if getattr(self, name) < 0:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
-        for name in ("least_genuine", "feedback_score"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise SettingsError(f"{name}: must be within 0..1, got {getattr(self, name)}")
+        if not 0 <= self.least_genuine <= 1:
+            raise SettingsError(f"least_genuine: must be within 0..1, got {self.least_genuine}")
         if not 1 <= self.target_prior < math.inf:
             raise SettingsError(
                 f"target_prior: must be at least 1 and finite, got {self.target_prior}"
@@ -105,7 +100,6 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
-    percept = Input(Percept, join=False)  # what the consumer sees, of an earlier frame
     live: ClassVar[tuple[str, ...]] = ("target", "target_id", "prompt_box", "least_genuine")
 
     @classmethod
@@ -166,10 +160,6 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
             memory = remember(self._state.memory, features, self.settings.observed)
             self._state = replace(self._state, memory=memory)
 
-    def on_percept(self, percept: Percept) -> None:
-        """Store where the consumer sees its object."""
-        self._state = replace(self._state, consumer=consumer_of(percept))
-
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
         self._names = tracks.names
@@ -188,7 +178,6 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
             least_genuine=s.least_genuine,
             roi_channels=network.roi_channels,
             target_prior=s.target_prior,
-            feedback_score=s.feedback_score,
         )
         state, candidates, condition = observe(self._state, tracks, rules)
         self._warn_once("prompt", unmet(state.target, state.spec, tracks))

@@ -47,7 +47,7 @@ from operators.policy.target import (
     unknown_label,
 )
 from operators.policy.verdicts import Verdicts, judged, none_given
-from pipeline import Header, Input, Operator, Percept, RoiFeatures, Scanpath, SettingsError, Tracks
+from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 from pipeline.boxes import centres, from_centres, iou, sizes
 
 log = logging.getLogger(__name__)
@@ -125,7 +125,6 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
-    percept = Input(Percept, join=False)
     live: ClassVar[tuple[str, ...]] = (
         "target", "target_id", "prompt_box", "least_probability",
     )  # fmt: skip
@@ -168,9 +167,6 @@ class PursuitPolicy(Operator[PursuitPolicySettings, Scanpath]):
         if np.isfinite(features.genuine).all():
             verdicts = judged(self._state.verdicts, features)
             self._state = replace(self._state, verdicts=verdicts)
-
-    def on_percept(self, percept: Percept) -> None:
-        """Do nothing; the input makes policies interchangeable."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""

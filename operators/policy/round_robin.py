@@ -18,7 +18,7 @@ from operators.policy.gaze_plan import (
     stay,
 )
 from operators.policy.target import check_known, check_label
-from pipeline import Header, Input, Operator, Percept, RoiFeatures, Scanpath, SettingsError, Tracks
+from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,6 @@ class RoundRobinPolicy(Operator[RoundRobinPolicySettings, Scanpath]):
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
-    percept = Input(Percept, join=False)
     live: ClassVar[tuple[str, ...]] = ("target",)
 
     @classmethod
@@ -86,9 +85,6 @@ class RoundRobinPolicy(Operator[RoundRobinPolicySettings, Scanpath]):
 
     def on_features(self, features: RoiFeatures) -> None:
         """Do nothing; the input makes policies interchangeable."""
-
-    def on_percept(self, percept: Percept) -> None:
-        """Do nothing, as with features."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""

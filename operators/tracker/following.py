@@ -55,8 +55,6 @@ class Rules:
     drift_after: int  # frames beside the object that the policy shows
     switch_after: int  # the same, where the policy shows another object than before
     hidden_after: int  # frames outside the ROI while the policy looks at a place
-    cue_margin: float = 1.0  # of the score, by which a second look must be surer; 1: no second look
-    cue_after: int = 2  # frames in which it is
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +68,6 @@ class TrackerState:
     missed_frames: int = 0  # in succession, in which the method did not find it
     apart_frames: int = 0  # in succession, in which the policy's object was elsewhere
     hidden_frames: int = 0  # in succession, in which the ROI did not show it
-    surer_frames: int = 0  # in succession, in which a second look was surer
     memory: Memory = ()  # the method's own
 
 
@@ -88,7 +85,6 @@ class Following:
     def __init__(self, method: Method, rules: Rules) -> None:
         self.rules, self._method = rules, method
         self.lost: dict[str, int] = dict.fromkeys(("missed", "drift", "switch", "hidden"), 0)
-        self.cued = 0  # times that a second look was taken over
         self.forget()
 
     @property
@@ -111,7 +107,6 @@ class Following:
             missed_frames=self._missed,
             apart_frames=self._apart,
             hidden_frames=self._hidden,
-            surer_frames=self._surer,
             memory=tuple(part.copy() for part in self._method.memory()) if self._begun else (),
         )
 
@@ -119,7 +114,7 @@ class Following:
         """Go on where another instance stopped; one of another method learns the object anew."""
         self._box, self._id, self._prompted = state.box, state.object_id, state.prompted
         self._missed, self._apart = state.missed_frames, state.apart_frames
-        self._hidden, self._surer = state.hidden_frames, state.surer_frames
+        self._hidden = state.hidden_frames
         self._begun = state.begun and self._method.resume(state.memory)
 
     def forget(self) -> None:
@@ -135,7 +130,6 @@ class Following:
         score = 0.0
         if len(self._box) and self._begun:
             score = self._follow(streams)
-            score = self._look_again(streams, shown, score)
             self._compare(streams, shown)
             self._let_go(shown)
         if not len(self._box) and shown and _startable(shown, streams.roi):
@@ -152,29 +146,6 @@ class Following:
         if found:
             self._box = box[None]
         return score
-
-    def _look_again(self, streams: Streams, shown: Proposal | None, score: float) -> float:
-        """Take over what the policy shows elsewhere if it looks surer there; return the score.
-
-        The method compares with the same template in both places. An object that is lost has the
-        score 0, so that it is found again where the policy shows it.
-        """
-        rules, elsewhere = self.rules, shown is not None and shown.object_id != NOBODY
-        off = self._prompted or rules.cue_margin >= 1
-        if shown is None or not elsewhere or off or same(self._box[0], shown.box):
-            self._surer = 0
-            return score
-        before = tuple(part.copy() for part in self._method.memory())
-        box, second = self._method.follow(streams, shown.box)
-        needed = max(0.0 if self._missed else score, self.rules.lost_score) + rules.cue_margin
-        surer = second >= needed and same(box, shown.box)
-        self._surer = self._surer + 1 if surer else 0
-        if self._surer < (1 if self._missed else rules.cue_after):
-            self._method.resume(before)
-            return score
-        self.cued += 1
-        self._box, self._missed, self._apart, self._surer = box[None], 0, 0, 0
-        return second
 
     def _compare(self, streams: Streams, shown: Proposal | None) -> None:
         """Count consecutive frames in which the policy chooses something else."""

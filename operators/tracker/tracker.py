@@ -25,12 +25,16 @@ from pipeline import Frame, Header, Input, Operator, Percept, Scanpath, Settings
 from pipeline.boxes import covered
 
 FURTHER_WAIT_MS = 50.0  # realtime: for further windows of an exposure, where they are connected
-COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after", "cue_after")
+COUNTS = ("lost_after", "drift_after", "switch_after", "hidden_after")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerSettings:
     """What a graph may set of every tracker; counts are frames in succession."""
+
+    FORMER: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("cue_margin", "cue_after"), "removed; a second look gained nothing"
+    )
 
     init_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor px, first frame
     lost_score: float = -1.0  # below it the object was not found; negative: the method's own
@@ -38,9 +42,6 @@ class TrackerSettings:
     drift_after: int = 6  # frames beside the object that the policy shows
     switch_after: int = 2  # the same, where the policy has chosen another object
     hidden_after: int = 8  # frames outside the ROI while the policy looks at a place
-    # by how much surer a second look must be, where the policy shows its object elsewhere; 1: none
-    cue_margin: float = 1.0
-    cue_after: int = 2  # frames in which it is, while the tracker has an object
 
     def __post_init__(self) -> None:
         if any(self.init_box):
@@ -48,8 +49,6 @@ class TrackerSettings:
         for name in COUNTS:
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.cue_margin <= 1:
-            raise SettingsError(f"cue_margin: must be within 0..1, got {self.cue_margin}")
         if not self.lost_score <= 1:
             raise SettingsError(f"lost_score: must be at most 1, got {self.lost_score}")
 
@@ -65,7 +64,7 @@ class Tracker(Operator[S, Percept]):
     for less than `lost_after` frames. Each method's class says what `method` is.
     """
 
-    live: ClassVar[tuple[str, ...]] = ("lost_score", "cue_margin", *COUNTS)
+    live: ClassVar[tuple[str, ...]] = ("lost_score", *COUNTS)
     commands: ClassVar[tuple[str, ...]] = ("follow", "reset")
     context = Input(Frame, keep="latest")
     roi = Input(Frame, keep="latest")
@@ -167,8 +166,7 @@ class Tracker(Operator[S, Percept]):
     def summary(self) -> Mapping[str, Any]:
         """In how many frames it answered with a box, and how often it let go of one, and why."""
         counts = {"frames": self._frames, "answered": self._answered}
-        told = {"let_go": dict(self._following.lost), "cued": self._following.cued}
-        return {"tracker": {**counts, **told}}
+        return {"tracker": {**counts, "let_go": dict(self._following.lost)}}
 
     def _rules(self) -> Rules:
         s = self.settings
@@ -178,8 +176,6 @@ class Tracker(Operator[S, Percept]):
             drift_after=s.drift_after,
             switch_after=s.switch_after,
             hidden_after=s.hidden_after,
-            cue_margin=s.cue_margin,
-            cue_after=s.cue_after,
         )
 
     def _begin(self) -> None:

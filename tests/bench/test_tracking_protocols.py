@@ -20,7 +20,9 @@ from bench.tracking.figures import figures_of
 from bench.tracking.report import same_help
 from bench.tracking.stages import Stages
 from bench.tracking.targets import targets
+from operators.policy import LearnedPolicy
 from operators.tracker import TrackerState
+from pipeline import Input, Percept
 from pipeline.boxes import iou
 from pipeline.errors import GraphError
 from pipeline.messages import Header, Message, Scanpath
@@ -176,9 +178,18 @@ def test_frames_without_an_answer_are_lost_and_not_near() -> None:
     assert (found.until_lost, found.lost, found.hits, found.near) == (5, True, 10, 10)
 
 
+class Listening(LearnedPolicy):
+    """A policy that hears the tracker."""
+
+    percept = Input(Percept, join=False)
+
+    def on_percept(self, percept: Percept) -> None:
+        """Hear it."""
+
+
 def test_a_policy_that_hears_the_tracker_is_refused(tmp_path: Path) -> None:
     graph = tmp_path / "fed_back.yaml"
-    known = GRAPH.read_text()
+    known = GRAPH.read_text().replace("operators.policy:LearnedPolicy", f"{__name__}:Listening")
     graph.write_text(
         known.replace("features: roi_features}", "features: roi_features, percept: tracker}")
     )

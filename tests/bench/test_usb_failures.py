@@ -96,7 +96,7 @@ def test_numbers_that_passed_while_the_board_was_away_were_never_exposed() -> No
 
 def test_without_a_failure_nothing_is_said_or_lost() -> None:
     with quiet():
-        found = injected([], rate_hz=RATE_HZ, pause_s=0.0, pause_at=5)
+        found = injected([], rate_hz=RATE_HZ / 4, pause_s=0.0, pause_at=5)
 
     assert (found.sentences, found.error, found.unexplained) == ([], "", 0)
 
