@@ -48,6 +48,7 @@ class Options:
     cue: str  # reference, none, each
     protocol: str  # short, long, both
     many: bool  # score all tracks of perception instead
+    missed: float  # with `many`: share of detections that are left out
     states: bool  # show rows of the free, the still and the carried ball, too
     policy: Mapping[str, str]  # file, pursuit or nothing by name
     delay: tuple[int, ...]
@@ -78,6 +79,8 @@ class Options:
             raise SettingsError(
                 f"delay: expected one with --cue {self.cue}, as all rows hear the same, got {given}"
             )
+        if not 0 <= self.missed < 1:
+            raise SettingsError(f"missed: expected 0 to below 1, got {self.missed}")
         if self.plot and self.plot.suffix not in PLOTS:
             raise SettingsError(f"plot: expected {', '.join(PLOTS)} at the end, got {self.plot}")
 

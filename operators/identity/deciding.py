@@ -12,7 +12,6 @@ from operators.identity.people import (
     Numbers,
     People,
     merged,
-    select,
     units,
 )
 from pipeline.boxes import centres, sizes

@@ -24,13 +24,13 @@ class IdentitySettings:
     """What a graph may set."""
 
     looks: int = 3  # of a track in doubt before it is compared
-    patience: int = 12  # looks after which a track that is like nobody is somebody new
+    patience: int = 6  # looks after which a track that is like nobody is somebody new
     likeness: float = 0.8  # least correlation of mean looks with a lost or exchanged identity
-    margin: float = 0.05  # by which another identity must be more like it than its own
+    margin: float = 0.02  # by which another identity must be more like it than its own
     speed: float = 0.5  # box sizes a frame, within which a lost object may be found again
     memory: int = 250  # frames for which a lost identity may be found again
     most_lost: int = 50  # identities remembered
-    most_looks: int = 50  # about as many are in the mean
+    most_looks: int = 100  # about as many are in the mean
     coasted: int = 2  # frames without detection after which a track is in doubt
     overlap: float = 0.3  # IoU from which two tracks may be confused
 

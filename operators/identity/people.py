@@ -153,9 +153,7 @@ def doubted(people: People, rows: Numbers) -> People:
     fresh, looks = people.fresh.copy(), people.fresh_looks.copy()
     doubtful[sure], doubt_seq[sure] = True, people.seen_seq[sure]
     fresh[rows], looks[rows] = 0, 0
-    return replace(
-        people, doubtful=doubtful, doubt_seq=doubt_seq, fresh=fresh, fresh_looks=looks
-    )
+    return replace(people, doubtful=doubtful, doubt_seq=doubt_seq, fresh=fresh, fresh_looks=looks)
 
 
 def merged(people: People, rows: Numbers) -> People:
