@@ -35,7 +35,7 @@ from pipeline import (
     SettingsError,
     Tracks,
 )
-from pipeline.boxes import areas, centres, intersections, iou, roi_window
+from pipeline.boxes import areas, centres, intersections, iou
 
 NEW_AGE = 25  # frames since the last look, for an object that was never shown
 MOST_AGE = 250  # frames: an older look makes no difference
@@ -218,7 +218,10 @@ def best_window(
     roi = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
     fits = (np.abs(middle[one] - middle[other]) < roi).all(axis=1)
     places = (middle[one[fits]] + middle[other[fits]]) / 2
-    windows = np.array([roi_window(place, geometry) for place in places], np.float32)
+    field = np.array([geometry.width_px, geometry.height_px], np.float32)
+    corners = np.clip(np.rint(places - roi / 2), 0, field - roi)
+    corners -= corners % geometry.step_px  # as the sensor addresses them
+    windows = np.concatenate([corners, corners + roi], axis=1)
     shows = intersections(windows, boxes) >= INSIDE * np.maximum(areas(boxes), 1e-9)
     best = int((shows @ gain).argmax())
     return windows[best], np.asarray(shows[best])
