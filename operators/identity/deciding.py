@@ -97,8 +97,10 @@ def exchanged(people: People, rows: Numbers, owners: Numbers) -> People:
     source[owners] = rows
     displaced = np.setdiff1d(owners[~people.lost[owners]], rows)
     for row in displaced:
-        free = int(rows[owners == row][0])
-        source[free if source[free] < 0 else row] = row
+        free = int(row)
+        while source[free] >= 0:  # the identity of whoever took it, or of whoever took that one's
+            free = int(source[free])
+        source[free] = row
     moved = np.flatnonzero(source >= 0)
     freed = np.setdiff1d(np.concatenate([rows, displaced]), moved)
     changed = {name: getattr(people, name).copy() for name in (*OF_TRACK, *OF_LOOKS)}

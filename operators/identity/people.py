@@ -6,6 +6,7 @@ another object (it began, coasted, or overlapped another one) until the ROI has 
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +111,7 @@ def begun(people: People, tracks: Tracks) -> People:
     new = np.flatnonzero(people.rows_of(tracks.ids) < 0)
     count, channels = len(new), people.known.shape[1]
     number, looks = np.zeros(count, np.float32), np.zeros((count, channels), np.float32)
-    rows = {
+    rows: dict[str, Any] = {
         "ids": np.arange(people.next_id, people.next_id + count),
         "tracks": tracks.ids[new],
         "lost": np.zeros(count, np.bool_),
@@ -125,7 +126,9 @@ def begun(people: People, tracks: Tracks) -> People:
         "fresh": looks,
         "fresh_looks": number,
     }
-    joined = {name: np.concatenate([getattr(people, name), rows[name]]) for name in ROWS}
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(people, name), rows[name]]) for name in ROWS
+    }
     rivals = np.pad(people.rivals, (0, count))
     return replace(people, next_id=people.next_id + count, rivals=rivals, **joined)
 
@@ -205,10 +208,13 @@ def units(vectors: Floats) -> Floats:
 
 
 def remembered(people: People, memory: int, most: int) -> People:
-    """Return the table without identities lost for long or never seen well, at most `most` lost."""
-    lost = people.lost
-    kept = ~lost | ((people.seq - people.seen_seq <= memory) & (people.known_looks > 0))
+    """Return the table without identities that were lost long ago, and at most `most` lost ones.
+
+    Those that the ROI never showed go first.
+    """
+    lost, shown = people.lost, people.known_looks > 0
+    kept = ~lost | (people.seq - people.seen_seq <= memory) & (shown | (people.tracks != NONE))
     rows = np.flatnonzero(kept & lost)
-    if len(rows) > most:
-        kept[rows[np.argsort(-people.seen_seq[rows], kind="stable")[most:]]] = False
+    order = np.lexsort((-people.seen_seq[rows], ~shown[rows]))
+    kept[rows[order[most:]]] = False
     return people if kept.all() else select(people, kept)

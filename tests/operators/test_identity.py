@@ -133,6 +133,25 @@ def test_one_look_after_a_crossing_settles_both_who_crossed() -> None:
     assert match.play(1, (1, 300, 100), (2, 100, 100)) == [other, one]
 
 
+def test_of_three_that_crossed_two_looks_settle_all() -> None:
+    match = Match()
+    apart = ((1, 100, 100), (2, 300, 100), (3, 500, 100))
+    one, two, three = match.play(10, *apart, t1=RED, t2=BLUE, t3=GREEN)
+    match.play(3, (1, 200, 100), (2, 205, 100), (3, 210, 100))
+
+    match.play(6, *apart, t1=BLUE, t2=GREEN)
+
+    assert match.play(1, *apart) == [two, three, one]
+
+
+def test_a_track_that_was_not_reported_for_a_while_keeps_its_identity() -> None:
+    match = Match()
+    before = match.play(3, (1, 100, 100), (2, 300, 100))
+    match.play(20, (1, 100, 100))
+
+    assert match.play(3, (1, 100, 100), (2, 300, 100)) == before
+
+
 def test_tracks_that_cross_and_look_as_before_keep_their_identities() -> None:
     match = Match()
     before = match.play(10, (1, 100, 100), (2, 300, 100), t1=RED, t2=BLUE)
