@@ -47,7 +47,15 @@ from bench.tracking.many_tables import (
     paired_of_many,
     table_of_many,
 )
-from bench.tracking.options import ALL, GRAPH, STANDARD_OUTPUT, WHOLE, Options, options_of
+from bench.tracking.options import (
+    ALL,
+    GRAPH,
+    STANDARD_OUTPUT,
+    WHOLE,
+    Options,
+    options_of,
+    refuse_too_late,
+)
 from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
 from bench.tracking.report import paired, rows
@@ -55,7 +63,7 @@ from bench.tracking.stages import Stages
 from bench.tracking.stock import giver
 from bench.tracking.tables import asked_rows, markdown, table
 from bench.tracking.units import measured
-from pipeline.errors import DriverError, FoveaError, SettingsError
+from pipeline.errors import DriverError, FoveaError
 from pipeline.extras import need
 from pipeline.whole_file import write_whole
 
@@ -216,7 +224,7 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
     if late := max(options.delay):
         for parts in {case.parts for case in wanted if case.rules.delay}:
             stages = Stages(Path(options.graph), *parts)
-            _refuse_too_late(late, stages.settings("policy").horizon)
+            refuse_too_late(late, stages.settings("policy").horizon)
     return wanted, protocol_of(options), clips
 
 
@@ -262,15 +270,6 @@ def tracker_of(protocol: Protocol, options: Options) -> str:
     node = planned(Path(protocol.graph), options.changes, options.tracker).node(TRACKER)
     weights = node.settings.get("weights", "")
     return f"{node.operator} {weights}".strip()
-
-
-def _refuse_too_late(delay: int, reach: int) -> None:
-    if delay >= reach:
-        raise SettingsError(
-            f"delay: plans reach {reach} frames, those {delay} frames late are over before they "
-            "hold; set association.horizon and policy.horizon, and name a policy that was trained "
-            "for them"
-        )
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from bench.tracking.identities import (
     Played,
     identified,
 )
-from bench.tracking.options import Options
+from bench.tracking.options import Options, refuse_too_late
 from bench.tracking.replaced import Replaced
 from bench.tracking.sight import PERCEPTION, watched
 from bench.tracking.stages import Stages
@@ -80,6 +80,8 @@ def many(options: Options, clips: Sequence[ClipName], protocol: Protocol) -> lis
             )
             for name, policy in policies(wanted, options)
         }
+        for stages in looks.values():
+            refuse_too_late(max(options.delay), stages.settings("policy").horizon)
         for name in clips:
             clip = read(name, protocol.frames)
             played = (

@@ -169,6 +169,16 @@ def numbers(name: str, text: str) -> tuple[int, ...]:
         ) from None
 
 
+def refuse_too_late(delay: int, reach: int) -> None:
+    """Raise `SettingsError` for plans of `reach` frames that are over before they hold."""
+    if delay >= reach:
+        raise SettingsError(
+            f"delay: plans reach {reach} frames, those {delay} frames late are over before they "
+            "hold; set association.horizon and policy.horizon, and name a policy that was trained "
+            "for them"
+        )
+
+
 def _distinct(values: Iterable[T]) -> tuple[T, ...]:
     """Return each value once, in order of first appearance."""
     return tuple(dict.fromkeys(values))
