@@ -21,7 +21,8 @@ from operators.policy.greedy import best_window
 from pipeline.boxes import centres, iou, roi_window
 from pipeline.messages import RoiFeatures, RoiSchedule, Tracks, altered
 
-CENTRED, ORACLE, EVERYBODY, TRUTH = "centred", "oracle", "everybody", "truth"
+CENTRED, ORACLE, EVERYBODY = "centred", "oracle", "everybody"
+RECOGNISED, TRUTH = "recognised", "truth"
 ROI_STAGES = ("roi_features", "policy", "dispatch")
 OVERLAP = 0.3  # IoU from which nobody can tell who is who
 DOUBT, LOOKS = 4.0, 4  # of the oracle: weight of an interrupted object, looks that end it
@@ -51,16 +52,18 @@ class Seen:
 def identified(played: Played, strategy: str) -> Seen:
     """Return the tracks of a clip, named by what the strategy's ROI showed.
 
-    `everybody` is shown everybody in every frame; `truth` has the true names of all tracks.
+    `everybody` is shown everybody in every frame; for `recognised` those looks also tell without
+    error who somebody is; `truth` has the true names of all tracks.
     """
     if strategy == TRUTH:
         known = Replaced(parts=frozenset({"association"}), truths=played.truths)
         return Seen(tracks={k: known.tracks(each, k) for k, each in played.tracks.items()})
-    shown = everybody(played) if strategy == EVERYBODY else shown_by(played, strategy)
+    shown = {EVERYBODY: everybody, RECOGNISED: recognised}.get(strategy)
     operator = Identity(played.identity)
     operator.open()
     found = Seen()
-    for frame, features in shown:  # as in the loop, tracks before features
+    looks = shown(played) if shown else shown_by(played, strategy)
+    for frame, features in looks:  # as in the loop, tracks before features
         found.tracks[frame] = operator.on_tracks(played.tracks[frame])
         operator.on_features(features)
         found.looks += len(features.ids)
@@ -85,6 +88,28 @@ def everybody(played: Played) -> Iterator[tuple[int, RoiFeatures]]:
         else:
             nothing = camera.nothing(frame)
             yield frame, stages.call("roi_features", roi=nothing, tracks=tracks)
+
+
+def recognised(played: Played) -> Iterator[tuple[int, RoiFeatures]]:
+    """Yield looks at everybody in which people are alike only to themselves.
+
+    Tracks of nobody are alike to one another.
+    """
+    known = Replaced(truths=played.truths)
+    people = np.unique(np.concatenate([truth.ids for truth in played.truths]))
+    directions = np.eye(len(people) + 1, dtype=np.float32)
+    for frame, tracks in played.tracks.items():
+        who = known.who(tracks, frame)
+        rows = np.where(who >= 0, np.searchsorted(people, who), len(people))
+        yield (
+            frame,
+            RoiFeatures(
+                header=tracks.header,
+                ids=tracks.ids,
+                features=directions[rows],
+                genuine=np.ones(len(tracks.ids), np.float32),
+            ),
+        )
 
 
 def shown_by(played: Played, strategy: str) -> Iterator[tuple[int, RoiFeatures]]:

@@ -6,7 +6,8 @@ truth calls hidden are in neither count.
 
 Strategies with a ROI have the tracks of the context of their budget, and identities by what the
 ROI showed (identities.py). `context` is those tracks alone, the floor; `everybody` is shown
-everybody at full resolution in every frame, and `truth` names every track rightly: two ceilings.
+everybody at full resolution in every frame, `recognised` also tells without error who is shown, and
+`truth` names every track rightly.
 """
 
 import logging
@@ -27,6 +28,7 @@ from bench.tracking.identities import (
     CENTRED,
     EVERYBODY,
     ORACLE,
+    RECOGNISED,
     ROI_STAGES,
     TRUTH,
     Played,
@@ -46,7 +48,7 @@ from pipeline.messages import Tracks
 
 PICTURES = ("full", "spatial", CONTEXT)  # with pictures of their own in every frame
 PLANNED = ("foveated", "greedy", PURSUIT, "round_robin")
-LOOKS = (*PLANNED, CENTRED, ORACLE, EVERYBODY, TRUTH)
+LOOKS = (*PLANNED, CENTRED, ORACLE, EVERYBODY, RECOGNISED, TRUTH)
 STRATEGIES = (*PICTURES, *LOOKS)
 IDENTITY = "identity"  # node of a graph
 GROUPS: Mapping[str, tuple[str, ...]] = {"people": ("player", "referee"), "ball": ("ball",)}

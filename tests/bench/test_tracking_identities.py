@@ -43,7 +43,7 @@ def played() -> Iterator[Played]:
 
 
 def test_every_strategy_names_the_same_tracks_of_every_frame(played: Played) -> None:
-    for strategy in ("greedy", "centred", "oracle", "everybody", "truth"):
+    for strategy in ("greedy", "centred", "oracle", "everybody", "recognised", "truth"):
         found = identified(played, strategy)
 
         assert list(found.tracks) == list(range(FRAMES))
