@@ -129,7 +129,9 @@ class Planned:
     def __init__(self, played: Played) -> None:
         self._played = played
         header = played.camera.header(0)
-        settings = {} if _without_target(played.stages) else {"target": ""}
+        known = {"target": "", "delay": played.delay}  # a policy may know how late its plans are
+        own = played.stages.settings("policy")
+        settings = {name: value for name, value in known.items() if hasattr(own, name)}
         played.stages.begin(header, *ROI_STAGES, policy=settings)
         self._held = in_the_middle(played.camera)
         self._commanded: dict[int, Window] = {}
@@ -232,10 +234,6 @@ def _path(played: Played, strategy: str) -> Planned | Knowing | Still:
     kinds: Mapping[str, Any] = {CENTRED: Still, ORACLE: Knowing}
     made: Planned | Knowing | Still = kinds.get(strategy, Planned)(played)
     return made
-
-
-def _without_target(stages: Stages) -> bool:
-    return not hasattr(stages.settings("policy"), "target")
 
 
 def in_the_middle(camera: Camera) -> Window:

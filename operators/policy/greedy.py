@@ -35,7 +35,7 @@ from pipeline import (
     SettingsError,
     Tracks,
 )
-from pipeline.boxes import areas, centres, intersections, iou
+from pipeline.boxes import areas, centres, covered, intersections, iou
 
 NEW_AGE = 25  # frames since the last look, for an object that was never shown
 MOST_AGE = 250  # frames: an older look makes no difference
@@ -53,33 +53,41 @@ class GreedyPolicySettings:
     target: str = ""  # class name (ball, referee, player …) to show only; empty: any
     doubt: float = 4.0  # weight of an object in doubt, beside 1 of others
     looks: int = 4  # that end a doubt
+    delay: int = 0  # frames by which plans come late: windows of those are commanded already
     horizon: int = 16  # Tp, frames planned
 
     def __post_init__(self) -> None:
         check_horizon(self.horizon)
         if self.looks < 1:
             raise SettingsError(f"looks: must be at least 1, got {self.looks}")
+        if not 0 <= self.delay < self.horizon:
+            raise SettingsError(
+                f"delay: expected 0 to below the horizon of {self.horizon}, got {self.delay}"
+            )
         if not 0 <= self.doubt <= 1000:
             raise SettingsError(f"doubt: expected 0 to 1000, got {self.doubt}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GreedyState:
-    """What was shown of each current track (n): immutable."""
+    """What was shown of each current track (n), and the windows commanded: immutable."""
 
     ids: NDArray[np.int32]  # (n,)
     shown_seq: NDArray[np.int64]  # (n,), when the ROI showed it last
     aimed_seq: NDArray[np.int64]  # (n,), the same of windows planned since, whatever they will show
     looks: NDArray[np.int64]  # (n,), since the last doubt
     seen_seq: NDArray[np.int64]  # (n,), when it was detected last
+    windows: NDArray[np.float32]  # (m, 4), of the frames from `first_seq` on, which are commanded
+    first_seq: int
 
 
 def none_shown() -> GreedyState:
     """Return the state before the first frame."""
     whole = np.zeros(0, np.int64)
     return GreedyState(
-        ids=np.zeros(0, np.int32), shown_seq=whole, aimed_seq=whole, looks=whole, seen_seq=whole
-    )
+        ids=np.zeros(0, np.int32), shown_seq=whole, aimed_seq=whole, looks=whole, seen_seq=whole,
+        windows=np.zeros((0, 4), np.float32), first_seq=0,
+    )  # fmt: skip
 
 
 class GreedyPolicy(Operator[GreedyPolicySettings, Scanpath]):
@@ -161,7 +169,8 @@ def brought_up(state: GreedyState, tracks: Tracks) -> GreedyState:
     seen_seq = kept(state.seen_seq, seq)
     found_again = visible & (seq - seen_seq > GAP)
     doubted = found_again | overlapped(tracks)
-    return GreedyState(
+    return replace(
+        state,
         ids=tracks.ids,
         shown_seq=kept(state.shown_seq, seq - NEW_AGE),
         aimed_seq=kept(state.aimed_seq, -1),
@@ -183,7 +192,8 @@ def greedy(
 ) -> tuple[GazePlan, GreedyState]:
     """Return the plan, and the state in which its first window is aimed.
 
-    Each frame of the plan counts what the frames before it will have shown.
+    Each frame of the plan counts what the frames before it will have shown. Frames that the plan is
+    too late for have the windows of earlier plans.
     """
     geometry, seq = tracks.header.geometry, tracks.header.seq
     if not fit.any():
@@ -197,12 +207,18 @@ def greedy(
         age = np.clip(seq + 1 + step - shown_seq, 0, MOST_AGE)
         doubt = 1 + s.doubt * np.clip(1 - looks / s.looks, 0, 1)
         gain = age * np.where(useless, 1, doubt) * fit
-        window, inside = best_window(ahead[step], gain, geometry)
+        row = seq + 1 + step - state.first_seq
+        if step < s.delay and 0 <= row < len(state.windows):
+            window = state.windows[row]
+            inside = covered(ahead[step], window) >= INSIDE
+        else:
+            window, inside = best_window(ahead[step], gain, geometry)
         boxes[step], probability[step] = window, gain / max(gain.sum(), 1e-9)
         shown_seq, looks = np.where(inside, seq + 1 + step, shown_seq), looks + inside
         if step == 0:
-            state = replace(state, aimed_seq=np.where(inside, seq + 1, state.aimed_seq))
+            aimed_seq = np.where(inside, seq + 1, state.aimed_seq)
     choice = np.full(s.horizon, PLACE, np.int32)
+    state = replace(state, aimed_seq=aimed_seq, windows=boxes[1 : s.delay + 1], first_seq=seq + 2)
     return GazePlan(choice=choice, boxes=boxes, probability=probability), state
 
 

@@ -94,6 +94,20 @@ def test_a_window_that_showed_nobody_is_tried_again() -> None:
     assert shown(subject.on_tracks(world), world) == aimed
 
 
+def test_a_late_plan_keeps_what_is_commanded_and_shows_a_doubt_after_it() -> None:
+    subject = policy(delay=3, doubt=10.0)
+    usual = [*FAR, (3, 1, 900.0, 500.0, 0.0)]
+    for seq in range(30):
+        before = subject.on_tracks(tracks(seq, *usual))
+        look(subject, seq, 1, 2, 3)
+
+    world = tracks(30, *usual, (4, 1, 250.0, 900.0, 0.0))  # somebody new
+    path = subject.on_tracks(world)
+
+    np.testing.assert_array_equal(path.boxes[:3], before.boxes[1:4])
+    assert shown(path, world, row=3) == [4]
+
+
 def test_only_objects_of_the_target_class_are_looked_for() -> None:
     subject = policy(target="ball")
     found = set()
