@@ -28,6 +28,7 @@ LEARNED = "operators.policy:LearnedPolicy"
 POLICIES = {
     "pursuit": "operators.policy:PursuitPolicy",
     "round_robin": "operators.policy:RoundRobinPolicy",
+    "greedy": "operators.policy:GreedyPolicy",
 }
 
 
@@ -38,10 +39,10 @@ def planned(graph: Path, changes: Sequence[str], tracker: str = "", policy: str 
     """
     plan = load(graph, Overlay(clock="lockstep"))
     known = {node.name: node.operator for node in plan.nodes}
-    for node in (TRACKER, *([POLICY] if policy else [])):
+    for node in (*([TRACKER] if tracker else []), *([POLICY] if policy else [])):
         if node not in known:
             raise GraphError(f"{graph}: expected a node {node}, got none")
-    paths = {TRACKER: _tracker(tracker) or known[TRACKER]}
+    paths = {TRACKER: _tracker(tracker) or known[TRACKER]} if TRACKER in known else {}
     weights = {TRACKER: tracker.partition("=")[2], POLICY: ""}
     if policy:
         paths[POLICY] = POLICIES.get(policy, LEARNED)

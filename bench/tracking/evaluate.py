@@ -21,7 +21,7 @@ is worth 1.7 % of it).
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from itertools import product
@@ -40,8 +40,22 @@ from bench.tracking.clip import ClipName, frames_of, is_development, names, size
 from bench.tracking.conclusions import sentences
 from bench.tracking.episode import Rules
 from bench.tracking.intervals import METHOD
-from bench.tracking.many import many, markdown_of_many, table_of_many
-from bench.tracking.options import ALL, GRAPH, STANDARD_OUTPUT, WHOLE, Options, options_of
+from bench.tracking.many import LOOKS, many, wanted_of
+from bench.tracking.many_tables import (
+    markdown_of_many,
+    means_of_many,
+    paired_of_many,
+    table_of_many,
+)
+from bench.tracking.options import (
+    ALL,
+    GRAPH,
+    STANDARD_OUTPUT,
+    WHOLE,
+    Options,
+    options_of,
+    refuse_too_late,
+)
 from bench.tracking.plots import plot
 from bench.tracking.replaced import PARTS
 from bench.tracking.report import paired, rows
@@ -49,7 +63,7 @@ from bench.tracking.stages import Stages
 from bench.tracking.stock import giver
 from bench.tracking.tables import asked_rows, markdown, table
 from bench.tracking.units import measured
-from pipeline.errors import DriverError, FoveaError, SettingsError
+from pipeline.errors import DriverError, FoveaError
 from pipeline.extras import need
 from pipeline.whole_file import write_whole
 
@@ -83,6 +97,7 @@ FOLLOWED = "starts every few frames (short), one to the end of the clip (long), 
 @click.option("--cue", default="none", type=click.Choice(list(CUES)), help=HEARS)
 @click.option("--protocol", default="short", type=click.Choice(list(PROTOCOLS)), help=FOLLOWED)
 @click.option("--many", is_flag=True, help="HOTA, AssA and IDF1 of the graph's tracks instead")
+@click.option("--missed", default=0.0, help="with --many: share of detections left out")
 @click.option("--states", is_flag=True, help="rows of the free, still and carried ball, too")
 @click.option("--policy", multiple=True, help="[NAME=]FILE.onnx, or pursuit; more give more rows")
 @click.option("--delay", default="0", help="frames by which plans come late, e.g. 0,2,13")
@@ -110,11 +125,10 @@ def evaluate(options: Options) -> None:
         need("matplotlib", "--plot")
     if options.many:
         need("trackeval", "--many")
+        score_many(options)
+        return
     wanted, protocol, clips = asked(options)
     options.make_room()
-    if options.many:
-        score_many(options, protocol, clips)
-        return
     try_out(wanted, protocol)
     units = measured(clips, wanted, protocol, options.folder, jobs=options.jobs)
     if not any(unit["episodes"] for unit in units):
@@ -153,8 +167,13 @@ def evaluate(options: Options) -> None:
     tell(found, options.markdown)
 
 
-def score_many(options: Options, protocol: Protocol, clips: Sequence[ClipName]) -> None:
+def score_many(options: Options) -> None:
     """Measure the graph's tracks of all objects and write them; raises `FoveaError`."""
+    options, clips = data_of(options)
+    wanted, protocol = wanted_of(options), protocol_of(options)
+    _refuse_unmet(product(wanted, options.budgets), clips)
+    options.make_room()
+    rows_of_clips = many(options, clips, protocol)
     found = {
         **facts(),
         "graph": Path(protocol.graph).name,
@@ -163,16 +182,21 @@ def score_many(options: Options, protocol: Protocol, clips: Sequence[ClipName]) 
         "frames": list(protocol.frames),
         "seed": protocol.seed,
         "development": [str(clip) for clip in clips if is_development(clip)],
-        "rows": many(options, clips, protocol),
+        "missed": options.missed,
+        "interval": METHOD,
+        "means": means_of_many(rows_of_clips),
+        "paired": paired_of_many(rows_of_clips),
+        "rows": rows_of_clips,
     }
     if options.report:
         write_whole(options.report, json.dumps(found, indent=1) + os.linesep)
+    shown = rows_of_clips if len(clips) == 1 else found["means"]
     if options.markdown and options.markdown != STANDARD_OUTPUT:
-        write_whole(options.markdown, markdown_of_many(found["rows"]))
+        write_whole(options.markdown, markdown_of_many(shown))
     if options.markdown == STANDARD_OUTPUT:
-        click.echo(markdown_of_many(found["rows"]))
+        click.echo(markdown_of_many(shown))
     else:
-        Console().print(table_of_many(found["rows"]))
+        Console().print(table_of_many(shown))
 
 
 def tell(found: Mapping[str, Any], target: Path | None) -> None:
@@ -191,23 +215,32 @@ def tell(found: Mapping[str, Any], target: Path | None) -> None:
 
 def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
     """Return cases, protocol and clips; raises `FoveaError` before anything is measured."""
-    clips = names(options.data, options.clips)
-    if options.frames == WHOLE and not clips[0].folder:
-        options = replace(options, frames=(1, SCENE_FRAMES))
-    for clip in clips:
-        frames_of(clip, options.frames)  # raises for frames that a clip does not have
+    options, clips = data_of(options)
     wanted = cases(options)
-    shares = dict.fromkeys((case.strategy, Fraction(case.budget)) for case in wanted)
-    for (strategy, budget), size_px in product(shares, {size_of(clip) for clip in clips}):
-        acquisition(strategy, budget, size_px)  # raises for a budget that cannot be met
+    _refuse_unmet(((case.strategy, Fraction(case.budget)) for case in wanted), clips)
     planned(Path(options.graph), options.changes, options.tracker)  # raises without one
     for parts in {case.parts for case in wanted if case.strategy == "foveated"}:
         check_prompted(planned(Path(options.graph), *parts))
     if late := max(options.delay):
         for parts in {case.parts for case in wanted if case.rules.delay}:
             stages = Stages(Path(options.graph), *parts)
-            _refuse_too_late(late, stages.settings("policy").horizon)
-    protocol = Protocol(
+            refuse_too_late(late, stages.settings("policy").horizon)
+    return wanted, protocol_of(options), clips
+
+
+def data_of(options: Options) -> tuple[Options, list[ClipName]]:
+    """Return the options with the frames that count, and the clips; raises `FoveaError`."""
+    clips = names(options.data, options.clips)
+    if options.frames == WHOLE and not clips[0].folder:
+        options = replace(options, frames=(1, SCENE_FRAMES))
+    for clip in clips:
+        frames_of(clip, options.frames)  # raises for frames that a clip does not have
+    return options, clips
+
+
+def protocol_of(options: Options) -> Protocol:
+    """Return what all rows have in common."""
+    return Protocol(
         graph=options.graph,
         frames=options.frames,
         kinds=options.targets,
@@ -215,7 +248,13 @@ def asked(options: Options) -> tuple[list[Case], Protocol, list[ClipName]]:
         players=options.players,
         seed=options.seed,
     )
-    return wanted, protocol, clips
+
+
+def _refuse_unmet(shares: Iterable[tuple[str, Fraction]], clips: Sequence[ClipName]) -> None:
+    """Raise `SettingsError` for a budget that a strategy cannot meet."""
+    own = dict.fromkeys(("foveated" if name in LOOKS else name, b) for name, b in shares)
+    for (strategy, budget), size_px in product(own, {size_of(clip) for clip in clips}):
+        acquisition(strategy, budget, size_px)
 
 
 def try_out(wanted: Sequence[Case], protocol: Protocol) -> None:
@@ -231,15 +270,6 @@ def tracker_of(protocol: Protocol, options: Options) -> str:
     node = planned(Path(protocol.graph), options.changes, options.tracker).node(TRACKER)
     weights = node.settings.get("weights", "")
     return f"{node.operator} {weights}".strip()
-
-
-def _refuse_too_late(delay: int, reach: int) -> None:
-    if delay >= reach:
-        raise SettingsError(
-            f"delay: plans reach {reach} frames, those {delay} frames late are over before they "
-            "hold; set association.horizon and policy.horizon, and name a policy that was trained "
-            "for them"
-        )
 
 
 if __name__ == "__main__":

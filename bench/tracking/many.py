@@ -3,66 +3,156 @@
 Scored are people, or the ball, in the frames of a clip, as association tracks them in what a
 strategy's pictures show. A track counts in the frames in which it was detected. People whom the
 truth calls hidden are in neither count.
+
+Strategies with a ROI have the tracks of the context of their budget, and identities by what the
+ROI showed (identities.py). `context` is those tracks alone, the floor; `everybody` is shown
+everybody at full resolution in every frame, `recognised` also tells without error who is shown, and
+`truth` names every track rightly.
 """
 
 import logging
-from collections.abc import Mapping, Sequence
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
-from bench.tracking.budgets import CONTEXT, acquisition
+from bench.tracking.budgets import CONTEXT, PURSUIT, acquisition
 from bench.tracking.camera import Camera
 from bench.tracking.cases import Protocol
 from bench.tracking.clip import Clip, ClipName, read
-from bench.tracking.options import Options
+from bench.tracking.identities import (
+    CENTRED,
+    EVERYBODY,
+    ORACLE,
+    RECOGNISED,
+    ROI_STAGES,
+    TRUTH,
+    Played,
+    identified,
+)
+from bench.tracking.options import Options, refuse_too_late
 from bench.tracking.replaced import Replaced
-from bench.tracking.sight import watched
+from bench.tracking.sight import PERCEPTION, watched
 from bench.tracking.stages import Stages
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE, Annotations
+from operators.identity import IdentitySettings
+from pipeline import settings as checked
 from pipeline.boxes import iou
 from pipeline.errors import SettingsError
 from pipeline.extras import LateModule
 from pipeline.messages import Tracks
-from pipeline.terminal import lean_table
 
-STRATEGIES = ("full", "spatial", CONTEXT)  # with pictures of their own in every frame
+PICTURES = ("full", "spatial", CONTEXT)  # with pictures of their own in every frame
+PLANNED = ("foveated", "greedy", PURSUIT, "round_robin")
+LOOKS = (*PLANNED, CENTRED, ORACLE, EVERYBODY, RECOGNISED, TRUTH)
+STRATEGIES = (*PICTURES, *LOOKS)
+IDENTITY = "identity"  # node of a graph
 GROUPS: Mapping[str, tuple[str, ...]] = {"people": ("player", "referee"), "ball": ("ball",)}
-FIGURES = ("HOTA", "DetA", "AssA", "IDF1")
 SAME_IOU = 0.5  # from which an unseen person and a track are one
 log = logging.getLogger(__name__)
 metrics = LateModule("trackeval.metrics")
 Row = dict[str, Any]
 
 
-def many(options: Options, clips: Sequence[ClipName], protocol: Protocol) -> list[Row]:
-    """Return a row for each clip, group, strategy and budget; raises `SettingsError`."""
+def wanted_of(options: Options) -> list[str]:
+    """Return the strategies asked for that can be scored; raises `SettingsError` without any."""
     wanted = [name for name in options.strategies if name in STRATEGIES]
     if not wanted:
         raise SettingsError(
             f"strategies: with --many expected {', '.join(STRATEGIES)}, "
             f"got {', '.join(options.strategies)}"
         )
-    shares = [(s, b) for s in wanted for b in options.budgets[: 1 if s == "full" else None]]
+    return wanted
+
+
+def many(options: Options, clips: Sequence[ClipName], protocol: Protocol) -> list[Row]:
+    """Return a row for each clip, group, strategy and budget; raises `SettingsError`."""
+    wanted = wanted_of(options)
+    graph = Path(protocol.graph)
     found = []
-    with Stages(Path(protocol.graph), options.changes, options.tracker) as stages:
+    with ExitStack() as opened:
+        sight = opened.enter_context(Stages(graph, options.changes, needed=PERCEPTION))
+        looks = {
+            (name, policy): opened.enter_context(
+                Stages(graph, options.changes, policy=policy, needed=ROI_STAGES)
+            )
+            for name, policy in policies(wanted, options)
+        }
+        for stages in looks.values():
+            refuse_too_late(max(options.delay), stages.settings("policy").horizon)
         for name in clips:
             clip = read(name, protocol.frames)
-            for strategy, budget in shares:
-                camera = Camera(clip, acquisition(strategy, budget, clip.size_px))
-                tracks = watched(camera, stages, len(clip.truths), Replaced())
-                log.info("%s: %s at %s is tracked", name, strategy, budget)
-                told = {"strategy": strategy, "budget": str(1 if strategy == "full" else budget)}
+            played = (
+                *_pictures(clip, sight, wanted, options),
+                *_looks(clip, sight, looks, options),
+            )
+            for row, tracks in played:
+                log.info("%s: %s at %s is tracked", name, row["strategy"], row["budget"])
                 found += [
-                    {"clip": str(name), "target": group} | told | scored(clip, tracks, group)
+                    {"clip": str(name), "target": group} | row | scored(clip, tracks, group)
                     for group in GROUPS
                 ]
             clip.close()
+    return found
+
+
+def policies(wanted: Sequence[str], options: Options) -> Iterator[tuple[str, str]]:
+    """Yield name and policy, as `Stages` takes it, of each strategy with a ROI."""
+    for name in wanted:
+        if name == "foveated":
+            for label, path in options.policy.items():
+                yield f"{name} {label}".strip(), path
+        elif name in LOOKS:
+            yield name, name if name in PLANNED else "round_robin"  # needs no network
+
+
+Found = Iterator[tuple[Row, Mapping[int, Tracks]]]
+
+
+def _pictures(clip: Clip, sight: Stages, wanted: Sequence[str], options: Options) -> Found:
+    """Yield the tracks of strategies that have pictures of their own in every frame."""
+    for strategy in (name for name in wanted if name in PICTURES):
+        for budget in options.budgets[: 1 if strategy == "full" else None]:
+            camera = Camera(clip, acquisition(strategy, budget, clip.size_px))
+            told = {"strategy": strategy, "budget": str(1 if strategy == "full" else budget)}
+            yield told, _watched(camera, sight, clip, options)
+
+
+def _looks(
+    clip: Clip,
+    sight: Stages,
+    looks: Mapping[tuple[str, str], Stages],
+    options: Options,
+) -> Found:
+    """Yield the tracks of strategies with a ROI, named by what it showed."""
+    for budget in options.budgets if looks else ():
+        how = acquisition("foveated", budget, clip.size_px)
+        camera = Camera(clip, how)
+        tracks = _watched(camera, sight, clip, options)
+        for (name, _), stages in looks.items():
+            late = options.delay if name.split()[0] in PLANNED else (0,)
+            for delay in late:
+                played = Played(
+                    camera=camera, stages=stages, tracks=tracks, truths=clip.truths,
+                    identity=identity_of(stages), delay=delay,
+                )  # fmt: skip
+                seen = identified(played, name)
+                told = {"strategy": name + (f", delay {delay}" if delay else "")}
+                yield told | {"budget": str(budget), "looks": seen.looks}, seen.tracks
+
+
+def _watched(camera: Camera, sight: Stages, clip: Clip, options: Options) -> Mapping[int, Tracks]:
+    return watched(camera, sight, len(clip.truths), Replaced(), missed=options.missed)
+
+
+def identity_of(stages: Stages) -> IdentitySettings:
+    """Return the settings of the graph's node `identity`, or without one the defaults."""
+    given = {node.name: node.settings for node in stages.plan.nodes}.get(IDENTITY, {})
+    found: IdentitySettings = checked.build(IdentitySettings, given, IDENTITY)
     return found
 
 
@@ -121,26 +211,3 @@ def figures(pairs: Sequence[Pair]) -> Row:
         "tracks": len(track_ids),
         "boxes": data["num_gt_dets"],
     }
-
-
-COLUMNS = ("clip", "target", "strategy", "budget", *FIGURES, "objects", "tracks", "frames")
-
-
-def table_of_many(rows: Sequence[Row]) -> Table:
-    """Return a table for a terminal."""
-    shown = lean_table()
-    for column in COLUMNS:
-        shown.add_column(column, justify="left" if column in COLUMNS[:4] else "right")
-    for row in rows:
-        shown.add_row(*(_cell(row, column) for column in COLUMNS))
-    return shown
-
-
-def markdown_of_many(rows: Sequence[Row]) -> str:
-    """Return the same as Markdown."""
-    lines = [COLUMNS, ["---"] * len(COLUMNS), *([_cell(r, c) for c in COLUMNS] for r in rows)]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def _cell(row: Row, column: str) -> str:
-    return f"{row[column]:.3f}" if column in FIGURES else str(row[column])

@@ -48,6 +48,7 @@ class Options:
     cue: str  # reference, none, each
     protocol: str  # short, long, both
     many: bool  # score all tracks of perception instead
+    missed: float  # with `many`: share of detections that are left out
     states: bool  # show rows of the free, the still and the carried ball, too
     policy: Mapping[str, str]  # file, pursuit or nothing by name
     delay: tuple[int, ...]
@@ -78,6 +79,8 @@ class Options:
             raise SettingsError(
                 f"delay: expected one with --cue {self.cue}, as all rows hear the same, got {given}"
             )
+        if not 0 <= self.missed < 1:
+            raise SettingsError(f"missed: expected 0 to below 1, got {self.missed}")
         if self.plot and self.plot.suffix not in PLOTS:
             raise SettingsError(f"plot: expected {', '.join(PLOTS)} at the end, got {self.plot}")
 
@@ -164,6 +167,16 @@ def numbers(name: str, text: str) -> tuple[int, ...]:
         raise SettingsError(
             f"{name}: expected whole numbers such as 0,2,13, got {text!r}"
         ) from None
+
+
+def refuse_too_late(delay: int, reach: int) -> None:
+    """Raise `SettingsError` for plans of `reach` frames that are over before they hold."""
+    if delay >= reach:
+        raise SettingsError(
+            f"delay: plans reach {reach} frames, those {delay} frames late are over before they "
+            "hold; set association.horizon and policy.horizon, and name a policy that was trained "
+            "for them"
+        )
 
 
 def _distinct(values: Iterable[T]) -> tuple[T, ...]:

@@ -56,7 +56,7 @@ class Replaced:
         """Return tracks with true identities, true future boxes, or both."""
         if not self.parts & {"association", "prediction"} or not len(tracks.ids):
             return tracks
-        who = self._who(tracks, frame)
+        who = self.who(tracks, frame)
         if "prediction" in self.parts:
             tracks = altered(tracks, predicted=self._future(tracks, who, frame))
         if "association" in self.parts:
@@ -87,7 +87,7 @@ class Replaced:
         """Return the answer of a perfect tracker if the ROI shows the target."""
         return truth if "tracker" in self.parts and shown >= SHOWN and truth.any() else box
 
-    def _who(self, tracks: Tracks, frame: int) -> NDArray[np.int64]:
+    def who(self, tracks: Tracks, frame: int) -> NDArray[np.int64]:
         """Return the id in the truth of each track, -1: none."""
         truth = self.truths[frame]
         if not len(truth.boxes):

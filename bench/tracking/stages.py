@@ -25,16 +25,21 @@ class Stages:
     """The opened operators of a tracking graph, by node name; use it as a context manager."""
 
     def __init__(
-        self, graph: Path, changes: Sequence[str] = (), tracker: str = "", policy: str = ""
+        self,
+        graph: Path,
+        changes: Sequence[str] = (),
+        tracker: str = "",
+        policy: str = "",
+        needed: Sequence[str] = NEEDED,
     ) -> None:
         self.plan = planned(graph, changes, tracker, policy)
         known = {node.name for node in self.plan.nodes}
-        for name in NEEDED:
+        for name in needed:
             if name not in known:
                 raise GraphError(
-                    f"{graph}: tracking is evaluated on {', '.join(NEEDED)}; no {name}"
+                    f"{graph}: tracking is evaluated on {', '.join(needed)}; no {name}"
                 )
-        if "percept" in self.plan.inputs(POLICY):
+        if POLICY in needed and "percept" in self.plan.inputs(POLICY):
             raise GraphError(
                 f"{graph}: policy.percept: expected a policy that hears no tracker, got one that "
                 "does: its windows would depend on the tracker, which is not played here"
@@ -42,7 +47,7 @@ class Stages:
         self._parts: dict[str, Operator[Any, Any]] = {}
         self._executors: dict[str, Executor] = {}
         self._own: dict[str, Any] = {}  # settings, as the graph has them
-        for name in NEEDED:
+        for name in needed:
             node = self.plan.node(name)
             cls = load_operator(node.operator)
             self._parts[name] = cls(checked.build(settings_of(cls), node.settings, name))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from operators.policy.centred import CentredPolicy, CentredPolicySettings
 from operators.policy.decision import PolicyState
 from operators.policy.former import NO_POLICY
+from operators.policy.greedy import GreedyPolicy, GreedyPolicySettings, GreedyState
 from operators.policy.learned import LearnedPolicy, LearnedPolicySettings
 from operators.policy.pursuit import PursuitPolicy, PursuitPolicySettings, PursuitState
 from operators.policy.round_robin import (
@@ -19,6 +20,9 @@ from operators.policy.round_robin import (
 __all__ = [
     "CentredPolicy",
     "CentredPolicySettings",
+    "GreedyPolicy",
+    "GreedyPolicySettings",
+    "GreedyState",
     "LearnedPolicy",
     "LearnedPolicySettings",
     "PolicyState",

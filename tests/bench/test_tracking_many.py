@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.tracking.many import COLUMNS, figures, markdown_of_many, matched
+from bench.tracking.many import figures, matched
+from bench.tracking.many_tables import COLUMNS, markdown_of_many
 from drivers.source import Annotations
 from pipeline.messages import Tracks
 from pipeline.testing import header

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from operators.policy import (
     CentredPolicy,
+    GreedyPolicy,
     LearnedPolicy,
     LearnedPolicySettings,
     PursuitPolicy,
@@ -75,7 +76,7 @@ def test_round_robin_may_be_limited_to_a_class():
     assert set(path.choice.tolist()) == {2}
 
 
-@pytest.mark.parametrize("policy", [PursuitPolicy, RoundRobinPolicy, CentredPolicy])
+@pytest.mark.parametrize("policy", [PursuitPolicy, GreedyPolicy, RoundRobinPolicy, CentredPolicy])
 def test_a_frame_without_objects_is_answered_with_places_in_the_field(policy):
     (path,) = drive(policy, [tracks(0)])
 
@@ -115,7 +116,7 @@ def test_features_that_change_their_width_are_refused():
         drive(LearnedPolicy, [looks(0, 1), looks(1, 1, width=3)])
 
 
-@pytest.mark.parametrize("cls", [LearnedPolicy, PursuitPolicy, RoundRobinPolicy])
+@pytest.mark.parametrize("cls", [LearnedPolicy, PursuitPolicy, GreedyPolicy, RoundRobinPolicy])
 def test_a_class_that_no_track_has_is_refused_while_it_runs(cls):
     kind = settings_of(cls)
     policy = cls(kind(target="ball"))
@@ -146,14 +147,15 @@ def test_a_prompt_box_that_is_no_box_is_refused(settings):
         settings(prompt_box=(10.0, 10.0, 5.0, 20.0))
 
 
-ALL = [LearnedPolicy, PursuitPolicy, RoundRobinPolicy, CentredPolicy]
+ALL = [LearnedPolicy, PursuitPolicy, GreedyPolicy, RoundRobinPolicy, CentredPolicy]
 
 
 @pytest.mark.parametrize("policy", ALL)
 def test_the_strategy_as_a_setting_is_refused_with_the_classes_to_name(policy):
     said = (
         rf"{policy.__name__}\.strategy: expected the strategy as the class of the node, operator: "
-        "operators.policy:LearnedPolicy, PursuitPolicy, RoundRobinPolicy or CentredPolicy"
+        "operators.policy:LearnedPolicy, PursuitPolicy, GreedyPolicy, RoundRobinPolicy or "
+        "CentredPolicy"
     )
     with pytest.raises(SettingsError, match=said):
         drive(policy, [], {"strategy": "pursue"})
@@ -198,7 +200,7 @@ object_ = st.tuples(
 
 AIMS = [{"target": "ball"}, {"target_id": 2}, {"prompt_box": (0, 0, 900, 900)}, {}]
 PURSUITS = [(PursuitPolicy, {"confirm": 2, "patience": 2, **aim}) for aim in AIMS]
-TOURS = [(RoundRobinPolicy, aim) for aim in ({"target": "ball"}, {})]
+TOURS = [(cls, aim) for cls in (RoundRobinPolicy, GreedyPolicy) for aim in ({"target": "ball"}, {})]
 
 
 @settings(max_examples=40, deadline=None)
