@@ -29,7 +29,6 @@ from pipeline import (
     Header,
     Input,
     Operator,
-    Percept,
     RoiFeatures,
     Scanpath,
     SettingsError,
@@ -98,7 +97,6 @@ class GreedyPolicy(Operator[GreedyPolicySettings, Scanpath]):
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False)
-    percept = Input(Percept, join=False)
     live: ClassVar[tuple[str, ...]] = ("target",)
 
     @classmethod
@@ -133,9 +131,6 @@ class GreedyPolicy(Operator[GreedyPolicySettings, Scanpath]):
     def on_features(self, features: RoiFeatures) -> None:
         """Note whom the ROI showed, and that it did not show others that were aimed at."""
         self._state = noted(self._state, features.ids, features.header.seq)
-
-    def on_percept(self, percept: Percept) -> None:
-        """Do nothing; the input makes policies interchangeable."""
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
