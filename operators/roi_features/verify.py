@@ -187,21 +187,26 @@ def write_calibrated(before: Path, after: Path, theta: NDArray[np.float64], on: 
     model = onnx.load(str(before))
     if "classes" not in {each.name for each in model.graph.output}:
         raise SettingsError(f"{before}: expected an encoder with an output `classes`, got none")
+    again = len(model.graph.node)  # a calibrated file may be calibrated again
+    plain, scaled, gain, bias = (
+        f"{name}_{again}" for name in ("classes_plain", "classes_scaled", "gain", "bias")
+    )
     for node in model.graph.node:
         for place, name in enumerate(node.output):
             if name == "classes":
-                node.output[place] = "classes_plain"
-    constants = {"calibration_gain": np.exp(theta[:1]), "calibration_bias": theta[1:]}
+                node.output[place] = plain
+    constants = {gain: np.exp(theta[:1]), bias: theta[1:]}
     model.graph.initializer.extend(
         numpy_helper.from_array(value.astype(np.float32), name) for name, value in constants.items()
     )
     model.graph.node.extend(
         [
-            helper.make_node("Mul", ["classes_plain", "calibration_gain"], ["classes_scaled"]),
-            helper.make_node("Add", ["classes_scaled", "calibration_bias"], ["classes"]),
+            helper.make_node("Mul", [plain, gain], [scaled]),
+            helper.make_node("Add", [scaled, bias], ["classes"]),
         ]
     )
-    model.metadata_props.append(onnx.StringStringEntryProto(key="calibrated", value=on))
+    known = {each.key: each.value for each in model.metadata_props}
+    helper.set_model_props(model, known | {"calibrated": on})
     onnx.checker.check_model(model)
     onnx.save(model, str(after))
 
