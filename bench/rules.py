@@ -28,6 +28,8 @@ from bench.prototype import table
 from bench.tracking.classes import planned
 from bench.tracking.intervals import METHOD, Block, difference, mean
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
+from operators.policy.candidates import odds
+from operators.policy.verdicts import EVEN
 from pipeline.boxes import covered, iou
 from pipeline.errors import RunError
 from pipeline.file_arguments import GRAPH_FILE
@@ -75,6 +77,11 @@ def none_of(*arguments: Any) -> Any:
     return np.zeros(len(ids), np.bool_)
 
 
+def unseen(tracks: Any, carriers: Any, shown: Any) -> Any:
+    """Return the odds of tracks of which the ROI showed nothing: (n,)."""
+    return odds(tracks, carriers, np.full_like(shown, EVEN))
+
+
 LEARNED = {
     "a person carries the ball": Rule(
         policy="learned", parts=(("target:carrier_of", returns(-1)),)
@@ -111,7 +118,7 @@ PURSUIT = {
     "who is inside a person is less likely": Rule(
         policy="pursuit", parts=(("candidates:INSIDE_MALUS", 0.0),)
     ),
-    "what the ROI showed counts": Rule(policy="pursuit", parts=(("candidates:SHOWN_GAIN", 0.0),)),
+    "what the ROI showed counts": Rule(policy="pursuit", parts=(("pursuit:odds", unseen),)),
     "an unlikely candidate is none": Rule(
         policy="pursuit", changes=("policy.least_probability=0",)
     ),
