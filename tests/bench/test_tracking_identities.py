@@ -133,6 +133,7 @@ def test_strategies_are_compared_clip_by_clip() -> None:
     ],
 )
 def test_wrong_options_are_refused_before_anything_is_measured(words: list[str], said: str) -> None:
+    pytest.importorskip("trackeval")
     result = CliRunner().invoke(command, ["--data", "procedural", "--many", *words])
 
     assert result.exit_code == 2
