@@ -98,7 +98,8 @@ def exchanged(people: People, rows: Numbers, owners: Numbers) -> People:
     displaced = np.setdiff1d(owners[~people.lost[owners]], rows)
     for row in displaced:
         free = int(row)
-        while source[free] >= 0:  # the identity of whoever took it, or of whoever took that one's
+        # exchanges form chains (1 takes 2's track, 2 takes 3's): the identity at the end is free
+        while source[free] >= 0:
             free = int(source[free])
         source[free] = row
     moved = np.flatnonzero(source >= 0)
