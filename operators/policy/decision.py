@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.conditioning import encode_condition, encode_place, unlike
-from operators.policy.gaze_plan import GazePlan, field_centre, stay
+from operators.policy.gaze_plan import GazePlan, field_centre, of_class, stay
 from operators.policy.memory import Memory, blank, recall
 from operators.policy.target import Choice, TargetSpec, TargetState, carrier_row, follow
 from operators.policy.tokens import Array, Objects, encode_objects, joined, without
 from pipeline import Tracks
 
 Selection = Literal["argmax", "sample"]
+UNSEEN = 24  # frames, as the rule `pursuit` waits
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,6 +126,16 @@ def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArra
         return np.asarray(probability.argmax(0))
     reached = probability.cumsum(0) >= rng.random(probability.shape[1]) * probability.sum(0)
     return np.asarray(reached.argmax(0))
+
+
+def out_of_sight(state: PolicyState, tracks: Tracks) -> bool:
+    """Whether no track is of the class asked for, and none was for `UNSEEN` frames.
+
+    The network, which learned from scenes whose ball is seldom unseen for long, knows no answer.
+    """
+    gone = tracks.header.seq - state.target.seen_seq
+    long_ago = state.target.seen_seq < 0 or gone > UNSEEN
+    return long_ago and not of_class(tracks, state.spec.label).any()
 
 
 def without_candidates(state: PolicyState, tracks: Tracks, horizon: int) -> GazePlan:

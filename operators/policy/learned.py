@@ -21,15 +21,17 @@ from operators.policy.decision import (
     decide,
     fault,
     observe,
+    out_of_sight,
     pick,
     with_prior,
     without_candidates,
 )
 from operators.policy.former import CARRIERS, FEEDBACK, PRIOR, STRATEGY
-from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath
+from operators.policy.gaze_plan import GazePlan, no_proposal, scanpath, stay
 from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
 from operators.policy.network import PolicyNetwork, file_of
+from operators.policy.search import busiest
 from operators.policy.target import TargetSpec, check_box, check_known, check_label, told_before
 from pipeline import (
     Header,
@@ -181,7 +183,12 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
         )
         state, candidates, condition = observe(self._state, tracks, rules)
         self._warn_once("prompt", unmet(state.target, state.spec, tracks))
-        if len(candidates.ids):
+        crowd = (
+            busiest(tracks, state.spec, state.spec.label) if out_of_sight(state, tracks) else None
+        )
+        if crowd is not None:
+            plan = stay(crowd, network.horizon)
+        elif len(candidates.ids):
             believed = network(candidates, condition)
             probability = with_prior(believed, candidates, state.target, rules.target_prior)
             rng = np.random.default_rng([s.seed, tracks.header.seq])

@@ -11,8 +11,9 @@ A small ball is lost by false locks rather than by bad predictions, hence these 
 - A candidate of a class is the target where its odds allow it, by its score and by what the ROI
   showed of it (verdicts.py): a weak one only once it was verified, and no longer when refuted.
 - Nobody near: look where it was foreseen last, and doubt more with every frame (the box grows);
-  after `patience` frames look at candidates without a verdict, most worth in one window first, in
-  turn with the field, window by window, nearest to the last place first.
+  after `patience` frames look at candidates without a verdict, most worth in one window first; else
+  where most people are, who may have the ball; without people at the field, window by window,
+  nearest to the last place first.
 """
 
 import logging
@@ -36,7 +37,7 @@ from operators.policy.gaze_plan import (
     scanpath,
     stay,
 )
-from operators.policy.search import DWELL, fullest, search
+from operators.policy.search import DWELL, busiest, fullest, search
 from operators.policy.target import (
     BIND_IOU,
     GROWTH,
@@ -318,6 +319,9 @@ def unlocked(
         now = verifying(tracks, now) if rules.least_probability else now
         if header.seq < now.verifying_until:
             return stay(now.verifying, horizon), now
+        crowd = busiest(tracks, spec, now.target or spec.label)
+        if crowd is not None:
+            return stay(crowd, horizon), now
     if now.seen_seq < 0:
         return stay(search(header.geometry, None, ahead), horizon), now
     frames = ahead - now.seen_seq

@@ -28,7 +28,7 @@ from operators.policy.gaze_plan import GazePlan
 from operators.policy.memory import remember
 from operators.policy.target import TargetSpec
 from operators.policy.tokens import Array, Objects
-from operators.policy.utility import gains
+from operators.policy.utility import UTILITIES
 from pipeline import RoiFeatures, Tracks
 from pipeline.boxes import centres, covered, roi_window
 from pipeline.errors import SettingsError
@@ -78,8 +78,11 @@ class Sample:
 class Episode:
     """One task in progress, frame by frame."""
 
-    def __init__(self, recording: Recording, task: Task, rules: Rules) -> None:
+    def __init__(
+        self, recording: Recording, task: Task, rules: Rules, utility: str = "geometric"
+    ) -> None:
         self.recording, self.task, self._rules = recording, task, rules
+        self._utility = UTILITIES[utility]
         self.label = recording.people_and_ball[task.target]
         self.truth, self.visible = recording.path_of(task.target)
         first = self.truth[task.start]
@@ -124,7 +127,7 @@ class Episode:
         horizon = self._candidates.path.shape[1]
         ahead = self.truth[self.frame + 1 : self.frame + 1 + horizon]
         ahead = np.concatenate([ahead, np.zeros((horizon - len(ahead), 4), np.float32)])
-        return gains(self._candidates.path, ahead, self.recording.geometry)
+        return self._utility(self._candidates.path, ahead, self.recording.geometry)
 
     def act(self, probability: Array, how: Selection, rng: np.random.Generator) -> None:
         """Look where the policy decides, and advance by one frame."""

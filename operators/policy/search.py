@@ -1,9 +1,11 @@
-"""Search of the whole field, window by window: geometry and frame counts -> boxes."""
+"""Where to look for what nobody has seen: where most people are, or the whole field by windows."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import Geometry
+from operators.policy.carrier import can_carry
+from operators.policy.target import TargetSpec
+from pipeline import Geometry, Tracks
 from pipeline.boxes import centres, from_centres
 
 DWELL = 2  # frames per window: enough for a consumer to see it, short enough to be quick
@@ -48,3 +50,15 @@ def fullest(
     half = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32) / 2
     inside = (np.abs(middles[:, None] - middles[None]) < half).all(2)
     return np.asarray(boxes[int((inside * values).sum(1).argmax())], np.float32)
+
+
+def busiest(tracks: Tracks, spec: TargetSpec, target: str) -> NDArray[np.float32] | None:
+    """Return the person (4,) around whom a window shows most people that may have the target.
+
+    For what people handle, asked for by its class: a ball is where they are. None for one object
+    that was asked for by id or box, for people themselves, and where nobody is in view.
+    """
+    rows = np.flatnonzero(can_carry(tracks, spec.carriers, target) & tracks.visible[:, -1])
+    if spec.one or not target or not len(rows):
+        return None
+    return fullest(tracks.boxes[rows, -1], np.ones(len(rows), np.float32), tracks.header.geometry)

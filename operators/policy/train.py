@@ -13,6 +13,7 @@ import click
 from operators.policy.rollout import Late
 from operators.policy.tokens import PARTS
 from operators.policy.training_settings import TrainSettings
+from operators.policy.utility import UTILITIES
 from operators.training.command_line import GOES_ON, in_a_sentence
 from operators.training.ranges import DEVICES
 from pipeline.extras import need
@@ -41,10 +42,11 @@ def _frames(option: str, text: str) -> tuple[int, ...]:
 @click.option("--use", default=",".join(PARTS), show_default=True, help="inputs; for ablations")
 @click.option("--delays", default=_told(Late.delays), show_default=True, help="frames, when late")
 @click.option("--replans", default=_told(Late.replans), show_default=True, help="Ta, when seldom")
+@click.option("--utility", default="geometric", show_default=True, help=" | ".join(UTILITIES))
 @click.option("--device", default="auto", show_default=True, help=DEVICES)
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE", help="of recording")
 def command(
-    data: Path, out: Path, use: str, delays: str, replans: str, device: str,
+    data: Path, out: Path, use: str, delays: str, replans: str, utility: str, device: str,
     changes: tuple[str, ...], **numbers: float,
 ) -> None:  # fmt: skip
     """Train the policy on roll-outs of itself."""
@@ -53,7 +55,7 @@ def command(
         if part not in PARTS:
             raise click.UsageError(f"--use: expected some of {', '.join(PARTS)}, got {part}")
     late = Late(delays=_frames("--delays", delays), replans=_frames("--replans", replans))
-    plain = {"data": data, "out": out, "device": device, "changes": changes}
+    plain = {"data": data, "out": out, "utility": utility, "device": device, "changes": changes}
     with in_a_sentence(GOES_ON):
         need("torch", "train")
         from operators.policy.model import export

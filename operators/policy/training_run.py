@@ -107,7 +107,8 @@ class Clips:
         """Return new episodes; `plain`: prompted by a box, replanned every frame, no delay."""
         late = None if plain else self.settings.late
         found = tasks(self.recordings, count, frames=self.settings.length, seed=seed, late=late)
-        return [Episode(self.recordings[t.clip], t, self.rules) for t in found]
+        utility = self.settings.utility
+        return [Episode(self.recordings[t.clip], t, self.rules, utility) for t in found]
 
 
 def round_of(run: Run, clips: Clips, number: int) -> Pool:

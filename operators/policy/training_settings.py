@@ -5,6 +5,7 @@ from pathlib import Path
 
 from operators.policy.rollout import Late
 from operators.policy.tokens import PARTS
+from operators.policy.utility import UTILITIES
 from operators.training.ranges import above_zero, at_least, known_device
 from pipeline.errors import SettingsError
 
@@ -30,6 +31,7 @@ class TrainSettings:
     late: Late = field(default_factory=Late)
     seed: int = 1
     threads: int = 2
+    utility: str = "geometric"  # of a window, in training: a name of `UTILITIES`
     device: str = "auto"  # of the network; clips are recorded on the CPU
     use: tuple[str, ...] = PARTS
     changes: tuple[str, ...] = ()  # of the recording graph, as --set takes them
@@ -42,3 +44,5 @@ class TrainSettings:
         if self.warmup > 1:
             raise SettingsError(f"warmup: must be within 0..1, got {self.warmup}")
         known_device(self.device)
+        if self.utility not in UTILITIES:
+            raise SettingsError(f"utility: expected {' or '.join(UTILITIES)}, got {self.utility}")

@@ -262,6 +262,20 @@ def test_without_candidates_the_plan_stays_where_the_target_was(weights: Path) -
     assert drive(LearnedPolicy, empty, values)[-1].choice.tolist() == [-1] * 16
 
 
+def test_a_ball_that_is_out_of_sight_is_looked_for_where_most_people_are(weights: Path) -> None:
+    crowd = [(k, 1, 1500.0 + 20 * k, 800.0, 0.0) for k in range(2, 6)]
+    alone = (7, 1, 200.0, 200.0, 0.0)
+    ball = (8, 0, 300.0, 300.0, 0.0)
+    seen = [tracks(k, *crowd, alone, ball, channels=CHANNELS) for k in range(3)]
+    gone = [tracks(k, *crowd, alone, channels=CHANNELS) for k in range(3, 40)]
+
+    paths = drive(LearnedPolicy, [*seen, *gone], {"weights": str(weights), "target": "ball"})
+
+    among = [1480 < (p.boxes[0, 0] + p.boxes[0, 2]) / 2 < 1620 and p.choice[0] == -1 for p in paths]
+    assert all(among[-10:])
+    assert not any(among[:3])  # while there is a ball, the network chooses
+
+
 @pytest.mark.parametrize("field", ["features", "boxes", "predicted"])
 def test_tracks_that_are_not_finite_leave_the_last_plan_in_force_and_are_logged_once(
     weights: Path, field: str, caplog: pytest.LogCaptureFixture

@@ -131,6 +131,28 @@ def test_the_search_visits_the_whole_field_beginning_near_the_loss():
     assert boxes[0].tolist() == [0, 270, 480, 540]
 
 
+def test_a_ball_that_nobody_has_seen_is_looked_for_where_most_people_are():
+    people = [(k, 1, 1500.0 + 20 * k, 800.0, 0.0) for k in range(2, 6)]
+    alone = (7, 1, 200.0, 200.0, 0.0)
+
+    path = pursue(*[tracks(k, *people, alone) for k in range(4)], **BALL)[-1]
+
+    left, top, right, bottom = path.boxes[0]
+    assert path.choice[0] == -1
+    assert all(
+        left - 240 < x < right + 240 and top - 135 < y < bottom + 135 for _, _, x, y, _ in people
+    )
+
+
+def test_a_person_who_is_asked_for_by_class_is_not_looked_for_among_people():
+    crowd = [(k, 1, 1500.0 + 20 * k, 800.0, 0.0) for k in range(2, 6)]
+    unseen = [tracks(k, *crowd, unseen=(2, 3, 4, 5)) for k in range(4)]
+
+    path = pursue(*unseen, target="player")[-1]
+
+    assert (path.boxes[0, 2] - path.boxes[0, 0]) == 480  # a window of the field
+
+
 def test_a_class_that_no_track_can_have_is_warned_of_once(caplog: pytest.LogCaptureFixture):
     frames = [tracks(k, (1, 0, 300, 300, 0)) for k in range(3)]
 

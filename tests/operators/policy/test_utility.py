@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators.policy.utility import CENTRING, gains, windows
+from operators.policy.utility import CENTRING, UTILITIES, gains, measured, windows
 from pipeline import Geometry
 from pipeline.boxes import centres, roi_window
 
@@ -50,3 +50,21 @@ def test_nothing_is_gained_where_the_target_is_not_in_the_picture() -> None:
     gone = np.zeros((3, 4), np.float32)
 
     assert not gains(np.full((2, 3, 4), 7, np.float32), gone, FIELD).any()
+
+
+def test_the_measured_utility_is_the_same_all_over_the_window_and_nothing_beyond_it():
+    ball = np.array([[940, 520, 960, 540]], np.float32)
+    half = FIELD.roi_width_px / 2
+    away = [np.array([part * half, 0] * 2, np.float32) for part in (0, 0.5, 0.85, 1.3)]
+
+    worth = measured(np.stack([ball + step for step in away]), ball, FIELD)[:, 0]
+
+    assert worth[:3] == pytest.approx(1)
+    assert worth[3] == 0
+
+
+@pytest.mark.parametrize("name", UTILITIES)
+def test_of_a_target_outside_the_picture_nothing_is_gained_by_any_utility(name: str):
+    anywhere = np.array([[[940, 520, 960, 540]]], np.float32)
+
+    assert UTILITIES[name](anywhere, np.zeros((1, 4), np.float32), FIELD)[0, 0] == 0
