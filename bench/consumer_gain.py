@@ -196,7 +196,8 @@ def correlation_of(found: Sequence[Try]) -> dict[str, float]:
 def main(clips: int, frames: int, seed: int, scales: str, path: Path | None) -> None:
     """Measure what windows gain the tracker."""
     method = Template(threads=1)
-    by_scale: dict[str, Any] = {}
+    all_rows: list[dict[str, Any]] = []
+    all_ranks: dict[str, dict[str, float]] = {}
     for scale in scales_of(scales):
         found = [
             each
@@ -207,11 +208,12 @@ def main(clips: int, frames: int, seed: int, scales: str, path: Path | None) -> 
         title = f"gain at 1/{scale**2} of the pixels, distance in half windows"
         Console().print(table(title, rows))
         Console().print(f"rank correlation of gain and stand-in over windows: {ranks}")
-        by_scale[f"1/{scale**2}"] = {"rank_correlation": ranks, "rows": rows}
+        all_rows += [{"pixels": f"1/{scale**2}", **row} for row in rows]
+        all_ranks[f"1/{scale**2}"] = ranks
     if path:
         result = {
             "bench": "consumer_gain", **facts(), "seed": seed, "clips": clips, "frames": frames,
-            "followed_frames": FOLLOWED, **by_scale,
+            "followed_frames": FOLLOWED, "rank_correlation": all_ranks, "rows": all_rows,
         }  # fmt: skip
         write_whole(path, json.dumps(result, indent=1) + "\n")
 

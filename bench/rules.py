@@ -77,9 +77,9 @@ def none_of(*arguments: Any) -> Any:
     return np.zeros(len(ids), np.bool_)
 
 
-def unseen(tracks: Any, carriers: Any, shown: Any) -> Any:
+def unseen(tracks: Any, shown: Any) -> Any:
     """Return the odds of tracks of which the ROI showed nothing: (n,)."""
-    return odds(tracks, carriers, np.full_like(shown, EVEN))
+    return odds(tracks, np.full_like(shown, EVEN))
 
 
 LEARNED = {
@@ -104,6 +104,9 @@ LEARNED = {
         policy="learned",
         parts=(("target:camera_motion", at_rest), ("conditioning:camera_motion", at_rest)),
     ),
+    "people are searched": Rule(
+        policy="learned", parts=(("learned:out_of_sight", returns(False)),)
+    ),
     "what the ROI showed is an input": Rule(
         policy="learned", parts=(("learned:remember", lambda memory, *_: memory),)
     ),
@@ -114,10 +117,6 @@ PURSUIT = {
     "a rival takes the gaze": Rule(
         policy="pursuit", parts=(("pursuit:challenged", lambda tracks, now, *_: now),)
     ),
-    "who moves is likelier": Rule(policy="pursuit", parts=(("candidates:MOVING_BONUS", 0.0),)),
-    "who is inside a person is less likely": Rule(
-        policy="pursuit", parts=(("candidates:INSIDE_MALUS", 0.0),)
-    ),
     "what the ROI showed counts": Rule(policy="pursuit", parts=(("pursuit:odds", unseen),)),
     "an unlikely candidate is none": Rule(
         policy="pursuit", changes=("policy.least_probability=0",)
@@ -126,7 +125,10 @@ PURSUIT = {
         policy="pursuit", parts=(("pursuit:verifying", lambda tracks, now: now),)
     ),
     "a person nearby carries it": Rule(policy="pursuit", parts=(("pursuit:can_carry", nobody),)),
-    "doubt grows with time": Rule(policy="pursuit", parts=(("pursuit:GROWTH", 0.0),)),
+    "it may be further away with time": Rule(policy="pursuit", parts=(("pursuit:GROWTH", 0.0),)),
+    "people are searched": Rule(
+        policy="pursuit", parts=(("pursuit:busiest", returns(None)),)
+    ),
     "the field is searched": Rule(policy="pursuit", changes=("policy.patience=1000000",)),
 }  # fmt: skip
 RULES: Mapping[str, Rule] = {**LEARNED, **PURSUIT}

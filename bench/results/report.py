@@ -110,6 +110,10 @@ PLACES = {
     "long_horizon": Place(
         section="Late plans", order=21, title="Plans of 200 frames: the network beside rules"
     ),
+    "consumer_gain": Place(
+        section="Tracking under a pixel budget", order=33,
+        title="What a window gains the tracker, by the target's distance from its middle",
+    ),
     "rois": Place(
         section="Tracking under a pixel budget", order=30,
         title="One large ROI against two and four small ones at equal pixels",

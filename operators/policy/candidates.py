@@ -5,18 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.motion import common
 from pipeline import Tracks
-from pipeline.boxes import areas, centres, intersections, sizes
+from pipeline.boxes import centres
 
-BRISK = 0.25  # box sizes per frame: minimum speed that counts as moving
 # Of the odds, in nats: bias, gain of the score and of what the ROI showed, by class. Logistic
 # regressions over what the shipped detector and encoder say of stills of one match (2,136 balls, 28
 # of them right, 788 players, 83 referees); see operators/roi_features/CARD.md.
 WEIGHTS = {"ball": (-1.1, 2.3, 0.6), "player": (2.8, 0.9, 0.8), "referee": (2.3, 1.9, 0.8)}
 USUAL = WEIGHTS["ball"]  # of other classes
-MOVING_BONUS = 1.0  # of a moving candidate
-INSIDE_MALUS = 1.0  # of a candidate inside a person
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,37 +39,15 @@ def count(before: Sightings, tracks: Tracks) -> Sightings:
     return Sightings(ids=tracks.ids, counts=np.array(counts, np.int32))
 
 
-def mobility(tracks: Tracks) -> NDArray[np.float32]:
-    """Return the relative speed of each track, 0..1: (n,).
-
-    The median motion of all tracks is taken as the camera's, so that static objects in a panned
-    picture (a corner flag, the penalty spot, false balls there) count as still.
-    """
-    if not len(tracks.ids) or tracks.predicted.shape[1] < 2:
-        return np.zeros(len(tracks.ids), np.float32)
-    motion = centres(tracks.predicted[:, 1]) - centres(tracks.predicted[:, 0])
-    away = np.linalg.norm(motion - common(motion), axis=1)
-    brisk = away / (BRISK * sizes(tracks.boxes[:, -1]))
-    return np.asarray(np.minimum(brisk, 1), np.float32)
-
-
-def odds(
-    tracks: Tracks, carriers: NDArray[np.bool_], shown: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def odds(tracks: Tracks, shown: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the logarithm of the odds that each track is of its class: (n,).
 
-    From its score, what the ROI showed of it (`shown`, 0..1 at even odds, 0.5: nothing), its motion
-    and its place: false balls are boots and socks (inside a person) and marks on the ground
-    (still), hence `INSIDE_MALUS` and `MOVING_BONUS`.
+    From its score and what the ROI showed of it (`shown`, 0..1 at even odds, 0.5: nothing).
     """
-    boxes = tracks.boxes[:, -1]
-    shared = intersections(boxes, boxes[carriers])
-    inside = (shared > 0.8 * areas(boxes)[:, None]).any(axis=1)
-    malus = np.where(inside & ~carriers, INSIDE_MALUS, 0)
     by_class = np.array([WEIGHTS.get(name, USUAL) for name in tracks.names] or [USUAL])
     bias, of_score, of_shown = by_class[np.clip(tracks.labels, 0, len(by_class) - 1)].T
     found = bias + of_score * logit(tracks.scores) + of_shown * logit(shown)
-    return np.asarray(found + MOVING_BONUS * mobility(tracks) - malus, np.float32)
+    return np.asarray(found, np.float32)
 
 
 def probability(odds: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -18,7 +18,6 @@ from operators.policy.tokens import Array, Objects, encode_objects, joined, with
 from pipeline import Tracks
 
 Selection = Literal["argmax", "sample"]
-UNSEEN = 24  # frames, as the rule `pursuit` waits
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,14 +127,13 @@ def pick(probability: Array, how: Selection, rng: np.random.Generator) -> NDArra
     return np.asarray(reached.argmax(0))
 
 
-def out_of_sight(state: PolicyState, tracks: Tracks) -> bool:
-    """Whether no track is of the class asked for, and none was for `UNSEEN` frames.
+def out_of_sight(state: PolicyState, tracks: Tracks, patience: int) -> bool:
+    """Whether no track is of the class asked for, and none was for `patience` frames.
 
     The network, which learned from scenes whose ball is seldom unseen for long, knows no answer.
     """
-    gone = tracks.header.seq - state.target.seen_seq
-    long_ago = state.target.seen_seq < 0 or gone > UNSEEN
-    return long_ago and not of_class(tracks, state.spec.label).any()
+    since = max(state.target.seen_seq, state.target.asked_seq)
+    return tracks.header.seq - since > patience and not of_class(tracks, state.spec.label).any()
 
 
 def without_candidates(state: PolicyState, tracks: Tracks, horizon: int) -> GazePlan:

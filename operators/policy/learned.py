@@ -65,7 +65,8 @@ class LearnedPolicySettings:
     carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
     horizon: int = 16  # Tp, frames planned
     observed: int = 4  # To, frames of looks that are remembered
-    place_patience: int = Rules.patience  # frames for which the last position stays a candidate
+    # frames for which the last position stays a candidate; then people are searched for a ball
+    place_patience: int = Rules.patience
     threads: int = 1
 
     def __post_init__(self) -> None:
@@ -183,9 +184,9 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
         )
         state, candidates, condition = observe(self._state, tracks, rules)
         self._warn_once("prompt", unmet(state.target, state.spec, tracks))
-        crowd = (
-            busiest(tracks, state.spec, state.spec.label) if out_of_sight(state, tracks) else None
-        )
+        crowd = None
+        if out_of_sight(state, tracks, rules.patience):
+            crowd = busiest(tracks, state.spec, state.spec.label)
         if crowd is not None:
             plan = stay(crowd, network.horizon)
         elif len(candidates.ids):

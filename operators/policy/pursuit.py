@@ -5,15 +5,13 @@ It finds the object, follows it, waits where it was lost, and searches for it.
 A small ball is lost by false locks rather than by bad predictions, hence these rules:
 
 - A candidate must have been seen in `confirm` frames, and a rival must be better by a margin for
-  `confirm` frames in succession, before the gaze changes. Moving candidates are preferred to still
-  ones, and those outside people to those inside (see candidates.py).
+  `confirm` frames in succession, before the gaze changes.
 - A target unseen for a few frames that was last near a person is carried by them: look there.
 - A candidate of a class is the target where its odds allow it, by its score and by what the ROI
   showed of it (verdicts.py): a weak one only once it was verified, and no longer when refuted.
-- Nobody near: look where it was foreseen last, and doubt more with every frame (the box grows);
-  after `patience` frames look at candidates without a verdict, most worth in one window first; else
-  where most people are, who may have the ball; without people at the field, window by window,
-  nearest to the last place first.
+- Nobody near: look where it was seen last; after `patience` frames look at candidates without a
+  verdict, most worth in one window first; else where most people are, who may have the ball;
+  without people at the field, window by window, nearest to the last place first.
 """
 
 import logging
@@ -49,7 +47,7 @@ from operators.policy.target import (
 )
 from operators.policy.verdicts import Verdicts, judged, none_given
 from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
-from pipeline.boxes import centres, from_centres, iou, sizes
+from pipeline.boxes import centres, iou, sizes
 
 log = logging.getLogger(__name__)
 MARGIN = 1.0  # of the odds, in nats, by which a rival must be better
@@ -72,8 +70,8 @@ class PursuitPolicySettings:
     horizon: int = 16  # Tp, frames planned
     confirm: int = 3  # sightings before the gaze moves to a candidate
     patience: int = 24  # frames to wait at the last place before searching
-    # of a candidate of class `target`, by score, looks, motion, place, as the shipped detector and
-    # encoder give them; 0: any
+    # of a candidate of class `target`, by score and looks, as the shipped detector and encoder give
+    # them; 0: any
     least_probability: float = 0.0
 
     def __post_init__(self) -> None:
@@ -239,8 +237,7 @@ def likely(tracks: Tracks, now: PursuitState, rules: PursuitPolicySettings) -> N
 
 def rated(tracks: Tracks, now: PursuitState) -> NDArray[np.float32]:
     """Return the logarithm of the odds of each track: (n,)."""
-    carriers = can_carry(tracks, now.spec.carriers, now.target or now.spec.label)
-    return odds(tracks, carriers, now.verdicts.of(tracks.ids))
+    return odds(tracks, now.verdicts.of(tracks.ids))
 
 
 def first_lock(tracks: Tracks, spec: TargetSpec) -> int:
@@ -325,10 +322,8 @@ def unlocked(
     if now.seen_seq < 0:
         return stay(search(header.geometry, None, ahead), horizon), now
     frames = ahead - now.seen_seq
-    side = (now.box[2:] - now.box[:2]) * (1 + GROWTH * frames[:, None])
-    doubtful = from_centres(np.broadcast_to(centres(now.box), side.shape), side)
     places = search(header.geometry, centres(now.box), np.maximum(frames - rules.patience - 1, 0))
-    return stay(np.where((frames <= rules.patience)[:, None], doubtful, places), horizon), now
+    return stay(np.where((frames <= rules.patience)[:, None], now.box, places), horizon), now
 
 
 def verifying(tracks: Tracks, now: PursuitState) -> PursuitState:

@@ -267,13 +267,14 @@ def test_a_ball_that_is_out_of_sight_is_looked_for_where_most_people_are(weights
     alone = (7, 1, 200.0, 200.0, 0.0)
     ball = (8, 0, 300.0, 300.0, 0.0)
     seen = [tracks(k, *crowd, alone, ball, channels=CHANNELS) for k in range(3)]
-    gone = [tracks(k, *crowd, alone, channels=CHANNELS) for k in range(3, 40)]
+    gone = [tracks(k, *crowd, alone, channels=CHANNELS) for k in range(3, 90)]
 
     paths = drive(LearnedPolicy, [*seen, *gone], {"weights": str(weights), "target": "ball"})
 
     among = [1480 < (p.boxes[0, 0] + p.boxes[0, 2]) / 2 < 1620 and p.choice[0] == -1 for p in paths]
     assert all(among[-10:])
     assert not any(among[:3])  # while there is a ball, the network chooses
+    assert not all(among[:60])
 
 
 @pytest.mark.parametrize("field", ["features", "boxes", "predicted"])

@@ -46,23 +46,6 @@ def test_a_clearly_better_rival_takes_over_after_three_frames():
     assert first_choices(pursue(*frames, **BALL)) == [1, 1, 1, 1, 2, 2]
 
 
-def test_a_ball_in_flight_is_preferred_to_a_mark_that_pans_with_the_picture():
-    people = [(i, 1, 150.0 * i, 900, 6.0) for i in range(3, 9)]
-    world = tracks(0, (1, 0, 300, 300, 6), (2, 0, 900, 300, 0), *people)
-
-    (path,) = pursue(world, confirm=1, **BALL)
-
-    assert path.choice[0] == 2
-
-
-def test_a_ball_on_the_grass_is_preferred_to_a_boot():
-    world = tracks(0, (1, 0, 300, 300, 0), (2, 0, 900, 300, 0), (3, 1, 300, 290, 0))
-
-    (path,) = pursue(world, confirm=1, **BALL)
-
-    assert path.choice[0] == 2
-
-
 def test_a_target_asked_for_by_box_is_the_track_that_overlaps_it_best():
     world = [tracks(k, (1, 1, 300, 300, 0), (2, 1, 330, 300, 0)) for k in range(2)]
 
@@ -108,15 +91,13 @@ def test_a_ball_unseen_for_a_few_frames_is_believed_to_be_carried():
     assert first_choices(pursue(*frames, **BALL)) == [1, 1, 1, 1, 1, 1, -1]
 
 
-def test_a_ball_lost_in_the_open_is_expected_in_a_growing_box_and_then_searched_for():
+def test_a_ball_lost_in_the_open_is_expected_where_it_was_and_then_searched_for():
     seen = [tracks(k, (1, 0, 300, 300, 0)) for k in range(3)]
     lost = [tracks(k) for k in range(3, 40)]
 
     paths = pursue(*seen, *lost, patience=10, **BALL)
 
     waiting, searching = paths[4].boxes, paths[-1].boxes
-    sides = waiting[:, 2] - waiting[:, 0]
-    assert (np.diff(sides[:8]) > 0).all()
     assert ((waiting[:8, :2] + waiting[:8, 2:]) / 2 == 300).all()
     assert (searching[:, 2] - searching[:, 0] == 480).all()
 
