@@ -5,30 +5,24 @@ the ROI showed it and the less certain it is who it is: it began, was found agai
 overlapped another one, and has not been shown often enough since. One window may show several.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.former import STRATEGY
 from operators.policy.gaze_plan import (
     PLACE,
     GazePlan,
-    check_horizon,
     field_centre,
     future,
     of_class,
     scanpath,
     stay,
 )
-from operators.policy.target import check_known, check_label
+from operators.policy.of_class import ClassPolicy, ClassPolicySettings
 from pipeline import (
     Geometry,
     Header,
-    Input,
-    Operator,
     RoiFeatures,
     Scanpath,
     SettingsError,
@@ -44,19 +38,15 @@ INSIDE = 0.8  # share of an object that a window must show
 
 
 @dataclass(frozen=True, kw_only=True)
-class GreedyPolicySettings:
+class GreedyPolicySettings(ClassPolicySettings):
     """What a graph may set."""
 
-    FORMER: ClassVar[Mapping[str, str]] = STRATEGY
-
-    target: str = ""  # class name (ball, referee, player …) to show only; empty: any
     doubt: float = 4.0  # weight of an object in doubt, beside 1 of others
     looks: int = 4  # that end a doubt
     delay: int = 0  # frames by which plans come late: windows of those are commanded already
-    horizon: int = 16  # Tp, frames planned
 
     def __post_init__(self) -> None:
-        check_horizon(self.horizon)
+        super().__post_init__()
         if self.looks < 1:
             raise SettingsError(f"looks: must be at least 1, got {self.looks}")
         if not 0 <= self.delay < self.horizon:
@@ -89,32 +79,16 @@ def none_shown() -> GreedyState:
     )  # fmt: skip
 
 
-class GreedyPolicy(Operator[GreedyPolicySettings, Scanpath]):
+class GreedyPolicy(ClassPolicy[GreedyPolicySettings]):
     """Plans are windows, not objects; the probability of an object is its share of the gain.
 
     Without objects, it looks at the middle of the field.
     """
 
-    tracks = Input(Tracks, keep="every")
-    features = Input(RoiFeatures, join=False)
-    live: ClassVar[tuple[str, ...]] = ("target",)
-
-    @classmethod
-    def advise(cls, settings: GreedyPolicySettings, upstream: Mapping[str, Any]) -> Iterable[str]:
-        """Nothing; raises `SettingsError` for a class that the detector does not know."""
-        check_known(settings.target, upstream)
-        return ()
-
     def open(self) -> None:
         """Start without looks."""
+        super().open()
         self._state = none_shown()
-        self._names: Sequence[str] = ()  # of the classes that tracks have
-
-    def on_settings(self, settings: GreedyPolicySettings) -> None:
-        """Another class from the next plan on; raises `SettingsError` where tracks have none."""
-        if settings.target != self.settings.target:
-            check_label(settings.target, self._names)
-        self.settings = settings
 
     def on_stream(self, header: Header) -> None:
         """Ids of another stream are other objects."""

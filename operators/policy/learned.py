@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from operators.policy.carrier import PEOPLE
 from operators.policy.conditioning import unmet
 from operators.policy.decision import (
     PolicyState,
@@ -32,7 +31,7 @@ from operators.policy.memory import fault as fault_of_looks
 from operators.policy.memory import remember
 from operators.policy.network import PolicyNetwork, file_of
 from operators.policy.search import busiest
-from operators.policy.target import TargetSpec, check_box, check_known, check_label, told_before
+from operators.policy.target import TargetSettings, check_known, check_label, told_before
 from pipeline import (
     Header,
     Input,
@@ -47,7 +46,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class LearnedPolicySettings:
+class LearnedPolicySettings(TargetSettings):
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
     FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR, **FEEDBACK}
@@ -59,10 +58,6 @@ class LearnedPolicySettings:
     seed: int = 0  # of what is drawn
     target_prior: float = Rules.target_prior  # see `decision.with_prior`; 1: the network alone
     least_genuine: float = Rules.least_genuine  # below it an object is refuted
-    target: str = ""  # class name (ball, referee, player …); empty: any
-    target_id: int = -1  # track id
-    prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
-    carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
     horizon: int = 16  # Tp, frames planned
     observed: int = 4  # To, frames of looks that are remembered
     # frames for which the last position stays a candidate; then people are searched for a ball
@@ -70,6 +65,7 @@ class LearnedPolicySettings:
     threads: int = 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("horizon", "observed", "threads"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
@@ -82,17 +78,6 @@ class LearnedPolicySettings:
             raise SettingsError(
                 f"target_prior: must be at least 1 and finite, got {self.target_prior}"
             )
-        check_box("prompt_box", self.prompt_box)
-
-    @property
-    def spec(self) -> TargetSpec:
-        """The target."""
-        return TargetSpec(
-            object_id=self.target_id,
-            box=self.prompt_box,
-            label=self.target,
-            carriers=self.carriers,
-        )
 
 
 class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.candidates import Sightings, count, nearest, none_seen, odds, probability
-from operators.policy.carrier import PEOPLE, can_carry
+from operators.policy.carrier import can_carry
 from operators.policy.former import CARRIERS, STRATEGY
 from operators.policy.gaze_plan import (
     GazePlan,
@@ -39,8 +39,8 @@ from operators.policy.search import DWELL, busiest, fullest, search
 from operators.policy.target import (
     BIND_IOU,
     GROWTH,
+    TargetSettings,
     TargetSpec,
-    check_box,
     check_known,
     check_label,
     unknown_label,
@@ -58,15 +58,11 @@ CARRIER_REACH = 3.0  # box sizes between a target and a possible carrier
 
 
 @dataclass(frozen=True, kw_only=True)
-class PursuitPolicySettings:
+class PursuitPolicySettings(TargetSettings):
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
     FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS}
 
-    target: str = ""  # class name (ball, referee, player …); empty: any
-    target_id: int = -1  # track id
-    prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
-    carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
     horizon: int = 16  # Tp, frames planned
     confirm: int = 3  # sightings before the gaze moves to a candidate
     patience: int = 24  # frames to wait at the last place before searching
@@ -75,6 +71,7 @@ class PursuitPolicySettings:
     least_probability: float = 0.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_horizon(self.horizon)
         if self.confirm < 1:
             raise SettingsError(f"confirm: must be at least 1, got {self.confirm}")
@@ -84,17 +81,6 @@ class PursuitPolicySettings:
             raise SettingsError(
                 f"least_probability: must be at least 0 and below 1, got {self.least_probability}"
             )
-        check_box("prompt_box", self.prompt_box)
-
-    @property
-    def spec(self) -> TargetSpec:
-        """The target."""
-        return TargetSpec(
-            object_id=self.target_id,
-            box=self.prompt_box,
-            label=self.target,
-            carriers=self.carriers,
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,38 +1,30 @@
 """A policy that looks at each object in turn: Tracks -> Scanpath. A baseline of the paper."""
 
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.policy.former import STRATEGY
 from operators.policy.gaze_plan import (
     GazePlan,
-    check_horizon,
     field_centre,
     future,
     of_class,
     scanpath,
     stay,
 )
-from operators.policy.target import check_known, check_label
-from pipeline import Header, Input, Operator, RoiFeatures, Scanpath, SettingsError, Tracks
+from operators.policy.of_class import ClassPolicy, ClassPolicySettings
+from pipeline import Header, RoiFeatures, Scanpath, SettingsError, Tracks
 
 
 @dataclass(frozen=True, kw_only=True)
-class RoundRobinPolicySettings:
+class RoundRobinPolicySettings(ClassPolicySettings):
     """What a graph may set."""
 
-    FORMER: ClassVar[Mapping[str, str]] = STRATEGY
-
-    target: str = ""  # class name (ball, referee, player …) that limits the round; empty: any
     dwell: int = 4  # frames per object
-    horizon: int = 16  # Tp, frames planned
 
     def __post_init__(self) -> None:
-        check_horizon(self.horizon)
+        super().__post_init__()
         if self.dwell < 1:
             raise SettingsError(f"dwell: must be at least 1, got {self.dwell}")
 
@@ -45,31 +37,13 @@ class RoundRobinState:
     since_seq: int = -1
 
 
-class RoundRobinPolicy(Operator[RoundRobinPolicySettings, Scanpath]):
+class RoundRobinPolicy(ClassPolicy[RoundRobinPolicySettings]):
     """Without objects, it looks at the middle of the field."""
-
-    tracks = Input(Tracks, keep="every")
-    features = Input(RoiFeatures, join=False)
-    live: ClassVar[tuple[str, ...]] = ("target",)
-
-    @classmethod
-    def advise(
-        cls, settings: RoundRobinPolicySettings, upstream: Mapping[str, Any]
-    ) -> Iterable[str]:
-        """Nothing; raises `SettingsError` for a class that the detector does not know."""
-        check_known(settings.target, upstream)
-        return ()
 
     def open(self) -> None:
         """Start a round."""
+        super().open()
         self._state = RoundRobinState()
-        self._names: Sequence[str] = ()  # of the classes that tracks have
-
-    def on_settings(self, settings: RoundRobinPolicySettings) -> None:
-        """Another class from the next plan on; raises `SettingsError` where tracks have none."""
-        if settings.target != self.settings.target:
-            check_label(settings.target, self._names)
-        self.settings = settings
 
     def on_stream(self, header: Header) -> None:
         """Ids of another stream are other objects."""

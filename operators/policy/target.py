@@ -57,6 +57,29 @@ def _nowhere() -> Array:
     return np.zeros(4, np.float32)
 
 
+@dataclass(frozen=True, kw_only=True)
+class TargetSettings:
+    """What a graph may set of a target: `target_id`, else `prompt_box`, else class `target`."""
+
+    target: str = ""  # class name (ball, referee, player …); empty: any
+    target_id: int = -1  # track id
+    prompt_box: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # sensor pixels
+    carriers: tuple[str, ...] = PEOPLE  # classes that may carry a target that is out of sight
+
+    def __post_init__(self) -> None:
+        check_box("prompt_box", self.prompt_box)
+
+    @property
+    def spec(self) -> TargetSpec:
+        """The target."""
+        return TargetSpec(
+            object_id=self.target_id,
+            box=self.prompt_box,
+            label=self.target,
+            carriers=self.carriers,
+        )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TargetState:
     """The state of the target."""
