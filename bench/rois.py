@@ -4,8 +4,8 @@
 line on drawn clips that nothing was trained on. All arrangements read the same context and may read
 as many ROI pixels; detector, policy and its target are the same. `around the choice` is one window
 as `graphs/tracking.yaml` has it; the others choose windows by the same expected utility. Figures
-are mean shares of the true boxes of what is visible, by class; differences are paired by clip,
-against one window by the same utility.
+are mean shares of the true boxes of what is visible, by class, and the IoU of the graph's tracker,
+which follows the ball; differences are paired by clip, against one window by the same utility.
 """
 
 import json
@@ -24,11 +24,11 @@ from bench.machine import facts
 from bench.options import JSON, ROOT, Bench
 from bench.prototype import table
 from drivers.source import CLASS_OF_ROLE, LEAST_VISIBLE
-from pipeline.boxes import covered_by
+from pipeline.boxes import covered_by, iou
 from pipeline.errors import RunError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
-from pipeline.messages import Frame, Message, Truth
+from pipeline.messages import Frame, Message, Percept, Truth
 from pipeline.run.inline import InlineRunner
 
 GRAPH = ROOT / "graphs" / "several_rois.yaml"
@@ -37,6 +37,7 @@ AREA = 1 / 16  # of the field: all windows of an exposure; the context has as mu
 ARRANGEMENTS = {"around the choice": 1, "one": 1, "two": 2, "four": 4}
 BASE = "one"
 CLASSES = ("ball", "referee", "player")
+IOU = "ball, IoU of the tracker"
 Shares = dict[str, float]  # class -> mean share over the frames of a clip
 
 
@@ -49,6 +50,8 @@ class Clip:
     windows: list[tuple[int, int, int, int]] = field(default_factory=list)  # of this exposure
     read_px: int = 0
     frames: int = 0
+    balls: dict[int, NDArray[np.float32]] = field(default_factory=dict)  # (4,) by frame, visible
+    answers: dict[int, NDArray[np.float32]] = field(default_factory=dict)  # (4,) by frame
 
     def hear(self, output: str, message: Message) -> None:
         """Take a message of the graph: the windows come before the truth."""
@@ -61,10 +64,18 @@ class Clip:
             if self.frames > self.skip:
                 self._count(message)
             self.windows = []
+        elif isinstance(message, Percept) and output == "tracker.out" and len(message.boxes):
+            self.answers[message.header.seq] = message.boxes[0]
 
     def means(self) -> Shares:
-        """Return the mean over frames by class, without classes that were never visible."""
-        return {name: float(np.mean(v)) for name, v in self.shares.items() if v}
+        """Return means over frames: by class, if it was ever visible, and of the tracker's IoU."""
+        found = {name: float(np.mean(v)) for name, v in self.shares.items() if v}
+        nowhere = np.zeros(4, np.float32)
+        overlaps = [
+            float(iou(self.answers.get(seq, nowhere)[None], ball[None])[0, 0])
+            for seq, ball in self.balls.items()
+        ]
+        return found | ({IOU: float(np.mean(overlaps))} if overlaps else {})
 
     def _count(self, truth: Truth) -> None:
         shown = covered_by(truth.boxes, np.array(self.windows, np.float32).reshape(-1, 4))
@@ -73,6 +84,8 @@ class Clip:
             own = (labels == name) & (truth.visibility >= LEAST_VISIBLE)
             if own.any():
                 values.append(float(shown[own].mean()))
+                if name == "ball":
+                    self.balls[truth.header.seq] = truth.boxes[own][0]
 
 
 def changes(arrangement: str, seed: int, others: float, area: float = AREA) -> tuple[str, ...]:
@@ -110,7 +123,7 @@ def watched(changed: tuple[str, ...], *, frames: int, skip: int) -> Clip:
 def rows(found: Mapping[str, Sequence[Clip]]) -> Iterator[dict[str, Any]]:
     """Yield means over clips by arrangement and class, and the paired difference to `BASE`."""
     for name, clips in found.items():
-        for label in CLASSES:
+        for label in (*CLASSES, IOU):
             pairs = [
                 (clip.means()[label], usual.means()[label])
                 for clip, usual in zip(clips, found[BASE], strict=True)
@@ -122,7 +135,7 @@ def rows(found: Mapping[str, Sequence[Clip]]) -> Iterator[dict[str, Any]]:
             yield {
                 "windows": name,
                 "class": label,
-                "share in a ROI": round(float(values.mean()), 3),
+                "share in a ROI, or IoU": round(float(values.mean()), 3),
                 "lowest clip": round(float(values.min()), 3),
                 "highest clip": round(float(values.max()), 3),
                 "against one": "" if name == BASE else difference(values - usual_values),

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from bench.rois import ARRANGEMENTS, GRAPH, Clip, changes, difference, main, rows, watched
+from bench.rois import ARRANGEMENTS, GRAPH, IOU, Clip, changes, difference, main, rows, watched
 from drivers.sensor import FURTHER
 from pipeline.graph.loader import load
-from pipeline.messages import Frame, Truth
+from pipeline.messages import Frame, Percept, Truth
 from pipeline.testing import header
 
 
@@ -36,8 +36,23 @@ def test_shares_are_those_of_the_union_of_the_windows_that_were_read() -> None:
     heard(clip, 0, [(0, 0, 10, 10)])
     heard(clip, 1, [(5, 0, 15, 10), (20, 0, 30, 10), (25, 0, 35, 10), (0, 0, 0, 0)])
 
-    assert clip.means() == {"ball": 0.5, "player": 0.75}
+    assert clip.means() == {"ball": 0.5, "player": 0.75, IOU: 0.0}
     assert clip.read_px == 4 * 100
+
+
+def test_the_tracker_is_compared_with_the_ball_where_it_is_visible() -> None:
+    clip = Clip(skip=0)
+    for seq in (0, 1):
+        heard(clip, seq, [(0, 0, 10, 10)])
+    box = np.array([[0, 0, 10, 5]], np.float32)
+    clip.hear(
+        "tracker.out",
+        Percept(
+            header=header(1), boxes=box, ids=np.zeros(1, np.int32), scores=np.ones(1, np.float32)
+        ),
+    )
+
+    assert clip.means()[IOU] == 0.25  # nothing in one frame, half of the ball in the other
 
 
 def test_differences_are_paired_by_clip_against_one_window() -> None:
@@ -48,7 +63,7 @@ def test_differences_are_paired_by_clip_against_one_window() -> None:
 
     told = {(row["windows"], row["class"]): row for row in rows(found)}
 
-    assert told["one", "ball"]["share in a ROI"] == 0.7
+    assert told["one", "ball"]["share in a ROI, or IoU"] == 0.7
     assert told["one", "ball"]["against one"] == ""
     assert told["four", "ball"]["against one"] == "+0.100 (+0.100 .. +0.100)"
     assert ("one", "referee") not in told  # there is none
