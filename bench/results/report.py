@@ -110,6 +110,9 @@ PLACES = {
     "long_horizon": Place(
         section="Late plans", order=21, title="Plans of 200 frames: the network beside rules"
     ),
+    "providers": Place(
+        section="Time of each part", order=40, title="Networks on ONNX Runtime's providers"
+    ),
     "consumer_gain": Place(
         section="Tracking under a pixel budget", order=33,
         title="What a window gains the tracker, by the target's distance from its middle",

@@ -41,12 +41,13 @@ from pipeline import (
     SettingsError,
     Tracks,
 )
+from pipeline.providers import NetworkSettings
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
-class LearnedPolicySettings(TargetSettings):
+class LearnedPolicySettings(TargetSettings, NetworkSettings):
     """What a graph may set. The target is `target_id`, else `prompt_box`, else class `target`."""
 
     FORMER: ClassVar[Mapping[str, str]] = {**STRATEGY, **CARRIERS, **PRIOR, **FEEDBACK}
@@ -62,11 +63,11 @@ class LearnedPolicySettings(TargetSettings):
     observed: int = 4  # To, frames of looks that are remembered
     # frames for which the last position stays a candidate; then people are searched for a ball
     place_patience: int = Rules.patience
-    threads: int = 1
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("horizon", "observed", "threads"):
+        TargetSettings.__post_init__(self)
+        NetworkSettings.__post_init__(self)
+        for name in ("horizon", "observed"):
             if getattr(self, name) < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
         for name in ("place_patience", "seed"):
@@ -110,7 +111,7 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
     def open(self) -> None:
         """Load the network; raises `WeightsError` when it does not fit the settings."""
         s = self.settings
-        self._network = PolicyNetwork(file_of(s.weights), threads=s.threads)
+        self._network = PolicyNetwork(file_of(s.weights), **s.compute)
         self._network.suits(horizon=s.horizon, observed=s.observed)
         self._state = PolicyState(spec=s.spec)
         self._warned: set[str] = set()
@@ -131,6 +132,14 @@ class LearnedPolicy(Operator[LearnedPolicySettings, Scanpath]):
     def on_stream(self, header: Header) -> None:
         """Forget everything: ids of another stream are different objects."""
         self._state = PolicyState(spec=self._state.spec)
+
+    def summary(self) -> Mapping[str, Any]:
+        """What the network runs on."""
+        return self._network.network.where()
+
+    def headline(self) -> str:
+        """What the network runs on, where it is not the CPU."""
+        return self._network.network.headline()
 
     def state(self) -> PolicyState:
         """Return the state."""

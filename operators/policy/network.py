@@ -11,6 +11,7 @@ from operators.policy.tokens import BOX, CLASSES, Array, Objects, batched
 from pipeline import Tracks
 from pipeline.errors import MessageError, WeightsError
 from pipeline.inference import Network
+from pipeline.providers import AUTO
 
 SHIPPED = Path(__file__).with_name("policy.onnx")
 LONG_HORIZON = Path(__file__).with_name("policy_long_horizon.onnx")  # To 10, Tp 200
@@ -20,16 +21,19 @@ NAMED = {"": SHIPPED, "long_horizon": LONG_HORIZON}
 class PolicyNetwork:
     """The network of one ONNX file; raises `WeightsError` unless it is a policy network."""
 
-    def __init__(self, path: Path, *, threads: int = 1) -> None:
+    def __init__(
+        self, path: Path, *, threads: int = 1, provider: str = AUTO, device: str = ""
+    ) -> None:
         if path in NAMED.values() and not path.is_file():
             raise WeightsError(f"policy.weights: {path.name} is not there; train one, or name one")
-        self.path, self._network = path, Network(path, threads=threads)
-        given = self._network.inputs
+        self.path = path
+        self.network = Network(path, threads=threads, provider=provider, device=device)
+        given = self.network.inputs
         wanted = {f.name for f in fields(Objects)} - {"ids", "path"} | {"condition", "mask"}
-        if set(given) != wanted or set(self._network.outputs) != {"logits"}:
+        if set(given) != wanted or set(self.network.outputs) != {"logits"}:
             raise WeightsError(
                 f"{path}: expected a policy's inputs {', '.join(sorted(wanted))} and the output "
-                f"logits, got {', '.join(given)} and {', '.join(self._network.outputs)}"
+                f"logits, got {', '.join(given)} and {', '.join(self.network.outputs)}"
             )
         self.roi_channels, self.context_channels = _last(given["roi"]), _last(given["context"])
         self.observed, self.horizon = _last(given["boxes"][:-1]), _last(given["predicted"][:-1])
@@ -65,7 +69,7 @@ class PolicyNetwork:
 
     def __call__(self, candidates: Objects, condition: Array) -> Array:
         """Probability of each of N candidates at each step: (N, Tp)."""
-        logits = self._network(batched([candidates], [condition]))["logits"][0]
+        logits = self.network(batched([candidates], [condition]))["logits"][0]
         return softmax(logits)
 
 

@@ -7,9 +7,10 @@ the network allows. A network with a second output, `classes`, also verifies: it
 probability that each object is of its labelled class.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from pipeline import (
 )
 from pipeline.boxes import covered
 from pipeline.inference import Network
+from pipeline.providers import NetworkSettings
 from pipeline.weights import weights_file
 
 FURTHER_WAIT_MS = 50.0  # realtime: for further windows of an exposure, where they are connected
@@ -34,7 +36,7 @@ SHIPPED = Path(__file__).with_name("roi_encoder.onnx")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RoiEncoderSettings:
+class RoiEncoderSettings(NetworkSettings):
     """What a graph may set."""
 
     # an ONNX file (n, 3, s, s) -> (n, d[, h, w]), or a name that `fovea weights` knows; empty: the
@@ -49,11 +51,11 @@ class RoiEncoderSettings:
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of RGB 0..1, subtracted first
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)  # then divided by; 1/255 gives 0..255
     bgr: bool = False  # order of the channels that the network expects
-    threads: int = 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         counts = {"crop_px": self.crop_px, "max_objects": self.max_objects}
-        for name, value in (counts | {"threads": self.threads}).items():
+        for name, value in counts.items():
             if value < 1:
                 raise SettingsError(f"{name}: must be at least 1, got {value}")
         if self.batch < 0:
@@ -78,6 +80,14 @@ class RoiEncoder(Operator[RoiEncoderSettings, RoiFeatures]):
 
     def open(self) -> None:
         self._encoder = Encoder(self.settings)
+
+    def summary(self) -> Mapping[str, Any]:
+        """What the network runs on."""
+        return self._encoder.network.where()
+
+    def headline(self) -> str:
+        """What the network runs on, where it is not the CPU."""
+        return self._encoder.network.headline()
 
     def state(self) -> None:
         """Return None: only scratch memory changes."""
@@ -153,10 +163,10 @@ class Encoder:
     def __init__(self, settings: RoiEncoderSettings) -> None:
         self._settings = settings
         path = weights_file(settings.weights, SHIPPED)
-        self._network = Network(path, threads=settings.threads)
-        if len(self._network.inputs) != 1:
-            raise WeightsError(f"{path}: expected one input, got {', '.join(self._network.inputs)}")
-        self._input, shape = next(iter(self._network.inputs.items()))
+        self.network = Network(path, **settings.compute)
+        if len(self.network.inputs) != 1:
+            raise WeightsError(f"{path}: expected one input, got {', '.join(self.network.inputs)}")
+        self._input, shape = next(iter(self.network.inputs.items()))
         if len(shape) != 4 or shape[1] != 3:
             raise WeightsError(f"{path}: expected an input (n, 3, s, s), got {shape}")
         count, _, height_px, width_px = (s if isinstance(s, int) else 0 for s in shape)
@@ -175,7 +185,7 @@ class Encoder:
         if first.ndim != 2:
             raise WeightsError(f"{path}: expected an output (n, d) or (n, d, h, w)")
         self.channels = first.shape[1]
-        self.names = self._network.metadata.get("classes", "").split()
+        self.names = self.network.metadata.get("classes", "").split()
         if classes.shape[1] != len(self.names):
             raise WeightsError(
                 f"{path}: expected names of {classes.shape[1]} classes in its metadata, "
@@ -205,7 +215,7 @@ class Encoder:
 
     def _run(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Features and logits of classes, (n, 0) where the network has none."""
-        answers = self._network({self._input: self._batch[:count]})
+        answers = self.network({self._input: self._batch[:count]})
         features = next(iter(answers.values()))
         classes = answers.get("classes", np.zeros((count, 0), np.float32))
         return (features.mean((2, 3)) if features.ndim == 4 else features), classes

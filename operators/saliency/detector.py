@@ -53,7 +53,7 @@ class Detector:
     def __init__(self, settings: "SaliencySettings") -> None:
         self.settings = settings
         self.path = NAMED.get(settings.weights) or weights_file(settings.weights, SHIPPED)
-        self.network = Network(self.path, threads=settings.threads)
+        self.network = Network(self.path, **settings.compute)
         self.known = described(self.path, self.network.metadata)
         self.input, self.size_px = _input_of(self.network, settings, self.known)
         # whether other settings may ask for another size

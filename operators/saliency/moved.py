@@ -79,6 +79,14 @@ class MovedSaliency(Operator[MovedSaliencySettings, Detections]):
         """Forget all tiles: another stream shows something else."""
         self._shape = ()
 
+    def summary(self) -> Mapping[str, Any]:
+        """What the network runs on."""
+        return self._detector.network.where()
+
+    def headline(self) -> str:
+        """What the network runs on, where it is not the CPU."""
+        return self._detector.network.headline()
+
     def state(self) -> None:
         """Nothing must survive: a successor looks at all tiles within a few frames."""
 

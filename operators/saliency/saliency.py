@@ -19,12 +19,13 @@ from operators.saliency.letterbox import Placement
 from operators.saliency.roi_align import roi_align
 from pipeline import Detections, Frame, Input, MessageError, Operator, SettingsError
 from pipeline.contract import SOURCE
+from pipeline.providers import NetworkSettings
 
 __all__ = ["SHIPPED", "Detector", "Saliency", "SaliencySettings"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class SaliencySettings:
+class SaliencySettings(NetworkSettings):
     """What a graph may set."""
 
     # an ONNX file, or a name that `fovea weights` knows; empty: the shipped one; eight_bits: the
@@ -38,17 +39,16 @@ class SaliencySettings:
     nms_iou: float = 0.5
     class_agnostic: bool = True  # one place holds one object, whatever its class
     max_objects: int = 100
-    threads: int = 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         shares = {"confidence": self.confidence, "nms_iou": self.nms_iou}
         shares |= {f"class_confidence.{k}": v for k, v in self.class_confidence.items()}
         for name, share in shares.items():
             if not 0 <= share <= 1:
                 raise SettingsError(f"{name}: must be within 0..1, got {share}")
-        for name, count in {"max_objects": self.max_objects, "threads": self.threads}.items():
-            if count < 1:
-                raise SettingsError(f"{name}: must be at least 1, got {count}")
+        if self.max_objects < 1:
+            raise SettingsError(f"max_objects: must be at least 1, got {self.max_objects}")
         if any(self.input_px):
             try:
                 check_size(self.input_px)
@@ -92,6 +92,14 @@ class Saliency(Operator[SaliencySettings, Detections]):
 
     def open(self) -> None:
         self._detector = Detector(self.settings)
+
+    def summary(self) -> Mapping[str, Any]:
+        """What the network runs on."""
+        return self._detector.network.where()
+
+    def headline(self) -> str:
+        """What the network runs on, where it is not the CPU."""
+        return self._detector.network.headline()
 
     def state(self) -> None:
         """Nothing must survive: what changes is room for a picture."""

@@ -20,6 +20,7 @@ from operators.tracker.tracker import Tracker, TrackerSettings
 from pipeline.boxes import centres, from_centres
 from pipeline.errors import SettingsError, WeightsError
 from pipeline.inference import Network
+from pipeline.providers import AUTO, NetworkSettings
 
 INPUTS = ("img_t", "img_ot", "img_search")
 OUTPUTS = ("pred_boxes", "pred_scores")
@@ -32,18 +33,17 @@ Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
 
 
 @dataclass(frozen=True, kw_only=True)
-class MixFormerTrackerSettings(TrackerSettings):
+class MixFormerTrackerSettings(TrackerSettings, NetworkSettings):
     """What a graph may set; `weights` it must."""
 
     weights: str  # an ONNX file
-    threads: int = 1
     renew_every: int = RENEW_EVERY
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("threads", "renew_every"):
-            if getattr(self, name) < 1:
-                raise SettingsError(f"{name}: must be at least 1, got {getattr(self, name)}")
+        TrackerSettings.__post_init__(self)
+        NetworkSettings.__post_init__(self)
+        if self.renew_every < 1:
+            raise SettingsError(f"renew_every: must be at least 1, got {self.renew_every}")
 
 
 class MixFormerTracker(Tracker[MixFormerTrackerSettings]):
@@ -60,7 +60,7 @@ class MixFormerTracker(Tracker[MixFormerTrackerSettings]):
     def method(self) -> Method:
         """MixFormerV2; raises `WeightsError`."""
         s = self.settings
-        return MixFormer(weights_of(s), threads=s.threads, renew_every=s.renew_every)
+        return MixFormer(weights_of(s), **s.compute, renew_every=s.renew_every)
 
 
 class MixFormer:
@@ -68,8 +68,11 @@ class MixFormer:
 
     patience_score = 0.2
 
-    def __init__(self, weights: Path, *, threads: int = 1, renew_every: int = RENEW_EVERY) -> None:
-        self._network = Network(weights, threads=threads)
+    def __init__(
+        self, weights: Path, *, threads: int = 1, provider: str = AUTO, device: str = "",
+        renew_every: int = RENEW_EVERY,
+    ) -> None:  # fmt: skip
+        self._network = Network(weights, threads=threads, provider=provider, device=device)
         got = self._network.inputs, self._network.outputs
         if set(got[0]) != set(INPUTS) or set(got[1]) != set(OUTPUTS):
             raise WeightsError(

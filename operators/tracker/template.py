@@ -17,8 +17,9 @@ from operators.tracker.following import Memory, Method
 from operators.tracker.look import Streams, normalise, size_of
 from operators.tracker.tracker import Tracker, TrackerSettings
 from pipeline.boxes import centres, from_centres
-from pipeline.errors import SettingsError, WeightsError
+from pipeline.errors import WeightsError
 from pipeline.inference import Network
+from pipeline.providers import AUTO, NetworkSettings
 
 TEMPLATE_PX, SEARCH_PX, CELLS = 64, 128, 16
 TEMPLATE_FACTOR, SEARCH_FACTOR = 2, 4  # side of a look in box sizes
@@ -40,16 +41,14 @@ Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
 
 
 @dataclass(frozen=True, kw_only=True)
-class TemplateTrackerSettings(TrackerSettings):
+class TemplateTrackerSettings(TrackerSettings, NetworkSettings):
     """What a graph may set."""
 
     weights: str = ""  # an ONNX file; empty: the shipped one
-    threads: int = 1
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.threads < 1:
-            raise SettingsError(f"threads: must be at least 1, got {self.threads}")
+        TrackerSettings.__post_init__(self)
+        NetworkSettings.__post_init__(self)
 
 
 class TemplateTracker(Tracker[TemplateTrackerSettings]):
@@ -65,7 +64,7 @@ class TemplateTracker(Tracker[TemplateTrackerSettings]):
 
     def method(self) -> Method:
         """The template; raises `WeightsError`."""
-        return Template(weights_of(self.settings), threads=self.settings.threads)
+        return Template(weights_of(self.settings), **self.settings.compute)
 
 
 class Template:
@@ -73,8 +72,10 @@ class Template:
 
     patience_score = 0.3
 
-    def __init__(self, weights: Path = SHIPPED, *, threads: int = 1) -> None:
-        self._network = Network(weights, threads=threads)
+    def __init__(
+        self, weights: Path = SHIPPED, *, threads: int = 1, provider: str = AUTO, device: str = ""
+    ) -> None:
+        self._network = Network(weights, threads=threads, provider=provider, device=device)
         for what, wanted, got in (
             ("inputs", INPUTS, self._network.inputs),
             ("outputs", OUTPUTS, self._network.outputs),

@@ -17,8 +17,9 @@ from operators.tracker.following import Memory, Method
 from operators.tracker.look import Streams, normalise, size_of
 from operators.tracker.tracker import Tracker, TrackerSettings
 from pipeline.boxes import centres, from_centres
-from pipeline.errors import SettingsError, WeightsError
+from pipeline.errors import WeightsError
 from pipeline.inference import Network
+from pipeline.providers import AUTO, NetworkSettings
 from pipeline.weights import require
 
 TEMPLATE_PX, SEARCH_PX, CELLS = 128, 256, 16
@@ -27,16 +28,14 @@ Box = NDArray[np.float32]  # (4,) xyxy, sensor pixels
 
 
 @dataclass(frozen=True, kw_only=True)
-class VitTrackerSettings(TrackerSettings):
+class VitTrackerSettings(TrackerSettings, NetworkSettings):
     """What a graph may set."""
 
     weights: str = ""  # an ONNX file; empty: what `fovea weights pull vittrack` fetched
-    threads: int = 1
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.threads < 1:
-            raise SettingsError(f"threads: must be at least 1, got {self.threads}")
+        TrackerSettings.__post_init__(self)
+        NetworkSettings.__post_init__(self)
 
 
 class VitTracker(Tracker[VitTrackerSettings]):
@@ -50,7 +49,7 @@ class VitTracker(Tracker[VitTrackerSettings]):
 
     def method(self) -> Method:
         """ViTTrack; raises `WeightsError`."""
-        return VitTrack(weights_of(self.settings), threads=self.settings.threads)
+        return VitTrack(weights_of(self.settings), **self.settings.compute)
 
 
 class VitTrack:
@@ -58,8 +57,10 @@ class VitTrack:
 
     patience_score = 0.2  # below this the object is not there (OpenCV: "filters black frames")
 
-    def __init__(self, weights: Path, *, threads: int) -> None:
-        self._network = Network(weights, threads=threads)
+    def __init__(
+        self, weights: Path, *, threads: int = 1, provider: str = AUTO, device: str = ""
+    ) -> None:
+        self._network = Network(weights, threads=threads, provider=provider, device=device)
         for name, side in (("template", TEMPLATE_PX), ("search", SEARCH_PX)):
             if self._network.inputs.get(name) != [1, 3, side, side]:
                 raise WeightsError(
