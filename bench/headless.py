@@ -10,8 +10,11 @@ import select
 import shutil
 import tempfile
 import time
+from io import BytesIO
 from subprocess import DEVNULL, Popen
 from typing import Any
+
+from PIL import Image
 
 from pipeline.errors import RunError
 
@@ -25,7 +28,7 @@ ANSWER_S = 60.0  # for one command
 MOST_BYTES = 1 << 26  # of one answer
 LEAST_BYTES = 150_000  # of a picture with something on it
 SETTLE_S = 8.0  # between two looks; drawing by software takes seconds
-SAME_SHARE = 0.002  # of the bytes of two pictures that differ in a spinner at most
+BAR_PX = 36  # at the top, where a figure changes for ever
 
 
 def browser() -> str:
@@ -50,11 +53,11 @@ class Page:
         size = ",".join(map(str, self._size_px))
         words = [browser(), *OPTIONS, f"--user-data-dir={self._folder.name}"]
         # the browser reads descriptor 3 and writes 4
-        shell = 'exec "$@" 3<&"$IN" 4>&"$OUT"'
+        shell = 'from=$1 to=$2; shift 2; exec "$@" 3<&"$from" 4>&"$to"'
+        ends = (there_read, there_write)
         self._process = Popen(
-            ["bash", "-c", shell, "bash", *words, f"--window-size={size}", "about:blank"],
-            env={**os.environ, "IN": str(there_read), "OUT": str(there_write)},
-            pass_fds=(there_read, there_write), stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL,
+            ["bash", "-c", shell, "bash", *map(str, ends), *words, f"--window-size={size}"],
+            pass_fds=ends, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL,
         )  # fmt: skip
         os.close(there_read)
         os.close(there_write)
@@ -111,17 +114,19 @@ class Page:
         return base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"])
 
     def drawn(self, timeout_s: float) -> bytes:
-        """Return a PNG of the page once it stays the same between two looks, and is not empty.
+        """Return a PNG of the page once nothing changes between looks, or at the timeout.
 
-        Raises `RunError` when that is not so after `timeout_s`.
+        Raises `RunError` when there is nothing on it then.
         """
         late_s, before = time.monotonic() + timeout_s, b""
         while time.monotonic() < late_s:
             time.sleep(SETTLE_S)
             now = self.photograph()
-            if len(now) > LEAST_BYTES and abs(len(now) - len(before)) < SAME_SHARE * len(now):
-                return now
+            if len(now) > LEAST_BYTES and before and below_bar(now) == below_bar(before):
+                break
             before = now
+        if len(before) > LEAST_BYTES:
+            return before
         raise RunError(f"chromium: {self._url} was not drawn within {timeout_s:.0f} s")
 
     def _next(self, method: str, late_s: float) -> dict[str, Any]:
@@ -136,3 +141,9 @@ class Page:
         text, _, self._rest = self._rest.partition(b"\0")
         found: dict[str, Any] = json.loads(text)
         return found
+
+
+def below_bar(png: bytes) -> bytes:
+    """Return the pixels of a picture below its uppermost `BAR_PX`."""
+    picture = Image.open(BytesIO(png)).convert("RGB")
+    return picture.crop((0, BAR_PX, *picture.size)).tobytes()

@@ -20,6 +20,8 @@ PALETTE = (
 YELLOW, WHITE, RED, GREY = (255, 225, 0), (255, 255, 255), (255, 60, 60), (150, 150, 150)
 FAINTEST = 0.25  # brightness of the last of a fading row; Rerun's lines have no opacity
 MOST_RIMS = 4  # of a plan's windows, from the first to the last; all of them would be one band
+SURE_SCORE = 0.4  # from which a track has its full colour
+INSET = 0.125  # of a window's width: where its number is, from the corner
 DASHES = 3  # on each side of a box
 SAME_SHARE = 0.05  # of a window's width: planned windows no further apart have one number
 
@@ -30,9 +32,10 @@ def class_colour(name: str, label: int) -> tuple[int, int, int]:
 
 
 def track_colours(tracks: Tracks) -> Colours:
-    """Return the colour of each track by its class: (n, 3)."""
+    """Return the colour of each track by its class, darker for a doubtful one: (n, 3)."""
     rows = [class_colour(tracks.name_of(i), int(k)) for i, k in enumerate(tracks.labels)]
-    return np.array(rows, np.uint8).reshape(-1, 3)
+    bright = (tracks.scores / SURE_SCORE).clip(FAINTEST, 1)[:, None]
+    return np.asarray(np.array(rows, np.float32).reshape(-1, 3) * bright, np.uint8)
 
 
 def fading(colours: Colours, count: int) -> Colours:
@@ -78,17 +81,24 @@ def planned(schedule: RoiSchedule) -> Planned:
         none = np.zeros((0, 4), np.float32)
         return Planned(none, np.zeros((0, 3), np.uint8), none[:, :2], ())
     shown = frames[np.unique(np.linspace(0, len(frames) - 1, MOST_RIMS).round().astype(int))]
-    k, places = np.nonzero(rows[shown, :, 2] > rows[shown, :, 0])
-    boxes = rows[shown[k], places].astype(np.float32)
+    k, which = np.nonzero(rows[shown, :, 2] > rows[shown, :, 0])
+    boxes = rows[shown[k], which].astype(np.float32)
     colours = fading(np.array([YELLOW], np.uint8), len(rows))[shown[k]]
     ahead = schedule.first_seq + shown[[0, -1]] - schedule.header.seq
     first, last = (f"+{frames}" for frames in ahead)
     apart = np.abs(boxes[-1, :2] - boxes[0, :2]).max()
     if len(boxes) == 1 or apart <= SAME_SHARE * (boxes[0, 2] - boxes[0, 0]):
         numbers = [first if first == last else f"{first} to {last}"]
-        return Planned(boxes, colours, boxes[:1, :2], numbers)
+        return Planned(boxes, colours, _along_top(boxes[:1], 0.5), numbers)
     # at opposite ends, because the windows hardly move: top right of the first, left of the last
-    return Planned(boxes, colours, np.stack([boxes[0, [2, 1]], boxes[-1, :2]]), [first, last])
+    places = [_along_top(boxes[:1], 1 - INSET), _along_top(boxes[-1:], INSET)]
+    return Planned(boxes, colours, np.concatenate(places), [first, last])
+
+
+def _along_top(boxes: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Return a place on the upper edge of each box, from its left: (n, 4) -> (n, 2)."""
+    across = boxes[:, 0] + share * (boxes[:, 2] - boxes[:, 0])
+    return np.stack([across, boxes[:, 1]], axis=1).astype(np.float32)
 
 
 def named(

@@ -13,6 +13,7 @@ from pipeline.messages import Frame, Header, Percept, Scanpath, Tracks, Truth
 RECENT_FRAMES = 150  # that percentiles are taken over
 REMEMBERED = 64  # frames whose windows and truth are kept until tracks and answers arrive
 BUDGET_FRAMES = {"p50": 1, "p99": 2}  # of the loop, in periods of the source
+LEAST_STEPS = 3  # between frames, of which the period is the median
 SAME_IOU = 0.3  # from which the policy's box is on a true object
 NOBODY = -1
 T = TypeVar("T")
@@ -43,7 +44,7 @@ class LoopLatency:
 
     def _period_ms(self) -> float:
         steps = [(t - s) / (b - a) for (a, s), (b, t) in pairwise(self._ready) if b > a]
-        return float(np.median(steps)) / 1e6 if steps else 0.0
+        return float(np.median(steps)) / 1e6 if len(steps) >= LEAST_STEPS else 0.0
 
 
 def stages(header: Header) -> dict[str, float]:

@@ -35,17 +35,13 @@ LINES = {  # entity -> name and colour of its line
     "figures/target/iou": ("IoU with the truth", (255, 60, 60)),
 }
 LEGEND = """\
-**Boxes**: what is tracked, a colour for each class; the line ahead of one is where it will be.
+**Bright yellow**: the ROI, read at full resolution in this frame; at the right, beside what the
+context alone shows there. **Dark yellow**: windows planned, +1 for the next frame.
 
-**Bright yellow**: the ROI, the window read at full resolution in this frame. Its picture lies in
-place, and to the right beside what the context alone shows of that window.
+**Boxes**: what is tracked, a colour for each class, dark in doubt; a line is its predicted path.
+**Bold with a name**: the target. **Red**: the consumer's answer. **Dashed**: the truth.
 
-**Dark yellow**: windows planned for the next frames; +1 is the next one.
-
-**Bold box with a name**: the target. **Red**: the consumer's answer. **Dashed white**: the truth.
-
-**Raster**: the probability that the policy looks at an object, frame by frame; right of the white
-line is its plan. **Drops**: messages that something slow passed over, by edge and reason.
+**Policy**: how probable it is that it looks at an object; right of the line: its plan.
 """
 
 

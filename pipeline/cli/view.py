@@ -8,6 +8,7 @@ import click
 from pipeline.cli.arguments import RUNNING
 from pipeline.client import find as clients
 from pipeline.client.viewing import attached, follow
+from pipeline.errors import RunError
 
 PORT = click.IntRange(0, 65535)
 USUAL = {"port": 9876, "web_port": 9090}  # Rerun's own
@@ -33,10 +34,14 @@ def view(
     with attached(client, settings) as node:
         data = quote(f"rerun+http://127.0.0.1:{port}/proxy", safe="")
         address = f"http://127.0.0.1:{web_port}/?url={data}"
-        click.echo(f"{client.name}: look at {address}\nCtrl-C ends the view; the graph goes on")
-        if not no_browser:
-            click.launch(address)
-        click.echo(follow(client, node))
+        try:
+            click.echo(f"{client.name}: look at {address}\nCtrl-C ends the view; the graph goes on")
+            if not no_browser:
+                click.launch(address)
+            over = follow(client, node)
+        except KeyboardInterrupt:
+            over = f"{client.name}: goes on without the view"
+    click.echo(over)
 
 
 def _free(name: str, taken: tuple[int, ...]) -> int:
@@ -51,4 +56,4 @@ def _free(name: str, taken: tuple[int, ...]) -> int:
             found = int(probe.getsockname()[1])
             if found not in taken:
                 return found
-    raise click.UsageError("expected a free port, got none")
+    raise RunError(f"visualise.{name}: expected a free port, got none")

@@ -1,97 +1,17 @@
 """Messages -> a Rerun recording that can be read back."""
 
-import socket
-import subprocess
-import sys
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-import psutil
 import pytest
-import rerun as rr
 from rerun.chunk import Chunk, RrdReader
 
 from operators.visualise import Visualise, VisualiseSettings, jpeg, latencies
-from pipeline import (
-    Detections,
-    Frame,
-    Header,
-    Message,
-    MessageError,
-    Percept,
-    RoiSchedule,
-    RunError,
-    Scanpath,
-    SettingsError,
-    Span,
-    Tracks,
-    Truth,
-)
+from pipeline import Frame, MessageError, Percept, RunError, SettingsError
 from pipeline.testing import drive, header, picture
-
-BOX = np.array([[100, 100, 140, 160]], np.float32)
-ONE = np.ones(1, np.int32)
-HALF = np.full(1, 0.5, np.float32)
-
-
-def traced(seq: int, stage: str) -> Header:
-    """Return a header that passed capture and one more stage."""
-    told = header(seq)
-    ready = told.stamp_ns
-    spans = [
-        Span(
-            stage=name,
-            received_ns=ready + 2_000_000 * k,
-            done_ns=ready + 2_000_000 * k + 1_500_000,
-            handler_ns=1_000_000,
-            scheduling_delay_ns=100_000,
-        )
-        for k, name in enumerate(("capture", stage))
-    ]
-    return replace(told, trace=tuple(spans))
-
-
-def exposure(seq: int) -> list[dict[str, Message]]:
-    """Return one message for every input."""
-    frame = Frame(header=traced(seq, "capture"), pixels=picture(27, 48, seed=seq))
-    tracks = Tracks(
-        header=traced(seq, "association"),
-        ids=np.array([1, 2], np.int32),
-        labels=np.array([1, 0], np.int32),
-        scores=np.full(2, 0.5, np.float32),
-        boxes=np.repeat(np.concatenate([BOX + seq, BOX + 300])[:, None], 4, axis=1),
-        visible=np.ones((2, 4), np.bool_),
-        features=np.zeros((2, 4, 0), np.float32),
-        predicted=np.repeat(np.concatenate([BOX + seq, BOX + 300])[:, None], 16, axis=1),
-        names=("ball", "player"),
-    )
-    told = header(seq)
-    return [
-        {"context": replace(frame, window=(0, 0, 1920, 1080))},
-        {"roi": replace(frame, window=(96, 54, 144, 81))},
-        {"truth": Truth(header=told, boxes=np.concatenate([BOX + seq, BOX + 500]),
-                        ids=np.array([7, 8], np.int32), labels=("player", "player"),
-                        visibility=np.ones(2, np.float32))},
-        {"detections": Detections(header=told, boxes=BOX, angles=HALF, scores=HALF, labels=ONE,
-                                  features=np.zeros((1, 0), np.float32), names=("ball", "player"))},
-        {"tracks": tracks},
-        {"scanpath": Scanpath(header=traced(seq, "policy"), ids=ONE,
-                              probability=np.ones((2, 1), np.float32), choice=np.ones(2, np.int32),
-                              boxes=np.repeat(BOX, 2, 0), first_seq=seq + 1)},
-        {"schedule": RoiSchedule(header=traced(seq, "dispatch"), first_seq=seq + 1,
-                                 windows=BOX.astype(np.int32))},
-        {"percept": Percept(header=told, boxes=BOX, ids=ONE, scores=HALF, texts=("EXIT",),
-                            action=np.zeros(3, np.float32))},
-    ]  # fmt: skip
-
-
-def part(seq: int, name: str) -> Message:
-    """Return the message for one input."""
-    return next(given[name] for given in exposure(seq) if name in given)
+from tests.operators.visualise.exposures import BOX, HALF, ONE, exposure, part, traced
 
 
 def recorded(tmp_path: Path, frames: range, **values: object) -> list[Chunk]:
@@ -128,11 +48,6 @@ def layout_of(path: Path) -> dict[str, set[str]]:
     }
 
 
-VIEWER = """
-import socket, sys
-with socket.create_connection(("127.0.0.1", int(sys.argv[1]))):
-    sys.stdin.read()
-"""
 FIELD = {
     "/sensor/context", "/sensor/roi", "/sensor/roi_rim", "/sensor/tracks", "/sensor/target",
     "/sensor/tracks/predicted", "/sensor/planned", "/sensor/planned/numbers", "/sensor/truth",
@@ -152,7 +67,7 @@ DETAILS = {
 
 
 def test_the_entity_paths_are_those_of_the_documentation(tmp_path):
-    paths = {chunk.entity_path for chunk in recorded(tmp_path, range(3))}
+    paths = {chunk.entity_path for chunk in recorded(tmp_path, range(5))}
 
     readme = Path("operators/visualise/README.md").read_text()
     assert paths - {"/__properties"} == FIELD | FIGURES
@@ -348,80 +263,3 @@ def test_a_destination_is_required():
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(RunError, match=r"expected a folder .*/nowhere, got none"):
         drive(Visualise, [], {"save": str(tmp_path / "nowhere" / "seen.rrd")})
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def test_the_server_listens_on_the_loopback_only_and_ends_with_the_operator(tmp_path):
-    subject = Visualise(VisualiseSettings(serve=True, port=free_port(), web_port=free_port()))
-
-    subject.open()
-    server = psutil.Process(subject._screen._server.pid)
-    listening = {c.laddr.ip for c in server.net_connections() if c.status == "LISTEN"}
-    subject.on_context(part(0, "context"))
-    subject.close()
-
-    assert listening == {"127.0.0.1"}
-    assert not server.is_running()
-
-
-def test_nothing_is_encoded_while_nobody_watches(tmp_path):
-    port = free_port()
-    subject = Visualise(VisualiseSettings(serve=True, port=port, web_port=free_port()))
-    subject.open()
-
-    unwatched = subject._screen.wanted()
-    viewer = subprocess.Popen([sys.executable, "-c", VIEWER, str(port)], stdin=subprocess.PIPE)
-    watched = until(subject._screen.wanted)
-    viewer.communicate()
-    left = until(lambda: not subject._screen.wanted())
-    subject.close()
-
-    assert (unwatched, watched, left) == (False, True, True)
-
-
-def test_a_stalled_server_neither_delays_the_operator_nor_gathers_frames(tmp_path):
-    subject = Visualise(VisualiseSettings(serve=True, port=free_port(), web_port=free_port()))
-    subject.open()
-    screen = subject._screen
-    server = psutil.Process(screen._server.pid)
-    subject.on_context(part(0, "context"))
-
-    server.suspend()
-    filler = np.random.default_rng(0).bytes(200_000)  # more than kernel and channel hold
-    for _ in range(60):
-        screen._recording.log("filler", rr.EncodedImage(contents=filler, media_type="image/jpeg"))
-    stalled = until(lambda: not screen.takes())
-    began_s = time.monotonic()
-    for seq in range(1, 50):
-        subject.on_context(part(seq, "context"))
-    took_s = time.monotonic() - began_s
-    held = len(screen._held._items)
-    server.resume()
-    again = until(screen.takes)
-    subject.close()
-
-    assert (stalled, again, held) == (True, True, 0)
-    assert took_s < 1
-
-
-def until(true: Callable[[], bool], timeout_s: float = 10.0) -> bool:
-    """Return whether it comes true in that time."""
-    late_s = time.monotonic() + timeout_s
-    while not (found := true()) and time.monotonic() < late_s:
-        time.sleep(0.05)
-    return found
-
-
-def test_a_port_that_is_taken_is_named():
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-
-        with pytest.raises(RunError, match=f"expected port {port} to be free"):
-            drive(Visualise, [], {"serve": True, "port": port})
