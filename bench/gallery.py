@@ -29,7 +29,7 @@ RUNS: dict[str, tuple[float, int, tuple[str, ...]]] = {  # frames/s, frames, set
 OTHERS: tuple[float, int, tuple[str, ...]] = (10.0, 100, ())
 SIZE_PX = (1600, 900)
 SHOWN_PX = (1280, 720)
-COLOURS = 80
+COLOURS = 256
 LIMIT_S = 240.0
 
 
@@ -82,7 +82,7 @@ def small(png: bytes) -> bytes:
     """Return the picture smaller and with few colours."""
     picture = Image.open(BytesIO(png)).convert("RGB").resize(SHOWN_PX, Image.Resampling.LANCZOS)
     out = BytesIO()
-    picture.quantize(COLOURS).save(out, "PNG", optimize=True)
+    picture.quantize(COLOURS, method=Image.Quantize.FASTOCTREE).save(out, "PNG", optimize=True)
     return out.getvalue()
 
 

@@ -38,6 +38,12 @@ def track_colours(tracks: Tracks) -> Colours:
     return np.asarray(np.array(rows, np.float32).reshape(-1, 3) * bright, np.uint8)
 
 
+def full(colours: Colours) -> Colours:
+    """Return the colours as bright as they can be: (n, 3) -> (n, 3)."""
+    most = np.maximum(colours.max(axis=1, keepdims=True, initial=1), 1)
+    return np.asarray(colours * (255 / most), np.uint8)
+
+
 def fading(colours: Colours, count: int) -> Colours:
     """Return each colour `count` times, ever darker: (n, 3) -> (n * count, 3)."""
     share = np.linspace(1, FAINTEST, count)[:, None]

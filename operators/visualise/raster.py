@@ -10,6 +10,7 @@ from pipeline.messages import Scanpath
 
 PAST_FRAMES = 48
 MOST_ROWS = 8  # the objects that were the likeliest in these frames
+LEAST = 0.01  # the probability from which an object has a row
 DARK, BRIGHT = np.array((28, 28, 36)), np.array((255, 225, 0))
 
 
@@ -40,7 +41,8 @@ class ScanpathRaster:
         for _at, row in cells:
             for i, p in row.items():
                 most[i] = max(most.get(i, 0.0), p)
-        rows = tuple(sorted(sorted(most, key=lambda i: -most[i])[:MOST_ROWS]))
+        likely = sorted((i for i in most if most[i] >= LEAST), key=lambda i: -most[i])
+        rows = tuple(sorted(likely[:MOST_ROWS]))
         share = np.zeros((MOST_ROWS, PAST_FRAMES + len(plan)), np.float32)
         for at, row in cells:
             share[: len(rows), at] = [row.get(i, 0.0) for i in rows]

@@ -187,7 +187,7 @@ class Visualise(Operator[VisualiseSettings, None]):
         out.lines("sensor/tracks/predicted", *field.paths(tracks))
         chosen = ~others
         out.boxes(
-            "sensor/target", boxes[chosen], colours[chosen],
+            "sensor/target", boxes[chosen], field.full(colours[chosen]),
             labels[row : row + 1] if row >= 0 else (), radius=BOLD, named=True,
         )  # fmt: skip
         if in_roi is not None:
