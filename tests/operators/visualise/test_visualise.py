@@ -10,6 +10,7 @@ from rerun.chunk import Chunk, RrdReader
 
 from operators.visualise import Visualise, VisualiseSettings, jpeg, latencies
 from pipeline import Frame, MessageError, Percept, RunError, SettingsError
+from pipeline.commands import carry_out
 from pipeline.testing import drive, header, picture
 from tests.operators.visualise.exposures import BOX, HALF, ONE, exposure, part, traced
 
@@ -148,7 +149,8 @@ def test_a_command_adds_lines_and_drops(tmp_path):
     subject.open()
     subject.on_context(part(0, "context"))
 
-    subject.do_note(('policy.target = "ball"',), {"a.b to c.d/superseded": 3})
+    told = {"lines": ['policy.target = "ball"'], "drops": {"a.b to c.d/superseded": 3}}
+    carry_out("viewer_1", subject, "note", told)
     subject.close()
 
     chunks = list(RrdReader(path).stream())
