@@ -104,7 +104,7 @@ def follow(client: GraphClient, node: str) -> str:
             now = client.status()
             lines = happened(before, now) if before is not None else []
             if look % SETTINGS_LOOKS == 0:
-                lines += _changed(client, settings)
+                lines += changed_settings(client, settings)
             told = {"lines": lines[:MOST_TOLD], "drops": drops(now, node)}
             client.command(node, "note", told)
             before = now
@@ -173,7 +173,7 @@ def _nodes(client: GraphClient) -> tuple[str, ...]:
     return ()
 
 
-def _changed(client: GraphClient, known: dict[str, dict[str, Any]]) -> list[str]:
+def changed_settings(client: GraphClient, known: dict[str, dict[str, Any]]) -> list[str]:
     """Return which live settings changed since they were asked for last; `known` is updated."""
     lines: list[str] = []
     for node in (name for name in client.nodes() if not NAME.fullmatch(name)):

@@ -12,11 +12,12 @@ import psutil
 import pytest
 
 from pipeline.client.graph_client import Status
-from pipeline.client.viewing import drops, happened, wiring
+from pipeline.client.viewing import changed_settings, drops, happened, wiring
 from pipeline.errors import RunError
 from pipeline.graph.editing import loaded_ports
 from pipeline.graph.loader import load
 from pipeline.protocol.fleet import EdgeState, NodeState, Process, State
+from pipeline.protocol.questions import NodeSettings
 from pipeline.run.rundir import running
 from tests.commands import command
 from tests.sample_graphs import CHAIN, together
@@ -162,3 +163,27 @@ def test_what_happened_between_two_looks_is_told(now: Status, lines: list[str]) 
 
 def test_drops_are_told_by_edge_and_reason_without_the_viewers_own() -> None:
     assert drops(status(), "viewer_7") == {"capture.roi to tracker.roi/superseded": 3}
+
+
+class Asked:
+    """A client of a graph whose only node has one live setting."""
+
+    def __init__(self) -> None:
+        self.target = "ball"
+
+    def nodes(self) -> tuple[str, ...]:
+        return ("policy", "viewer_7")
+
+    def configure(self, node: str, _changes: object) -> NodeSettings:
+        assert node == "policy"
+        return NodeSettings(settings={"target": self.target, "other": 1}, live=("target",))
+
+
+def test_a_live_setting_that_changed_is_told_once() -> None:
+    client, known = Asked(), {}
+
+    told = [changed_settings(client, known)]
+    client.target = "player"
+    told += [changed_settings(client, known) for _ in range(2)]
+
+    assert told == [[], ['policy.target = "player"'], []]
