@@ -1,9 +1,10 @@
 """Photograph the Rerun view of a graph in a browser: `python -m bench.gallery [GRAPH …]`.
 
 Each graph runs as processes, with a recording; Rerun's web viewer shows the recording's end in a
-headless Chromium, whose picture is written with a palette to stay small. The rate is low enough for
-a machine of two cores. Times in the picture are those of this machine, where the viewer draws by
-software beside nothing else.
+headless Chromium, whose picture is written with a palette to stay small. The rates are
+lower than the graphs' own, for a machine of two cores, and `whole_pitch` follows a player instead
+of its ball. Latencies in a picture are those of one run on whatever else the machine did: no
+measurement.
 """
 
 import subprocess
@@ -24,7 +25,7 @@ from pipeline.errors import RunError
 RESULTS = Path(__file__).resolve().parent / "results"
 RUNS: dict[str, tuple[float, int, tuple[str, ...]]] = {  # frames/s, frames, settings
     "tracking": (10.0, 100, ()),
-    "whole_pitch": (4.0, 64, ("policy.target=player",)),  # a ball of 10 pixels is not seen here
+    "whole_pitch": (4.0, 64, ("policy.target=player",)),  # with the ball, the policy was searching
 }
 OTHERS: tuple[float, int, tuple[str, ...]] = (10.0, 100, ())
 SIZE_PX = (1600, 900)
