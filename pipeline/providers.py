@@ -19,8 +19,8 @@ PROVIDERS = {
     CPU: ("CPUExecutionProvider", "onnxruntime"),
 }
 NAMES = (AUTO, *sorted(PROVIDERS))
-# on a CPU OpenVINO is slower than ONNX Runtime's own (`python -m bench.providers`), and says nothing
-# of what else it may run on before it has compiled: it is taken where it is asked for
+# on a CPU OpenVINO is slower than ONNX Runtime's own (`python -m bench.providers`), and says
+# nothing of what else it may run on before it has compiled: it is taken where it is asked for
 NOT_AUTOMATIC = {"openvino"}
 CACHED = {"tensorrt", "openvino"}  # those whose compiled network is kept between starts
 

@@ -1,29 +1,26 @@
-"""Show a running graph in Rerun: its messages -> pictures, boxes, paths and latencies.
+"""Show a running graph in Rerun: its messages -> the loop at a glance.
 
-The only module that imports Rerun. It sends nothing and is connected by taps: when it is too slow,
-frames are missing in the view, never in the graph. Everything is drawn in sensor pixels under
-`sensor`.
+It sends nothing and is connected by taps: when it is too slow, frames are missing in the view,
+never in the graph. Everything on the field is drawn in sensor pixels, under `sensor`.
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
-from subprocess import Popen
 from typing import Any
 
-import cv2
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from operators.visualise.server import await_listener, serve
+from operators.visualise import field
+from operators.visualise.events import Events
+from operators.visualise.figures import LoopLatency, PixelsRead, Target, latencies, stages
+from operators.visualise.pictures import encoded, jpeg, same_window
+from operators.visualise.raster import PAST_FRAMES, ScanpathRaster
+from operators.visualise.screen import BOLD, RIM, Screen
 from pipeline.boxes import centres
 from pipeline.contract import INCOMPLETE, Input, Operator
-from pipeline.errors import MessageError, RunError, SettingsError
-from pipeline.growing_file import GrowingFile, never_collect
+from pipeline.errors import RunError, SettingsError
 from pipeline.messages import (
     Detections,
     Frame,
@@ -33,11 +30,15 @@ from pipeline.messages import (
     RoiSchedule,
     Scanpath,
     Tracks,
+    Truth,
 )
-from pipeline.pixel_formats import FORMATS
 
 TRAIL_FRAMES = 30
-WHITE, YELLOW, GREY, RED = (255, 255, 255), (255, 210, 0), (150, 150, 150), (255, 60, 60)
+CELL = (4, 15)  # of the raster, width and height
+MOST_NAMES = 500  # of objects seen, for the raster
+MOST_WINDOW_PX = 640  # width of what the context shows of an ROI
+MOST_NOTES = 50  # of one call of `note`
+MOST_CHARS = 200  # of a note
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +52,7 @@ class VisualiseSettings:
     web_port: int = 9090  # serve: where the browser looks
     every: int = 1  # frames: show each n-th
     jpeg_quality: int = 80
+    details: bool = False  # detections, trails, and series of each stage and object, too
 
     def __post_init__(self) -> None:
         if self.connect and self.serve:
@@ -65,8 +67,13 @@ class VisualiseSettings:
 
 
 class Visualise(Operator[VisualiseSettings, None]):
-    """Shows the connected inputs, all of which are optional. Memory use is bounded."""
+    """Shows the connected inputs, all of which are optional. Memory use is bounded.
 
+    Nothing is drawn or encoded while nobody watches, or while a viewer takes nothing.
+    """
+
+    live = ("every", "jpeg_quality", "details")
+    commands = ("note",)
     context = Input(Frame, join=False, optional=True, tap=True)
     roi = Input(Frame, join=False, optional=True, tap=True)
     roi_2 = Input(Frame, join=False, optional=True, tap=True)
@@ -77,10 +84,9 @@ class Visualise(Operator[VisualiseSettings, None]):
     scanpath = Input(Scanpath, join=False, optional=True, tap=True)
     schedule = Input(RoiSchedule, join=False, optional=True, tap=True)
     percept = Input(Percept, join=False, optional=True, tap=True)
+    truth = Input(Truth, join=False, optional=True, tap=True)
 
-    _recording: rr.RecordingStream | None = None
-    _file: GrowingFile | None = None
-    _server: Popen[bytes] | None = None
+    _screen: Screen | None = None
 
     def open(self) -> None:
         """Open the file, the connection or the server; raises `RunError` when that fails."""
@@ -88,58 +94,52 @@ class Visualise(Operator[VisualiseSettings, None]):
         if not (s.save or s.connect or s.serve):
             # not in the settings themselves: a graph may hold a viewer that is not started
             raise SettingsError("visualise.save: expected save, connect or serve, got none")
-        self._trails: dict[int, deque[NDArray[np.float32]]] = {}
-        url = f"rerun+http://127.0.0.1:{s.port}/proxy" if s.serve else s.connect
-        if s.serve:
-            self._server = serve(s.port, s.web_port)
-        if url:
-            await_listener(url)
-        self._newest: int | None = None  # frame
-        self._recording = record(s.save, url)
-        if s.save:
-            self._file = GrowingFile(Path(s.save).absolute(), partial(flushed, self._recording))
+        self._begin()
+        self._windows = {"roi"}
+        self._screen = Screen(s.save, s.connect, (s.port, s.web_port) if s.serve else None)
 
     def state(self) -> None:
-        """Return None: trails grow again."""
+        """Return None: trails and figures grow again."""
 
     def summary(self) -> Mapping[str, Any]:
         """Return whether the recording is complete and, if not, up to which frame."""
-        if self._file is not None:
-            self._file.look(self._newest)
-            if self._file.failure:
-                return {INCOMPLETE: f"visualise.save: {self._file.failure}"}
+        if self._screen is not None and (failure := self._screen.failure()):
+            return {INCOMPLETE: f"visualise.save: {failure}"}
         return {}
 
     def close(self) -> None:
         """Flush the recording and end the server; raises `RunError` if data was lost."""
-        recording, self._recording = self._recording, None
-        late = ""  # what went wrong after the summary
-        if recording is not None and self._file is not None:
-            late = self._file.close(recording.disconnect)
-            if not self._file.ended:
-                never_collect(recording)
-                rr.unregister_shutdown()  # it would wait for the same writer
-        elif recording is not None:
-            recording.disconnect()
-        if self._server is not None:
-            self._server.terminate()
-            self._server.wait()
-        if late:
+        screen, self._screen = self._screen, None
+        if screen is not None and (late := screen.close()):
             raise RunError(f"visualise.save: {late}")
 
+    def do_note(self, lines: tuple[str, ...] = (), drops: Mapping[str, int] | None = None) -> None:
+        """Add lines to the log and plot counts of drops, `EDGE/REASON` -> messages."""
+        for line in lines[:MOST_NOTES] if self._out.takes() else ():
+            self._out.line(line[:MOST_CHARS])
+        if self._start_ns is not None and self._out.wanted():
+            for name, count in list((drops or {}).items())[:MOST_NOTES]:
+                self._out.value(["drops", *name.split("/")], count)
+
     def on_stream(self, header: Header) -> None:
-        """Tell that a sensor was opened; old trails belong to other objects."""
-        self._trails.clear()
+        """Tell that a sensor was opened; what was known of objects belongs to other ones."""
+        self._out.send_all()
+        self._begin()
         self._at(header)
-        self._log("events", rr.TextLog(f"stream {header.stream} opened"))
+        self._say(header, [f"the sensor was opened: stream {header.stream}"])
 
     def on_context(self, context: Frame) -> None:
         """The whole field, enlarged to sensor pixels."""
-        if self._wanted(context):
-            self._picture("sensor/context", context)
+        self._pixels.add_context(context)
+        self._contexts[context.header.seq % len(self._contexts)] = context
+        if self._wanted(context, "context"):
+            self._picture("sensor/context", context, 0)
+            for name in self._windows:
+                self._draw_same_window(name, context, self._rois.get(name))
 
     def on_roi(self, roi: Frame) -> None:
-        """The ROI where it lies, with its rim."""
+        """The ROI where it lies, with its rim, and the same window of the context."""
+        self._say(roi.header, self._events.read(roi))
         self._window("roi", roi)
 
     def on_roi_2(self, roi_2: Frame) -> None:
@@ -155,212 +155,187 @@ class Visualise(Operator[VisualiseSettings, None]):
         self._window("roi_4", roi_4)
 
     def on_detections(self, detections: Detections) -> None:
-        """Boxes with class and score."""
-        if self._wanted(detections):
-            labels = named(detections.names, detections.labels, detections.scores)
-            self._boxes("sensor/detections", detections.boxes, GREY, labels)
+        """Boxes with class and score, as details."""
+        if self._wanted(detections, "detections") and self.settings.details:
+            labels = field.named(detections.names, detections.labels, detections.scores)
+            self._out.boxes("sensor/detections", detections.boxes, field.GREY, labels)
+
+    def on_truth(self, truth: Truth) -> None:
+        """The true boxes, dashed."""
+        self._target.add_truth(truth)
+        if self._wanted(truth, "truth"):
+            self._out.lines("sensor/truth", field.dashed(truth.boxes), field.WHITE)
 
     def on_tracks(self, tracks: Tracks) -> None:
-        """Boxes with class and id, where they came from, where they are foreseen."""
-        at = centres(tracks.boxes[:, -1])
-        self._trails = {
-            int(i): self._trails.get(int(i), deque(maxlen=TRAIL_FRAMES)) for i in tracks.ids
-        }
-        for i, centre in zip(tracks.ids, at, strict=True):
-            self._trails[int(i)].append(centre)
-        if not self._wanted(tracks):
+        """Boxes in the colours of their classes, where they are foreseen, the target by name."""
+        self._grow_trails(tracks)
+        row, in_roi = self._target.row(tracks), self._target.in_roi(tracks)
+        if len(self._names) > MOST_NAMES:
+            self._names.clear()
+        self._names |= {int(i): tracks.name_of(k) for k, i in enumerate(tracks.ids)}
+        if not self._wanted(tracks, "tracks"):
             return
-        labels = [
-            f"{name} #{i}"
-            for name, i in zip(named(tracks.names, tracks.labels), tracks.ids, strict=True)
-        ]
-        ids = tracks.ids.astype(np.uint16)  # Rerun gives each id a colour of its own
-        self._boxes("sensor/tracks", tracks.boxes[:, -1], None, labels, ids)
-        trails = [np.array(trail) for trail in self._trails.values()]
-        self._lines("sensor/tracks/trails", trails, None, ids)
-        self._lines("sensor/tracks/foreseen", list(centres(tracks.predicted)), GREY)
+        names = field.named(tracks.names, tracks.labels)
+        labels = [f"{name} #{i}" for name, i in zip(names, tracks.ids, strict=True)]
+        colours, boxes = field.track_colours(tracks), tracks.boxes[:, -1]
+        others = np.arange(len(boxes)) != row
+        out = self._out
+        out.boxes(
+            "sensor/tracks", boxes[others], colours[others],
+            [label for label, other in zip(labels, others, strict=True) if other],
+        )  # fmt: skip
+        out.lines("sensor/tracks/predicted", *field.paths(tracks))
+        chosen = ~others
+        out.boxes(
+            "sensor/target", boxes[chosen], field.full(colours[chosen]),
+            labels[row : row + 1] if row >= 0 else (), radius=BOLD, named=True,
+        )  # fmt: skip
+        if in_roi is not None:
+            out.value("figures/target/in_roi", in_roi)
+        if self.settings.details:
+            trails = [np.array(trail) for trail in self._trails.values()]
+            out.lines("sensor/tracks/trails", trails, colours)
+            for i, score in zip(tracks.ids, tracks.scores, strict=True):
+                out.value(f"objects/{i}/score", float(score))
 
     def on_scanpath(self, scanpath: Scanpath) -> None:
-        """Where the policy looks next, and its way from there."""
-        if self._wanted(scanpath):
-            labels = [f"look at #{i}" if i >= 0 else "look here" for i in scanpath.choice[:1]]
-            self._boxes("sensor/scanpath", scanpath.boxes[:1], WHITE, labels)
-            self._lines("sensor/scanpath/way", [centres(scanpath.boxes)], WHITE)
+        """Where the policy looks, frame by frame, as a raster of probabilities."""
+        self._target.add_scanpath(scanpath)
+        chosen = self._target.id
+        name = f"{self._names.get(chosen) or 'object'} #{chosen}" if chosen >= 0 else ""
+        self._say(scanpath.header, self._events.looked_at(name))
+        raster = self._raster.add(scanpath)
+        if not self._wanted(scanpath, "scanpath"):
+            return
+        width, height = CELL
+        self._out.cells("scanpath/raster", raster.shades, CELL)
+        places = [(-45, k * height) for k in range(len(raster.ids))]
+        texts = [f"{self._names.get(i, '')} #{i}" for i in raster.ids]
+        at = np.array(places, np.float32).reshape(-1, 2)
+        self._out.texts("scanpath/names", at, texts, field.WHITE)
+        now = [(PAST_FRAMES * width, -height), (PAST_FRAMES * width, len(texts) * height)]
+        self._out.lines("scanpath/now", [now], field.WHITE)
+        if self.settings.details and len(scanpath.probability):
+            for i, p in zip(scanpath.ids, scanpath.probability[0], strict=True):
+                self._out.value(f"objects/{i}/probability", float(p))
 
     def on_schedule(self, schedule: RoiSchedule) -> None:
-        """The windows the sensor was told."""
-        if self._wanted(schedule) and len(schedule.windows):
-            windows = schedule.windows.reshape(len(schedule.windows), -1, 4)
-            frames, places = np.nonzero(windows[..., 2] > windows[..., 0])
-            labels = [str(schedule.first_seq + k) for k in frames]
-            told = windows[frames, places].astype(np.float32)
-            self._boxes("sensor/schedule", told, YELLOW, labels)
+        """The windows the sensor was told, and how late the loop was."""
+        self._loop.add(schedule.header)
+        if not self._wanted(schedule, "schedule"):
+            return
+        if len(schedule.windows):
+            boxes, colours, places, numbers = field.planned(schedule)
+            self._out.boxes("sensor/planned", boxes, colours)
+            self._out.texts("sensor/planned/numbers", places, numbers, field.YELLOW)
+        for name, value in self._loop.figures().items():
+            self._out.value(f"latency/loop/{name}", value)
+        for name, value in stages(schedule.header).items():
+            self._out.value(f"latency/stages/{name}", value)
 
     def on_percept(self, percept: Percept) -> None:
         """What the consumer saw, read or did."""
-        if not self._wanted(percept):
+        self._say(percept.header, self._events.answered(percept))
+        overlap = self._target.overlap(percept)
+        if not self._wanted(percept, "percept"):
             return
         labels = [f"{score:.2f}" for score in percept.scores]
-        if len(percept.texts) == len(labels):
-            labels = list(percept.texts)
-        self._boxes("sensor/percept", percept.boxes, RED, labels)
+        read = len(percept.texts) == len(labels) and bool(labels)
+        labels = list(percept.texts) if read else labels
+        self._out.boxes("sensor/percept", percept.boxes, field.RED, labels, named=read)
+        if overlap is not None:
+            self._out.value("figures/target/iou", overlap)
         if percept.texts:
-            self._log("texts", rr.TextLog(" | ".join(percept.texts)))
+            self._say(percept.header, [" | ".join(percept.texts)[:MOST_CHARS]])
         if len(percept.action):
-            self._log("action", rr.Scalars(percept.action))
+            self._out.value("action", *map(float, percept.action))
 
     @property
-    def _out(self) -> rr.RecordingStream:
-        if self._recording is None:
+    def _out(self) -> Screen:
+        if self._screen is None:
             raise RunError("visualise: expected to be open, got a message before that")
-        return self._recording
+        return self._screen
 
-    def _at(self, header: Header) -> None:
-        self._out.set_time("frame", sequence=header.seq)
-        self._out.set_time("stamp", duration=np.timedelta64(header.stamp_ns, "ns"))
+    def _begin(self) -> None:
+        """Know nothing of the stream."""
+        self._trails: dict[int, deque[NDArray[np.float32]]] = {}
+        self._loop, self._pixels, self._target = LoopLatency(), PixelsRead(), Target()
+        self._raster, self._events = ScanpathRaster(), Events()
+        self._names = dict[int, str]()  # of the tracks
+        self._start_ns: int | None = None
+        self._contexts: list[Frame | None] = [None, None]  # the newest two
+        self._rois: dict[str, Frame] = {}  # the newest of each window
+
+    def _at(self, header: Header, source: str = "") -> None:
+        if self._start_ns is None:
+            self._start_ns = header.stamp_ns
+        self._out.at(header.seq, header.stamp_ns - self._start_ns, source)
 
     def _window(self, name: str, frame: Frame) -> None:
-        """Show one ROI where it lies, with its rim."""
-        if self._wanted(frame):
-            self._picture(f"sensor/{name}", frame)
-            rim = np.array([frame.window] if frame.pixels.size else [], np.float32)
-            self._boxes(f"sensor/{name}_window", rim, YELLOW, [frame.status])
+        """Show one ROI where it lies, with its rim, and the same window of the context."""
+        read = self._pixels.add_roi(name, frame)
+        self._target.add_roi(name, frame)
+        self._rois[name] = frame
+        if not self._wanted(frame, name):
+            return
+        self._windows.add(name)
+        geometry = frame.header.geometry
+        self._out.lay_out(len(self._windows), (geometry.width_px, geometry.height_px))
+        self._picture(f"sensor/{name}", frame, 10)
+        rim = np.array([frame.window] if frame.pixels.size else [], np.float32)
+        self._out.boxes(f"sensor/{name}_rim", rim, field.YELLOW, [frame.status], radius=RIM)
+        for context in self._contexts:
+            self._draw_same_window(name, context, frame)
+        for what, percent in read.items():
+            self._out.value(f"figures/pixels/{what}", percent)
 
-    def _wanted(self, message: Message) -> bool:
+    def _draw_same_window(self, name: str, context: Frame | None, roi: Frame | None) -> None:
+        """Show the window of an ROI as the context of the same exposure has it."""
+        if context is None or roi is None or context.header.seq != roi.header.seq:
+            return
+        if not roi.pixels.size:
+            self._out.clear(f"window/{name}")
+            return
+        # of one size, as a viewer takes the pictures of one place for a video
+        width, height = roi.size_px
+        shrink = -(-width // MOST_WINDOW_PX)
+        size_px = width // shrink, height // shrink
+        shown = same_window(context, roi.window, size_px)
+        contents = encoded(shown, self.settings.jpeg_quality)
+        self._out.picture(f"window/{name}", contents, roi.window, size_px, 0)
+
+    def _grow_trails(self, tracks: Tracks) -> None:
+        self._trails = {
+            int(i): self._trails.get(int(i), deque(maxlen=TRAIL_FRAMES)) for i in tracks.ids
+        }
+        for i, centre in zip(tracks.ids, centres(tracks.boxes[:, -1]), strict=True):
+            self._trails[int(i)].append(centre)
+
+    def _wanted(self, message: Message, source: str) -> bool:
         """Whether this frame is shown; if so, sets the time and tells how its stage did."""
-        if message.header.seq % self.settings.every:
+        self._say(message.header, self._events.arrived(message.header))
+        if message.header.seq % self.settings.every or not self._out.wanted():
             return False
-        if self._file is not None and not self._file.is_written(self._newest):
-            return False  # what cannot be written is not kept in memory either
-        self._at(message.header)
-        self._newest = message.header.seq
-        for name, value in latencies(message.header).items():
-            self._log(f"latency/{name}", rr.Scalars(value))
+        self._at(message.header, source)
+        for stage, count in self._events.missing.items():
+            self._out.value(["drops", stage, "missing"], count)
+        if self.settings.details:
+            for name, value in latencies(message.header).items():
+                self._out.value(f"latency/each/{name}", value)
         return True
 
-    def _log(self, path: str, what: Any) -> None:
-        self._out.log(path, what)
+    def _say(self, header: Header, lines: Iterable[str]) -> None:
+        """Add lines to the log, as many as fit."""
+        for line in lines:
+            more = self._events.allowed(header.seq)
+            if more is None or not self._out.takes():
+                continue
+            self._at(header)
+            self._out.line(f"{line} ({more} lines before it were left out)" if more else line)
 
-    def _picture(self, path: str, frame: Frame) -> None:
+    def _picture(self, path: str, frame: Frame, order: int) -> None:
         if not frame.pixels.size:
-            self._log(path, rr.Clear(recursive=False))
+            self._out.clear(path)
             return
-        left, top, right, bottom = frame.window
-        width, height = frame.size_px
-        scale = ((right - left) / width, (bottom - top) / height, 1.0)
-        self._log(path, rr.Transform3D(translation=(left, top, 0), scale=scale))
         contents = jpeg(frame, self.settings.jpeg_quality)
-        self._log(path, rr.EncodedImage(contents=contents, media_type="image/jpeg"))
-
-    def _boxes(
-        self,
-        path: str,
-        boxes: NDArray[np.float32],
-        colour: tuple[int, int, int] | None,
-        labels: list[str],
-        ids: NDArray[np.uint16] | None = None,
-    ) -> None:
-        shown = rr.Boxes2D(
-            array=boxes.reshape(-1, 4),
-            array_format=rr.Box2DFormat.XYXY,
-            colors=colour,
-            labels=labels[: len(boxes)],
-            class_ids=ids,
-        )
-        self._log(path, shown)
-
-    def _lines(
-        self,
-        path: str,
-        lines: list[NDArray[np.float32]],
-        colour: tuple[int, int, int] | None,
-        ids: NDArray[np.uint16] | None = None,
-    ) -> None:
-        self._log(path, rr.LineStrips2D(lines, colors=colour, class_ids=ids))
-
-
-def latencies(header: Header) -> dict[str, float]:
-    """What the last stage did with this exposure, in ms: name -> value; empty without a trace.
-
-    `age` is the time since the picture was ready, given only where both are one clock.
-    """
-    if not header.trace:
-        return {}
-    span = header.trace[-1]
-    shown = {"handler_ms": span.handler_ns / 1e6, "sched_delay_ms": span.scheduling_delay_ns / 1e6}
-    if header.clock == "monotonic":
-        shown["age_ms"] = (span.done_ns - header.stamp_ns) / 1e6
-    if len(header.trace) > 1:
-        shown["hop_ms"] = (span.received_ns - header.trace[-2].done_ns) / 1e6
-    return {f"{span.stage}/{name}": value for name, value in shown.items()}
-
-
-def named(
-    names: tuple[str, ...], labels: NDArray[np.int32], scores: NDArray[np.float32] | None = None
-) -> list[str]:
-    """A text per object: its class and, if given, its score.
-
-    >>> named(("ball",), np.array([0, 7], np.int32), np.array([0.5, 0.25], np.float32))
-    ['ball 0.50', 'class 7 0.25']
-    """
-    texts = [names[i] if 0 <= i < len(names) else f"class {i}" for i in labels]
-    if scores is None:
-        return texts
-    return [f"{text} {score:.2f}" for text, score in zip(texts, scores, strict=True)]
-
-
-def jpeg(frame: Frame, quality: int) -> bytes:
-    """A frame as JPEG; raises `MessageError` for a pixel format that cannot be shown as it is."""
-    form = FORMATS.get(frame.pixel_format)
-    if form is None or form.packed:
-        raise MessageError(
-            f"visualise: expected pixels as rgb8, grey8 or an unpacked mosaic, got "
-            f"{frame.pixel_format}; put operators.downsample before it"
-        )
-    form.check("visualise", frame.pixels)
-    pixels = frame.pixels
-    if form.bits > 8:
-        pixels = (pixels >> form.bits - 8).astype(np.uint8)
-    if form.order:
-        how = getattr(cv2, f"COLOR_Bayer{form.order.upper()}2BGR")
-        pixels = np.asarray(cv2.cvtColor(pixels, how), np.uint8)
-    elif form.name == "rgb8":
-        pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), np.uint8)
-    _, contents = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return contents.tobytes()
-
-
-def record(path: str, url: str) -> rr.RecordingStream:
-    """A recording that goes to a file, to a viewer or to both, with its panels."""
-    recording = rr.RecordingStream("fovea")
-    recording.set_log_tick_enabled(False)
-    recording.set_log_time_enabled(False)  # the frame's own times are told instead
-    sinks: list[Any] = [rr.GrpcSink(url)] if url else []
-    if path:
-        if not (folder := Path(path).absolute().parent).is_dir():
-            raise RunError(f"visualise.save: expected a folder {folder}, got none")
-        sinks.append(rr.FileSink(path))
-    try:
-        recording.set_sinks(*sinks, default_blueprint=panels())
-    except RuntimeError as error:
-        raise RunError(f"visualise.save: {path} cannot be written: {error}") from error
-    return recording
-
-
-def flushed(recording: rr.RecordingStream, timeout_s: float) -> bool:
-    """Wait until everything that was logged has been written; whether it was, in that time."""
-    try:
-        recording.flush(timeout_sec=timeout_s)
-    except RuntimeError:
-        return False
-    return True
-
-
-def panels() -> rrb.Blueprint:
-    """The field with everything on it, the ROI by itself, latencies, and what was read."""
-    field = rrb.Spatial2DView(origin="sensor", name="field")
-    roi = rrb.Spatial2DView(origin="sensor/roi", name="ROI")
-    figures = rrb.TimeSeriesView(origin="latency", name="latency, ms")
-    words = rrb.TextLogView(origin="/", contents=["texts", "events"], name="texts")
-    side = rrb.Vertical(roi, figures, words, row_shares=[3, 3, 1])
-    return rrb.Blueprint(rrb.Horizontal(field, side, column_shares=[3, 2]))
+        self._out.picture(path, contents, frame.window, frame.size_px, order)

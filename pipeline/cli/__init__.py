@@ -51,6 +51,7 @@ TABLE = {
     "train": (f"{TASKS}:train_command", "Train the networks of a task."),
     "up": (f"{FLEET}:up_command", "Start a graph on the hosts that its nodes name."),
     "version": ("pipeline.cli.version:version", "Print version and commit."),
+    "view": ("pipeline.cli.view:view", "Watch a running graph in a browser, with Rerun."),
     "weights": ("pipeline.weights:weights_commands", "List and download third-party networks."),
 }
 

@@ -1,82 +1,18 @@
 """Messages -> a Rerun recording that can be read back."""
 
-import socket
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-import psutil
 import pytest
 from rerun.chunk import Chunk, RrdReader
 
 from operators.visualise import Visualise, VisualiseSettings, jpeg, latencies
-from pipeline import (
-    Detections,
-    Frame,
-    Header,
-    Message,
-    MessageError,
-    Percept,
-    RoiSchedule,
-    RunError,
-    Scanpath,
-    SettingsError,
-    Span,
-    Tracks,
-)
+from pipeline import Frame, MessageError, Percept, RunError, SettingsError
+from pipeline.commands import carry_out
 from pipeline.testing import drive, header, picture
-
-BOX = np.array([[100, 100, 140, 160]], np.float32)
-ONE = np.ones(1, np.int32)
-HALF = np.full(1, 0.5, np.float32)
-
-
-def traced(seq: int, stage: str) -> Header:
-    """Return a header that passed capture and one more stage."""
-    told = header(seq)
-    ready = told.stamp_ns
-    spans = [
-        Span(
-            stage=name,
-            received_ns=ready + 2_000_000 * k,
-            done_ns=ready + 2_000_000 * k + 1_500_000,
-            handler_ns=1_000_000,
-            scheduling_delay_ns=100_000,
-        )
-        for k, name in enumerate(("capture", stage))
-    ]
-    return replace(told, trace=tuple(spans))
-
-
-def exposure(seq: int) -> list[dict[str, Message]]:
-    """Return one message for every input."""
-    frame = Frame(header=traced(seq, "capture"), pixels=picture(27, 48, seed=seq))
-    tracks = Tracks(
-        header=traced(seq, "association"),
-        ids=ONE,
-        labels=ONE,
-        scores=HALF,
-        boxes=np.repeat(BOX[:, None] + seq, 4, axis=1),
-        visible=np.ones((1, 4), np.bool_),
-        features=np.zeros((1, 4, 0), np.float32),
-        predicted=np.repeat(BOX[:, None] + seq, 16, axis=1),
-        names=("ball", "player"),
-    )
-    told = header(seq)
-    return [
-        {"context": replace(frame, window=(0, 0, 1920, 1080))},
-        {"roi": replace(frame, window=(96, 54, 144, 81))},
-        {"detections": Detections(header=told, boxes=BOX, angles=HALF, scores=HALF, labels=ONE,
-                                  features=np.zeros((1, 0), np.float32), names=("ball", "player"))},
-        {"tracks": tracks},
-        {"scanpath": Scanpath(header=told, ids=ONE, probability=np.ones((2, 1), np.float32),
-                              choice=np.ones(2, np.int32), boxes=np.repeat(BOX, 2, 0),
-                              first_seq=seq + 1)},
-        {"schedule": RoiSchedule(header=told, first_seq=seq + 1, windows=BOX.astype(np.int32))},
-        {"percept": Percept(header=told, boxes=BOX, ids=ONE, scores=HALF, texts=("EXIT",),
-                            action=np.zeros(3, np.float32))},
-    ]  # fmt: skip
+from tests.operators.visualise.exposures import BOX, HALF, ONE, exposure, part, traced
 
 
 def recorded(tmp_path: Path, frames: range, **values: object) -> list[Chunk]:
@@ -95,32 +31,132 @@ def rows(chunks: list[Chunk], path: str, column: str) -> list[object]:
         if chunk.entity_path == path:
             for name in batch.schema.names:
                 if name.endswith(column):
-                    found += batch.column(name).to_pylist()
+                    values = batch.column(name)
+                    found += (values.cast("int64") if name == "time" else values).to_pylist()
     return found
 
 
-def test_every_message_is_recorded(tmp_path):
+def layout_of(path: Path) -> dict[str, set[str]]:
+    """Return the names of the newest layout's views, its collapsed panels and its timeline."""
+    reader = RrdReader(path)
+    chunks = list(reader.stream(store=reader.blueprints()[-1]))
+    panels = [c.entity_path for c in chunks if rows([c], c.entity_path, "Blueprint:state") == [[2]]]
+    names = [rows([c], c.entity_path, "ViewBlueprint:display_name") for c in chunks]
+    return {
+        "views": {name for found in names for (name,) in found},
+        "collapsed": set(panels),
+        "timeline": {name for (name,) in rows(chunks, "/time_panel", "timeline")},
+    }
+
+
+FIELD = {
+    "/sensor/context", "/sensor/roi", "/sensor/roi_rim", "/sensor/tracks", "/sensor/target",
+    "/sensor/tracks/predicted", "/sensor/planned", "/sensor/planned/numbers", "/sensor/truth",
+    "/sensor/percept", "/window/roi",
+}  # fmt: skip
+FIGURES = {
+    "/latency/loop/p50", "/latency/loop/p99", "/latency/loop/budget_p50",
+    "/latency/loop/budget_p99", "/latency/stages/capture",
+    "/latency/stages/dispatch", "/figures/pixels/read", "/figures/pixels/budget",
+    "/figures/target/in_roi", "/figures/target/iou", "/action",
+    "/scanpath/raster", "/scanpath/names", "/scanpath/now", "/log", "/legend",
+}  # fmt: skip
+DETAILS = {
+    "/sensor/detections", "/sensor/tracks/trails", "/objects/1/score", "/objects/1/probability",
+    "/latency/each/association/handler_ms", "/latency/each/association/age_ms",
+}  # fmt: skip
+
+
+def test_the_entity_paths_are_those_of_the_documentation(tmp_path):
+    paths = {chunk.entity_path for chunk in recorded(tmp_path, range(5))}
+
+    readme = Path("operators/visualise/README.md").read_text()
+    assert paths - {"/__properties"} == FIELD | FIGURES
+    examples = ("/latency/stages/", "/latency/each/", "/objects/")  # with NODE or ID there
+    named = {path for path in FIELD | FIGURES | DETAILS if not path.startswith(examples)}
+    assert {path for path in named if f"`{path[1:]}`" not in readme} == set()
+
+
+def test_series_of_each_stage_and_object_are_drawn_on_request_only(tmp_path):
+    paths = {chunk.entity_path for chunk in recorded(tmp_path, range(2), details=True)}
+
+    assert paths >= DETAILS
+
+
+def test_only_the_target_has_its_name_on_the_field(tmp_path):
     chunks = recorded(tmp_path, range(3))
 
-    paths = {chunk.entity_path for chunk in chunks}
-    assert paths >= {
-        "/sensor/context",
-        "/sensor/roi",
-        "/sensor/roi_window",
-        "/sensor/detections",
-        "/sensor/tracks",
-        "/sensor/tracks/trails",
-        "/sensor/tracks/foreseen",
-        "/sensor/scanpath",
-        "/sensor/scanpath/way",
-        "/sensor/schedule",
-        "/sensor/percept",
-        "/texts",
-        "/action",
-        "/latency/association/handler_ms",
-        "/latency/association/hop_ms",
-        "/latency/association/age_ms",
+    assert rows(chunks, "/sensor/target", "Boxes2D:labels")[-1] == ["player #1"]
+    assert rows(chunks, "/sensor/target", "show_labels")[-1] == [True]
+    assert rows(chunks, "/sensor/tracks", "Boxes2D:labels")[-1] == [
+        "ball #2"
+    ]  # for whoever points at it
+    assert {shown for row in rows(chunks, "/sensor/tracks", "show_labels") for shown in row} == {
+        False
     }
+
+
+def test_the_truth_is_dashed(tmp_path):
+    chunks = recorded(tmp_path, range(1))
+
+    (strips,) = rows(chunks, "/sensor/truth", "strips")
+    assert len(strips) == 2 * 4 * 3
+    assert strips[0] == [[100, 100], [108, 100]]
+
+
+def test_the_view_opens_on_frames_with_its_panels_collapsed(tmp_path):
+    recorded(tmp_path, range(1))
+
+    layout = layout_of(tmp_path / "seen.rrd")
+    assert layout["timeline"] == {"frame"}
+    assert layout["collapsed"] == {"/selection_panel", "/blueprint_panel", "/time_panel"}
+    assert layout["views"] >= {
+        "whole field, the ROI in place", "ROI, as read", "the same window in the context",
+        "policy: objects by frames", "loop latency, ms", "by stage", "target", "pixels", "drops",
+        "what happened", "what is drawn",
+    }  # fmt: skip
+
+
+def test_figures_say_what_the_roi_shows_of_the_target(tmp_path):
+    chunks = recorded(tmp_path, range(3))
+
+    read = rows(chunks, "/figures/pixels/read", "scalars")
+    assert read[0] == [pytest.approx(100 * 2 * 27 * 48 / (1920 * 1080))]
+    assert rows(chunks, "/figures/pixels/budget", "scalars")[0] == [
+        pytest.approx(100 * (27 * 48 + 480 * 270) / (1920 * 1080))
+    ]
+    assert rows(chunks, "/figures/target/iou", "scalars")[-1][0] == pytest.approx(2204 / 2596)
+
+
+def test_the_log_tells_of_another_instance_and_of_missing_frames(tmp_path):
+    path = tmp_path / "seen.rrd"
+    seen = [part(seq, "tracks") for seq in (0, 1, 2, 5, 31)]
+    seen[3:] = [replace(m, header=replace(m.header, epoch=2)) for m in seen[3:]]
+
+    drive(Visualise, [{"tracks": m} for m in seen], {"save": str(path)})
+
+    told = [line for (line,) in rows(list(RrdReader(path).stream()), "/log", "TextLog:text")]
+    assert told == [
+        "the sensor was opened: stream test",
+        "association: instance 2 took over (a restart or a swap)",
+        "association: 27 frames did not arrive here, 27 in all",
+    ]
+
+
+def test_a_command_adds_lines_and_drops(tmp_path):
+    path = tmp_path / "seen.rrd"
+    subject = Visualise(VisualiseSettings(save=str(path)))
+    subject.open()
+    subject.on_context(part(0, "context"))
+
+    told = {"lines": ['policy.target = "ball"'], "drops": {"a.b to c.d/superseded": 3}}
+    carry_out("viewer_1", subject, "note", told)
+    subject.close()
+
+    chunks = list(RrdReader(path).stream())
+    assert rows(chunks, "/log", "TextLog:text") == [['policy.target = "ball"']]
+    counts = {c.entity_path: rows(chunks, c.entity_path, "scalars") for c in chunks}
+    assert [v for k, v in counts.items() if k.startswith("/drops/")] == [[[3]]]
 
 
 def test_the_box_of_a_lost_object_is_removed(tmp_path):
@@ -135,20 +171,13 @@ def test_the_box_of_a_lost_object_is_removed(tmp_path):
     assert [len(b) for b in boxes] == [1, 0]
 
 
-def test_times_are_those_of_the_frames(tmp_path):
-    chunks = recorded(tmp_path, range(3))
+def test_times_count_from_the_start_of_the_stream(tmp_path):
+    chunks = recorded(tmp_path, range(5, 8))
 
     timelines = {n for c in chunks if c.entity_path == "/sensor/tracks" for n in c.timeline_names}
-    assert timelines == {"frame", "stamp"}
-    assert sorted(rows(chunks, "/sensor/detections", "frame")) == [0, 1, 2]
-
-
-def test_boxes_and_names_can_be_read_back(tmp_path):
-    chunks = recorded(tmp_path, range(1))
-
-    assert rows(chunks, "/sensor/tracks", "labels") == [["player #1"]]
-    assert rows(chunks, "/sensor/tracks", "centers") == [[[120, 130]]]
-    assert rows(chunks, "/latency/association/age_ms", "scalars") == [[3.5]]
+    assert timelines == {"frame", "time"}
+    assert sorted(rows(chunks, "/sensor/tracks", "frame")) == [5, 6, 7]
+    assert sorted(rows(chunks, "/sensor/tracks", "time")) == [0, 33_333_333, 66_666_666]
 
 
 def test_the_roi_is_placed_where_the_sensor_read_it(tmp_path):
@@ -170,17 +199,19 @@ def test_a_trail_ends_with_its_track(tmp_path):
     subject.open()
 
     for seq in range(100):
-        tracks = exposure(seq)[3]["tracks"]
-        subject.on_tracks(replace(tracks, ids=np.array([seq // 50], np.int32)))
+        tracks = part(seq, "tracks")
+        subject.on_tracks(replace(tracks, ids=np.array([seq // 50, 9], np.int32)))
 
-    assert {i: len(trail) for i, trail in subject._trails.items()} == {1: 30}
+    assert {i: len(trail) for i, trail in subject._trails.items()} == {1: 30, 9: 30}
     subject.close()
 
 
-def test_the_panels_come_with_the_recording(tmp_path):
-    recorded(tmp_path, range(1))
+def test_the_same_window_of_the_context_is_drawn_as_large_as_the_roi(tmp_path):
+    chunks = recorded(tmp_path, range(2))
 
-    assert len(RrdReader(tmp_path / "seen.rrd").blueprints()) >= 1
+    (blob, *_more) = rows(chunks, "/window/roi", "blob")
+    seen = cv2.imdecode(np.frombuffer(bytes(blob[0]), np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert seen.shape == (27, 48, 3)
 
 
 @pytest.mark.parametrize(
@@ -234,32 +265,3 @@ def test_a_destination_is_required():
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(RunError, match=r"expected a folder .*/nowhere, got none"):
         drive(Visualise, [], {"save": str(tmp_path / "nowhere" / "seen.rrd")})
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def test_the_server_listens_on_the_loopback_only_and_ends_with_the_operator(tmp_path):
-    subject = Visualise(VisualiseSettings(serve=True, port=free_port(), web_port=free_port()))
-
-    subject.open()
-    server = psutil.Process(subject._server.pid)
-    listening = {c.laddr.ip for c in server.net_connections() if c.status == "LISTEN"}
-    subject.on_context(**exposure(0)[0])
-    subject.close()
-
-    assert listening == {"127.0.0.1"}
-    assert not server.is_running()
-
-
-def test_a_port_that_is_taken_is_named():
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-
-        with pytest.raises(RunError, match=f"expected port {port} to be free"):
-            drive(Visualise, [], {"serve": True, "port": port})

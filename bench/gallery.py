@@ -1,0 +1,91 @@
+"""Photograph the Rerun view of a graph in a browser: `python -m bench.gallery [GRAPH …]`.
+
+Each graph runs as processes, with a recording; Rerun's web viewer shows the recording's end in a
+headless Chromium, whose picture is written with a palette to stay small. The rates are
+lower than the graphs' own, for a machine of two cores, and `whole_pitch` follows a player instead
+of its ball. Latencies in a picture are those of one run on whatever else the machine did: no
+measurement.
+"""
+
+import subprocess
+import sys
+import tempfile
+from io import BytesIO
+from pathlib import Path
+from urllib.parse import quote
+
+import click
+from PIL import Image
+
+from bench.headless import Page
+from bench.options import Bench
+from operators.visualise.server import await_listener, free_ports, serve
+from pipeline.errors import RunError
+
+RESULTS = Path(__file__).resolve().parent / "results"
+RUNS: dict[str, tuple[float, int, tuple[str, ...]]] = {  # frames/s, frames, settings
+    "tracking": (10.0, 100, ()),
+    "whole_pitch": (4.0, 64, ("policy.target=player",)),  # with the ball, the policy was searching
+}
+OTHERS: tuple[float, int, tuple[str, ...]] = (10.0, 100, ())
+SIZE_PX = (1600, 900)
+SHOWN_PX = (1280, 720)
+COLOURS = 256
+LIMIT_S = 240.0
+
+
+@click.command(cls=Bench)
+@click.argument("graphs", nargs=-1)
+@click.option("--out", default=RESULTS, type=click.Path(path_type=Path), help="A folder.")
+def main(graphs: tuple[str, ...], out: Path) -> None:
+    """Write a picture of the view of each graph; without any, of the shipped ones named above."""
+    for graph in graphs or RUNS:
+        name = Path(graph).stem
+        path = out / f"gallery_{name}.png"
+        with tempfile.TemporaryDirectory() as folder:
+            recording = Path(folder) / "seen.rrd"
+            rate_hz, frames, changes = RUNS.get(name, OTHERS)
+            record(graph, recording, frames, (f"capture.options.rate_hz={rate_hz:g}", *changes))
+            png = small(photograph(recording))
+        out.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(png)
+        click.echo(f"{path.name}: {len(png) / 1000:.0f} kB, {frames} frames at {rate_hz:g} Hz")
+
+
+def record(graph: str, path: Path, frames: int, changes: tuple[str, ...]) -> None:
+    """Run a graph with a recording; raises `RunError` when it fails."""
+    words = ["run", graph, "--frames", str(frames), "--save", str(path)]
+    words += [f"--set={change}" for change in changes]
+    done = subprocess.run(
+        [sys.executable, "-m", "pipeline.entry", *words],
+        capture_output=True, text=True, timeout=LIMIT_S, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        raise RunError(f"{graph}: {done.stderr.strip()[-500:]}")
+
+
+def photograph(recording: Path) -> bytes:
+    """Return a PNG of the end of a recording in Rerun's web viewer."""
+    port, web_port = free_ports(2)
+    server = serve(port, web_port, recording)
+    try:
+        data = f"rerun+http://127.0.0.1:{port}/proxy"
+        await_listener(data)
+        address = f"http://127.0.0.1:{web_port}/?url={quote(data, safe='')}"
+        with Page(address, SIZE_PX) as page:
+            return page.drawn(LIMIT_S)
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def small(png: bytes) -> bytes:
+    """Return the picture smaller and with few colours."""
+    picture = Image.open(BytesIO(png)).convert("RGB").resize(SHOWN_PX, Image.Resampling.LANCZOS)
+    out = BytesIO()
+    picture.quantize(COLOURS, method=Image.Quantize.FASTOCTREE).save(out, "PNG", optimize=True)
+    return out.getvalue()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""`fovea view`: watch a running graph in a browser."""
+
+import socket
+from urllib.parse import quote
+
+import click
+
+from pipeline.cli.arguments import RUNNING
+from pipeline.client import find as clients
+from pipeline.client.viewing import attached, follow
+from pipeline.errors import RunError
+
+PORT = click.IntRange(0, 65535)
+USUAL = {"port": 9876, "web_port": 9090}  # Rerun's own
+
+
+@click.command()
+@click.argument("graph", required=False, type=RUNNING)
+@click.option("--port", default=0, type=PORT, help="Of the data; 0: 9876, or any free one.")
+@click.option("--web-port", default=0, type=PORT, help="Of the page; 0: 9090, or any free one.")
+@click.option("--every", default=1, type=click.IntRange(1), help="Show each n-th frame.")
+@click.option("--details", is_flag=True, help="Show series of each stage and object, too.")
+@click.option("--no-browser", is_flag=True, help="Print the address only.")
+def view(
+    graph: str | None, port: int, web_port: int, every: int, details: bool, no_browser: bool
+) -> None:
+    """Watch a running graph in a browser of this host, with Rerun; Ctrl-C ends the view only."""
+    client = clients.find(graph or "")
+    port = port or _free("port", ())
+    web_port = web_port or _free("web_port", (port,))
+    settings = {
+        "serve": True, "port": port, "web_port": web_port, "every": every, "details": details,
+    }  # fmt: skip
+    with attached(client, settings) as node:
+        data = quote(f"rerun+http://127.0.0.1:{port}/proxy", safe="")
+        address = f"http://127.0.0.1:{web_port}/?url={data}"
+        try:
+            click.echo(f"{client.name}: look at {address}\nCtrl-C ends the view; the graph goes on")
+            if not no_browser:
+                click.launch(address)
+            over = follow(client, node)
+        except KeyboardInterrupt:
+            over = f"{client.name}: goes on without the view"
+    click.echo(over)
+
+
+def _free(name: str, taken: tuple[int, ...]) -> int:
+    """Return Rerun's usual port if it is free, else any free one."""
+    for port in (USUAL[name], 0):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            found = int(probe.getsockname()[1])
+            if found not in taken:
+                return found
+    raise RunError(f"visualise.{name}: expected a free port, got none")

@@ -1,0 +1,189 @@
+"""`fovea view` attaches to a running graph and leaves without a trace."""
+
+import re
+import secrets
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from pipeline.client.graph_client import Status
+from pipeline.client.viewing import changed_settings, drops, happened, wiring
+from pipeline.errors import RunError
+from pipeline.graph.editing import loaded_ports
+from pipeline.graph.loader import load
+from pipeline.protocol.fleet import EdgeState, NodeState, Process, State
+from pipeline.protocol.questions import NodeSettings
+from pipeline.run.rundir import running
+from tests.commands import command
+from tests.sample_graphs import CHAIN, together
+
+FOVEA = (sys.executable, "-m", "pipeline.entry")
+
+
+@pytest.fixture
+def name(tmp_path: Path) -> Iterator[str]:
+    """Run a graph; return its name."""
+    path = tmp_path / "graph.yaml"
+    name = f"view-{secrets.token_hex(3)}"
+    path.write_text(f"name: {name}\n{together(CHAIN, 'ticker', 'count', 'glance')}")
+    subprocess.run([*FOVEA, "run", str(path), "--detach"], check=True, capture_output=True)
+    yield name
+    if name in running():
+        psutil.Process(running()[name]["pid"]).kill()
+
+
+def viewing(name: str) -> "subprocess.Popen[str]":
+    """Start `fovea view` and wait until it watches."""
+    view = subprocess.Popen(
+        [*FOVEA, "view", name, "--no-browser"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        text=True,
+    )  # fmt: skip
+    assert view.stdout is not None
+    assert re.match(rf"{name}: look at http://127\.0\.0\.1:\d+/\?url=rerun", view.stdout.readline())
+    return view
+
+
+def nodes(name: str) -> set[str]:
+    return {node["name"] for node in running()[name]["nodes"]}
+
+
+def test_a_view_joins_a_running_graph_and_leaves_it_as_it_was(name: str) -> None:
+    before = nodes(name)
+
+    killed = viewing(name)
+    joined = nodes(name) - before
+    killed.kill()
+    killed.communicate()
+    view = viewing(name)  # takes away what the killed one left
+    second = nodes(name) - before
+    view.send_signal(signal.SIGINT)
+    said = view.communicate(timeout=60)[0]
+
+    assert joined == {f"viewer_{killed.pid}"}
+    assert second == {f"viewer_{view.pid}"}
+    assert view.returncode == 0
+    assert said.splitlines()[-1] == f"{name}: goes on without the view"
+    assert nodes(name) == before
+
+
+def test_a_view_ends_with_its_graph(name: str) -> None:
+    view = viewing(name)
+
+    assert command("stop", name).returncode == 0
+
+    assert view.communicate(timeout=60)[0].splitlines()[-1] == f"{name}: the graph has ended"
+    assert view.returncode == 0
+
+
+def test_a_graph_that_does_not_run_is_named() -> None:
+    done = command("view", "nowhere")
+
+    assert done.returncode == 1
+    assert done.stderr.startswith("fovea: no graph nowhere runs")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("graph", "differs"),
+    [
+        ("tracking", {}),
+        ("prototype", {"context": "context_rgb", "roi": "roi_rgb"}),  # not the mosaics
+        ("many", {"tracks": "identity"}),
+    ],
+)
+def test_a_viewer_reads_what_the_graphs_own_consumers_read(
+    graph: str, differs: dict[str, str]
+) -> None:
+    plan = load(Path("graphs") / f"{graph}.yaml")
+
+    found = wiring(plan, loaded_ports(plan))
+
+    expected = {
+        "context": "capture.context", "roi": "capture.roi", "truth": "capture.truth",
+        "detections": "saliency", "tracks": "association", "scanpath": "policy",
+        "schedule": "dispatch", "percept": "tracker",
+    } | differs  # fmt: skip
+    assert {k: v for k, v in found.items() if k in expected} == {
+        k: v for k, v in expected.items() if k != "percept" or graph != "many"
+    }
+
+
+def test_a_graph_with_nothing_to_show_is_refused() -> None:
+    plan = load(Path("graphs/tracking.yaml"))
+    bare = type(plan)(name="bare", clock=plan.clock, nodes=plan.nodes[1:2], edges=())
+
+    with pytest.raises(RunError, match="bare: expected an output that can be shown, got none"):
+        wiring(bare, lambda _node: type("None_", (), {"outputs": {}})())
+
+
+def status(*, epoch: int = 0, crashes: int = 0, extra: str = "") -> Status:
+    """Return the status of a graph with one node, or two."""
+    state = NodeState(
+        name="policy", condition="running", epoch=epoch, handled=0, last_seq=0, handler_ms={},
+        hop_ms={}, loop_ms={},
+    )  # fmt: skip
+    both = [state] + ([NodeState(**{**_fields(state), "name": extra})] if extra else [])
+    process = Process(
+        name="policy", nodes=("policy",), pid=1, cpu_s=0, rss_mb=0, restarts=0, crashes=crashes
+    )
+    edges = [
+        EdgeState(origin="capture.roi", end=end, account={"dropped": dropped}, age_ms={},
+                  age_error_ms=0, broken=False, sent=9)
+        for end, dropped in (("tracker.roi", {"superseded": 3}), ("viewer_7.roi", {"tap": 2}))
+    ]  # fmt: skip
+    found = State(
+        graph="g", label="", at_ns=0, phase="running", failure="", processes=(process,),
+        nodes=tuple(both), edges=tuple(edges), hosts=(), network_bytes={},
+    )  # fmt: skip
+    return Status(graph="g", hosts={"": (found,)}, nodes={})
+
+
+def _fields(state: NodeState) -> dict[str, object]:
+    return {name: getattr(state, name) for name in state.__struct_fields__}
+
+
+@pytest.mark.parametrize(
+    ("now", "lines"),
+    [
+        (status(), []),
+        (status(epoch=1), ["policy: swapped, instance 1 runs now"]),
+        (status(epoch=1, crashes=1), ["policy: its process crashed, and is restarted"]),
+        (status(extra="record"), ["record: joined the graph"]),
+        (status(extra="viewer_9"), []),
+    ],
+)
+def test_what_happened_between_two_looks_is_told(now: Status, lines: list[str]) -> None:
+    assert happened(status(), now) == lines
+
+
+def test_drops_are_told_by_edge_and_reason_without_the_viewers_own() -> None:
+    assert drops(status(), "viewer_7") == {"capture.roi to tracker.roi/superseded": 3}
+
+
+class Asked:
+    """A client of a graph whose only node has one live setting."""
+
+    def __init__(self) -> None:
+        self.target = "ball"
+
+    def nodes(self) -> tuple[str, ...]:
+        return ("policy", "viewer_7")
+
+    def configure(self, node: str, _changes: object) -> NodeSettings:
+        assert node == "policy"
+        return NodeSettings(settings={"target": self.target, "other": 1}, live=("target",))
+
+
+def test_a_live_setting_that_changed_is_told_once() -> None:
+    client, known = Asked(), {}
+
+    told = [changed_settings(client, known)]
+    client.target = "player"
+    told += [changed_settings(client, known) for _ in range(2)]
+
+    assert told == [[], ['policy.target = "player"'], []]
