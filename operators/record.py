@@ -7,7 +7,7 @@ queue, a thread writes.
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,7 @@ class RecordSettings:
     """What a graph may set. Limits of 0 are none."""
 
     path: str = ""  # of the .mcap file; further files are PATH-2.mcap, PATH-3.mcap …
-    outputs: Mapping[str, str] = None  # type: ignore[assignment]  # input -> node.output
+    outputs: Mapping[str, str] = field(default_factory=dict)  # input -> node.output
     lossless: tuple[str, ...] = ()  # inputs that wait for room in the queue rather than drop
     graph: str = ""  # the running graph whose plan, settings, accounts and events are recorded
     file_mb: float = 0.0  # begin a new file at this size
@@ -59,8 +59,6 @@ class RecordSettings:
     chunk_s: float = 0.5  # what a killed recorder loses at most
 
     def __post_init__(self) -> None:
-        if self.outputs is None:
-            object.__setattr__(self, "outputs", {})
         for name in ("file_mb", "file_s", "ring_s"):
             if not 0 <= getattr(self, name) < 1e9:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
@@ -87,6 +85,7 @@ class Record(Operator[RecordSettings, None]):
 
     _recorder: Recorder | None = None
     _watch: "_Watch | None" = None
+    _over = False  # whether the recorder was closed
 
     def open(self) -> None:
         """Begin the first file; raises `RunError` when it cannot be made."""
@@ -148,8 +147,6 @@ class Record(Operator[RecordSettings, None]):
         failure = "" if self._over else self._recorder.close()
         self._over = True
         return failure
-
-    _over = False
 
     @property
     def _out(self) -> Recorder:

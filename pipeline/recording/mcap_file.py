@@ -4,7 +4,6 @@ The only importer of `mcap`. Messages are written in chunks compressed by zstd. 
 was killed has no index and may end in the middle of a chunk: the reader returns all whole chunks.
 """
 
-import os
 import struct
 import time
 from collections.abc import Iterator
@@ -85,13 +84,13 @@ class McapWriter:
         """Write the chunk in progress if it is old enough."""
         now_s = time.monotonic()
         if now_s - self._written_s >= self._chunk_s:
-            self._writer.flush()
+            self._writer.flush()  # type: ignore[no-untyped-call]
             self._written_s = now_s
 
     def close(self) -> None:
         """Write the last chunk and the index."""
         try:
-            self._writer.finish()
+            self._writer.finish()  # type: ignore[no-untyped-call]
         finally:
             self._stream.close()
 

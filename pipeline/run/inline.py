@@ -22,7 +22,6 @@ from pipeline.graph.plan import Edge, Node, Plan, inputs_for, load_operator
 from pipeline.messages import Header, Message, Span, altered, stamped
 from pipeline.node.live import Live
 from pipeline.node.source import fold
-from pipeline.run.played import Played
 from pipeline.run.report import Report, compose
 
 Watch = Callable[[str, Message], None]  # node.output, message
@@ -31,7 +30,7 @@ Watch = Callable[[str, Message], None]  # node.output, message
 class _InlineNode:
     """One operator of the graph."""
 
-    def __init__(self, plan: Plan, node: Node, ledger: Ledger, played: Played | None) -> None:
+    def __init__(self, plan: Plan, node: Node, ledger: Ledger, played: Executor | None) -> None:
         cls = load_operator(node.operator)
         self.node = node
         self.operator: Operator[Any, Any] = (
@@ -56,7 +55,11 @@ class InlineRunner:
     """Opens a plan's operators in this process; use as a context."""
 
     def __init__(
-        self, plan: Plan, *, watch: Watch | None = None, played: Mapping[str, Played] | None = None
+        self,
+        plan: Plan,
+        *,
+        watch: Watch | None = None,
+        played: Mapping[str, Executor] | None = None,
     ) -> None:
         """`played`: what stands for a node that does not run, by its name."""
         self.plan, self._watch = plan, watch

@@ -33,10 +33,8 @@ class Played(Executor):
 
     def __init__(self, plan: Plan, node: str, recording: Recording) -> None:
         cls = load_operator(plan.node(node).operator)
-        self.operator: Operator[Any, Any] = (
-            PlayedSource(NoSettings()) if issubclass(cls, Source) else PlayedNode(NoSettings())
-        )
-        super().__init__(node, self.operator)
+        idle = PlayedSource if issubclass(cls, Source) else PlayedNode
+        super().__init__(node, idle(NoSettings()))
         self._types, self._recording = outputs_of(cls), recording
         self._joined = frozenset(joined(cls))
         self._left = iter(exposures(recording, node, self._types))
@@ -119,8 +117,8 @@ class Verifier:
     """Compares what a replay computes with what was recorded; pass `watch` to the runner."""
 
     def __init__(self, plan: Plan, recording: Recording, replaced: Iterable[str]) -> None:
-        self._recording, self.first = recording, None
-        self.first: Difference | None
+        self._recording = recording
+        self.first: Difference | None = None
         self.compared, self.different = 0, 0
         self._types = {
             f"{node.name}.{output}": cls
@@ -145,11 +143,9 @@ class Verifier:
         recorded = self._recording.message(output, self._types[output], exposure)
         self._judge(output, header, recorded, message)
 
-    def finish(self, frames: int) -> None:
-        """Count what was recorded and not computed again; `frames`: limit of the replay, 0: none."""
+    def finish(self) -> None:
+        """Count what was recorded and, in a whole replay, not computed again."""
         for output, left in self._left.items():
-            if frames:
-                continue
             for _stream, seq in sorted(left, key=lambda one: one[1]):
                 self._add(Difference(output, seq, "message", "recorded, and not computed again"))
 
