@@ -55,6 +55,7 @@ class RecordSettings:
     file_s: float = 0.0  # and after this time
     ring_s: float = 0.0  # keep the last seconds in memory, write them when told to
     ring_mb: float = 256.0  # at most so much of them
+    lost_frames: int = 0  # also write the ring when percepts had no box for so many frames
     queue_mb: float = 256.0  # of messages that wait to be written
     chunk_s: float = 0.5  # what a killed recorder loses at most
 
@@ -62,6 +63,8 @@ class RecordSettings:
         for name in ("file_mb", "file_s", "ring_s"):
             if not 0 <= getattr(self, name) < 1e9:
                 raise SettingsError(f"{name}: must be at least 0, got {getattr(self, name)}")
+        if self.lost_frames < 0 or (self.lost_frames and not self.ring_s):
+            raise SettingsError(f"lost_frames: needs ring_s above 0, got {self.lost_frames}")
         for name in ("ring_mb", "queue_mb", "chunk_s"):
             if not 0 < getattr(self, name) < 1e9:
                 raise SettingsError(f"{name}: must be above 0, got {getattr(self, name)}")
@@ -92,6 +95,7 @@ class Record(Operator[RecordSettings, None]):
         s = self.settings
         if not s.path:  # not in the settings: a graph may hold a recorder that is not started
             raise SettingsError("record.path: expected a file to write, got none")
+        self._empty: dict[str, int] = {}  # frames without a box, by output
         self._recorder = Recorder(Path(s.path).absolute(), s.limits())
         self._recorder.note("graph", {"version": described(), "name": s.graph})
         if s.graph:
@@ -135,8 +139,14 @@ class Record(Operator[RecordSettings, None]):
 
     def take(self, name: str, message: Message) -> None:
         """Queue a message of an input."""
-        s = self.settings
-        self._out.add(s.outputs.get(name, name), message, wait=name in s.lossless)
+        s, output = self.settings, self.settings.outputs.get(name, name)
+        self._out.add(output, message, wait=name in s.lossless)
+        if s.lost_frames and isinstance(message, Percept):
+            empty = self._empty.get(output, s.lost_frames)  # nothing is lost before it was found
+            empty = 0 if len(message.boxes) else empty + 1
+            self._empty[output] = empty
+            if empty == s.lost_frames:
+                self._out.dump(f"{output}: frame {message.header.seq}: the target was lost")
 
     def _ended(self) -> str:
         if self._watch is not None:

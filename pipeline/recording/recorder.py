@@ -10,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,18 +60,27 @@ class Account:
         return {name: getattr(self, name) for name in ("recorded", "dropped", "gaps", "refused")}
 
 
+class _Queued(NamedTuple):
+    """A message that waits to be written."""
+
+    output: str
+    message: Message
+    at_ns: int
+    nbytes: int
+
+
 class Recorder:
     """Writes recordings. `failure` says why no more can be written; empty while it can."""
 
     def __init__(self, path: Path, limits: Limits | None = None) -> None:
         """Begin the first file; raises `RunError` when it cannot be made."""
         self._path, self._limits = path, limits or Limits()
-        self._waiting: deque[tuple[str, Message, int, int]] = deque()
+        self._waiting: deque[_Queued | str] = deque()  # a text: why the ring is to be written
         self._facts: deque[Item] = deque(maxlen=10_000)
         self._kept: dict[str, Item] = {}  # the newest of each fact, for the next file
         self._ring: deque[list[Item]] = deque()
         self._ring_bytes = self._bytes = 0
-        self._room, self._ended, self._dump = threading.Condition(), False, ""
+        self._room, self._ended = threading.Condition(), False
         self.accounts: dict[str, Account] = {}
         self.files: list[Path] = []
         self.failure = ""
@@ -90,7 +99,7 @@ class Recorder:
                 account.dropped += 1
                 return
             self._bytes += nbytes
-            self._waiting.append((output, message, time.time_ns(), nbytes))
+            self._waiting.append(_Queued(output, message, time.time_ns(), nbytes))
             self._room.notify_all()
 
     def note(self, name: str, value: Any) -> None:
@@ -100,10 +109,11 @@ class Recorder:
             self._room.notify_all()
 
     def dump(self, why: str) -> None:
-        """Write what the ring holds to the next file."""
+        """Write what the ring holds to the next file, once it holds everything queued so far."""
         with self._room:
-            self._dump = self._dump or why
-            self._room.notify_all()
+            if not self._ended and why not in self._waiting:
+                self._waiting.append(why)
+                self._room.notify_all()
 
     def figures(self) -> dict[str, dict[str, int]]:
         """Return the counts of every output."""
@@ -125,9 +135,9 @@ class Recorder:
 
     def _run(self) -> None:
         try:
-            for items in self._taken():
+            for items, why in self._taken():
                 if self._limits.ring_s:
-                    self._keep(items)
+                    self._keep(items, why)
                 elif items:
                     self._write(items)
                 if self._writer is not None:
@@ -138,38 +148,43 @@ class Recorder:
             why = error.strerror if isinstance(error, OSError) else said_by(error)
             with self._room:
                 self.failure = f"{self._path}: {why}; what was written before can be read"
+                for queued in self._waiting:
+                    if isinstance(queued, _Queued):
+                        self.accounts[queued.output].dropped += 1
                 self._waiting.clear()
                 self._room.notify_all()
             if self._writer is not None:
                 self._writer.abandon()
 
-    def _taken(self) -> Iterator[list[Item]]:
-        """Yield what to write next, and nothing at intervals."""
+    def _taken(self) -> Iterator[tuple[list[Item], str]]:
+        """Yield what to write next, or why to write the ring, and nothing at intervals."""
         while True:
             with self._room:
-                if not (self._waiting or self._facts or self._ended or self._dump):
+                if not (self._waiting or self._facts or self._ended):
                     self._room.wait(LOOK_S)
                 facts = list(self._facts)
                 self._facts.clear()
-                taken = self._waiting.popleft() if self._waiting else None
-                over = self._ended and taken is None and not facts and not self._dump
+                taken = self._waiting.popleft() if self._waiting else ""
+                over = self._ended and not taken and not facts
             if over:
                 return
             self._kept.update({item.topic.name: item for item in facts})
-            yield [*facts, *(self._encoded(*taken) if taken else [])]
-            if taken:
-                with self._room:
-                    self._bytes -= taken[3]
-                    self._room.notify_all()
+            if isinstance(taken, str):
+                yield facts, taken
+                continue
+            yield [*facts, *self._encoded(taken)], ""
+            with self._room:
+                self._bytes -= taken.nbytes
+                self._room.notify_all()
 
-    def _encoded(self, output: str, message: Message, at_ns: int, _nbytes: int) -> list[Item]:
-        account = self.accounts[output]
+    def _encoded(self, queued: "_Queued") -> list[Item]:
+        account, header = self.accounts[queued.output], queued.message.header
         try:
-            items = items_of(output, message, at_ns)
+            items = items_of(queued.output, queued.message, queued.at_ns)
         except MessageError:
             account.refused += 1
             return []
-        account.count(message.header.stream, message.header.seq)
+        account.count(header.stream, header.seq)
         return items
 
     def _write(self, items: list[Item]) -> None:
@@ -183,8 +198,8 @@ class Recorder:
         for item in items:
             self._writer.add(item)
 
-    def _keep(self, items: list[Item]) -> None:
-        """Keep the newest in memory; write them when asked to."""
+    def _keep(self, items: list[Item], why: str) -> None:
+        """Keep the newest in memory; write them for an event."""
         limits = self._limits
         if items:
             self._ring.append(items)
@@ -195,8 +210,6 @@ class Recorder:
             or self._ring[0][-1].log_ns < newest_ns - limits.ring_s * NS
         ):
             self._ring_bytes -= _bytes(self._ring.popleft())
-        with self._room:
-            why, self._dump = self._dump, ""
         if why:
             writer = self._begin()
             writer.add(fact("events", {"event": why}, time.time_ns()))
