@@ -10,6 +10,7 @@ import click
 from pipeline import output, signals, terminal
 from pipeline.cli.arguments import DURATION_S, FRAMES, Finite
 from pipeline.cli.files import try_recording, try_report, write_report
+from pipeline.cli.light import compared, table
 from pipeline.cli.overlaid import load_overlaid, overlaid
 from pipeline.client import recording as recorder
 from pipeline.client.find import find
@@ -77,17 +78,28 @@ def record_command(
 @click.option("--verify", is_flag=True, help="Compare with what was recorded, bit for bit.")
 @click.option("--frames", type=FRAMES, help="Stop after this many frames.")
 @click.option("--pace", type=PACE, default="flat", help="Flat out, as recorded, or by Enter.")
+@click.option("--light", is_flag=True, help="Its full frames are what the sensor of GRAPH sees.")
+@click.option("--try", "tries", multiple=True, metavar="'NODE.SETTING=VALUE …'",
+              help="With --light: run with these changes; several are compared.")  # fmt: skip
 @click.option("--save", type=click.Path(path_type=Path), help="Write a Rerun recording.")
 @click.option("--report", type=click.Path(path_type=Path), help="Write the report as JSON.")
 @overlaid
 def replay_command(
     file: Path, graph: Path | None, nodes: tuple[str, ...], verify: bool, frames: int | None,
-    pace: str, save: Path | None, report: Path | None, **laid: Any,
+    pace: str, light: bool, tries: tuple[str, ...], save: Path | None, report: Path | None,
+    **laid: Any,
 ) -> None:  # fmt: skip
     """Run a graph on a recording in place of its source, in lockstep.
 
     Without GRAPH, the one that the recording holds: its code runs here, as with `fovea run`.
     """
+    if light:
+        if nodes or verify or save or report or laid["source"] or graph is None:
+            raise click.UsageError("--light: expected FILE GRAPH, --try, --set, --with, --frames")
+        _on_its_light(file, graph, tries, frames or 0, laid)
+        return
+    if tries:
+        raise click.UsageError("--try: goes with --light")
     if report:
         try_report(report, "--report")
     if save:
@@ -110,6 +122,16 @@ def replay_command(
         raise RunError(unwritten)
     if status := asked.status or (DIFFERENT if found.different else 0):
         sys.exit(status)
+
+
+def _on_its_light(
+    file: Path, graph: Path, tries: tuple[str, ...], frames: int, laid: dict[str, Any]
+) -> None:
+    with signals.Interruption(last=True) as asked:
+        reports = compared(file, graph, tries, frames, asked.asked, laid)
+    terminal.console().print(table(reports))
+    if asked.status:
+        sys.exit(asked.status)
 
 
 def _record_inline(graph: str, path: Path, frames: int, laid: dict[str, Any]) -> None:

@@ -144,8 +144,8 @@ class Recorder:
                     self._writer.look()
             if self._writer is not None:
                 self._end(self._writer)
-        except (OSError, RunError, MemoryError) as error:
-            why = error.strerror if isinstance(error, OSError) else said_by(error)
+        except Exception as error:  # whatever ends this thread, writers must not wait for it
+            why = (isinstance(error, OSError) and error.strerror) or said_by(error)
             with self._room:
                 self.failure = f"{self._path}: {why}; what was written before can be read"
                 for queued in self._waiting:

@@ -109,3 +109,19 @@ def test_the_command_prints_the_difference_and_has_its_exit_status(tmp_path: Pat
         2, f"fovea: --out {file}: expected a new file, got one that exists\n",
     )  # fmt: skip
     assert plan.name in same.stdout
+
+
+def test_runs_on_the_same_light_are_compared_in_a_table(tmp_path: Path) -> None:
+    full = "size_px: [640, 360], rate_hz: 30, seed: 1, strategy: full"
+    text = TRACKING.replace("size_px: [640, 360], rate_hz: 30, seed: SEED", full)
+    plan_of(tmp_path, text)
+    graph, file = str(tmp_path / "graph.yaml"), str(tmp_path / "a.mcap")
+    command("record", graph, "--inline", "--frames", "3", "--out", file)
+
+    tries = ("--try", "capture.roi_area=0.0625", "--try", "capture.roi_area=0.04")
+    found = command("replay", file, graph, "--light", *tries)
+
+    assert found.returncode == 0, found.stderr
+    rows = [line for line in found.stdout.splitlines() if line.startswith("capture.roi_area")]
+    assert len(rows) == 2
+    assert rows[0].split()[1:] != rows[1].split()[1:]
