@@ -84,7 +84,7 @@ class Record(Operator[RecordSettings, None]):
     Messages of your own types: subclass it and declare an input for each.
     """
 
-    commands = ("write",)
+    commands = ("write", "figures")
 
     _recorder: Recorder | None = None
     _watch: "_Watch | None" = None
@@ -110,6 +110,11 @@ class Record(Operator[RecordSettings, None]):
             raise RunError("record: expected ring_s above 0, got a recorder that writes everything")
         self._out.dump(why)
         return {"ring_s": self.settings.ring_s}
+
+    def do_figures(self) -> dict[str, Any]:
+        """Return files, counts by output, and why nothing more can be written (empty: it can)."""
+        files = [str(path) for path in self._out.files]
+        return {"files": files, "outputs": self._out.figures(), "failure": self._out.failure}
 
     def headline(self) -> str:
         """Return the messages so far."""

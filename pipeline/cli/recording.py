@@ -66,9 +66,11 @@ def record_command(
         what = recorder.chosen(client, edges)
         recorder.begin(client, path, what, {k: v for k, v in given.items() if v})
         click.echo(f"{graph}: recording {len(what.inputs)} outputs to {path}; Ctrl-C ends it")
-        accounts = recorder.follow(client, duration_s or 0.0, asked.asked, _line())
-    _print_accounts(accounts)
-    _print_files(path)
+        found = recorder.follow(client, duration_s or 0.0, asked.asked, _line())
+    _print_accounts(found.accounts)
+    _print_files([Path(file) for file in found.files] or [path])
+    if found.failure:
+        raise RunError(f"{graph}: goes on; the recording ended: {found.failure}")
 
 
 @click.command("replay")
@@ -140,7 +142,7 @@ def _record_inline(graph: str, path: Path, frames: int, laid: dict[str, Any]) ->
         figures = record_inline(plan, path, frames, asked.asked)
     for name, one in figures.items():
         click.echo(f"{name.removesuffix('.out')}: {one['recorded']} messages")
-    _print_files(path)
+    _print_files([path])
 
 
 def _pace(pace: str, recording: Recording, asked: Callable[[], int]) -> Callable[[int, int], bool]:
@@ -193,7 +195,7 @@ def _print_accounts(accounts: list[EdgeState]) -> None:
         )
 
 
-def _print_files(path: Path) -> None:
-    files = sorted(path.parent.glob(f"{path.stem}*{path.suffix}"))
+def _print_files(files: list[Path]) -> None:
     for file in files:
-        click.echo(f"recording: {file}, {file.stat().st_size / 1e6:.1f} MB")
+        if file.exists():
+            click.echo(f"recording: {file}, {file.stat().st_size / 1e6:.1f} MB")

@@ -18,7 +18,7 @@ from pipeline import codec
 from pipeline.class_cache import adapter
 from pipeline.client.local import LocalGraph
 from pipeline.contract import inputs_of
-from pipeline.errors import RunError
+from pipeline.errors import FoveaError, RunError
 from pipeline.graph.loader import Sent
 from pipeline.graph.plan import Plan, load_operator
 from pipeline.protocol.fleet import EdgeState
@@ -28,6 +28,7 @@ OPERATOR = "operators.record:Record"
 NODE = "record"
 DEPTH = 30  # frames: a lossless writer waits for a recorder that is so many behind
 LOOK_S = 0.2
+ASK_LOOKS = 25  # so many looks between two questions to the recorder
 
 
 class Chosen(msgspec.Struct):
@@ -87,24 +88,44 @@ def begin(client: LocalGraph, path: Path, what: Chosen, settings: dict[str, Any]
         client.add(file)
 
 
+class Outcome(msgspec.Struct):
+    """What became of a recording."""
+
+    accounts: list[EdgeState] = []  # of the recorder's edges
+    files: list[str] = []
+    failure: str = ""  # why it could not be written to its end
+
+
 def follow(
     client: LocalGraph, duration_s: float, asked: Callable[[], int],
     show: Callable[[list[EdgeState]], None],
-) -> list[EdgeState]:  # fmt: skip
-    """Wait for the duration (0: none), a signal or the end of the graph, and remove the recorder.
+) -> Outcome:  # fmt: skip
+    """Wait for the duration (0: none), a signal, a failure or the end of the graph.
 
-    Returns the last accounts of its edges.
+    Then the recorder is removed; the graph continues.
     """
-    began_s, accounts = time.monotonic(), list[EdgeState]()
+    began_s, found, looks = time.monotonic(), Outcome(), 0
     while not asked() and not (duration_s and time.monotonic() - began_s >= duration_s):
         time.sleep(LOOK_S)
+        looks += 1
         with suppress(RunError):
-            accounts = accounts_of(client)
+            found.accounts = accounts_of(client)
         if not client.runs():
-            return accounts
-        show(accounts)
+            return found
+        show(found.accounts)
+        if looks % ASK_LOOKS == 0 and _told(client, found).failure:
+            break
+    _told(client, found)
     client.remove(NODE)
-    return accounts
+    return found
+
+
+def _told(client: LocalGraph, found: Outcome) -> Outcome:
+    """Ask the recorder for its files and failure, unless it does not answer."""
+    with suppress(FoveaError):
+        said = client.command(NODE, "figures", {}).answer
+        found.files, found.failure = list(said["files"]), str(said["failure"])
+    return found
 
 
 def accounts_of(client: LocalGraph) -> list[EdgeState]:

@@ -14,7 +14,6 @@ from pipeline import RunError, SettingsError
 from pipeline.client import recording
 from pipeline.client.find import find
 from pipeline.client.local import LocalGraph
-from pipeline.protocol.fleet import EdgeState
 from pipeline.recording.reader import Recording
 from pipeline.run.supervisor import Supervisor
 from pipeline.testing import drive
@@ -22,7 +21,7 @@ from tests.pipeline.recording.test_recorder import frame, percept
 from tests.sample_graphs import CHAIN, assert_accounts_add_up, beside, go, plan_of
 
 
-def record(graph: str, path: Path, outputs: tuple[str, ...] = ()) -> list[EdgeState]:
+def record(graph: str, path: Path, outputs: tuple[str, ...] = ()) -> recording.Outcome:
     client = find(graph)
     assert isinstance(client, LocalGraph)
     recording.begin(client, path, recording.chosen(client, outputs), {})
@@ -30,10 +29,10 @@ def record(graph: str, path: Path, outputs: tuple[str, ...] = ()) -> list[EdgeSt
 
 
 def test_a_running_graph_is_recorded_without_a_gap_on_a_lossless_edge(tmp_path: Path) -> None:
-    plan, path, accounts = plan_of(tmp_path, CHAIN), tmp_path / "a.mcap", list[EdgeState]()
+    plan, path, ended = plan_of(tmp_path, CHAIN), tmp_path / "a.mcap", list[recording.Outcome]()
 
     def look(supervisor: Supervisor) -> None:
-        accounts.extend(beside(supervisor, lambda: record(plan.name, path)))
+        ended.append(beside(supervisor, lambda: record(plan.name, path)))
 
     report = go(plan, 120, look)
 
@@ -44,7 +43,8 @@ def test_a_running_graph_is_recorded_without_a_gap_on_a_lossless_edge(tmp_path: 
     assert found.broken == ""
     assert [node["name"] for node in found.newest("graph")["plan"]["nodes"]][:1] == ["ticker"]
     assert found.newest("accounts")["states"]
-    assert [edge.origin for edge in accounts] == ["ticker.roi"]
+    assert [edge.origin for edge in ended[0].accounts] == ["ticker.roi"]
+    assert (ended[0].files, ended[0].failure) == ([str(path)], "")
     assert_accounts_add_up(report)
 
 
