@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pipeline.client.local import LocalGraph
 from pipeline.contract import HEADLINE, INCOMPLETE, Input, Operator
@@ -57,6 +57,7 @@ class RecordSettings:
     ring_mb: float = 256.0  # at most so much of them
     lost_frames: int = 0  # also write the ring when percepts had no box for so many frames
     queue_mb: float = 256.0  # of messages that wait to be written
+    compression: Literal["zstd", "lz4", "none"] = "zstd"
     chunk_s: float = 0.5  # what a killed recorder loses at most
 
     def __post_init__(self) -> None:
@@ -74,7 +75,7 @@ class RecordSettings:
         return Limits(
             chunk_s=self.chunk_s, file_bytes=int(self.file_mb * 1e6), file_s=self.file_s,
             ring_s=self.ring_s, ring_bytes=int(self.ring_mb * 1e6),
-            queue_bytes=int(self.queue_mb * 1e6),
+            queue_bytes=int(self.queue_mb * 1e6), compression=self.compression,
         )  # fmt: skip
 
 

@@ -36,13 +36,14 @@ LIMIT_MB, LIMIT_S = Finite(0.1, 1e9), Finite(0.1, 1e9)
 @click.option("--file-mb", type=LIMIT_MB, help="Begin a new file at this size.")
 @click.option("--file-s", type=LIMIT_S, help="Begin a new file after this time.")
 @click.option("--ring-s", type=LIMIT_S, help="Keep the last seconds in memory; write when told.")
+@click.option("--compression", type=click.Choice(["zstd", "lz4", "none"]), help="Default: zstd.")
 @click.option("--inline", is_flag=True, help="Run GRAPH in this thread, and record all of it.")
 @click.option("--frames", type=FRAMES, help="With --inline: stop after this many exposures.")
 @overlaid
 def record_command(
     graph: str, out: Path | None, edges: tuple[str, ...], duration_s: float | None,
-    file_mb: float | None, file_s: float | None, ring_s: float | None, inline: bool,
-    frames: int | None, **laid: Any,
+    file_mb: float | None, file_s: float | None, ring_s: float | None, compression: str | None,
+    inline: bool, frames: int | None, **laid: Any,
 ) -> None:  # fmt: skip
     """Record outputs of a running graph to an MCAP file, until it ends or Ctrl-C."""
     path = out or Path(f"{Path(graph).stem}.mcap")
@@ -50,7 +51,7 @@ def record_command(
     if path.exists():
         raise SettingsError(f"--out {path}: expected a new file, got one that exists")
     if inline:
-        if edges or duration_s or file_mb or file_s or ring_s:
+        if edges or duration_s or file_mb or file_s or ring_s or compression:
             raise click.UsageError(
                 "--inline records every output to one file; limit it by --frames"
             )
@@ -61,7 +62,7 @@ def record_command(
     client = find(graph)
     if not isinstance(client, LocalGraph):
         raise RunError(f"{graph}: expected a graph of this host, got one of several hosts")
-    given = {"file_mb": file_mb, "file_s": file_s, "ring_s": ring_s}
+    given = {"file_mb": file_mb, "file_s": file_s, "ring_s": ring_s, "compression": compression}
     with signals.Interruption() as asked:
         what = recorder.chosen(client, edges)
         recorder.begin(client, path, what, {k: v for k, v in given.items() if v})

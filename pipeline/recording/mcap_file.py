@@ -1,6 +1,6 @@
 """MCAP files: channels and messages in, a file that is readable at any moment; and back.
 
-The only importer of `mcap`. Messages are written in chunks compressed by zstd. A file whose writer
+The only importer of `mcap`. Messages are written in chunks, compressed or not. A file whose writer
 was killed has no index and may end in the middle of a chunk: the reader returns all whole chunks.
 """
 
@@ -20,6 +20,9 @@ from mcap.writer import CompressionType, Writer
 from pipeline.errors import RunError
 from pipeline.text import said_by
 
+COMPRESSION = {
+    "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE,
+}  # fmt: skip
 MOST_RECORD_BYTES = 1 << 30
 BROKEN = (McapError, ValueError, struct.error, zstandard.ZstdError, EOFError, IndexError, KeyError)
 
@@ -52,14 +55,16 @@ class McapWriter:
     what a killed process loses is at most that.
     """
 
-    def __init__(self, path: Path, *, chunk_bytes: int, chunk_s: float) -> None:
+    def __init__(
+        self, path: Path, *, chunk_bytes: int, chunk_s: float, compression: str = "zstd"
+    ) -> None:
         """Create the file; raises `FileExistsError` rather than overwrite one."""
         self.path, self._chunk_s = path, chunk_s
         self._stream: IO[bytes] = path.open("xb", buffering=0)
         self._counted = _Whole(self._stream)
         self._writer = Writer(
             self._counted,  # type: ignore[arg-type]  # it writes, flushes and tells
-            chunk_size=chunk_bytes, compression=CompressionType.ZSTD,
+            chunk_size=chunk_bytes, compression=COMPRESSION[compression],
         )  # fmt: skip
         self._writer.start(profile="", library="fovea")
         self._channels: dict[str, int] = {}

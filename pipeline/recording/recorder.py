@@ -37,6 +37,7 @@ class Limits:
     ring_s: float = 0.0  # keep the last seconds in memory, and write them on request only
     ring_bytes: int = 256 << 20
     queue_bytes: int = 256 << 20
+    compression: str = "zstd"  # zstd | lz4 | none
 
 
 @dataclass
@@ -225,7 +226,10 @@ class Recorder:
         for part in range(2, MOST_PARTS):
             try:
                 writer = McapWriter(
-                    path, chunk_bytes=self._limits.chunk_bytes, chunk_s=self._limits.chunk_s
+                    path,
+                    chunk_bytes=self._limits.chunk_bytes,
+                    chunk_s=self._limits.chunk_s,
+                    compression=self._limits.compression,
                 )
             except FileExistsError:
                 path = self._path.with_stem(f"{self._path.stem}-{part}")

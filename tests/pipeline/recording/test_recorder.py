@@ -14,9 +14,12 @@ from hypothesis import strategies as st
 
 pytest.importorskip("mcap")
 
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
 from pipeline import Frame, Message, Percept, RunError
 from pipeline.messages import Detections
 from pipeline.pixel_formats import FORMATS
+from pipeline.recording.mcap_file import McapChunks
 from pipeline.recording.reader import Recording
 from pipeline.recording.recorder import Limits, Recorder
 from pipeline.run.played import differing
@@ -75,6 +78,24 @@ def test_pixels_of_every_format_come_back_bit_for_bit(form: str, tmp_path: Path)
     assert list(differing(sent, found)) == []
 
 
+def test_a_picture_is_decoded_by_the_schema_in_the_file_alone(tmp_path: Path) -> None:
+    sent = frame(3, side_px=24)
+    recorded(tmp_path / "a.mcap", [("capture.roi", sent)])
+
+    chunks = McapChunks(tmp_path / "a.mcap").scan()
+    image = next(i for _, items in chunks for i in items if i.topic.name == "/capture/roi/image")
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(image.topic.schema).file:
+        pool.Add(file)
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(image.topic.schema_name))
+    found = kind.FromString(image.data)
+
+    assert image.topic.schema_name == "foxglove.RawImage"
+    assert (found.width, found.height, found.step, found.encoding) == (24, 24, 72, "rgb8")
+    assert found.data == sent.pixels.tobytes()
+    assert found.timestamp.ToNanoseconds() == sent.header.stamp_ns
+
+
 @given(n=st.integers(0, 5), channels=st.integers(0, 3), word=st.text(max_size=20))
 @settings(max_examples=20, deadline=None)
 def test_other_messages_come_back_bit_for_bit(n: int, channels: int, word: str) -> None:
@@ -92,6 +113,18 @@ def test_other_messages_come_back_bit_for_bit(n: int, channels: int, word: str) 
 
     assert found is not None
     assert list(differing(sent, found)) == []
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_every_compression_is_read_back(compression: str, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "a.mcap", Limits(compression=compression))
+    recorder.add("capture.context", frame(4))
+    assert recorder.close() == ""
+
+    found = Recording(tmp_path / "a.mcap").message("capture.context", Frame, ("test", 4))
+
+    assert found is not None
+    assert list(differing(frame(4), found)) == []
 
 
 def test_a_picture_is_found_when_a_chunk_ends_before_its_message(tmp_path: Path) -> None:
