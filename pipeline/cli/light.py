@@ -10,6 +10,7 @@ from pipeline.cli.overlaid import load_overlaid
 from pipeline.graph.plan import sources
 from pipeline.graph.shipped import source_path
 from pipeline.run.inline import InlineRunner
+from pipeline.run.replay import sentences
 from pipeline.run.report import Report
 from pipeline.terminal import lean_table
 
@@ -37,7 +38,8 @@ def compared(
         plans[one or "as it is"] = load_overlaid(graph, **{**laid, **over})
     found = {}
     for label, plan in plans.items():
-        with InlineRunner(plan) as runner:
+        runner = InlineRunner(plan)
+        with sentences(runner), runner:
             for _seq in runner.run(frames):
                 if asked():
                     break

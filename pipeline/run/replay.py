@@ -1,7 +1,8 @@
 """Run a graph on a recording of it, in line and in lockstep; compare what it computes."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -71,21 +72,14 @@ def replay(
     logged = {seq: at_ns for (_stream, seq), at_ns in recording.exposures.items()}
     first_ns = last_ns = next(iter(logged.values()), 0)
     began_s, count, whole = time.monotonic(), 0, True
-    try:
-        with runner:
-            for seq in runner.run(frames):
-                count, last_ns = count + 1, logged[seq]
-                if not step(seq, last_ns):
-                    whole = False
-                    break
-            duration_s = time.monotonic() - began_s
-            report = runner.report()
-    except FoveaError:
-        raise
-    except BaseException as error:
-        if is_signal(error):
-            raise
-        raise RunError(f"{runner.at}: {cause_of(error)}") from error
+    with sentences(runner), runner:
+        for seq in runner.run(frames):
+            count, last_ns = count + 1, logged[seq]
+            if not step(seq, last_ns):
+                whole = False
+                break
+        duration_s = time.monotonic() - began_s
+        report = runner.report()
     if verify and whole and not frames:
         verifier.finish()
     return Replayed(
@@ -93,6 +87,19 @@ def replay(
         compared=verifier.compared, different=verifier.different, first=verifier.first,
         report=report,
     )  # fmt: skip
+
+
+@contextmanager
+def sentences(runner: InlineRunner) -> Iterator[None]:
+    """Turn an operator's exception into a `RunError` that names its node."""
+    try:
+        yield
+    except FoveaError:
+        raise
+    except BaseException as error:
+        if is_signal(error):
+            raise
+        raise RunError(f"{runner.at}: {cause_of(error)}") from error
 
 
 class OwnPace:
@@ -126,7 +133,7 @@ def record_inline(
         written = adapter(Plan).dump_python(plan, mode="json")
         recorder.note("graph", {"name": plan.name, "version": described(), "plan": written})
         runner = InlineRunner(plan, watch=lambda o, m: recorder.add(o, m, wait=True))
-        with runner:
+        with sentences(runner), runner:
             for _seq in runner.run(frames):
                 if asked() or recorder.failure:
                     break
