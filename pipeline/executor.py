@@ -33,6 +33,11 @@ class Executor:
         self._header: Header | None = None  # of the last exposure that was checked in full
 
     @property
+    def operator(self) -> Operator[Any, Any]:
+        """The operator that it calls."""
+        return self._operator
+
+    @property
     def single(self) -> bool:
         """Whether the operator has no named outputs."""
         return set(self._outputs) <= {"out"}

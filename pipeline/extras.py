@@ -7,13 +7,16 @@ from pipeline.errors import InstallError
 
 EXTRAS = {  # by the name that is imported
     "cryptography": "fleet",
+    "google": "record",
     "matplotlib": "eval",
+    "mcap": "record",
     "onnx": "train",
     "torch": "train",
     "trackeval": "mot",
     "usb": "usb",
+    "zstandard": "record",
 }
-PACKAGES = {"usb": "pyusb"}  # whose name is another
+PACKAGES = {"google": "protobuf", "usb": "pyusb"}  # whose name is another
 INDEX = {"train": "https://download.pytorch.org/whl/cpu"}
 WHY = "torch for processors alone; without the index pip takes CUDA along, 5.4 GB"
 

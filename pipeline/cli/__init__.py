@@ -20,6 +20,7 @@ INTERRUPTED = 130
 USAGE = (GraphError, InstallError, SettingsError, WeightsError)  # exit status 2
 RUN, INSPECTION, CONTROL = "pipeline.cli.run", "pipeline.cli.inspection", "pipeline.cli.control"
 FLEET, TASKS = "pipeline.cli.fleet", "pipeline.cli.tasks"
+RECORDING = "pipeline.cli.recording"
 SENSORS = "drivers.attached.command:sensors_command"  # by its path: no import of a driver here
 TABLE = {
     "add": (f"{CONTROL}:add", "Add the nodes of a FILE to a running graph."),
@@ -37,7 +38,9 @@ TABLE = {
     "hz": (f"{INSPECTION}:hz", "Measure rate, jitter and age of an output's messages."),
     "logs": (f"{INSPECTION}:logs", "Show a node's log, also after it has ended."),
     "ps": (f"{INSPECTION}:ps", "List the running graphs and their processes."),
+    "record": (f"{RECORDING}:record_command", "Record outputs of a graph to an MCAP file."),
     "remove": (f"{CONTROL}:remove", "Remove a node without readers from a running graph."),
+    "replay": (f"{RECORDING}:replay_command", "Run a graph on a recording of it, and compare."),
     "rewire": (f"{CONTROL}:rewire", "Connect an input of a running graph elsewhere."),
     "run": (f"{RUN}:run", "Run a graph until its source ends, a limit or Ctrl-C."),
     "schema": (f"{INSPECTION}:schema_command", "Print inputs and outputs of a running node."),

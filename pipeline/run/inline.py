@@ -30,17 +30,19 @@ Watch = Callable[[str, Message], None]  # node.output, message
 class _InlineNode:
     """One operator of the graph."""
 
-    def __init__(self, plan: Plan, node: Node, ledger: Ledger) -> None:
+    def __init__(self, plan: Plan, node: Node, ledger: Ledger, played: Executor | None) -> None:
         cls = load_operator(node.operator)
         self.node = node
-        self.operator: Operator[Any, Any] = cls(
-            checked.build(settings_of(cls), node.settings, node.name)
+        self.operator: Operator[Any, Any] = (
+            played.operator
+            if played
+            else cls(checked.build(settings_of(cls), node.settings, node.name))
         )
-        self.live = Live(node.name, self.operator, node.settings, None)
+        self.live = Live(node.name, self.operator, {} if played else node.settings, None)
         self.edges = plan.inputs(node.name)
         self.account = ledger.nodes[node.index]
         self.outputs = tuple(outputs_of(cls))
-        self.executor = Executor(node.name, self.operator)
+        self.executor = played or Executor(node.name, self.operator)
         accounts = {name: ledger.edges[e.index] for name, e in self.edges.items()}
         self.inbox = Inbox(
             inputs_for(plan, node),
@@ -52,11 +54,19 @@ class _InlineNode:
 class InlineRunner:
     """Opens a plan's operators in this process; use as a context."""
 
-    def __init__(self, plan: Plan, *, watch: Watch | None = None) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        *,
+        watch: Watch | None = None,
+        played: Mapping[str, Executor] | None = None,
+    ) -> None:
+        """`played`: what stands for a node that does not run, by its name."""
         self.plan, self._watch = plan, watch
         self.ledger = private_ledger(len(plan.edges), len(plan.nodes))
         self._nodes = {
-            name: _InlineNode(plan, plan.node(name), self.ledger) for name in plan.order()
+            name: _InlineNode(plan, plan.node(name), self.ledger, (played or {}).get(name))
+            for name in plan.order()
         }
         self._source = self._only_source()
         self.commands = hashlib.sha256()

@@ -1,0 +1,71 @@
+"""Run a graph several times on the same recorded light, and compare the runs in a table."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from pipeline.cli.overlaid import load_overlaid
+from pipeline.graph.plan import sources
+from pipeline.graph.shipped import source_path
+from pipeline.run.inline import InlineRunner
+from pipeline.run.replay import sentences
+from pipeline.run.report import Report
+from pipeline.terminal import lean_table
+
+SOURCE = "recording"  # the shipped source that plays a recording's frames
+MOST_FIGURES = 12
+OTHER = {  # of a report: of this host and of the runtime, not of the light
+    "duration_s", "edges", "stages", "restarts", "crashes", "rate", "loop", "verdict", "frames",
+}  # fmt: skip
+
+
+def compared(
+    file: Path, graph: Path, tries: Sequence[str], frames: int, asked: Callable[[], int],
+    laid: Mapping[str, Any],
+) -> dict[str, Report]:  # fmt: skip
+    """Run the graph on a recording's frames, once for each try; return the reports.
+
+    A try is `NODE.SETTING=VALUE …`, laid over the other changes; an empty one is the graph as it
+    is. Every graph is checked before the first one runs.
+    """
+    plans = {}
+    name = next(sources(load_overlaid(graph, **laid))).name
+    for one in tries or ("",):
+        changes = (*laid["changes"], f"{name}.path={file.absolute()}", *one.split())
+        over = {"source": source_path(SOURCE), "changes": changes, "clock": "lockstep"}
+        plans[one or "as it is"] = load_overlaid(graph, **{**laid, **over})
+    found = {}
+    for label, plan in plans.items():
+        runner = InlineRunner(plan)
+        with sentences(runner), runner:
+            for _seq in runner.run(frames):
+                if asked():
+                    break
+            found[label] = runner.report()
+        if asked():
+            break
+    return found
+
+
+def table(reports: Mapping[str, Report]) -> Table:
+    """Return the figures of the nodes that differ between the runs, a run a line."""
+    figures = {label: dict(_figures(report)) for label, report in reports.items()}
+    names = list(dict.fromkeys(name for one in figures.values() for name in one))
+    differing = [n for n in names if len({one.get(n) for one in figures.values()}) > 1]
+    shown = (differing or names)[:MOST_FIGURES]
+    made = lean_table(names=("try",), figures=tuple(shown), spare=tuple(reversed(shown)))
+    for label, one in figures.items():
+        made.add_row(label, *(f"{one[name]:g}" if name in one else "" for name in shown))
+    return made
+
+
+def _figures(value: Any, where: str = "") -> Iterator[tuple[str, float]]:
+    """Yield the numbers of nested mappings: `iou.mean`, 0.4 …"""
+    if isinstance(value, Mapping):
+        for name, part in value.items():
+            if where or name not in OTHER:
+                yield from _figures(part, f"{where}.{name}" if where else str(name))
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield where, value

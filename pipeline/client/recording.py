@@ -1,0 +1,157 @@
+"""Record outputs of a running graph on this host: a recorder joins it as a node and leaves it.
+
+The recorder reads as every node does: what it loses is counted in the graph's accounts. An output
+with a lossless reader is read losslessly, too, so that nothing of it is missing.
+"""
+
+import json
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from pipeline import codec
+from pipeline.class_cache import adapter
+from pipeline.client.local import LocalGraph
+from pipeline.contract import inputs_of
+from pipeline.errors import FoveaError, RunError
+from pipeline.graph.loader import Sent
+from pipeline.graph.plan import Plan, load_operator
+from pipeline.protocol.fleet import EdgeState
+from pipeline.settings import suggest
+
+OPERATOR = "operators.record:Record"
+NODE = "record"
+DEPTH = 30  # frames: a lossless writer waits for a recorder that is so many behind
+LOOK_S = 0.2
+ASK_LOOKS = 25  # so many looks between two questions to the recorder
+
+
+class Chosen(msgspec.Struct):
+    """What a recorder reads: its inputs, and which of them lose nothing."""
+
+    inputs: dict[str, str]  # input -> node.output
+    lossless: tuple[str, ...]
+
+
+def plan_of(client: LocalGraph) -> Plan:
+    """Return the plan of a running graph."""
+    plan: Plan = adapter(Plan).validate_python(client.facts["plan"])
+    return plan
+
+
+def chosen(client: LocalGraph, wanted: Sequence[str]) -> Chosen:
+    """Return the inputs that record these outputs; without any, all that a node reads.
+
+    Raises `RunError` for an unknown output, or for more of one type than the recorder can read.
+    """
+    plan = plan_of(client)
+    read = {f"{e.source}.{e.output}" for e in plan.edges if not e.tap}
+    every = {f"{e.source}.{e.output}" for e in plan.edges if e.keep == "every" and not e.tap}
+    outputs = dict.fromkeys(_full(name) for name in wanted) or dict.fromkeys(sorted(read))
+    free = _inputs()
+    found = Chosen({}, ())
+    for output in outputs:
+        sent = _sent(client, output)
+        if not free.get(sent):
+            kinds = ", ".join(sorted({kind.message for kind in free}))
+            raise RunError(
+                f"{output}: expected an output that {OPERATOR} has an input left for ({kinds}), "
+                f"got {sent.message}; --edges chooses outputs"
+            )
+        name = free[sent].pop(0)
+        found.inputs[name] = output
+        if output in every or plan.clock == "lockstep":
+            found.lossless = (*found.lossless, name)
+    return found
+
+
+def begin(client: LocalGraph, path: Path, what: Chosen, settings: dict[str, Any]) -> None:
+    """Add the recorder to the graph; raises `FoveaError` when the graph refuses it."""
+    inputs = {
+        name: {"from": output.removesuffix(".out"), "depth": DEPTH}
+        | ({"keep": "every"} if name in what.lossless else {})
+        for name, output in what.inputs.items()
+    }
+    values = {
+        **settings, "path": str(path.absolute()), "outputs": what.inputs, "graph": client.name,
+        "lossless": list(what.lossless),
+    }  # fmt: skip
+    node = {"operator": OPERATOR, "inputs": inputs, "settings": values}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "record.yaml"
+        file.write_text(json.dumps({"nodes": {NODE: node}}), encoding="utf-8")
+        client.add(file)
+
+
+class Outcome(msgspec.Struct):
+    """What became of a recording."""
+
+    accounts: list[EdgeState] = []  # of the recorder's edges
+    files: list[str] = []
+    failure: str = ""  # why it could not be written to its end
+
+
+def follow(
+    client: LocalGraph, duration_s: float, asked: Callable[[], int],
+    show: Callable[[list[EdgeState]], None],
+) -> Outcome:  # fmt: skip
+    """Wait for the duration (0: none), a signal, a failure or the end of the graph.
+
+    Then the recorder is removed; the graph continues.
+    """
+    began_s, found, looks = time.monotonic(), Outcome(), 0
+    while not asked() and not (duration_s and time.monotonic() - began_s >= duration_s):
+        time.sleep(LOOK_S)
+        looks += 1
+        with suppress(RunError):
+            found.accounts = accounts_of(client)
+        if not client.runs():
+            return found
+        show(found.accounts)
+        if looks % ASK_LOOKS == 0 and _told(client, found).failure:
+            break
+    _told(client, found)
+    client.remove(NODE)
+    return found
+
+
+def _told(client: LocalGraph, found: Outcome) -> Outcome:
+    """Ask the recorder for its files and failure, unless it does not answer."""
+    with suppress(FoveaError):
+        said = client.command(NODE, "figures", {}).answer
+        found.files, found.failure = list(said["files"]), str(said["failure"])
+    return found
+
+
+def accounts_of(client: LocalGraph) -> list[EdgeState]:
+    """Return the accounts of the recorder's edges."""
+    states = [said for said in client.status().hosts.values() if not isinstance(said, str)]
+    edges = [edge for said in states for state in said for edge in state.edges]
+    return [edge for edge in edges if edge.end.startswith(f"{NODE}.")]
+
+
+def _inputs() -> dict[Sent, list[str]]:
+    found: dict[Sent, list[str]] = {}
+    for name, port in inputs_of(load_operator(OPERATOR)).items():
+        kind = Sent(port.message.__name__, codec.fingerprint(port.message).hex())
+        found.setdefault(kind, []).append(name)
+    return found
+
+
+def _sent(client: LocalGraph, output: str) -> Sent:
+    node, _, port = output.partition(".")
+    client.check_node(node)
+    outputs = client.ports(node).outputs
+    if port not in outputs:
+        options = [node if o == "out" else f"{node}.{o}" for o in outputs]
+        raise RunError(f"{client.name}: {node} has no output {port}{suggest(output, options)}")
+    return outputs[port]
+
+
+def _full(name: str) -> str:
+    return name if "." in name else f"{name}.out"

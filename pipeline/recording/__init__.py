@@ -1,0 +1,1 @@
+"""Recordings of graphs: messages to MCAP files and back."""

@@ -1,0 +1,205 @@
+"""MCAP files: channels and messages in, a file that is readable at any moment; and back.
+
+The only importer of `mcap`. Messages are written in chunks, compressed or not. A file whose writer
+was killed has no index and may end in the middle of a chunk: the reader returns all whole chunks.
+"""
+
+import struct
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, Writer
+
+from pipeline.errors import RunError
+from pipeline.text import said_by
+
+COMPRESSION = {
+    "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE,
+}  # fmt: skip
+MOST_RECORD_BYTES = 1 << 30
+BROKEN = (McapError, ValueError, struct.error, zstandard.ZstdError, EOFError, IndexError, KeyError)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """A channel: its name, and how its messages are encoded."""
+
+    name: str
+    encoding: str
+    schema_name: str
+    schema_encoding: str
+    schema: bytes
+
+
+@dataclass(frozen=True)
+class Item:
+    """A message of a file."""
+
+    topic: Topic
+    log_ns: int  # wall clock, when the recorder received it
+    sequence: int
+    data: bytes
+
+
+class McapWriter:
+    """A file in progress; one thread. Raises `OSError` when the disk is full.
+
+    A chunk is written when it has `chunk_bytes`, or when `chunk_s` have passed since the last one:
+    what a killed process loses is at most that.
+    """
+
+    def __init__(
+        self, path: Path, *, chunk_bytes: int, chunk_s: float, compression: str = "zstd"
+    ) -> None:
+        """Create the file; raises `FileExistsError` rather than overwrite one."""
+        self.path, self._chunk_s = path, chunk_s
+        self._stream: IO[bytes] = path.open("xb", buffering=0)
+        self._counted = _Whole(self._stream)
+        self._writer = Writer(
+            self._counted,  # type: ignore[arg-type]  # it writes, flushes and tells
+            chunk_size=chunk_bytes, compression=COMPRESSION[compression],
+        )  # fmt: skip
+        self._writer.start(profile="", library="fovea")
+        self._channels: dict[str, int] = {}
+        self._written_s = time.monotonic()
+
+    @property
+    def size_bytes(self) -> int:
+        """Return the bytes in the file, without the chunk in progress."""
+        return self._counted.size_bytes
+
+    def add(self, item: Item) -> None:
+        """Add a message to the chunk in progress."""
+        channel = self._channels.get(item.topic.name)
+        if channel is None:
+            channel = self._register(item.topic)
+        self._writer.add_message(
+            channel, item.log_ns, item.data, item.log_ns, item.sequence & 0xFFFFFFFF
+        )
+        self.look()
+
+    def look(self) -> None:
+        """Write the chunk in progress if it is old enough."""
+        now_s = time.monotonic()
+        if now_s - self._written_s >= self._chunk_s:
+            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._written_s = now_s
+
+    def close(self) -> None:
+        """Write the last chunk and the index."""
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+        finally:
+            self._stream.close()
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        self._stream.close()
+
+    def _register(self, topic: Topic) -> int:
+        schema = self._writer.register_schema(
+            topic.schema_name, topic.schema_encoding, topic.schema
+        )
+        channel = self._writer.register_channel(topic.name, topic.encoding, schema)
+        self._channels[topic.name] = channel
+        return int(channel)
+
+
+class _Whole:
+    """An unbuffered file whose `write` writes everything, and which knows its size."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream, self.size_bytes = stream, 0
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            done = self._stream.write(view)
+            self.size_bytes += done
+            view = view[done:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size_bytes
+
+    def flush(self) -> None:
+        """Nothing is buffered."""
+
+
+class McapChunks:
+    """The whole chunks of a file, in order. `broken` says why it ends early, empty if it does not.
+
+    Schemas and channels are known once the chunk that holds them was read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises `RunError` for a file that is no MCAP file."""
+        self.path, self.broken = path, ""
+        self._schemas: dict[int, Schema] = {}
+        self._topics: dict[int, Topic] = {}
+        try:
+            with path.open("rb") as stream:
+                first = stream.read(8)
+        except OSError as error:
+            raise RunError(f"{path}: cannot be read: {said_by(error)}") from error
+        if first != b"\x89MCAP0\r\n":
+            raise RunError(f"{path}: expected an MCAP file, got something else")
+
+    def scan(self) -> Iterator[tuple[int, list[Item]]]:
+        """Yield each chunk's position in the file, and its messages."""
+        with self.path.open("rb") as stream:
+            records = iter(
+                StreamReader(stream, emit_chunks=True, record_size_limit=MOST_RECORD_BYTES).records
+            )
+            count = 0
+            while True:
+                place = stream.tell()
+                try:
+                    record = next(records, None)
+                    items = self._items(record) if isinstance(record, Chunk) else None
+                except (*BROKEN, MemoryError):
+                    self.broken = f"{self.path}: ends early, after {count} whole chunks"
+                    return
+                if record is None:
+                    return
+                if items is not None:
+                    yield place, items
+                    count += 1
+
+    def at(self, place: int) -> list[Item]:
+        """Return the messages of the chunk at a position; raises `RunError`."""
+        try:
+            with self.path.open("rb") as stream:
+                stream.seek(place)
+                reader = StreamReader(
+                    stream, skip_magic=True, emit_chunks=True, record_size_limit=MOST_RECORD_BYTES
+                )
+                record = next(iter(reader.records))
+                if isinstance(record, Chunk):
+                    return self._items(record)
+        except (*BROKEN, OSError, MemoryError) as error:
+            raise RunError(f"{self.path}: cannot be read at byte {place}: {error}") from error
+        raise RunError(f"{self.path}: has changed while it was read")
+
+    def _items(self, chunk: Chunk) -> list[Item]:
+        found = []
+        for record in breakup_chunk(chunk, validate_crc=True):
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                schema = self._schemas[record.schema_id]
+                self._topics[record.id] = Topic(
+                    name=record.topic, encoding=record.message_encoding, schema_name=schema.name,
+                    schema_encoding=schema.encoding, schema=schema.data,
+                )  # fmt: skip
+            elif isinstance(record, Message):
+                topic = self._topics[record.channel_id]
+                found.append(Item(topic, record.log_time, record.sequence, record.data))
+        return found

@@ -1,0 +1,264 @@
+"""Record messages in a thread of its own: messages in, one or several MCAP files out.
+
+The caller only queues. The queue is limited in bytes: a message that may not be lost waits for
+room, any other is dropped and counted. Files are begun anew by size and time, never overwritten.
+"""
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.errors import MessageError, RunError
+from pipeline.messages import Message
+from pipeline.recording.mcap_file import Item, McapWriter
+from pipeline.recording.records import fact, items_of
+from pipeline.text import said_by
+
+MOST_PARTS = 100_000
+LOOK_S = 0.1
+CLOSE_S = 30.0
+NS = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Limits of a recording; 0: none."""
+
+    chunk_bytes: int = 4 << 20
+    chunk_s: float = 0.5
+    file_bytes: int = 0
+    file_s: float = 0.0
+    ring_s: float = 0.0  # keep the last seconds in memory, and write them on request only
+    ring_bytes: int = 256 << 20
+    queue_bytes: int = 256 << 20
+    compression: str = "zstd"  # zstd | lz4 | none
+
+
+@dataclass
+class Account:
+    """The messages of one output."""
+
+    recorded: int = 0
+    dropped: int = 0  # the queue was full
+    gaps: int = 0  # frames between two recorded ones of a stream
+    refused: int = 0  # could not be encoded
+    last: tuple[str, int] = field(default=("", -1))
+
+    def count(self, stream: str, seq: int) -> None:
+        """Count a recorded message and the gap before it."""
+        if self.last[0] == stream:
+            self.gaps += max(0, seq - self.last[1] - 1)
+        self.last, self.recorded = (stream, seq), self.recorded + 1
+
+    def figures(self) -> dict[str, int]:
+        """Return the counts by name."""
+        return {name: getattr(self, name) for name in ("recorded", "dropped", "gaps", "refused")}
+
+
+class _Queued(NamedTuple):
+    """A message that waits to be written."""
+
+    output: str
+    message: Message
+    at_ns: int
+    nbytes: int
+
+
+class Recorder:
+    """Writes recordings. `failure` says why no more can be written; empty while it can."""
+
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
+        """Begin the first file; raises `RunError` when it cannot be made."""
+        self._path, self._limits = path, limits or Limits()
+        self._waiting: deque[_Queued | str] = deque()  # a text: why the ring is to be written
+        self._facts: deque[Item] = deque(maxlen=10_000)
+        self._kept: dict[str, Item] = {}  # the newest of each fact, for the next file
+        self._ring: deque[list[Item]] = deque()
+        self._ring_bytes = self._bytes = 0
+        self._room, self._ended = threading.Condition(), False
+        self.accounts: dict[str, Account] = {}
+        self.files: list[Path] = []
+        self.failure = ""
+        self._writer: McapWriter | None = None if self._limits.ring_s else self._begin()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def add(self, output: str, message: Message, *, wait: bool = False) -> None:
+        """Queue a message; `wait`: for room rather than drop it."""
+        nbytes = sum(v.nbytes for v in vars(message).values() if isinstance(v, np.ndarray)) + 1024
+        with self._room:
+            account = self.accounts.setdefault(output, Account())
+            while wait and not (self._fits(nbytes) or self.failure):
+                self._room.wait(LOOK_S)
+            if self.failure or not self._fits(nbytes):
+                account.dropped += 1
+                return
+            self._bytes += nbytes
+            self._waiting.append(_Queued(output, message, time.time_ns(), nbytes))
+            self._room.notify_all()
+
+    def note(self, name: str, value: Any) -> None:
+        """Record a fact about the graph; the newest of each name begins every file."""
+        with self._room:
+            self._facts.append(fact(name, value, time.time_ns()))
+            self._room.notify_all()
+
+    def dump(self, why: str) -> None:
+        """Write what the ring holds to the next file, once it holds everything queued so far."""
+        with self._room:
+            if not self._ended and why not in self._waiting:
+                self._waiting.append(why)
+                self._room.notify_all()
+
+    def figures(self) -> dict[str, dict[str, int]]:
+        """Return the counts of every output."""
+        with self._room:
+            return {output: account.figures() for output, account in self.accounts.items()}
+
+    def close(self) -> str:
+        """Write everything that waits, end the file and return the failure, or an empty string."""
+        with self._room:
+            self._ended = True
+            self._room.notify_all()
+        self._thread.join(CLOSE_S)
+        if self._thread.is_alive():
+            return f"{self._path}: not written within {CLOSE_S:.0f} s; its whole chunks are"
+        return self.failure
+
+    def _fits(self, nbytes: int) -> bool:
+        return not self._bytes or self._bytes + nbytes <= self._limits.queue_bytes
+
+    def _run(self) -> None:
+        try:
+            for items, why in self._taken():
+                if self._limits.ring_s:
+                    self._keep(items, why)
+                elif items:
+                    self._write(items)
+                if self._writer is not None:
+                    self._writer.look()
+            if self._writer is not None:
+                self._end(self._writer)
+        except Exception as error:  # whatever ends this thread, writers must not wait for it
+            why = (isinstance(error, OSError) and error.strerror) or said_by(error)
+            with self._room:
+                self.failure = f"{self._path}: {why}; what was written before can be read"
+                for queued in self._waiting:
+                    if isinstance(queued, _Queued):
+                        self.accounts[queued.output].dropped += 1
+                self._waiting.clear()
+                self._room.notify_all()
+            if self._writer is not None:
+                self._writer.abandon()
+
+    def _taken(self) -> Iterator[tuple[list[Item], str]]:
+        """Yield what to write next, or why to write the ring, and nothing at intervals."""
+        while True:
+            with self._room:
+                if not (self._waiting or self._facts or self._ended):
+                    self._room.wait(LOOK_S)
+                facts = list(self._facts)
+                self._facts.clear()
+                taken = self._waiting.popleft() if self._waiting else ""
+                over = self._ended and not taken and not facts
+            if over:
+                return
+            self._kept.update({item.topic.name: item for item in facts})
+            if isinstance(taken, str):
+                yield facts, taken
+                continue
+            yield [*facts, *self._encoded(taken)], ""
+            with self._room:
+                self._bytes -= taken.nbytes
+                self._room.notify_all()
+
+    def _encoded(self, queued: "_Queued") -> list[Item]:
+        account, header = self.accounts[queued.output], queued.message.header
+        try:
+            items = items_of(queued.output, queued.message, queued.at_ns)
+        except MessageError:
+            account.refused += 1
+            return []
+        account.count(header.stream, header.seq)
+        return items
+
+    def _write(self, items: list[Item]) -> None:
+        assert self._writer is not None
+        limits, age_s = self._limits, time.monotonic() - self._began_s
+        large = limits.file_bytes and self._writer.size_bytes >= limits.file_bytes
+        if large or (limits.file_s and age_s >= limits.file_s):
+            self._end(self._writer)
+            self._writer = None
+            self._writer = self._begin()
+        for item in items:
+            self._writer.add(item)
+
+    def _keep(self, items: list[Item], why: str) -> None:
+        """Keep the newest in memory; write them for an event."""
+        limits = self._limits
+        if items:
+            self._ring.append(items)
+            self._ring_bytes += _bytes(items)
+        newest_ns = self._ring[-1][-1].log_ns if self._ring else 0
+        while self._ring and (
+            self._ring_bytes > limits.ring_bytes
+            or self._ring[0][-1].log_ns < newest_ns - limits.ring_s * NS
+        ):
+            self._ring_bytes -= _bytes(self._ring.popleft())
+        if why:
+            writer = self._begin()
+            writer.add(fact("events", {"event": why}, time.time_ns()))
+            for kept in self._ring:
+                for item in kept:
+                    writer.add(item)
+            self._ring.clear()
+            self._ring_bytes = 0
+            self._end(writer)
+
+    def _begin(self) -> McapWriter:
+        path = self._path
+        for part in range(2, MOST_PARTS):
+            try:
+                writer = McapWriter(
+                    path,
+                    chunk_bytes=self._limits.chunk_bytes,
+                    chunk_s=self._limits.chunk_s,
+                    compression=self._limits.compression,
+                )
+            except FileExistsError:
+                path = self._path.with_stem(f"{self._path.stem}-{part}")
+                continue
+            except OSError as error:
+                raise RunError(f"{path}: cannot be written: {error.strerror}") from error
+            self._began_s = time.monotonic()
+            self.files.append(path)
+            for item in self._kept.values():
+                writer.add(item)
+            return writer
+        raise RunError(f"{self._path}: expected fewer than {MOST_PARTS} files beside it")
+
+    def _end(self, writer: McapWriter) -> None:
+        writer.add(fact("end", {"accounts": self.figures()}, time.time_ns()))
+        writer.close()
+
+
+def _bytes(items: list[Item]) -> int:
+    return sum(len(item.data) for item in items)
+
+
+def total(figures: dict[str, dict[str, int]]) -> dict[str, int]:
+    """Return the counts of all outputs together.
+
+    >>> total({"a": {"recorded": 2, "gaps": 1}, "b": {"recorded": 3, "gaps": 0}})
+    {'recorded': 5, 'gaps': 1}
+    """
+    found: Counter[str] = Counter()
+    for one in figures.values():
+        found.update(one)
+    return dict(found)

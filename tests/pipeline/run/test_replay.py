@@ -1,0 +1,127 @@
+"""A replay computes what was recorded, bit for bit, and names the first difference."""
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mcap")
+
+from pipeline import GraphError
+from pipeline.graph.plan import Plan
+from pipeline.recording.reader import Recording
+from pipeline.run.replay import plan_in, record_inline, replay
+from tests.commands import command
+from tests.sample_graphs import LOOP, plan_of
+
+TRACKING = """\
+nodes:
+  capture:
+    operator: operators.capture:Capture
+    inputs: {schedule: dispatch}
+    settings: {options: {scene: soccer, size_px: [640, 360], rate_hz: 30, seed: SEED}}
+  saliency:
+    operator: operators.saliency:Saliency
+    inputs: {frame: capture.context}
+  association:
+    operator: operators.association:Association
+    inputs: {detections: saliency}
+  policy:
+    operator: operators.policy:PursuitPolicy
+    inputs: {tracks: association}
+    settings: {target: ball}
+  dispatch:
+    operator: operators.dispatch:Dispatch
+    inputs: {scanpath: policy}
+  motion:
+    operator: operators.examples.motion:Motion
+    inputs: {frame: capture.context}
+"""
+
+
+def recording_of(plan: Plan, tmp_path: Path, frames: int) -> Recording:
+    record_inline(plan, tmp_path / "a.mcap", frames, lambda: 0)
+    return Recording(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_replay_computes_what_was_recorded_bit_for_bit(seed: int, tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, TRACKING.replace("SEED", str(seed)), clock="lockstep")
+    recording = recording_of(plan, tmp_path, 6)
+
+    found = replay(plan_in(recording), recording, verify=True)
+
+    assert (found.frames, found.different, found.first) == (6, 0, None)
+    assert found.compared >= 5 * 6
+
+
+def test_the_first_difference_is_named_by_output_frame_and_field(tmp_path: Path) -> None:
+    text = TRACKING.replace("SEED", "1")
+    recording = recording_of(plan_of(tmp_path, text, clock="lockstep"), tmp_path, 6)
+    other = plan_of(tmp_path, text, clock="lockstep", changes=("association.observed=3",))
+
+    found = replay(other, recording, verify=True)
+
+    assert found.different > 0
+    assert str(found.first).startswith("association.out: frame 0: ")
+
+
+def test_any_node_can_be_replaced(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP, clock="lockstep")
+    recording = recording_of(plan, tmp_path, 10)
+
+    found = replay(plan, recording, nodes=("work", "pair"), verify=True)
+
+    assert (found.frames, found.compared, found.different) == (10, 10, 0)  # only `steer` ran
+
+
+def test_an_output_that_was_not_recorded_is_named(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP, clock="lockstep")
+    recording = recording_of(plan, tmp_path, 2)
+    del recording.messages["ticker.roi"]
+
+    with pytest.raises(GraphError, match=r"pair\.right reads ticker\.roi: expected it in the"):
+        replay(plan, recording)
+
+
+def test_an_unknown_node_is_refused(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP, clock="lockstep")
+
+    with pytest.raises(GraphError, match="no node worker, did you mean 'work'"):
+        replay(plan, recording_of(plan, tmp_path, 2), nodes=("worker",))
+
+
+def test_the_command_prints_the_difference_and_has_its_exit_status(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, LOOP, clock="lockstep")
+    graph, file = str(tmp_path / "graph.yaml"), str(tmp_path / "a.mcap")
+
+    made = command("record", graph, "--inline", "--frames", "5", "--out", file)
+    same = command("replay", file, "--verify")
+    other = command("replay", file, graph, "--set", "ticker.side_px=32", "--verify")
+    again = command("record", graph, "--inline", "--frames", "5", "--out", file)
+
+    assert "ticker.context: 5 messages" in made.stdout
+    assert (same.returncode, "equal bit for bit" in same.stdout) == (0, True)
+    assert (other.returncode, "equal bit for bit" in other.stdout) == (
+        0,
+        True,
+    )  # no pixels are made
+    assert (again.returncode, again.stderr) == (
+        2, f"fovea: --out {file}: expected a new file, got one that exists\n",
+    )  # fmt: skip
+    assert plan.name in same.stdout
+
+
+def test_runs_on_the_same_light_are_compared_in_a_table(tmp_path: Path) -> None:
+    full = "size_px: [640, 360], rate_hz: 30, seed: 1, strategy: full"
+    text = TRACKING.replace("size_px: [640, 360], rate_hz: 30, seed: SEED", full)
+    plan_of(tmp_path, text)
+    graph, file = str(tmp_path / "graph.yaml"), str(tmp_path / "a.mcap")
+    command("record", graph, "--inline", "--frames", "3", "--out", file)
+
+    tries = ("--try", "capture.roi_area=0.0625", "--try", "capture.roi_area=0.04")
+    found = command("replay", file, graph, "--light", *tries)
+
+    assert found.returncode == 0, found.stderr
+    rows = [line for line in found.stdout.splitlines() if line.startswith("capture.roi_area")]
+    assert len(rows) == 2
+    assert rows[0].split()[1:] != rows[1].split()[1:]
