@@ -36,6 +36,7 @@ TABLE = {
     "health": (f"{INSPECTION}:health_command", "Show the health of every node of running graphs."),
     "hz": (f"{INSPECTION}:hz", "Measure rate, jitter and age of an output's messages."),
     "logs": (f"{INSPECTION}:logs", "Show a node's log, also after it has ended."),
+    "new": ("pipeline.cli.new:new_command", "Create a folder for an operator, driver or task."),
     "ps": (f"{INSPECTION}:ps", "List the running graphs and their processes."),
     "remove": (f"{CONTROL}:remove", "Remove a node without readers from a running graph."),
     "rewire": (f"{CONTROL}:rewire", "Connect an input of a running graph elsewhere."),
