@@ -11,12 +11,17 @@ EXTRAS = {  # by the name that is imported
     "matplotlib": "eval",
     "mcap": "record",
     "onnx": "train",
+    "prometheus_client": "metrics",
     "torch": "train",
     "trackeval": "mot",
     "usb": "usb",
     "zstandard": "record",
 }
-PACKAGES = {"google": "protobuf", "usb": "pyusb"}  # whose name is another
+PACKAGES = {
+    "google": "protobuf",
+    "prometheus_client": "prometheus-client",
+    "usb": "pyusb",
+}  # whose name is another
 INDEX = {"train": "https://download.pytorch.org/whl/cpu"}
 WHY = "torch for processors alone; without the index pip takes CUDA along, 5.4 GB"
 

@@ -38,6 +38,7 @@ TABLE = {
     "hz": (f"{INSPECTION}:hz", "Measure rate, jitter and age of an output's messages."),
     "logs": (f"{INSPECTION}:logs", "Show a node's log, also after it has ended."),
     "new": ("pipeline.cli.new:new_command", "Create a folder for an operator, driver or task."),
+    "metrics": ("pipeline.cli.metrics:metrics", "Serve figures of graphs to Prometheus."),
     "ps": (f"{INSPECTION}:ps", "List the running graphs and their processes."),
     "record": (f"{RECORDING}:record_command", "Record outputs of a graph to an MCAP file."),
     "remove": (f"{CONTROL}:remove", "Remove a node without readers from a running graph."),
