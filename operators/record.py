@@ -198,9 +198,9 @@ class _Watch:
         self._thread.start()
 
     def close(self) -> None:
-        """Look a last time, and end."""
+        """End; a look at a graph that does not answer is not waited for: its recording is closed."""
         self._stopped.set()
-        self._thread.join(10 * ASK_S)
+        self._thread.join(ASK_S)
 
     def _run(self) -> None:
         looks = 0

@@ -30,7 +30,7 @@ def metrics(
     graph: str | None, port: int, listen: str, certificate: Path | None, key: Path | None,
     authority: Path | None, wanted: bool,
 ) -> None:  # fmt: skip
-    """Serve figures of a running graph, or of all, to Prometheus, until Ctrl-C."""
+    """Serve figures of running graphs to Prometheus, until Ctrl-C; of all, if none is named."""
     if wanted:
         click.echo(json.dumps(dashboard(), indent=1))
         return

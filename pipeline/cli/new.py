@@ -102,7 +102,7 @@ def _used_by(kind: str) -> set[str]:
 @click.argument("kind", type=click.Choice(KINDS))
 @click.argument("name")
 def new_command(kind: str, name: str) -> None:
-    """Create the folder NAME here with code, test, graph and README that run at once."""
+    """Create a folder NAME for a new operator, driver or task: code, test, graph, README."""
     for path in create(kind, name, Path()):
         click.echo(path)
     click.echo(f"now: cd {name} && fovea run {name}.yaml --frames 100")

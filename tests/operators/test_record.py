@@ -33,8 +33,9 @@ def test_a_running_graph_is_recorded_without_a_gap_on_a_lossless_edge(tmp_path: 
 
     def look(supervisor: Supervisor) -> None:
         ended.append(beside(supervisor, lambda: record(plan.name, path)))
+        supervisor.finish()
 
-    report = go(plan, 120, look)
+    report = go(plan, 0, look)
 
     found = Recording(path)
     seqs = [seq for _stream, seq in found.messages["ticker.roi"]]

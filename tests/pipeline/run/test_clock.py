@@ -13,8 +13,8 @@ import pytest
 from tests.sample_graphs import LOOP, together
 
 ROOT = Path(__file__).resolve().parents[3]
-# ages of files, validity of certificates and times shown by `ps` are by the wall clock
-ASKED_FOR_FILES = {"detached.py", "leftovers.py", "secure.py", "warm_spare.py"}
+# ages of files, validity of certificates, times shown by `ps` and in recordings are by it
+ASKED_FOR_FILES = {"detached.py", "leftovers.py", "recorder.py", "secure.py", "warm_spare.py"}
 UNDER_JUMPS = """
 import signal, sys, time
 from pathlib import Path
