@@ -198,7 +198,7 @@ class _Watch:
         self._thread.start()
 
     def close(self) -> None:
-        """End; a look at a graph that does not answer is not waited for: its recording is closed."""
+        """End; do not wait for a graph that does not answer: the recording is to be closed."""
         self._stopped.set()
         self._thread.join(ASK_S)
 
