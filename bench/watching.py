@@ -32,10 +32,10 @@ from pipeline.run.loaded_graph import account_of
 from pipeline.run.supervisor import Supervisor
 
 VIEWER = "visualise"  # the graph's node
-CONDITIONS = {  # name -> viewers; "still": one that does not read
-    "off": 0, "saving": 0, "serving": 0, "three viewers": 3, "one that stands still": 1,
-}  # fmt: skip
+STILL = "one that stands still"
+CONDITIONS = {"off": 0, "saving": 0, "serving": 0, "three viewers": 3, STILL: 1}  # name -> viewers
 JOIN_S = 20.0
+RATIO = "_ratio"  # ends the name of a figure relative to `off`
 Figures = dict[str, float]
 
 
@@ -86,7 +86,7 @@ def measured(
             for number in range(CONDITIONS[name]):
                 client = watching.enter_context(viewer(port, Path(folder) / f"{number}.rrd"))
                 await_viewer(supervisor, client, port)
-                if name == "one that stands still":
+                if name == STILL:
                     client.send_signal(signal.SIGSTOP)
             before, began_s = cpu_s(supervisor), time.monotonic()
             last = before
@@ -175,27 +175,26 @@ def summarise(rounds: list[dict[str, Figures]]) -> dict[str, dict[str, Any]]:
         for key in rounds[0][name]:
             if name != "off" and all(one["off"][key] for one in rounds):
                 ratios = [one[name][key] / one["off"][key] for one in rounds]
-                figures[f"{key}_ratio"] = spread(ratios)
+                figures[f"{key}{RATIO}"] = spread(ratios)
         found[name] = figures
     return found
 
 
 def table(summary: Mapping[str, Mapping[str, Any]]) -> Table:
-    """Return the medians with their range."""
-    shown = Table(title="what watching costs: median (least .. greatest)")
-    keys = list(dict.fromkeys(key for figures in summary.values() for key in figures))
-    for column in ("watched by", *keys):
+    """Return the figures, one a line: median, range, and the ratio to the run without a viewer."""
+    shown = Table(title="what watching costs")
+    for column in ("watched by", "figure", "median", "min .. max", "ratio", "min .. max"):
         shown.add_column(column)
     for name in (name for name in CONDITIONS if name in summary):
         figures = summary[name]
-        cells = [
-            f"{figures[k]['median']:.2f} ({figures[k]['min']:.2f} .. {figures[k]['max']:.2f})"
-            if k in figures
-            else ""
-            for k in keys
-        ]
-        shown.add_row(name, *cells)
+        for key in (key for key in figures if not key.endswith(RATIO)):
+            ratio = figures.get(f"{key}{RATIO}")
+            shown.add_row(name, key, *_cells(figures[key]), *(_cells(ratio) if ratio else ()))
     return shown
+
+
+def _cells(value: Mapping[str, float]) -> tuple[str, str]:
+    return f"{value['median']:.2f}", f"{value['min']:.2f} .. {value['max']:.2f}"
 
 
 if __name__ == "__main__":

@@ -211,12 +211,16 @@ class _Watch:
     def _run(self) -> None:
         looks, asked_s = 0, time.monotonic()
         while not self._stopped.wait(LIVE_S):
-            for node, values, at_ns in self._live.changes():
+            for node, values, at_ns in self._live.changes(self._planned()):
                 event = {"event": "set", "node": node, "settings": values, "at_ns": at_ns}
                 self._recorder.note("events", event, at_ns)
             if time.monotonic() - asked_s >= ASK_S:
                 looks, asked_s = looks + 1, time.monotonic()
                 self._look(looks)
+
+    def _planned(self) -> dict[str, dict[str, Any]]:
+        """Return the settings of each node by the plan."""
+        return {node["name"]: node["settings"] for node in (self._plan or {}).get("nodes", ())}
 
     def _look(self, looks: int) -> None:
         try:
@@ -265,19 +269,24 @@ class _LiveFiles:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._known: dict[str, tuple[int, dict[str, Any]]] = {}
-        list(self.changes())  # what was set before
+        list(self.changes({}))  # what was set before
 
-    def changes(self) -> Iterator[tuple[str, dict[str, Any], int]]:
-        """Yield node, changed settings and the time of the change, in ns of the wall clock."""
+    def changes(
+        self, planned: Mapping[str, Mapping[str, Any]]
+    ) -> Iterator[tuple[str, dict[str, Any], int]]:
+        """Yield node, changed settings and the time of the change, in ns of the wall clock.
+
+        A node's first file also holds what it was `planned` with.
+        """
         for file in sorted(self._folder.glob("*.live")):
             try:
                 at_ns = file.stat().st_mtime_ns
             except OSError:
                 continue  # the graph is ending
-            before_ns, before = self._known.get(file.stem, (0, {}))
+            before_ns, known = self._known.get(file.stem, (0, {}))
             if at_ns == before_ns:
                 continue
-            values = kept(file)
+            values, before = kept(file), {**planned.get(file.stem, {}), **known}
             self._known[file.stem] = at_ns, values
             changed = {k: v for k, v in values.items() if k not in before or before[k] != v}
             if changed:

@@ -204,7 +204,8 @@ class Recorder:
         message, (output, _) = queued.message, self._picture
         if isinstance(message, Frame) and output in ("", queued.output):
             geometry = message.header.geometry
-            if message.window == (0, 0, geometry.width_px, geometry.height_px):
+            whole = (0, 0, geometry.width_px, geometry.height_px)
+            if any(whole) and message.window == whole:
                 self._picture = queued.output, message.size_px
                 if not output:
                     shown = {"picture": f"{topic_of(queued.output)}{IMAGE}"}
