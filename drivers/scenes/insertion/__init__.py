@@ -1,0 +1,13 @@
+"""The insertion task of ALOHA in MuJoCo: simulation, scripted expert, source of pictures."""
+
+from drivers.scenes.insertion.expert import demonstration
+from drivers.scenes.insertion.simulation import (
+    COMPLETE,
+    JOINTS,
+    PARTIAL,
+    STEPS,
+    Simulation,
+    start_of,
+)
+
+__all__ = ["COMPLETE", "JOINTS", "PARTIAL", "STEPS", "Simulation", "demonstration", "start_of"]
