@@ -8,8 +8,11 @@ from pipeline.errors import InstallError
 EXTRAS = {  # by the name that is imported
     "cryptography": "fleet",
     "google": "record",
+    "gym_aloha": "robot",
+    "h5py": "robot",
     "matplotlib": "eval",
     "mcap": "record",
+    "mujoco": "robot",
     "onnx": "train",
     "prometheus_client": "metrics",
     "torch": "train",
@@ -19,6 +22,7 @@ EXTRAS = {  # by the name that is imported
 }
 PACKAGES = {
     "google": "protobuf",
+    "gym_aloha": "gym-aloha",
     "prometheus_client": "prometheus-client",
     "usb": "pyusb",
 }  # whose name is another

@@ -118,4 +118,4 @@ def disturbance(random: np.random.Generator) -> NDArray[np.float32]:
     for begin, end in CALM:
         loud[begin:end] = 0
     smooth *= gaussian_filter1d(loud, 6, mode="nearest")[:, None]
-    return smooth.astype(np.float32)
+    return np.asarray(smooth, np.float32)

@@ -5,6 +5,7 @@ train: few convolutions, whose maps are read at a few points each (a softmax ove
 where peg and socket are is all that varies between trials.
 """
 
+# mypy: disallow-subclassing-any=False
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -137,15 +138,12 @@ def export(net: ActNet, path: Path) -> None:
         "picture": torch.zeros(1, height, width, 3, dtype=torch.uint8),
         "joints": torch.zeros(1, JOINTS),
     }
-    fast, before = torch.backends.mha.get_fastpath_enabled(), path.parent
-    before.mkdir(parents=True, exist_ok=True)
+    fast = torch.backends.mha.get_fastpath_enabled()
     torch.backends.mha.set_fastpath_enabled(False)  # its fused operation has no ONNX
     try:
-        onnx_files.write(
-            net, given, path, ("targets",),
-            workplace=" ".join(f"{side:g}" for side in WORKPLACE),
-            **{name: str(value) for name, value in asdict(net.shape).items()},
-        )  # fmt: skip
+        onnx_files.write(net, given, path, ("targets",))
+        facts = {name: str(value) for name, value in asdict(net.shape).items()}
+        onnx_files.describe(path, facts | {"workplace": " ".join(f"{s:g}" for s in WORKPLACE)})
     finally:
         torch.backends.mha.set_fastpath_enabled(fast)
 

@@ -5,6 +5,7 @@ the ROI shows is put in its place at its own resolution.
 """
 
 import math
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -12,22 +13,26 @@ from numpy.typing import NDArray
 
 from pipeline import Frame
 
-WORKPLACE = (0.2, 0.36667, 0.8, 0.76667)  # xyxy, shares of the field: where the hands meet objects
+Region = tuple[float, float, float, float]  # xyxy, shares of the field
+
+WORKPLACE: Region = (0.2, 0.36667, 0.8, 0.76667)  # where the grippers meet the objects
 PICTURE_PX = (240, 120)  # width, height
-MOST_SHRUNK = 1.0  # pixels of a frame per pixel of the picture above which areas are averaged
 
 
-def composite(*frames: Frame) -> NDArray[np.uint8]:
-    """Return the picture (120, 240, 3) RGB of frames of one exposure, later ones on top.
+def composite(
+    frames: Iterable[Frame], workplace: Region = WORKPLACE, size_px: tuple[int, int] = PICTURE_PX
+) -> NDArray[np.uint8]:
+    """Return the picture (h, w, 3) RGB of frames of one exposure, later ones on top.
 
     Frames without pixels are left out; what no frame shows is black.
     """
-    width, height = PICTURE_PX
+    width, height = size_px
     out = np.zeros((height, width, 3), np.uint8)
     for frame in frames:
         if frame.pixels.size:
             grid = frame.header.geometry
-            place(frame.pixels, frame.window, (grid.width_px, grid.height_px), out)
+            pixels = np.asarray(frame.pixels, np.uint8)
+            place(pixels, frame.window, (grid.width_px, grid.height_px), out, workplace)
     return out
 
 
@@ -36,39 +41,26 @@ def place(
     window: tuple[int, int, int, int],
     field_px: tuple[int, int],
     out: NDArray[np.uint8],
+    workplace: Region = WORKPLACE,
 ) -> None:
     """Put `pixels` (h, w, 3), which show a window of the field, where they belong in `out`.
 
     Only pixels of `out` whose centre lies in the window change.
     """
-    (height, width), (rows, columns) = pixels.shape[:2], out.shape[:2]
-    lefts = [WORKPLACE[0] * field_px[0], WORKPLACE[1] * field_px[1]]
-    per_px = [
-        (WORKPLACE[2] - WORKPLACE[0]) * field_px[0] / columns,
-        (WORKPLACE[3] - WORKPLACE[1]) * field_px[1] / rows,
-    ]  # sensor pixels per pixel of the picture
-    inside = [
-        (
-            max(0, math.ceil((window[axis] - lefts[axis]) / per_px[axis] - 0.5)),
-            min(
-                out.shape[1 - axis],
-                math.ceil((window[axis + 2] - lefts[axis]) / per_px[axis] - 0.5),
-            ),
-        )
-        for axis in range(2)
-    ]
+    inside, scale, first = [], [], []
+    for axis in range(2):
+        side, pixels_side = out.shape[1 - axis], pixels.shape[1 - axis]
+        origin = workplace[axis] * field_px[axis]
+        step = (workplace[axis + 2] - workplace[axis]) * field_px[axis] / side  # sensor pixels
+        low, high = (math.ceil((window[end] - origin) / step - 0.5) for end in (axis, axis + 2))
+        inside.append((max(0, low), min(side, high)))
+        per_px = pixels_side / (window[axis + 2] - window[axis])  # pixels of the frame
+        scale.append(step * per_px)
+        first.append((origin - window[axis]) * per_px)
     (left, right), (top, bottom) = inside
     if left >= right or top >= bottom:
         return
-    scale = [
-        per_px[0] * width / (window[2] - window[0]),
-        per_px[1] * height / (window[3] - window[1]),
-    ]  # pixels of the frame per pixel of the picture
-    first = [
-        ((lefts[0] - window[0]) / (window[2] - window[0])) * width,
-        ((lefts[1] - window[1]) / (window[3] - window[1])) * height,
-    ]  # where the picture's corner is in the frame, pixels
-    if max(scale) > MOST_SHRUNK:
+    if max(scale) > 1:
         pixels, scale, first = _averaged(pixels, scale, first)
     turn = np.array(
         [

@@ -1,5 +1,6 @@
 """Training of the consumer on scripted demonstrations, at full resolution."""
 
+# mypy: disallow-untyped-decorators=False
 import json
 import time
 from collections.abc import Callable
@@ -45,8 +46,8 @@ class Demonstrations:
         clip, frame = random.integers(clips, size=size), random.integers(frames, size=size)
         rows = known["steps"][clip, frame][:, None] + np.arange(self._chunk)
         targets = known["targets"][clip[:, None], np.minimum(rows, STEPS - 1)]
-        found = known["pictures"][clip, frame], known["joints"][clip, frame], targets
-        return tuple(torch.from_numpy(np.ascontiguousarray(each)) for each in found)  # type: ignore[return-value]
+        pictures, joints = known["pictures"][clip, frame], known["joints"][clip, frame]
+        return torch.from_numpy(pictures), torch.from_numpy(joints), torch.from_numpy(targets)
 
     def scale(self) -> tuple[Tensor, Tensor]:
         """Mean and spread (14,) of the targets."""
@@ -55,7 +56,7 @@ class Demonstrations:
         return torch.from_numpy(targets.mean(0)), torch.from_numpy(spread.astype(np.float32))
 
 
-def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> ActNet:
+def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> None:
     """Record missing demonstrations, train the remaining steps, write checkpoint, log, network."""
     s = settings
     torch.set_num_threads(s.threads)
@@ -94,7 +95,6 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Act
         facts = figures(rewards) | {"train_s": round(progress.elapsed_s)}
         (s.out / "result.json").write_text(json.dumps(facts, indent=1) + "\n")
         say(json.dumps(facts))
-    return net
 
 
 def _advance(

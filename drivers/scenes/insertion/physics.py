@@ -72,18 +72,14 @@ class Physics:
         return {frozenset((name(a).name, name(b).name)) for a, b in self._data.contact.geom}
 
     def corners(self, shapes: tuple[str, ...]) -> NDArray[np.float64]:
-        """The (8 k, 3) corners of box-shaped bodies, metres."""
+        """The (8 k, 3) corners of boxes around shapes, along their own axes, metres."""
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
         found = []
         for shape in shapes:
             seen = self._data.geom(shape)
-            sides = self._model.geom(shape).size
-            found.append(seen.xpos + (signs * sides) @ seen.xmat.reshape(3, 3).T)
+            box = self._model.geom_aabb[self._model.geom(shape).id]
+            found.append(seen.xpos + (box[:3] + signs * box[3:]) @ seen.xmat.reshape(3, 3).T)
         return np.concatenate(found)
-
-    def place(self, body: str) -> NDArray[np.float64]:
-        """Where a body is (3,), metres."""
-        return np.array(self._data.body(body).xpos)
 
     def projected(self, points: NDArray[np.float64], camera: str) -> NDArray[np.float64]:
         """Pixels (n, 2) of points (n, 3) in a picture of `SIZE_PX` by a camera."""
@@ -96,7 +92,7 @@ class Physics:
 
 
 class Camera:
-    """Draws a simulation, in the thread that made it."""
+    """Draws a simulation, for one thread at a time."""
 
     def __init__(self, physics: Physics, name: str) -> None:
         mujoco, (width, height) = _mujoco(), SIZE_PX
@@ -118,6 +114,7 @@ class Camera:
     def picture(self) -> NDArray[np.uint8]:
         """The present state as (480, 640, 3) RGB, valid until the next call."""
         mujoco = _mujoco()
+        self._context.make_current()
         mujoco.mjv_updateScene(
             self._model, self._physics._data, self._options, None, self._view,
             mujoco.mjtCatBit.mjCAT_ALL.value, self._scene,
@@ -127,7 +124,8 @@ class Camera:
         return self._upside_down[::-1]
 
     def close(self) -> None:
-        """Release the context."""
+        """Release the context; the thread that drew has ended, or is this one."""
+        self._context.make_current()
         self._drawn.free()
         self._context.free()
 

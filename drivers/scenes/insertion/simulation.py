@@ -24,9 +24,14 @@ PEG_RANGE = (0.1, 0.4, 0.05), (0.2, 0.6, 0.05)
 SOCKET_RANGE = (-0.2, 0.4, 0.05), (-0.1, 0.6, 0.05)
 
 
+def resting() -> NDArray[np.float32]:
+    """Return the joints (14,) at the start of every trial."""
+    return joints_of(np.concatenate([REST, start_of(0)]))
+
+
 def start_of(seed: int) -> NDArray[np.float64]:
     """Return the poses (14,) of peg and socket in the trial of a seed, the same as gym-aloha's."""
-    random = np.random.RandomState(seed)  # noqa: NPY002 - the numbers of gym-aloha
+    random = np.random.RandomState(seed)  # for the numbers of gym-aloha
     upright = [1.0, 0.0, 0.0, 0.0]
     peg, socket = (random.uniform(*limits) for limits in (PEG_RANGE, SOCKET_RANGE))
     return np.concatenate([peg, upright, socket, upright])
