@@ -18,7 +18,8 @@ def wilson(count: int, trials: int) -> tuple[float, float]:
     share, weight = count / trials, Z**2 / trials
     middle = (share + weight / 2) / (1 + weight)
     arm = Z * math.sqrt(share * (1 - share) / trials + weight / (4 * trials)) / (1 + weight)
-    return max(0.0, middle - arm), min(1.0, middle + arm)
+    # rounding must not leave the share outside
+    return max(0.0, min(share, middle - arm)), min(1.0, max(share, middle + arm))
 
 
 def paired(ours: Sequence[bool], theirs: Sequence[bool]) -> tuple[float, float, float]:

@@ -6,6 +6,7 @@ where peg and socket are is all that varies between trials.
 """
 
 # mypy: disallow-subclassing-any=False
+import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -141,7 +142,10 @@ def export(net: ActNet, path: Path) -> None:
     fast = torch.backends.mha.get_fastpath_enabled()
     torch.backends.mha.set_fastpath_enabled(False)  # its fused operation has no ONNX
     try:
-        onnx_files.write(net, given, path, ("targets",))
+        with warnings.catch_warnings():
+            # torch's own attention checks its shapes, which the trace takes for decisions
+            warnings.simplefilter("ignore", torch.jit.TracerWarning)
+            onnx_files.write(net, given, path, ("targets",))
         facts = {name: str(value) for name, value in asdict(net.shape).items()}
         onnx_files.describe(path, facts | {"workplace": " ".join(f"{s:g}" for s in WORKPLACE)})
     finally:
