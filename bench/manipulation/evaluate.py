@@ -23,7 +23,7 @@ from rich.table import Table
 from bench.machine import facts
 from bench.manipulation.intervals import METHOD, paired, wilson
 from bench.manipulation.rows import Row, parsed, rows_of
-from bench.manipulation.trial import Job, Outcome, plan_of, trial
+from bench.manipulation.trial import Job, Outcome, needed, plan_of, trial
 from drivers.scenes.insertion import COMPLETE, PARTIAL
 from operators.training.identity import of_code, of_plan
 from operators.training.progress import bar
@@ -119,7 +119,7 @@ def measured(
 
 def key(job: Job) -> str:
     """Return the name of a row's file, by everything that determines its trials but the seed."""
-    parts = of_plan(plan_of(job, "robot.seed=0")) | of_code(*CODE)
+    parts = of_plan(needed(plan_of(job, "robot.seed=0"))) | of_code(*CODE)
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 

@@ -1,6 +1,6 @@
 """One trial of the graph in lockstep: its settings and a seed in, the reward out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -35,8 +35,28 @@ class Outcome:
 
 
 def plan_of(job: Job, *more: str) -> Plan:
-    """Return the graph with its changes, without nodes that start on request."""
+    """Return the graph with its changes, in lockstep."""
     return load(Path(job.graph), Overlay(changes=(*job.changes, *more), clock="lockstep"))
+
+
+def needed(plan: Plan) -> Plan:
+    """Return what the robot hears of: its consumer, and what aims a ROI only where one is aimed."""
+    strategy = plan.node(ROBOT).settings["options"].get("strategy", "foveated")
+    heard = ("action", "schedule") if strategy == "foveated" else ("action",)
+    edges = [e for name, e in plan.inputs(ROBOT).items() if name in heard]
+    names = [ROBOT, *(e.source for e in edges)]
+    for name in names:
+        before = [e for e in plan.inputs(name).values() if name != ROBOT]
+        edges += before
+        names += [e.source for e in before if e.source not in names]
+    return replace(
+        plan,
+        nodes=tuple(
+            replace(node, index=i)
+            for i, node in enumerate(n for n in plan.nodes if n.name in names)
+        ),
+        edges=tuple(replace(edge, index=i) for i, edge in enumerate(dict.fromkeys(edges))),
+    )
 
 
 def trial(job: Job, seed: int) -> Outcome:
@@ -46,7 +66,7 @@ def trial(job: Job, seed: int) -> Outcome:
     """
     cv2.setNumThreads(1)
     steps = 0
-    with InlineRunner(plan_of(job, f"{ROBOT}.seed={seed}")) as runner:
+    with InlineRunner(needed(plan_of(job, f"{ROBOT}.seed={seed}"))) as runner:
         robot = runner.operator(ROBOT)
         for seq in runner.run():
             steps = seq + 1

@@ -5,6 +5,7 @@ the targets of the next 100 steps. Those that successive chunks tell of a step a
 (temporal ensembling).
 """
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,11 +46,16 @@ class ActionChunking(Operator[ActionChunkingSettings, Percept]):
     roi = Input(Frame)
     joints = Input(Joints)
 
+    @classmethod
+    def advise(cls, settings: ActionChunkingSettings, upstream: Mapping[str, Any]) -> Iterable[str]:
+        """Nothing; raises `WeightsError` for a network that cannot act."""
+        network_of(settings)
+        return ()
+
     def open(self) -> None:
         """Load the network; raises `WeightsError`."""
-        s = self.settings
-        self._network = ActNetwork(Path(s.weights) if s.weights else SHIPPED, **s.compute)
-        self._ensemble = Ensemble(s.decay)
+        self._network = network_of(self.settings)
+        self._ensemble = Ensemble(self.settings.decay)
 
     def on_stream(self, header: Header) -> None:
         """Forget what was told of another stream."""
@@ -90,3 +96,9 @@ class ActionChunking(Operator[ActionChunkingSettings, Percept]):
     def headline(self) -> str:
         """What the network runs on, unless it is the CPU."""
         return self._network.headline()
+
+
+def network_of(settings: ActionChunkingSettings) -> ActNetwork:
+    """The network that the settings name; raises `WeightsError`."""
+    path = Path(settings.weights) if settings.weights else SHIPPED
+    return ActNetwork(path, **settings.compute)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from bench.manipulation.evaluate import GRAPH, command, key
 from bench.manipulation.intervals import paired, wilson
 from bench.manipulation.rows import Row, parsed, rows_of
-from bench.manipulation.trial import Job, plan_of
+from bench.manipulation.trial import Job, needed, plan_of
 from pipeline.errors import SettingsError
 
 SIXTEENTH = Fraction(1, 16)
@@ -64,6 +64,18 @@ def test_what_cannot_be_measured_is_refused() -> None:
     for text in ("", "1/0", "2", "x"):
         with pytest.raises(SettingsError, match="budgets"):
             parsed(text)
+
+
+def test_a_row_runs_only_what_its_strategy_needs() -> None:
+    job = Job(graph=str(GRAPH), changes=())
+
+    def names(strategy: str) -> set[str]:
+        changes = Row(strategy=strategy, budget=SIXTEENTH).changes
+        return {node.name for node in needed(plan_of(job, *changes)).nodes}
+
+    assert names("spatial") == names("centred") == {"robot", "manipulation"}
+    assert names("foveated") >= {"saliency", "policy", "dispatch"}
+    assert "visualise" not in names("foveated")
 
 
 def test_rows_are_told_apart_by_what_determines_them() -> None:
