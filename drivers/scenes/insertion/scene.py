@@ -78,7 +78,7 @@ class InsertionScene:
             self._advance()
         return self._simulation.picture()
 
-    def truth(self, index: int) -> Annotations | None:
+    def truth(self, index: int) -> Annotations:
         """Boxes of peg, socket and grippers in the last picture."""
         physics = self._simulation.physics
         corners = [physics.corners(shapes) for shapes in SHAPES]
