@@ -36,7 +36,7 @@ def write(path: Path, seed: int, steps: int = STEPS) -> int:
 
 def _seeds(text: str) -> range:
     first, _, last = text.partition("-")
-    if not first.isdigit() or not (last or first).isdigit():
+    if not first.isdecimal() or not (last or first).isdecimal() or text.endswith("-"):
         raise click.UsageError(f"--seeds: expected a number or two as 0-9, got {text!r}")
     found = range(int(first), int(last or first) + 1)
     if not 1 <= len(found) <= MOST_EPISODES:
