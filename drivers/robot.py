@@ -38,7 +38,7 @@ class Robot(DualStreamSensor, Protocol):
         ...
 
     def joints(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Positions and velocities (joints,) at the last exposure; before the first, as they are."""
+        """Positions and velocities (joints,) at the last exposure; before any, those now."""
         ...
 
 
