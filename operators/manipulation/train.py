@@ -21,14 +21,15 @@ from pipeline.extras import need
 )
 @click.option("--data", type=Path, required=True, help="demonstrations, recorded if missing")
 @click.option("--out", type=Path, required=True, help="checkpoint, log, act.onnx, result.json")
+@click.option("--init", type=Path, help="a checkpoint.pt of this training to begin with")
 @click.option("--device", default="auto", show_default=True, help=DEVICES)
-def command(data: Path, out: Path, device: str, **numbers: float) -> None:
+def command(data: Path, out: Path, init: Path | None, device: str, **numbers: float) -> None:
     """Train the robot's consumer on scripted demonstrations."""
     with in_a_sentence(GOES_ON):
         need("torch", "train")
         from operators.manipulation.training_run import train
 
-        train(TrainSettings(data=data, out=out, device=device, **numbers))  # type: ignore[arg-type]
+        train(TrainSettings(data=data, out=out, init=init, device=device, **numbers))  # type: ignore[arg-type]
 
 
 for _field in fields(TrainSettings):

@@ -13,12 +13,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from drivers.scenes.insertion import COMPLETE, PARTIAL, STEPS, Simulation
-from operators.manipulation.data import CHECK_SEEDS, TRAIN_SEEDS, made_with, read, record
+from operators.manipulation.data import (
+    CHECK_SEEDS,
+    GRIPPERS,
+    TRAIN_SEEDS,
+    made_with,
+    read,
+    record,
+)
 from operators.manipulation.ensemble import Ensemble
 from operators.manipulation.model import ActNet, Shape, export, loss_of
 from operators.manipulation.picture import PICTURE_PX, place
 from operators.manipulation.training_settings import TrainSettings
-from operators.training.checkpoint import Progress, left, path_in
+from operators.training.checkpoint import Progress, left, path_in, take
 from operators.training.device import device_of, moved
 from operators.training.identity import of_settings
 from operators.training.log import EVERY, note, shorten
@@ -69,6 +76,8 @@ def train(settings: TrainSettings, *, say: Callable[[str], None] = print) -> Non
     demonstrations = Demonstrations(paths, s.chunk)
     torch.manual_seed(s.seed)
     net = ActNet(Shape(chunk=s.chunk), *demonstrations.scale()).to(device)
+    if s.init:
+        take(s.init, {"net": net})
     optimiser = torch.optim.AdamW(net.parameters(), lr=s.rate, weight_decay=s.decay)
     progress = Progress(s.out, {"net": net, "optimiser": optimiser}, identity)
     progress.resume()
@@ -110,6 +119,10 @@ def _advance(
     picture, joints, targets = (
         moved(each, device) for each in demonstrations.batch(random, s.batch)
     )
+    # the grippers tell how far the trial has come, and nothing of where things lie
+    noise = torch.from_numpy(random.normal(0, s.noise, joints.shape)).to(joints)
+    noise[:, list(GRIPPERS)] = 0
+    joints = joints + noise
     rise = max(1, round(s.warmup * s.iterations))
     for group in optimiser.param_groups:
         group["lr"] = warmed_cosine(step, peak=s.rate, warmup=rise, steps=s.iterations)

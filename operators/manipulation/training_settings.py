@@ -20,14 +20,17 @@ class TrainSettings:
     warmup: float = 0.05  # share of the iterations
     decay: float = 0.0001
     chunk: int = 100  # steps that the network tells at once
+    noise: float = 0.05  # radians, of the joints that the network is given, for the same reason
+    # as the disturbance of demonstrations
     divergence: float = 0.01  # weight of the Kullback-Leibler divergence of the styles
     trials: int = 20  # closed-loop trials after the training
+    init: Path | None = None  # a checkpoint of a network to begin with
     seed: int = 1
     threads: int = 2
     device: str = "auto"
 
     def __post_init__(self) -> None:
         at_least(1, self, "demonstrations", "frames", "iterations", "batch", "chunk", "threads")
-        at_least(0, self, "warmup", "decay", "divergence", "trials", "seed")
+        at_least(0, self, "warmup", "decay", "noise", "divergence", "trials", "seed")
         above_zero(self, "rate")
         known_device(self.device)
