@@ -1,0 +1,1 @@
+"""Evaluation of the manipulation task: seeded trials of a robot under a pixel budget."""

@@ -1,0 +1,101 @@
+"""ALOHA episodes: what is written is read, and files that are damaged or others are refused."""
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+h5py = pytest.importorskip("h5py", reason="needs the robot extra")
+
+from drivers.datasets import AlohaEpisode  # noqa: E402
+from drivers.datasets.aloha import write_episode  # noqa: E402
+from pipeline.errors import DriverError  # noqa: E402
+
+FRAMES = 5
+
+
+def episode(folder: Path, **changes: Any) -> Path:
+    random = np.random.default_rng(3)
+    path = folder / "episode_0.hdf5"
+    values = {
+        "pictures": {"top": random.integers(0, 255, (FRAMES, 12, 16, 3), np.uint8)},
+        **{n: random.random((FRAMES, 14), np.float32) for n in ("qpos", "qvel", "action")},
+    }
+    write_episode(path, **(values | changes))
+    return path
+
+
+def test_an_episode_is_read_as_it_was_written(tmp_path: Path) -> None:
+    shown = np.random.default_rng(1).integers(0, 255, (FRAMES, 12, 16, 3), np.uint8)
+    action = np.random.default_rng(2).random((FRAMES, 14), np.float32)
+
+    read = AlohaEpisode(path=str(episode(tmp_path, pictures={"top": shown}, action=action)))
+
+    assert (read.size_px, read.rate_hz, read.length, read.simulated) == ((16, 12), 50, FRAMES, True)
+    np.testing.assert_array_equal(read.picture(3), shown[3])
+    np.testing.assert_array_equal(read.action, action)
+    with pytest.raises(IndexError):
+        read.picture(FRAMES)
+    read.close()
+
+
+def test_a_file_cut_short_anywhere_is_one_sentence(tmp_path: Path) -> None:
+    whole = episode(tmp_path).read_bytes()
+    cut = tmp_path / "cut.hdf5"
+
+    for share in np.linspace(0, 0.99, 12):
+        cut.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(DriverError, match=r"cut\.hdf5") as refused:
+            AlohaEpisode(path=str(cut))
+        assert "\n" not in str(refused.value)
+
+
+def test_bytes_that_were_changed_are_read_or_refused_in_a_sentence(tmp_path: Path) -> None:
+    whole, random = episode(tmp_path).read_bytes(), np.random.default_rng(5)
+    path = tmp_path / "changed.hdf5"
+
+    for _ in range(60):
+        damaged = bytearray(whole)
+        for at in random.integers(0, len(whole), 20):
+            damaged[at] = int(random.integers(256))
+        path.write_bytes(damaged)
+        with suppress(DriverError):  # anything else fails the test
+            read = AlohaEpisode(path=str(path))
+            read.picture(FRAMES - 1)
+            read.close()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"action": np.zeros((FRAMES - 1, 14), np.float32)}, "action: expected"),
+        ({"qvel": np.zeros((FRAMES, 13), np.float32)}, "qvel: expected"),
+        ({"qpos": np.zeros(FRAMES, np.float32)}, r"qpos: expected \(T, n\) numbers"),
+        ({"qpos": np.full((FRAMES, 14), np.inf, np.float32)}, "finite"),
+        ({"pictures": {"left": np.zeros((FRAMES, 4, 4, 3), np.uint8)}}, "expected one of left"),
+        ({"pictures": {"top": np.zeros((2, 4, 4, 3), np.uint8)}}, "expected 5 pictures, got 2"),
+        ({"pictures": {"top": np.zeros((FRAMES, 4, 4, 3), np.float32)}}, "uint8"),
+    ],
+)
+def test_parts_that_do_not_fit_one_another_are_refused(
+    tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(DriverError, match=words):
+        AlohaEpisode(path=str(episode(tmp_path, **changes)))
+
+
+@pytest.mark.parametrize("name", ["action", "observations/qpos", "observations/images"])
+def test_a_part_that_is_missing_is_named(tmp_path: Path, name: str) -> None:
+    path = episode(tmp_path)
+    with h5py.File(path, "a") as file:
+        del file[name]
+
+    with pytest.raises(DriverError, match=f"expected {name}, got none"):
+        AlohaEpisode(path=str(path))
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DriverError, match="no such file"):
+        AlohaEpisode(path=str(tmp_path / "none.hdf5"))
