@@ -61,8 +61,8 @@ class PaddleOcr:
 
             self._engine: Any = RapidOCR(params=given)
             blank = np.zeros((48, 96, 3), np.uint8)
-            self._engine(blank)  # it loads its networks at first use
-            self._engine(blank, use_det=False, use_cls=False, use_rec=True)
+            for finds in (False, True):  # it loads its networks at first use
+                self._engine(blank, use_det=finds, use_cls=False, use_rec=True)
         except Exception as error:  # it raises what its parts raise
             why = harmless(str(error), MOST_REASON)
             raise WeightsError(f"reader: PP-OCR does not load: {why}") from error
@@ -79,7 +79,9 @@ class PaddleOcr:
 
     def _read(self, tile: Picture, left: int, top: int) -> list[Reading]:
         # it reads BGR
-        result = self._engine(np.ascontiguousarray(tile[..., ::-1]))
+        result = self._engine(
+            np.ascontiguousarray(tile[..., ::-1]), use_det=True, use_cls=False, use_rec=True
+        )
         if result.txts is None or result.boxes is None or result.scores is None:
             return []
         made = []
