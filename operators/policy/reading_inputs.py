@@ -1,0 +1,119 @@
+"""What policies share that show texts until they are read.
+
+The reader reports what it has read as a `Percept`: a track that a sure reading covers is worth
+nothing more. `roi` tells which window was exposed; without it, the policy takes its own plans for
+granted.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.gaze_plan import check_horizon
+from operators.policy.inputs import PolicyInputs
+from operators.policy.looks import Looks, carried, exposed, no_looks, noted
+from operators.policy.utility import windows
+from pipeline import (
+    Frame,
+    Header,
+    Percept,
+    SettingsError,
+    Tracks,
+)
+
+LATE = 16  # frames for which a window that is not reported is taken from the plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class TextPolicySettings:
+    """What a graph may set of each of them."""
+
+    horizon: int = 16  # Tp, frames planned
+    sure: float = 0.8  # score of a reading from which a text counts as read
+
+    def __post_init__(self) -> None:
+        check_horizon(self.horizon)
+        if not 0 < self.sure <= 1:
+            raise SettingsError(f"sure: expected above 0 to 1, got {self.sure}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TextPolicyState:
+    """State between frames; immutable."""
+
+    looks: Looks
+    roi_seq: int  # last frame whose window was reported, -1: none yet
+    planned: NDArray[np.float32]  # (t, 4) windows of the last plan, from `first_seq` on
+    first_seq: int
+
+
+def at_first() -> TextPolicyState:
+    """Return the state before the first frame."""
+    return TextPolicyState(
+        looks=no_looks(), roi_seq=-1, planned=np.zeros((0, 4), np.float32), first_seq=0
+    )
+
+
+S = TypeVar("S", bound=TextPolicySettings)
+
+
+class TextPolicy(PolicyInputs[S]):
+    """Inputs and inhibition of return; a class for one strategy implements `on_tracks`."""
+
+    live = ("sure",)
+
+    def open(self) -> None:
+        """Start without looks."""
+        self._state = at_first()
+
+    def on_stream(self, header: Header) -> None:
+        """Ids of another stream are other texts."""
+        self._state = at_first()
+
+    def state(self) -> TextPolicyState:
+        """Return what was shown and read."""
+        return self._state
+
+    def restore(self, state: TextPolicyState) -> None:
+        """Take over what another instance has shown, and what was read."""
+        self._state = state
+
+    def on_percept(self, percept: Percept) -> None:
+        """Note what has been read; raises `MessageError` for texts that do not fit the boxes."""
+        self._state = replace(self._state, looks=noted(self._state.looks, percept))
+
+    def on_roi(self, roi: Frame) -> None:
+        """Note what the ROI showed."""
+        self._state = reported(self._state, roi)
+
+
+def reported(state: TextPolicyState, roi: Frame) -> TextPolicyState:
+    """Return the state after a window was reported; an exposure without a ROI shows nothing."""
+    window = np.array(roi.window, np.float32)
+    looks = exposed(state.looks, window, roi.header.seq) if window.any() else state.looks
+    return replace(state, looks=looks, roi_seq=roi.header.seq)
+
+
+def brought_up(state: TextPolicyState, tracks: Tracks) -> tuple[TextPolicyState, Looks]:
+    """Return the state of these tracks, and the looks expected once this frame was exposed.
+
+    Its window, and windows of earlier frames that are not reported yet, are those of the last plan.
+    """
+    seq = tracks.header.seq
+    state = replace(state, looks=carried(state.looks, tracks))
+    awaited = range(max(state.roi_seq + 1, seq - LATE), seq + 1) if state.roi_seq >= 0 else [seq]
+    expected = state.looks
+    for frame in awaited:
+        if 0 <= (row := frame - state.first_seq) < len(state.planned):
+            expected = exposed(expected, state.planned[row], frame)
+    if state.roi_seq < 0:  # nothing reports windows, or not yet
+        state = replace(state, looks=expected)
+    return state, expected
+
+
+def planned(state: TextPolicyState, tracks: Tracks, boxes: NDArray[np.float32]) -> TextPolicyState:
+    """Return the state after a plan to look at `boxes` (Tp, 4) in the frames after this one."""
+    geometry = tracks.header.geometry
+    return replace(state, planned=windows(boxes, geometry), first_seq=tracks.header.seq + 1)
