@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from operators.policy.gaze_plan import check_horizon
 from operators.policy.inputs import PolicyInputs
 from operators.policy.looks import Looks, carried, exposed, no_looks, noted
+from operators.policy.memory import Memory, blank
 from operators.policy.utility import windows
 from pipeline import (
     Frame,
@@ -47,12 +48,17 @@ class TextPolicyState:
     roi_seq: int  # last frame whose window was reported, -1: none yet
     planned: NDArray[np.float32]  # (t, 4) windows of the last plan, from `first_seq` on
     first_seq: int
+    memory: Memory  # of the features that the ROI showed; only the learned policy fills it
 
 
 def at_first() -> TextPolicyState:
     """Return the state before the first frame."""
     return TextPolicyState(
-        looks=no_looks(), roi_seq=-1, planned=np.zeros((0, 4), np.float32), first_seq=0
+        looks=no_looks(),
+        roi_seq=-1,
+        planned=np.zeros((0, 4), np.float32),
+        first_seq=0,
+        memory=blank(),
     )
 
 
@@ -82,18 +88,23 @@ class TextPolicy(PolicyInputs[S]):
 
     def on_percept(self, percept: Percept) -> None:
         """Note what has been read; raises `MessageError` for texts that do not fit the boxes."""
-        self._state = replace(self._state, looks=noted(self._state.looks, percept))
+        self._state = noted_reading(self._state, percept)
 
     def on_roi(self, roi: Frame) -> None:
         """Note what the ROI showed."""
-        self._state = reported(self._state, roi)
+        window = np.array(roi.window, np.float32)
+        self._state = shown_window(self._state, window, roi.header.seq)
 
 
-def reported(state: TextPolicyState, roi: Frame) -> TextPolicyState:
-    """Return the state after a window was reported; an exposure without a ROI shows nothing."""
-    window = np.array(roi.window, np.float32)
-    looks = exposed(state.looks, window, roi.header.seq) if window.any() else state.looks
-    return replace(state, looks=looks, roi_seq=roi.header.seq)
+def noted_reading(state: TextPolicyState, percept: Percept) -> TextPolicyState:
+    """Return the state after the reader reported."""
+    return replace(state, looks=noted(state.looks, percept))
+
+
+def shown_window(state: TextPolicyState, window: NDArray[np.float32], seq: int) -> TextPolicyState:
+    """Return the state after `window` (4,) was exposed in frame `seq`; zeros: none was."""
+    looks = exposed(state.looks, window, seq) if window.any() else state.looks
+    return replace(state, looks=looks, roi_seq=seq)
 
 
 def brought_up(state: TextPolicyState, tracks: Tracks) -> tuple[TextPolicyState, Looks]:
