@@ -15,6 +15,10 @@ class PolicyInputs(Operator[S, Scanpath]):
     percept = Input(Percept, join=False)  # of the consumer
     roi = Input(Frame, join=False)  # for its window
 
+    def on_tracks(self, tracks: Tracks) -> Scanpath:
+        """Plan the frames after this one."""
+        raise NotImplementedError
+
     def on_features(self, features: RoiFeatures) -> None:
         """Do nothing."""
 

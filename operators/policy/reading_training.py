@@ -10,7 +10,6 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -21,7 +20,12 @@ from operators.policy.decision import Selection
 from operators.policy.network import softmax
 from operators.policy.reading_model import INPUTS, ReadingNet
 from operators.policy.reading_rollout import Choose, Episode, Sample, roll, tasks, teacher
-from operators.policy.reading_settings import ReadingTrainSettings
+from operators.policy.reading_settings import (
+    GRAPH,
+    TRAIN_SEEDS,
+    VALIDATION_SEEDS,
+    ReadingTrainSettings,
+)
 from operators.policy.reading_street import Street
 from operators.policy.reading_tokens import Texts, batched
 from operators.policy.reading_utility import DISCOUNT
@@ -35,8 +39,6 @@ from operators.training.progress import Phases, bar
 from operators.training.schedule import warmed_cosine
 from pipeline.errors import RunError, SettingsError
 
-GRAPH = Path(__file__).parents[2] / "graphs" / "tasks" / "text_recording.yaml"
-TRAIN_SEEDS, VALIDATION_SEEDS = 0, 9_000  # within 0 to 9,999; others are for tables
 ROUNDS = 6
 CLIPS, TRAIN, SCORE = "record clips", "train", "score"
 PHASES = Phases(CLIPS, TRAIN, SCORE)
@@ -149,10 +151,10 @@ def figures(episodes: Sequence[Episode]) -> dict[str, float]:
 
 
 def score(
-    net: ReadingNet, streets: Sequence[Street], s: ReadingTrainSettings, *, count: int, seed: int
+    net: ReadingNet, streets: Sequence[Street], s: ReadingTrainSettings, *, seed: int
 ) -> dict[str, float]:
     """Return what the policy shows and reads, replanned every frame, without delay."""
-    episodes = episodes_of(streets, s, count, seed, plain=True)
+    episodes = episodes_of(streets, s, s.checks, seed, plain=True)
     rng = np.random.default_rng(seed)
     roll(episodes, network_choice(net), frames=s.length, how="argmax", rng=rng, keep=0)
     return figures(episodes)
@@ -187,10 +189,10 @@ def train(settings: ReadingTrainSettings, *, say: Callable[[str], None] = print)
                 run.save_when_due()
             run.hand_over()
             run.save()
-            told = score(run.net, check, settings, count=32, seed=7)
+            told = score(run.net, check, settings, seed=7)
             say(f"round {number}: {json.dumps(told)}")
     with bar(PHASES[SCORE], 1) as shown:
-        found = score(run.net, check, settings, count=96, seed=8)
+        found = score(run.net, check, settings, seed=8)
         shown.step()
     facts = {"clips_s": round(clips_s), "train_s": round(run.elapsed_s), **found}
     (settings.out / "result.json").write_text(json.dumps(facts, indent=1) + "\n")
