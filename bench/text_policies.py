@@ -101,7 +101,7 @@ def main(
     timing = Timing(delay=delay, replan=replan)
     found = {
         name: [watched(street, make, timing, seed) for street in streets]
-        for name, make in policies(weights).items()
+        for name, make in policies(weights, delay).items()
     }
     rows = [row(name, streets, readers, found[BESIDE]) for name, readers in found.items()]
     title = (
@@ -122,12 +122,12 @@ def main(
 Make = Callable[[Street, SimulatedReader], PolicyInputs[Any]]
 
 
-def policies(weights: Path | None) -> Mapping[str, Make]:
+def policies(weights: Path | None, delay: int) -> Mapping[str, Make]:
     """Return what makes each policy for one clip."""
     file = str(weights or "")
     return {
-        "learned": lambda *_: ReadingPolicy(ReadingPolicySettings(weights=file)),
-        BESIDE: lambda *_: GreedyReadingPolicy(GreedyReadingPolicySettings()),
+        "learned": lambda *_: ReadingPolicy(ReadingPolicySettings(weights=file, delay=delay)),
+        BESIDE: lambda *_: GreedyReadingPolicy(GreedyReadingPolicySettings(delay=delay)),
         "round robin": lambda *_: RoundRobinPolicy(RoundRobinPolicySettings()),
         "centred": lambda *_: CentredPolicy(CentredPolicySettings()),
         "oracle": Oracle,
@@ -180,9 +180,10 @@ def row(
     shown, read = (blocks(streets, readers, what) for what in ("shown_at", "read_at"))
     gain, low, high = difference(read, blocks(streets, beside, "read_at"))
     share, seen = mean(read), mean(shown)
-    waits = [
-        reader.read_at[reader.read] - street.legible[:, reader.read].argmax(0)
+    waits: list[int] = [
+        int(wait)
         for street, reader in zip(streets, readers, strict=True)
+        for wait in reader.read_at[reader.read] - street.legible[:, reader.read].argmax(0)
     ]
     return {
         "policy": name,
@@ -190,7 +191,7 @@ def row(
         "shown": f"{seen.iou:.3f}",
         "read": f"{share.iou:.3f} ({share.low:.3f} .. {share.high:.3f})",
         f"read, above {BESIDE}": f"{gain:+.3f} ({low:+.3f} .. {high:+.3f})",
-        "frames to reading": f"{np.median(np.concatenate(waits)):.0f}",
+        "frames to reading": f"{np.median(waits):.0f}" if waits else "never",
     }
 
 

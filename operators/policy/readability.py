@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 HALF_PX, MOST_PX, MOST = 9.0, 14.0, 0.9  # read by half at HALF_PX, by MOST at MOST_PX
-LEAST_VISIBLE = 0.9  # share of a text that must be seen for it to be read
 STEEPNESS = float(np.log(MOST / (1 - MOST)) / (MOST_PX - HALF_PX))
 Array = NDArray[np.float32]
 

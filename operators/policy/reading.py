@@ -91,12 +91,12 @@ class ReadingPolicy(TextPolicy[ReadingPolicySettings]):
         if not len(tracks.ids):
             tracks = shaped(tracks, network)
         state, candidates, condition = observe(
-            self._state, tracks, sure=s.sure, roi_channels=network.roi_channels
+            self._state, tracks, sure=s.sure, delay=s.delay, roi_channels=network.roi_channels
         )
         probability = network(candidates, condition)
         rng = np.random.default_rng([s.seed, tracks.header.seq])
         plan = plan_of(tracks, candidates, probability, pick(probability, s.selection, rng))
-        self._state = planned(state, tracks, plan.boxes)
+        self._state = planned(state, tracks, plan.boxes, s.delay)
         return scanpath(tracks, plan)
 
     def _warn_once(self, about: str, sentence: str) -> None:

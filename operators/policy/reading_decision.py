@@ -15,18 +15,21 @@ from pipeline import Tracks
 
 
 def observe(
-    before: TextPolicyState, tracks: Tracks, *, sure: float, roi_channels: int
+    before: TextPolicyState, tracks: Tracks, *, sure: float, delay: int, roi_channels: int
 ) -> tuple[TextPolicyState, Texts, Array]:
-    """Process a frame; return the new state, the candidates and the condition."""
+    """Process a frame; return the new state, the candidates and the condition.
+
+    Plans take effect `delay` frames after the one that follows this frame.
+    """
     seq, observed = tracks.header.seq, tracks.boxes.shape[1]
     row = seq - before.first_seq
     window = np.zeros(4, np.float32)
     if 0 <= row < len(before.planned):
         window = before.planned[row]
-    state, looks = brought_up(before, tracks)
+    state, looks = brought_up(before, tracks, delay)
     roi = recall(state.memory, tracks.ids, seq=seq, observed=observed, channels=roi_channels)
     candidates = encode_texts(tracks, looks, roi, sure=sure)
-    return state, candidates, encode_scene(tracks, looks, window, sure=sure)
+    return state, candidates, encode_scene(tracks, looks, window, sure=sure, delay=delay)
 
 
 def plan_of(

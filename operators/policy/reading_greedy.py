@@ -45,14 +45,18 @@ class GreedyReadingPolicy(TextPolicy[GreedyReadingPolicySettings]):
 
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the frames after this one."""
-        state, looks = brought_up(self._state, tracks)
-        plan = greedy_plan(tracks, looks, self.settings)
-        self._state = planned(state, tracks, plan.boxes)
+        s = self.settings
+        state, looks = brought_up(self._state, tracks, s.delay)
+        plan = greedy_plan(tracks, looks, s)
+        self._state = planned(state, tracks, plan.boxes, s.delay)
         return scanpath(tracks, plan)
 
 
 def greedy_plan(tracks: Tracks, looks: Looks, s: GreedyReadingPolicySettings) -> GazePlan:
-    """Return the plan; each of its frames counts what the frames before it will have shown."""
+    """Return the plan; each of its frames counts what the frames before it will have shown.
+
+    The first `delay` frames, for which it comes too late, are searches that no sensor follows.
+    """
     count, first = len(tracks.ids), tracks.header.seq + 1
     geometry = tracks.header.geometry
     boxes = search(geometry, None, np.arange(first, first + s.horizon))
@@ -63,7 +67,7 @@ def greedy_plan(tracks: Tracks, looks: Looks, s: GreedyReadingPolicySettings) ->
     unread = looks.read[:count] < s.sure
     tried, shown_seq = looks.tried[:count].copy(), looks.shown_seq[:count].copy()
     ahead = np.stack([future(tracks, row, s.horizon) for row in range(count)], axis=1)
-    for step in range(s.horizon):
+    for step in range(s.delay, s.horizon):
         chance = chances(heights(ahead[step]))
         gain = unread * gains(chance, tried, first + step - shown_seq, s.retry)
         gain = np.where(gain >= s.least_gain, gain, 0)

@@ -33,9 +33,14 @@ class TextPolicySettings:
 
     horizon: int = 16  # Tp, frames planned
     sure: float = 0.8  # score of a reading from which a text counts as read
+    delay: int = 0  # frames by which plans come late: windows of those are commanded already
 
     def __post_init__(self) -> None:
         check_horizon(self.horizon)
+        if not 0 <= self.delay < self.horizon:
+            raise SettingsError(
+                f"delay: expected 0 to below the horizon of {self.horizon}, got {self.delay}"
+            )
         if not 0 < self.sure <= 1:
             raise SettingsError(f"sure: expected above 0 to 1, got {self.sure}")
 
@@ -46,7 +51,7 @@ class TextPolicyState:
 
     looks: Looks
     roi_seq: int  # last frame whose window was reported, -1: none yet
-    planned: NDArray[np.float32]  # (t, 4) windows of the last plan, from `first_seq` on
+    planned: NDArray[np.float32]  # (t, 4) windows commanded for the frames from `first_seq` on
     first_seq: int
     memory: Memory  # of the features that the ROI showed; only the learned policy fills it
 
@@ -107,24 +112,40 @@ def shown_window(state: TextPolicyState, window: NDArray[np.float32], seq: int) 
     return replace(state, looks=looks, roi_seq=seq)
 
 
-def brought_up(state: TextPolicyState, tracks: Tracks) -> tuple[TextPolicyState, Looks]:
-    """Return the state of these tracks, and the looks expected once this frame was exposed.
+def brought_up(state: TextPolicyState, tracks: Tracks, delay: int) -> tuple[TextPolicyState, Looks]:
+    """Return the state of these tracks, and the looks expected when a plan takes effect.
 
-    Its window, and windows of earlier frames that are not reported yet, are those of the last plan.
+    Windows that are not reported yet, and those of the `delay` frames that a plan is too late for,
+    are taken from earlier plans.
     """
     seq = tracks.header.seq
     state = replace(state, looks=carried(state.looks, tracks))
-    awaited = range(max(state.roi_seq + 1, seq - LATE), seq + 1) if state.roi_seq >= 0 else [seq]
-    expected = state.looks
-    for frame in awaited:
-        if 0 <= (row := frame - state.first_seq) < len(state.planned):
-            expected = exposed(expected, state.planned[row], frame)
     if state.roi_seq < 0:  # nothing reports windows, or not yet
-        state = replace(state, looks=expected)
-    return state, expected
+        state = replace(state, looks=_foreseen(state, range(seq, seq + 1)))
+        return state, _foreseen(state, range(seq + 1, seq + 1 + delay))
+    awaited = max(state.roi_seq + 1, seq - LATE)
+    return state, _foreseen(state, range(awaited, seq + 1 + delay))
 
 
-def planned(state: TextPolicyState, tracks: Tracks, boxes: NDArray[np.float32]) -> TextPolicyState:
-    """Return the state after a plan to look at `boxes` (Tp, 4) in the frames after this one."""
-    geometry = tracks.header.geometry
-    return replace(state, planned=windows(boxes, geometry), first_seq=tracks.header.seq + 1)
+def _foreseen(state: TextPolicyState, frames: range) -> Looks:
+    """Return the looks after the windows commanded for these frames."""
+    looks = state.looks
+    for frame in frames:
+        if 0 <= (row := frame - state.first_seq) < len(state.planned):
+            looks = exposed(looks, state.planned[row], frame)
+    return looks
+
+
+def planned(
+    state: TextPolicyState, tracks: Tracks, boxes: NDArray[np.float32], delay: int
+) -> TextPolicyState:
+    """Return the state after a plan to look at `boxes` (Tp, 4) in the frames after this one.
+
+    The first `delay` of its windows come too late; those of earlier plans hold.
+    """
+    first = tracks.header.seq + 1
+    commanded = windows(boxes, tracks.header.geometry)
+    row = first - state.first_seq
+    held = state.planned[row : row + delay] if row >= 0 else state.planned[:0]
+    commanded[: len(held)] = held
+    return replace(state, planned=commanded, first_seq=first)

@@ -21,6 +21,7 @@ from operators.policy.tokens import Array
 from operators.policy.utility import windows
 from pipeline.boxes import roi_window
 
+NOTHING = np.zeros((0, 0, 0), np.float32), np.zeros(0, np.float32)
 SURE = 0.8  # as the settings of the policies have it
 Choose = Callable[[Sequence[Texts], Sequence[Array]], Sequence[Array]]  # -> (N, Tp) each
 
@@ -43,7 +44,8 @@ class Sample:
     candidates: Texts
     condition: Array  # (CONDITION,)
     reads: Array  # (N, J, Tp) chance that the candidate's window reads a text not yet read
-    worth: Array  # (N, Tp) what it adds to the greedy plan
+    left: Array  # (J,) chance that the text is still to be read when the plan takes effect
+    worth: Array  # (N, Tp) what the candidate adds to the greedy plan
 
 
 class Episode:
@@ -69,25 +71,39 @@ class Episode:
         self._moment = self.street.moment(self.frame)
         self._window = self._commanded.pop(self.frame, self._window)
         self._state, self._candidates, condition = observe(
-            self._state, self._moment.tracks, sure=SURE, roi_channels=self._channels
+            self._state,
+            self._moment.tracks,
+            sure=SURE,
+            delay=self.task.delay,
+            roi_channels=self._channels,
         )
         return self._candidates, condition
 
-    def reads(self) -> Array:
-        """Return the chance that each candidate's window reads each unread text: (N, J, Tp)."""
+    def reads(self) -> tuple[Array, Array]:
+        """Return the chance that each candidate's window reads each unread text: (N, J, Tp).
+
+        And the chance (J,) that no window that is commanded already reads the text.
+        """
         path = self._candidates.path
         ahead = slice(self.frame + 1, self.frame + 1 + path.shape[1])
         steps = len(self.street.boxes[ahead])
         found = np.zeros((len(path), len(self.street.ids), path.shape[1]), np.float32)
         shown = windows(path[:, :steps], self.street.geometry)
         found[:, :, :steps] = self.street.shown(shown, ahead)
-        return found[:, ~self.reader.read & found.any((0, 2))]
+        found[:, :, : self.task.delay] = 0
+        left = np.ones(len(self.street.ids), np.float32)
+        for frame in range(self.frame, min(self.frame + 1 + self.task.delay, len(self.street))):
+            window = self._commanded.get(frame, self._window)
+            shows = self.street.shown(window[None, None], slice(frame, frame + 1))
+            left = left * (1 - shows[0, :, 0])
+        able = ~self.reader.read & found.any((0, 2))
+        return found[:, able], left[able]
 
     def act(self, probability: Array, how: Selection, rng: np.random.Generator) -> None:
         """Look where the policy decides, read what this frame's window shows, and advance."""
         tracks, seq = self._moment.tracks, self._moment.tracks.header.seq
         plan = plan_of(tracks, self._candidates, probability, pick(probability, how, rng))
-        self._state = planned(self._state, tracks, plan.boxes)
+        self._state = planned(self._state, tracks, plan.boxes, self.task.delay)
         if self.frame - self._planned >= self.task.replan:
             self._planned = self.frame
             for row in range(self.task.delay, len(plan.boxes)):
@@ -123,15 +139,18 @@ def roll(
         for episode, (candidates, condition), probability in zip(
             running, moments, chances, strict=True
         ):
-            if rng.random() < keep and (reads := episode.reads()).size:
+            reads, left = episode.reads() if rng.random() < keep else NOTHING
+            if reads.size:
                 half = replace(
                     candidates,
                     roi=candidates.roi.astype(np.float16),
                     context=candidates.context.astype(np.float16),
                 )
-                worth = marginal(reads)
+                worth = marginal(reads, left)
                 samples.append(
-                    Sample(candidates=half, condition=condition, reads=reads, worth=worth)
+                    Sample(
+                        candidates=half, condition=condition, reads=reads, left=left, worth=worth
+                    )
                 )
             episode.act(probability, how, rng)
     return samples
@@ -145,7 +164,7 @@ def teacher(episodes: Sequence[Episode], noise: float, rng: np.random.Generator)
         answers = []
         for episode, candidates in zip(running, moments, strict=True):
             steps = candidates.path.shape[1]
-            worth = marginal(episode.reads()) + 1e-3 * rng.random((len(candidates.ids), steps))
+            worth = marginal(*episode.reads()) + 1e-3 * rng.random((len(candidates.ids), steps))
             if rng.random() < noise:
                 worth = np.repeat(rng.random((len(candidates.ids), 1)), steps, 1)
             answers.append((worth == worth.max(0, keepdims=True)).astype(np.float32))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from operators.policy.data import Moment, Recording
 from operators.policy.looks import INSIDE
-from operators.policy.readability import LEAST_VISIBLE, chances, heights
+from operators.policy.readability import chances, heights
 from pipeline import Percept
 from pipeline.boxes import covered
 
@@ -39,8 +39,7 @@ class Street:
             column = np.searchsorted(self.ids, truth.ids[kept])
             self.boxes[frame, column] = truth.boxes[kept]
             self.legible[frame, column] = readable[kept]
-            seen = readable[kept] & (truth.visibility[kept] >= LEAST_VISIBLE)
-            self.chance[frame, column] = chances(heights(truth.boxes[kept])) * seen
+            self.chance[frame, column] = chances(heights(truth.boxes[kept])) * readable[kept]
 
     def __len__(self) -> int:
         return len(self.recording)

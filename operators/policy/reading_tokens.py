@@ -22,7 +22,7 @@ from pipeline.boxes import areas, centres, from_centres, intersections
 PARTS = ("roi", "global", "motion", "feedback")  # parts that an ablation may omit
 LOOKS = 9  # numbers of one text beside its boxes
 FEEDBACK = (5, 6)  # those that the reader says
-CONDITION = 8
+CONDITION = 9
 SHARE_READ = 7  # the number of the condition that the reader says
 ALIGNED = 4  # step of a plan at which windows are placed
 NEARER = 1e-3  # worth of a text in the middle of its window
@@ -126,8 +126,8 @@ def encode_looks(looks: Looks, rows: NDArray[np.intp], path: Array, seq: int, su
     return encoded
 
 
-def encode_scene(tracks: Tracks, looks: Looks, window: Array, *, sure: float) -> Array:
-    """Return the condition (CONDITION,): the window (4,) of this frame, its size, and counts."""
+def encode_scene(tracks: Tracks, looks: Looks, window: Array, *, sure: float, delay: int) -> Array:
+    """Return the condition (CONDITION,): this frame's window (4,), its size, counts, the delay."""
     geometry, count = tracks.header.geometry, len(tracks.ids)
     field = (max(geometry.width_px, 1), max(geometry.height_px, 1))
     encoded = np.zeros(CONDITION, np.float32)
@@ -138,6 +138,7 @@ def encode_scene(tracks: Tracks, looks: Looks, window: Array, *, sure: float) ->
         geometry.roi_height_px / field[1],
         count / MOST_OBJECTS,
         (looks.read[:count] >= sure).mean() if count else 0,
+        delay / tracks.predicted.shape[1],
     )
     return encoded
 

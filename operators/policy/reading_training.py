@@ -9,7 +9,7 @@ share of the cross-entropy to what each candidate adds to that plan.
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -45,26 +45,27 @@ PHASES = Phases(CLIPS, TRAIN, SCORE)
 LEAST_WORTH = 0.02  # texts: steps at which nothing adds more are not imitated
 
 
-def read_by(chance: Tensor, reads: Tensor) -> Tensor:
-    """Return the expected utility of plans: (B, N, Tp) and (B, N, J, Tp) -> (B,), texts."""
+def read_by(chance: Tensor, reads: Tensor, left: Tensor) -> Tensor:
+    """Return the expected utility of plans: (B, N, Tp), (B, N, J, Tp), (B, J) -> (B,), texts."""
     read = (chance[:, :, None] * reads).sum(1).clamp(max=1)  # (B, J, Tp), given it was not yet
     unread = torch.cumprod(1 - read + 1e-9, -1)
     before = torch.cat([torch.ones_like(unread[..., :1]), unread[..., :-1]], -1)
     discount = DISCOUNT ** torch.arange(reads.shape[-1], device=reads.device)
-    return (before * read * discount).sum((1, 2))
+    return (left[..., None] * before * read * discount).sum((1, 2))
 
 
 def loss_of(
-    logits: Tensor, reads: Tensor, worth: Tensor, mask: Tensor, settings: ReadingTrainSettings
+    logits: Tensor, given: Mapping[str, Tensor], settings: ReadingTrainSettings
 ) -> tuple[Tensor, Tensor]:
-    """Return loss and utility of a step; logits and worth (B, N, Tp), reads (B, N, J, Tp).
+    """Return loss and utility of a step: logits (B, N, Tp) and what `batch_of` returns.
 
     The utility is the mean share of what the greedy plan reads.
     """
+    reads, left, worth = given["reads"], given["left"], given["worth"]
     best = torch.nn.functional.one_hot(worth.argmax(1), worth.shape[1]).transpose(1, 2)
-    possible = read_by(best.to(reads.dtype), reads).clamp(min=LEAST_WORTH)
-    utility = (read_by(logits.softmax(1), reads) / possible).mean()
-    wanted = (worth / settings.temperature).masked_fill(~mask[..., None], -1e4).softmax(1)
+    possible = read_by(best.to(reads.dtype), reads, left).clamp(min=LEAST_WORTH)
+    utility = (read_by(logits.softmax(1), reads, left) / possible).mean()
+    wanted = (worth / settings.temperature).masked_fill(~given["mask"][..., None], -1e4).softmax(1)
     counts = (worth.amax(1) > LEAST_WORTH).float()
     imitation = -(wanted * logits.log_softmax(1)).sum(1)
     imitated = (imitation * counts).sum() / counts.sum().clamp(min=1)
@@ -240,16 +241,18 @@ def recorded(
 def batch_of(
     samples: Sequence[Sample], rows: Sequence[int], device: torch.device
 ) -> dict[str, Tensor]:
-    """Return samples as the network's inputs, padded to the longest, with `reads` and `worth`."""
+    """Return samples as the network's inputs, padded to the longest, and what they are worth."""
     chosen = [samples[row] for row in rows]
     given = batched([s.candidates for s in chosen], [s.condition for s in chosen])
     steps, texts = chosen[0].reads.shape[2], max(s.reads.shape[1] for s in chosen)
     reads = np.zeros((*given["mask"].shape, texts, steps), np.float32)
     worth = np.zeros((*given["mask"].shape, steps), np.float32)
+    left = np.zeros((len(chosen), texts), np.float32)
     for row, sample in enumerate(chosen):
         count, some = sample.reads.shape[:2]
         reads[row, :count, :some], worth[row, :count] = sample.reads, sample.worth
-    arrays = {**given, "reads": reads, "worth": worth}
+        left[row, :some] = sample.left
+    arrays = {**given, "reads": reads, "left": left, "worth": worth}
     return {name: moved(torch.from_numpy(values), device) for name, values in arrays.items()}
 
 
@@ -265,7 +268,7 @@ def advance(run: Run, samples: Sequence[Sample]) -> tuple[float, float]:
         )
     run.net.train()
     logits = run.net(*(given[name] for name in INPUTS))
-    loss, gained = loss_of(logits, given["reads"], given["worth"], given["mask"], s)
+    loss, gained = loss_of(logits, given, s)
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()
     torch.nn.utils.clip_grad_norm_(run.net.parameters(), 1.0)

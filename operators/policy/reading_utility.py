@@ -13,14 +13,15 @@ from operators.policy.tokens import Array
 DISCOUNT = 0.97
 
 
-def expected(reads: Array, probability: Array) -> float:
-    """Return the utility of a plan: chances (N, J, Tp) and probabilities (N, Tp) -> texts.
+def expected(reads: Array, left: Array, probability: Array) -> float:
+    """Return the utility of a plan (N, Tp): chances (N, J, Tp) -> texts.
 
-    >>> reads = np.ones((1, 1, 2), np.float32)
-    >>> expected(reads, np.ones((1, 2), np.float32)) == 1 == expected(reads[..., :1], reads[0])
-    True
+    `left` (J,) is the chance that a text is still to be read when the plan takes effect.
+
+    >>> expected(np.ones((1, 1, 2)), np.array([0.5]), np.ones((1, 2)))
+    0.5
     """
-    left, total = np.ones(reads.shape[1], np.float32), 0.0
+    total = 0.0
     for step in range(reads.shape[2]):
         read = left * (probability[:, step] @ reads[:, :, step])
         total += DISCOUNT**step * float(read.sum())
@@ -28,12 +29,12 @@ def expected(reads: Array, probability: Array) -> float:
     return total
 
 
-def marginal(reads: Array) -> Array:
+def marginal(reads: Array, left: Array) -> Array:
     """Return what each candidate adds at each step of the greedy plan: (N, J, Tp) -> (N, Tp).
 
-    The greedy plan takes the best candidate at each step, given what the steps before have read.
+    `left` is as above. The greedy plan takes the best candidate at each step, given what the steps
+    before have read.
     """
-    left = np.ones(reads.shape[1], np.float32)
     gained = np.zeros((reads.shape[0], reads.shape[2]), np.float32)
     for step in range(reads.shape[2]):
         gained[:, step] = reads[:, :, step] @ left

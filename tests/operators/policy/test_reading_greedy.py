@@ -145,6 +145,7 @@ def test_baselines_have_the_same_inputs(rule: type) -> None:
         ({"sure": 0.0}, "sure: expected above 0 to 1, got 0"),
         ({"retry": 2.0}, "retry: expected 0 to 1, got 2"),
         ({"least_gain": -1.0}, "least_gain: expected 0 to 1, got -1"),
+        ({"delay": 16}, "delay: expected 0 to below the horizon of 16, got 16"),
         ({"horizon": 0}, "horizon: must be at least 1, got 0"),
     ],
 )

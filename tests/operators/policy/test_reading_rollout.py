@@ -80,15 +80,18 @@ def test_a_plan_is_worth_the_texts_that_it_is_expected_to_read() -> None:
     turns[[0, 1, 0], [0, 1, 2]] = 1
 
     # one text twice: .5 and a half of the rest; one that was read is worth nothing more
-    assert expected(reads, first) == pytest.approx(0.5 + DISCOUNT * 0.25 + DISCOUNT**2 * 0.125)
-    assert expected(reads, turns) == pytest.approx(0.5 + DISCOUNT + DISCOUNT**2 * 0.25)
+    unread = np.ones(2, np.float32)
+    assert expected(reads, unread, first) == pytest.approx(
+        0.5 + DISCOUNT * 0.25 + DISCOUNT**2 * 0.125
+    )
+    assert expected(reads, unread, turns) == pytest.approx(0.5 + DISCOUNT + DISCOUNT**2 * 0.25)
 
 
 def test_the_greedy_plan_gains_nothing_from_a_text_that_it_has_read() -> None:
     reads = np.zeros((2, 2, 2), np.float32)
     reads[0, 0], reads[1, 1] = 1.0, 0.5
 
-    assert marginal(reads).tolist() == [[1, 0], [0.5, 0.5]]
+    assert marginal(reads, np.ones(2, np.float32)).tolist() == [[1, 0], [0.5, 0.5]]
 
 
 def test_a_teacher_that_knows_the_truth_reads_everything_soon(tmp_path: Path) -> None:
@@ -107,11 +110,11 @@ def test_a_teacher_that_knows_the_truth_reads_everything_soon(tmp_path: Path) ->
 def test_a_text_that_was_read_has_no_utility_left(tmp_path: Path) -> None:
     episode = Episode(street(tmp_path), Task(clip=0, start=0), ROI)
     episode.look()
-    before = episode.reads().shape[1]
+    before = episode.reads()[0].shape[1]
 
     episode.reader.read_at[:] = 0
 
-    assert (before, episode.reads().size) == (3, 0)
+    assert (before, episode.reads()[0].size) == (3, 0)
 
 
 def test_tasks_are_the_same_for_the_same_seed_and_end_within_their_clip(tmp_path: Path) -> None:
