@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.boxes import iou
 from pipeline.errors import WeightsError
 from pipeline.extras import need
 from pipeline.text import harmless
@@ -18,6 +19,8 @@ Picture = NDArray[np.uint8]
 
 LONGEST_SIDE_PX = 1600  # a larger picture is read by tiles: in one, small texts are lost
 OVERLAP_PX = 200
+EDGE_PX = 4  # of a tile, where a text may be cut
+SAME_IOU = 0.5  # of two readings of one text
 MOST_READINGS = 200  # of a picture
 MOST_LETTERS = 80  # of a text
 MOST_REASON = 300  # characters of what the library says
@@ -74,8 +77,10 @@ class PaddleOcr:
         for top in starts(high):
             for left in starts(wide):
                 tile = picture[top : top + LONGEST_SIDE_PX, left : left + LONGEST_SIDE_PX]
-                found.extend(self._read(tile, left, top))
-        return found[:MOST_READINGS]
+                within = (left, top, left + tile.shape[1], top + tile.shape[0])
+                read = self._read(tile, left, top)
+                found.extend(each for each in read if not cut_off(each.box, within, (wide, high)))
+        return _once(found)[:MOST_READINGS]
 
     def _read(self, tile: Picture, left: int, top: int) -> list[Reading]:
         # it reads BGR
@@ -92,6 +97,29 @@ class PaddleOcr:
             if clean and np.isfinite(score):
                 made.append(Reading(text=clean, score=float(np.clip(score, 0, 1)), box=box))
         return made
+
+
+def cut_off(
+    box: tuple[float, ...], tile: tuple[int, int, int, int], size_px: tuple[int, int]
+) -> bool:
+    """Whether a text reaches an edge of its tile behind which the picture goes on."""
+    left, top, right, low = tile
+    return (
+        (left > 0 and box[0] < left + EDGE_PX)
+        or (top > 0 and box[1] < top + EDGE_PX)
+        or (right < size_px[0] and box[2] > right - EDGE_PX)
+        or (low < size_px[1] and box[3] > low - EDGE_PX)
+    )
+
+
+def _once(readings: list[Reading]) -> list[Reading]:
+    """Return readings without those that a surer one overlaps."""
+    kept: list[Reading] = []
+    for each in sorted(readings, key=lambda reading: -reading.score):
+        boxes = np.array([other.box for other in kept], np.float32).reshape(-1, 4)
+        if not (iou(np.array([each.box], np.float32), boxes) > SAME_IOU).any():
+            kept.append(each)
+    return kept
 
 
 def starts(side_px: int) -> list[int]:

@@ -1,0 +1,220 @@
+"""`fovea eval text`: how many texts of a street a frozen reader reads, by strategy and budget.
+
+A clip is the graph in lockstep over the road of a seed. An instance that is legible in at least one
+frame at full resolution is transcribed if the reader says it correctly at its place in at least one
+frame. All rows have the same clips and the same reader. Seeds of 0 to 9,999 are for training,
+50,000 to 59,999 for development, 70,000 to 79,999 for tables.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from fractions import Fraction
+from hashlib import sha256
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from bench.machine import facts
+from bench.options import Bench
+from bench.reading.plot import plot
+from bench.reading.rows import FULL, Row, rows_of
+from bench.reading.trial import Job, Outcome, plan_of, sensor_of, trial
+from bench.tracking.budgets import parsed
+from bench.tracking.intervals import METHOD, Block, difference, mean
+from operators.training.identity import of_code, of_plan
+from operators.training.progress import bar
+from operators.training.workers import pool_of
+from pipeline.errors import SettingsError
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.whole_file import write_whole
+
+GRAPH = Path(__file__).parents[2] / "graphs" / "text.yaml"
+LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "rapidocr", "pillow")
+CODE = ("drivers.scenes.road", "drivers.simulated", "operators.transcribed", "bench.reading.trial")
+MOST_CLIPS, MOST_FRAMES = 1000, 100_000
+PAPER = {  # Table 1 and the budget sweep: transcription rate on RoadText-1K
+    (FULL, "1"): 0.333, ("oracle", "1/8"): 0.271,
+    **{("spatial", b): v for b, v in (("1/4", 0.146), ("1/8", 0.067), ("1/16", 0.023))},
+    **{("temporal", b): v for b, v in (("1/4", 0.283), ("1/8", 0.248), ("1/16", 0.173))},
+    **{("foveated", b): v for b, v in (("1/4", 0.290), ("1/8", 0.264), ("1/16", 0.227))},
+    ("exposure", "1/8"): 0.071, ("centred", "1/8"): 0.012, ("round_robin", "1/8"): 0.213,
+}  # fmt: skip
+HEAD = [
+    "strategy", "budget", "read", "95 %", "but one edit", "per s", "wait s", "share of full",
+    "to foveated", "paper",
+]  # fmt: skip
+
+
+@click.command(
+    cls=Bench,
+    help=(__doc__ or "").split("\n", 1)[0],
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.option("--strategies", default="all", help="all, or some of them by comma")
+@click.option("--budgets", "--budget", default="1/4,1/8,1/16", help="shares of the pixel rate")
+@click.option("--clips", default=10, help="of every row")
+@click.option("--frames", default=60, help="of a clip")
+@click.option("--seed", default=70_000, help="of the first clip")
+@click.option("--graph", default=str(GRAPH), help="the loop")
+@click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
+@click.option("--policy", default="", help="an ONNX file in place of the graph's own policy")
+@click.option("--jobs", default=2, help="processes")
+@click.option("--report", type=Path, help="JSON")
+@click.option("--markdown", type=Path, help="the table as Markdown")
+@click.option("--plot", "picture", type=Path, help="share read over budget: PNG, PDF or SVG")
+@click.option("--work", type=Path, help="folder for finished clips; else beside the report")
+def command(**given: Any) -> None:
+    """See the module."""
+    evaluate(**given)
+
+
+def evaluate(
+    *, strategies: str, budgets: str, clips: int, frames: int, seed: int, graph: str,
+    changes: tuple[str, ...], policy: str, jobs: int, report: Path | None,
+    markdown: Path | None, picture: Path | None, work: Path | None,
+) -> None:  # fmt: skip
+    """Measure what is asked for and write it; raises `FoveaError`."""
+    for name, value, most in (("clips", clips, MOST_CLIPS), ("frames", frames, MOST_FRAMES)):
+        if not 1 <= value <= most:
+            raise SettingsError(f"{name}: expected 1 to {most}, got {value}")
+    if seed < 0 or jobs < 1:
+        raise SettingsError(f"seed, jobs: expected at least 0 and 1, got {seed} and {jobs}")
+    if policy:
+        changes = (*changes, f"policy.weights={policy}")
+    size_px = sensor_of(load(Path(graph), Overlay(changes=changes, clock="lockstep"))).size_px
+    asked = rows_of(strategies.split(","), parsed(budgets), size_px)
+    work = work or (report or Path("text")).with_suffix(".work")
+    jobs_of = {row: Job(graph=graph, changes=changes, frames=frames, row=row) for row in asked}
+    outcomes = measured(jobs_of, range(seed, seed + clips), work, jobs)
+    found = {
+        **facts(LIBRARIES),
+        "graph": Path(graph).name,
+        "changes": list(changes),
+        "interval": METHOD,
+        "clips": clips,
+        "frames": frames,
+        "seed": seed,
+        "rows": [told(row, outcomes) for row in asked],
+    }
+    if report:
+        write_whole(report, json.dumps(found, indent=1) + os.linesep)
+    if markdown:
+        write_whole(markdown, markdown_of(found["rows"]))
+    if picture:
+        plot(found["rows"], picture)
+    Console().print(table_of(found["rows"]))
+
+
+Outcomes = dict[Row, list[Outcome]]
+
+
+def measured(jobs_of: dict[Row, Job], seeds: Sequence[int], folder: Path, jobs: int) -> Outcomes:
+    """Return all outcomes: those of finished clips from the folder, others after playing them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = {row: folder / f"{key(job)}.json" for row, job in jobs_of.items()}
+    found = {row: {o.seed: o for o in _read(path)} for row, path in paths.items()}
+    left = [(row, seed) for seed in seeds for row in jobs_of if seed not in found[row]]
+    count = len(jobs_of) * len(seeds)
+    with pool_of(jobs) as pool, bar("clips", count, count - len(left)) as shown:
+        waiting = [(row, pool.submit(trial, jobs_of[row], seed)) for row, seed in left]
+        for row, job in waiting:
+            outcome = job.result()
+            found[row][outcome.seed] = outcome
+            write_whole(paths[row], json.dumps([asdict(o) for o in found[row].values()]))
+            shown.step(f"{row.strategy} {row.budget}")
+    return {row: [found[row][seed] for seed in seeds] for row in jobs_of}
+
+
+def key(job: Job) -> str:
+    """Return the name of a row's file, by everything that determines its clips but the seed."""
+    parts = of_plan(plan_of(job, 0)) | of_code(*CODE)
+    return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def blocks(outcomes: Sequence[Outcome], what: str = "read") -> dict[str, Block]:
+    """Return a block for each clip with legible texts."""
+    return {
+        str(o.seed): Block(total=float(getattr(o, what)), frames=o.legible, starts=1)
+        for o in outcomes
+        if o.legible
+    }
+
+
+def told(row: Row, outcomes: Outcomes) -> dict[str, Any]:
+    """Return a row's figures; differences are paired by clip."""
+    own = outcomes[row]
+    share, nearly = mean(blocks(own)), mean(blocks(own, "nearly"))
+    waits = [wait for o in own for wait in o.waits_s]
+    found: dict[str, Any] = {
+        "strategy": row.strategy,
+        "budget": str(row.budget),
+        "pixels": round(sum(o.pixels for o in own) / len(own), 5),
+        "clips": len(own),
+        "legible": sum(o.legible for o in own),
+        "read": round(share.iou, 4),
+        "ci95": [round(share.low, 4), round(share.high, 4)],
+        "nearly": round(nearly.iou, 4),
+        "per_s": round(sum(o.read for o in own) / sum(o.duration_s for o in own), 3),
+        "wait_s": round(median(waits), 3) if waits else None,
+        "paper": PAPER.get((row.strategy, str(row.budget))),
+    }
+    full = outcomes.get(Row(strategy=FULL, budget=Fraction(1)))
+    if full:
+        found["of_full"] = round(share.iou / (mean(blocks(full)).iou or 1), 4)
+    ours = outcomes.get(Row(strategy="foveated", budget=row.budget))
+    if ours and ours is not own:
+        apart = difference(blocks(own), blocks(ours))
+        found["to_foveated"] = [round(value, 4) for value in apart]
+    return found
+
+
+def cells(row: dict[str, Any]) -> list[str]:
+    """Return a row as texts."""
+    low, high = row["ci95"]
+    apart = row.get("to_foveated")
+    return [
+        row["strategy"],
+        row["budget"],
+        f"{row['read']:.3f}",
+        f"{low:.3f} to {high:.3f}",
+        f"{row['nearly']:.3f}",
+        f"{row['per_s']:.2f}",
+        "" if row["wait_s"] is None else f"{row['wait_s']:.1f}",
+        f"{row['of_full']:.2f}" if "of_full" in row else "",
+        "{:+.3f} ({:+.3f} to {:+.3f})".format(*apart) if apart else "",
+        "" if row["paper"] is None else f"{row['paper']:.3f}",
+    ]
+
+
+def table_of(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return the table for the terminal."""
+    table = Table(*HEAD)
+    for row in rows:
+        table.add_row(*cells(row))
+    return table
+
+
+def markdown_of(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the table as Markdown."""
+    lines = [HEAD, ["---"] * len(HEAD), *(cells(row) for row in rows)]
+    return "".join(f"| {' | '.join(each)} |\n" for each in lines)
+
+
+def _read(path: Path) -> list[Outcome]:
+    """Return the outcomes in a file; none if it is missing or damaged: they are measured again."""
+    try:
+        return [Outcome(**each) for each in json.loads(path.read_text())]
+    except (FileNotFoundError, ValueError, TypeError):
+        return []
+
+
+if __name__ == "__main__":
+    command()

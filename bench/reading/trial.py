@@ -1,0 +1,175 @@
+"""Play one clip through the graph in line: a row and a seed in, how many texts were read out."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from bench.reading.oracle import Oracle
+from bench.reading.rows import POLICIES, Row
+from bench.tracking.classes import with_class
+from drivers.simulated.settings import SimulatedSensorSettings
+from drivers.simulated.sources import open_scene
+from drivers.source import Annotations, FrameSource
+from operators.transcribed import Tally
+from pipeline import settings as checked
+from pipeline.errors import GraphError, RunError
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.graph.plan import Plan
+from pipeline.messages import Header, Message, Percept, Truth
+from pipeline.run.inline import InlineRunner
+
+CAPTURE, POLICY, READER = "capture", "policy", "reader"
+TOLERANCE = 0.02  # of the budget
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What a worker process is told."""
+
+    graph: str
+    changes: tuple[str, ...]
+    frames: int
+    row: Row
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a clip has come to."""
+
+    seed: int
+    legible: int
+    read: int
+    nearly: int  # read but for one edit, or exactly
+    waits_s: tuple[float, ...]  # from legible to read
+    duration_s: float
+    pixels: float  # share of the full pixel rate that was read
+
+
+def trial(job: Job, seed: int) -> Outcome:
+    """Play the clip of a seed.
+
+    Raises `RunError` where another share of the pixels was read than the budget.
+    """
+    cv2.setNumThreads(1)
+    plan = plan_of(job, seed)
+    source = source_of(plan)
+    percepts: dict[int, Percept] = {}
+
+    def watch(output: str, message: Message) -> None:
+        if isinstance(message, Percept) and output.startswith(f"{READER}."):
+            percepts[message.header.seq] = message
+
+    with InlineRunner(plan, watch=watch) as runner:
+        if job.row.strategy == "oracle":
+            policy = runner.operator(POLICY)
+            assert isinstance(policy, Oracle)
+            policy.truth_of = lambda index: source.truth(index) if index < job.frames else None
+        for _ in runner.run():
+            pass
+        pixels = runner.operator(CAPTURE).summary()["pixels"]
+    check_budget(job.row, pixels["used"])
+    tally = tallied(percepts, source, job.frames)
+    counts = tally.counts()
+    return Outcome(
+        seed=seed,
+        legible=counts["legible"],
+        read=counts["read"],
+        nearly=counts["nearly"],
+        waits_s=tuple(round(wait / source.rate_hz, 3) for wait in tally.waits()),
+        duration_s=job.frames / source.rate_hz,
+        pixels=round(pixels["used"], 5),
+    )
+
+
+def tallied(percepts: dict[int, Percept], source: FrameSource, frames: int) -> Tally:
+    """Count over every frame of the clip, so that what is legible is the same for all rows."""
+    tally = Tally()
+    for index in range(frames):
+        found = source.truth(index)
+        if found is None:
+            raise GraphError(f"{CAPTURE}: expected a source that knows its texts, got one without")
+        header = Header(stream="truth", seq=index, stamp_ns=index)
+        tally.add(percepts.get(index, nothing(header)), told(found, header))
+    return tally
+
+
+def nothing(header: Header) -> Percept:
+    """Return the answer of a frame that was not exposed."""
+    none = np.zeros(0, np.float32)
+    return Percept(
+        header=header, boxes=np.zeros((0, 4), np.float32), ids=np.zeros(0, np.int32), scores=none
+    )
+
+
+def told(found: Annotations, header: Header) -> Truth:
+    """Return a source's truth as a message."""
+    return Truth(
+        header=header, boxes=found.boxes, ids=found.ids, labels=found.labels,
+        visibility=found.visibility,
+    )  # fmt: skip
+
+
+def check_budget(row: Row, used: float) -> None:
+    """Raise `RunError` where more was read than the budget, or much less."""
+    allowed = float(row.budget)
+    most = used > allowed * (1 + TOLERANCE)
+    if most or (row.strategy != "context" and used < allowed * (1 - 5 * TOLERANCE)):
+        raise RunError(f"{row.strategy}: expected {allowed:.5f} of the pixels, got {used:.5f} read")
+
+
+def plan_of(job: Job, seed: int) -> Plan:
+    """Return the graph of a row, in lockstep, with what it needs only.
+
+    Raises `GraphError` for a graph without the nodes of the task.
+    """
+    bare = load(Path(job.graph), Overlay(clock="lockstep"))
+    for name in (CAPTURE, READER, POLICY):
+        if name not in {node.name for node in bare.nodes}:
+            raise GraphError(f"{job.graph}: texts are read with a node {name}, got none")
+    options = sensor_of(bare)
+    own = (f"{CAPTURE}.seed={seed}", f"{CAPTURE}.frames={job.frames}")
+    changes = (*job.changes, *job.row.changes(options.size_px), *own)
+    plan = load(Path(job.graph), Overlay(changes=changes, clock="lockstep"))
+    if path := POLICIES.get(job.row.strategy, ""):
+        plan = with_class(plan, POLICY, path, {})
+    return needed(plan, aimed=job.row.aimed)
+
+
+def needed(plan: Plan, *, aimed: bool) -> Plan:
+    """Return what the reader needs and, where a policy aims the ROI, what that needs."""
+    edges = [e for e in plan.inputs(READER).values() if aimed or e.source == CAPTURE]
+    if aimed:
+        edges += plan.inputs(CAPTURE).values()
+    names = [READER, CAPTURE, *(e.source for e in edges)]
+    for name in names:
+        if name in (READER, CAPTURE):
+            continue
+        before = list(plan.inputs(name).values())
+        edges += before
+        names += [e.source for e in before if e.source not in names]
+    kept = [node for node in plan.nodes if node.name in names]
+    return replace(
+        plan,
+        nodes=tuple(replace(node, index=i) for i, node in enumerate(kept)),
+        edges=tuple(replace(edge, index=i) for i, edge in enumerate(dict.fromkeys(edges))),
+    )
+
+
+def sensor_of(plan: Plan) -> SimulatedSensorSettings:
+    """Return the settings of the simulated sensor; raises `GraphError` for another sensor."""
+    settings = plan.node(CAPTURE).settings
+    if not str(settings.get("sensor", "")).endswith(":SimulatedSensor"):
+        raise GraphError(f"{CAPTURE}: expected the simulated sensor, got {settings.get('sensor')}")
+    return checked.build(SimulatedSensorSettings, dict(settings.get("options", {})), CAPTURE)
+
+
+def source_of(plan: Plan) -> FrameSource:
+    """Return the source of the graph's sensor, opened once more for its truth."""
+    s = sensor_of(plan)
+    return open_scene(
+        s.scene, size_px=s.size_px, rate_hz=s.rate_hz, seed=s.seed, length=s.frames or None,
+        options=s.source_options,
+    )  # fmt: skip

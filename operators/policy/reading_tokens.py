@@ -1,0 +1,161 @@
+"""Encode texts as network inputs: Tracks, features and looks -> arrays.
+
+As `tokens.py` has them for tracking, and besides: whether and how often a text was shown at full
+resolution, what the reader said of it, and the chance of reading it. A text has no class. The last
+candidate is no text but a search of the field, as the detector misses most texts in the context.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.policy.gaze_plan import PLACE
+from operators.policy.looks import INSIDE, Looks
+from operators.policy.readability import chances, heights
+from operators.policy.search import search
+from operators.policy.tokens import MOST_OBJECTS, Array, encode_boxes
+from pipeline import Geometry, Tracks
+from pipeline.boxes import areas, centres, from_centres, intersections
+
+PARTS = ("roi", "global", "motion", "feedback")  # parts that an ablation may omit
+LOOKS = 9  # numbers of one text beside its boxes
+FEEDBACK = (5, 6)  # those that the reader says
+CONDITION = 9
+SHARE_READ = 7  # the number of the condition that the reader says
+ALIGNED = 4  # step of a plan at which windows are placed
+NEARER = 1e-3  # worth of a text in the middle of its window
+LONG = 32  # frames: an older look makes no difference
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Texts:
+    """N candidates of one moment; the last one is the search. Zeros mean not seen."""
+
+    ids: NDArray[np.int32]  # (N,) track ids, PLACE for the search
+    roi: Array  # (N, To, D) features of the ROI encoder, where the ROI showed the text
+    context: Array  # (N, To, C) features of the detector's map
+    boxes: Array  # (N, To, 5) encoded boxes and whether seen
+    predicted: Array  # (N, Tp, 4) encoded boxes
+    looks: Array  # (N, LOOKS)
+    path: Array  # (N, Tp, 4) the windows that show it, sensor pixels
+
+
+ENCODED = ("roi", "context", "boxes", "predicted", "looks")
+
+
+def encode_texts(tracks: Tracks, looks: Looks, roi: Array, *, sure: float) -> Texts:
+    """Return the tracks as candidates, best first by score if too many, and the search.
+
+    The tracks are the first rows of `looks`; `roi` is (n, To, D).
+    """
+    count, geometry = len(tracks.ids), tracks.header.geometry
+    rows = np.arange(count)
+    if count > MOST_OBJECTS - 1:
+        rows = np.sort(np.argsort(-tracks.scores, kind="stable")[: MOST_OBJECTS - 1])
+    observed, horizon = tracks.boxes.shape[1], tracks.predicted.shape[1]
+    first = tracks.header.seq + 1
+    places = search(geometry, None, np.arange(first, first + horizon))[None]
+    foreseen = np.concatenate([tracks.predicted[rows], places])
+    aims = around(tracks.predicted[rows], worth_of(tracks, looks, sure)[rows], geometry)
+    past = np.concatenate([tracks.boxes[rows], np.repeat(places[:, :1], observed, 1)])
+    seen = np.zeros((len(foreseen), observed, 1), np.float32)
+    seen[:-1, :, 0] = tracks.visible[rows]
+
+    def searched(values: Array) -> Array:
+        return np.concatenate([values, np.zeros((1, *values.shape[1:]), np.float32)])
+
+    return Texts(
+        ids=np.append(tracks.ids[rows], np.int32(PLACE)),
+        roi=searched(roi[rows]),
+        context=searched(tracks.features[rows]),
+        boxes=np.concatenate([encode_boxes(past, geometry), seen], -1),
+        predicted=encode_boxes(foreseen, geometry),
+        looks=encode_looks(looks, rows, foreseen, tracks.header.seq, sure),
+        path=np.concatenate([aims, places]),
+    )
+
+
+def worth_of(tracks: Tracks, looks: Looks, sure: float) -> Array:
+    """Return the chance that each track (n,) is read now for the first time: (n,)."""
+    count = len(tracks.ids)
+    chance = chances(heights(tracks.boxes[:, -1]))
+    return np.asarray(chance * (looks.read[:count] < sure), np.float32)
+
+
+def around(predicted: Array, worth: Array, geometry: Geometry) -> Array:
+    """Return for each text a path of windows that show it and what is worth most beside it.
+
+    From boxes (n, Tp, 4) and worths (n,): (n, Tp, 4). Tried are windows around the text and between
+    it and any other, at one step; neighbours move alike, so that the other steps keep the offset.
+    """
+    count, horizon = predicted.shape[:2]
+    if not count:
+        return np.zeros((0, horizon, 4), np.float32)
+    boxes = predicted[:, min(ALIGNED, horizon - 1)]
+    middle = centres(boxes)
+    roi: Array = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
+    places: Array = (middle[:, None] + middle[None]) / np.float32(2)  # (n, n, 2)
+    tried = from_centres(places.reshape(-1, 2), np.broadcast_to(roi, (count * count, 2)))
+    shows = intersections(tried, boxes) >= INSIDE * np.maximum(areas(boxes), 1e-9)
+    shows = shows.reshape(count, count, count)  # (text, other, shown)
+    own = np.arange(count)
+    gain = (shows @ worth) + NEARER * np.eye(count, dtype=np.float32)
+    gain[~shows[own, :, own]] = -1  # the text itself is not in it
+    best = gain.argmax(1)
+    best[gain[own, best] < 0] = own[gain[own, best] < 0]  # larger than a window
+    offset = places[own, best] - middle
+    size = np.broadcast_to(roi, (count, horizon, 2))
+    return from_centres(centres(predicted) + offset[:, None], size)
+
+
+def encode_looks(looks: Looks, rows: NDArray[np.intp], path: Array, seq: int, sure: float) -> Array:
+    """Return what was shown and read of texts `rows`, and a last row of the search: (N, LOOKS)."""
+    encoded = np.zeros((len(rows) + 1, LOOKS), np.float32)
+    shown, read = looks.shown[rows], looks.read[rows]
+    chance = chances(heights(path[:-1]))  # (n, Tp)
+    encoded[:-1, 0] = shown > 0
+    encoded[:-1, 1] = np.log1p(shown) / 3
+    encoded[:-1, 2] = np.where(shown > 0, np.clip((seq - looks.shown_seq[rows]) / LONG, 0, 1), 1)
+    encoded[:-1, 3] = looks.tried[rows]
+    encoded[:-1, 4] = np.maximum(chance[:, -1] - looks.tried[rows], 0)
+    encoded[:-1, 5], encoded[:-1, 6] = read, read >= sure
+    encoded[:-1, 7] = chance[:, 0]
+    encoded[-1, 8] = 1
+    return encoded
+
+
+def encode_scene(tracks: Tracks, looks: Looks, window: Array, *, sure: float, delay: int) -> Array:
+    """Return the condition (CONDITION,): this frame's window (4,), its size, counts, the delay."""
+    geometry, count = tracks.header.geometry, len(tracks.ids)
+    field = (max(geometry.width_px, 1), max(geometry.height_px, 1))
+    encoded = np.zeros(CONDITION, np.float32)
+    if window.any():
+        encoded[:4] = encode_boxes(window, geometry)
+    encoded[4:] = (
+        geometry.roi_width_px / field[0],
+        geometry.roi_height_px / field[1],
+        count / MOST_OBJECTS,
+        (looks.read[:count] >= sure).mean() if count else 0,
+        delay / tracks.predicted.shape[1],
+    )
+    return encoded
+
+
+def batched(
+    moments: Sequence[Texts], conditions: Sequence[Array]
+) -> dict[str, NDArray[np.generic]]:
+    """The network's inputs for B moments, padded to the longest; `mask` (B, N): what is real."""
+    most = max(len(moment.ids) for moment in moments)
+    inputs: dict[str, NDArray[np.generic]] = {
+        "condition": np.stack(conditions),
+        "mask": np.arange(most) < np.array([len(m.ids) for m in moments])[:, None],
+    }
+    for name in ENCODED:
+        first: Array = getattr(moments[0], name)
+        padded = np.zeros((len(moments), most, *first.shape[1:]), np.float32)
+        for row, moment in enumerate(moments):
+            padded[row, : len(moment.ids)] = getattr(moment, name)
+        inputs[name] = padded
+    return inputs
