@@ -25,6 +25,7 @@ from operators.saliency.judging import (
 )
 from operators.saliency.saliency import Saliency, SaliencySettings
 from operators.saliency.text.quads import corners, polygon_iou, upright
+from operators.saliency.text.roads import roads
 from operators.saliency.text.streets import Picture, street
 from operators.training.command_line import count, in_a_sentence
 from operators.training.progress import each_of
@@ -36,12 +37,17 @@ from pipeline.testing import header
 
 onnx_files: Any = LateModule("operators.training.onnx_files")  # needs the extra `train`
 SEEDS = {"development": 50_000, "held-out": 70_000}
+FRAMES = 5  # of a clip
+KINDS = ("drives", "streets")
 SHRINK = 0.25  # side of a context over that of the picture
 WAYS = ("upright", "polygon")  # what is compared with the truth
 
 
-def streets(first: int, number: int) -> Iterator[Picture]:
-    """Drawn streets of seeds from `first` on."""
+def pictures_of(kind: str, first: int, number: int) -> Iterator[Picture]:
+    """Pictures of one of `KINDS`: frames of clips, or streets, of seeds from `first` on."""
+    if kind == "drives":
+        yield from roads(range(first, first + -(-number // FRAMES)), FRAMES)
+        return
     for seed in range(first, first + number):
         yield street(np.random.default_rng([seed, 0]))
 
@@ -129,18 +135,20 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--weights", type=Path, required=True)
     parser.add_argument("--choose", action="store_true", help="choose the confidence first")
     parser.add_argument("--split", choices=tuple(SEEDS), default="development")
-    parser.add_argument("--pictures", type=count, default=200, help="of each kind")
+    parser.add_argument("--kind", choices=KINDS, default="drives", help="what is scored")
+    parser.add_argument("--pictures", type=count, default=200)
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args(words)
     if given.choose:
         need("onnx", "--choose")
-    result: dict[str, object] = {"weights": given.weights.name, "split": given.split}
+    result: dict[str, object] = {"weights": given.weights.name, "pictures": given.pictures}
     if given.choose:
-        drawn = each_of(streets(SEEDS["development"], given.pictures), "choose")
-        result["confidence"] = choose(given.weights, drawn)
+        drawn = pictures_of(given.kind, SEEDS["development"], given.pictures)
+        result["confidence"] = choose(given.weights, each_of(drawn, "choose"))
     settings = SaliencySettings(weights=str(given.weights))
-    table = report(each_of(streets(SEEDS[given.split], given.pictures), "score"), settings)
-    result["figures"] = table
+    drawn = pictures_of(given.kind, SEEDS[given.split], given.pictures)
+    table = report(each_of(drawn, "score"), settings)
+    result |= {"on": f"{given.split} {given.kind}", "figures": table}
     for name, row in table.items():
         print(f"{name:12}", *(f"{figure} {value:.3f}" for figure, value in row.items()))
     if given.json:

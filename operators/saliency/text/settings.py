@@ -6,6 +6,8 @@ from pathlib import Path
 from operators.training.ranges import above_zero, at_least, known_device
 from pipeline.errors import SettingsError
 
+TRAIN_SEEDS = 10_000  # clips from here on are not for training
+
 
 @dataclass(frozen=True, kw_only=True)
 class TextTrainSettings:
@@ -15,6 +17,8 @@ class TextTrainSettings:
     out: Path
     stills: Path | None = None  # folder of photographs without words, to draw upon
     streets: int = 110  # parts of drawn streets
+    clips: int = 60  # drawn drives, of seeds from 0 on
+    clips_share: float = 0.6  # of the pictures of a batch
     steps: int = 4200
     batch: int = 16
     rate: float = 2e-3
@@ -29,8 +33,12 @@ class TextTrainSettings:
 
     def __post_init__(self) -> None:
         at_least(1, self, "streets", "steps", "batch", "threads")
-        at_least(0, self, "warmup", "decay", "seed")
+        at_least(0, self, "clips", "warmup", "decay", "seed")
         above_zero(self, "rate", "minutes")
         known_device(self.device)
+        if self.clips > TRAIN_SEEDS:
+            raise SettingsError(f"clips: expected up to {TRAIN_SEEDS}, got {self.clips}")
+        if not 0 < self.clips_share < 1:
+            raise SettingsError(f"clips_share: must be between 0 and 1, got {self.clips_share}")
         if self.stills is not None and not self.stills.is_dir():
             raise SettingsError(f"stills: expected a folder, got {self.stills}")

@@ -5,6 +5,7 @@ checkpoints at intervals, from which it resumes.
 """
 
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,9 @@ from operators.saliency.text.data import Batch, Words, collate, stream
 from operators.saliency.text.examples import INPUT_PX, draw, drawn, made_of_streets
 from operators.saliency.text.losses import losses
 from operators.saliency.text.model import Exported, TextNet
+from operators.saliency.text.roads import made_of_roads, road
 from operators.saliency.text.settings import TextTrainSettings
+from operators.saliency.text.streets import Picture
 from operators.training import checkpoint
 from operators.training.averaging import follow, groups
 from operators.training.device import device_of
@@ -28,10 +31,10 @@ from operators.training.onnx_files import fused, write
 from operators.training.progress import Phases, bar
 from operators.training.schedule import warmed_cosine
 
-PHASES = Phases("draw streets", "train")
+PHASES = Phases("draw streets", "draw drives", "train")
 CALIBRATION = 64  # pictures over which an exported network is measured before training goes on
 NAME = "text"
-TRAINED_ON = "words on streets that fovea draws itself"
+TRAINED_ON = "texts in streets that fovea draws itself"
 
 
 class Run(checkpoint.Progress):
@@ -47,7 +50,8 @@ class Run(checkpoint.Progress):
             groups(self.net, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
         )
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        super().__init__(settings.out, parts, of_settings(settings, "stills") | made_of_streets())
+        pictures = made_of_streets() | (made_of_roads() if settings.clips else {})
+        super().__init__(settings.out, parts, of_settings(settings, "stills") | pictures)
 
     def begin(self, source: Words) -> None:
         """Take the weights to begin with, unless the training goes on already."""
@@ -71,12 +75,21 @@ class Run(checkpoint.Progress):
 def source_of(settings: TextTrainSettings) -> Words:
     """Draw what is missing, and return all pictures of a training."""
     stills = sorted(settings.stills.glob("*.jpg")) if settings.stills else []
-    seeds, folder = range(settings.streets), settings.data / "streets"
-    draw(
-        seeds, folder, made_of_streets(), partial(drawn, stills=stills), settings.threads,
-        PHASES["draw streets"],
-    )  # fmt: skip
-    return Words([[folder / f"{seed}.npz" for seed in seeds]], [1.0], settings.seed)
+    folders = [_drawn("streets", settings.streets, settings, partial(drawn, stills=stills))]
+    if settings.clips:
+        folders.append(_drawn("drives", settings.clips, settings, road))
+    share = settings.clips_share
+    return Words(folders, [1 - share, share][: len(folders)], settings.seed)
+
+
+def _drawn(
+    kind: str, seeds: int, settings: TextTrainSettings, how: Callable[[int], list[Picture]]
+) -> list[Path]:
+    """Draw the pictures of one kind that are missing; returns the files of all."""
+    folder = settings.data / kind
+    made = made_of_roads() if kind == "drives" else made_of_streets()
+    draw(range(seeds), folder, made, how, settings.threads, PHASES[f"draw {kind}"])
+    return [folder / f"{seed}.npz" for seed in range(seeds)]
 
 
 def train(settings: TextTrainSettings) -> Run:
