@@ -97,7 +97,7 @@ class Words(Dataset[Example]):
 
 def augment(picture: Picture, rng: np.random.Generator) -> Picture:
     """Cut a part and shrink it to `INPUT_PX`, then change its light, sharpness and noise."""
-    share = 1.0 if rng.random() < 0.3 else float(np.exp(rng.uniform(np.log(0.45), 0)))
+    share = 1.0 if rng.random() < 0.45 else float(np.exp(rng.uniform(np.log(0.45), 0)))
     w, h = KEPT_PX[0] * share, KEPT_PX[0] * share * INPUT_PX[1] / INPUT_PX[0]
     # a little higher than what is kept where all of it is shown: what is missing is grey
     x = rng.uniform(0, KEPT_PX[0] - w)
