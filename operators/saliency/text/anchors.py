@@ -54,5 +54,5 @@ def uncounted(boxes: Floats, points: Floats) -> NDArray[np.bool_]:
         return np.zeros(len(points), np.bool_)
     along, across = inside(boxes, points)
     half = boxes[:, 2:4] / 2 + BORDER_PX
-    found: NDArray[np.bool_] = ((along <= half[:, :1]) & (across <= half[:, 1:])).any(0)
-    return found
+    covered = (along <= half[:, :1]) & (across <= half[:, 1:])
+    return np.asarray(covered.any(0), np.bool_)

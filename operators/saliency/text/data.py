@@ -87,7 +87,7 @@ class Words(Dataset[Example]):
         pictures, truth = self._open[path]
         row = int(rng.integers(len(pictures)))
         first = truth["first"]
-        rows = slice(int(first[row]), int(first[row + 1]))  # type: ignore[call-overload]
+        rows = slice(int(first[row]), int(first[row + 1]))
         return Picture(
             pixels=np.array(pictures[row]),
             quads=np.asarray(truth["quads"][rows], np.float32),

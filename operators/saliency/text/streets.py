@@ -54,7 +54,8 @@ def backdrop(rng: np.random.Generator) -> Pixels:
     width, height = FULL_PX
     coarse = rng.uniform(20, 235, (int(rng.integers(2, 7)), int(rng.integers(2, 9)), 3))
     coarse = coarse.mean(2, keepdims=True) * 0.6 + coarse * 0.4
-    pixels = cv2.resize(coarse.astype(np.uint8), FULL_PX, interpolation=cv2.INTER_CUBIC)
+    smooth = cv2.resize(coarse.astype(np.uint8), FULL_PX, interpolation=cv2.INTER_CUBIC)
+    pixels = np.asarray(smooth, np.uint8)
     for _ in range(int(rng.integers(3, 9))):
         _stick(pixels, _wall(rng), _place_wall(rng))
     for _ in range(int(rng.integers(0, 25))):
@@ -66,7 +67,7 @@ def backdrop(rng: np.random.Generator) -> Pixels:
         least = float(np.quantile(crowns, rng.uniform(0.7, 0.95)))
         mask = (leaves > 128) & (cv2.resize(crowns, FULL_PX) > least)
         pixels[mask] = (pixels[mask] * 0.3 + rng.integers(0, 150, 3) * 0.7).astype(np.uint8)
-    return np.asarray(pixels, np.uint8)
+    return pixels
 
 
 def _wall(rng: np.random.Generator) -> Board:
@@ -75,7 +76,7 @@ def _wall(rng: np.random.Generator) -> Board:
     colour = rng.integers(30, 230) + rng.normal(0, 18, 3)
     pixels = np.clip(np.broadcast_to(colour, (height, width, 3)), 0, 255).astype(np.uint8)
     noise = rng.integers(0, 24, (height, width, 1), np.uint8)
-    pixels = cv2.add(pixels, np.repeat(noise, 3, 2))
+    cv2.add(pixels, np.repeat(noise, 3, 2), dst=pixels)
     shade = tuple(float(np.clip(v + rng.choice([-70, -35, 45, 80]), 0, 255)) for v in colour)
     kind = rng.random()
     if kind < 0.45:  # windows
@@ -132,7 +133,7 @@ def _place(rng: np.random.Generator, made: Board) -> NDArray[np.float32]:
     sine, cosine = np.sin(angle), np.cos(angle)
     target = flat @ np.array([[cosine, sine], [-sine, cosine]])
     target += rng.uniform([0, 0], FULL_PX)
-    return target.astype(np.float32)
+    return np.asarray(target, np.float32)
 
 
 def _place_wall(rng: np.random.Generator) -> NDArray[np.float32]:
@@ -155,11 +156,11 @@ def _stick(pixels: Pixels, made: Board, target: NDArray[np.float32]) -> NDArray[
         size = (int(high[0] - low[0]), int(high[1] - low[1]))
         part = pixels[low[1] : high[1], low[0] : high[0]]
         if made.alpha.min() == 255:  # much faster, and most are
-            seen = np.ascontiguousarray(part)
+            whole = np.ascontiguousarray(part)
             cv2.warpPerspective(
-                made.pixels, move, size, dst=seen, borderMode=cv2.BORDER_TRANSPARENT
+                made.pixels, move, size, dst=whole, borderMode=cv2.BORDER_TRANSPARENT
             )
-            part[:] = seen
+            part[:] = whole
         else:
             seen = cv2.warpPerspective(made.pixels, move, size, borderMode=cv2.BORDER_REPLICATE)
             cover = cv2.warpPerspective(made.alpha, move, size)[..., None].astype(np.float32) / 255

@@ -50,7 +50,7 @@ class Run(checkpoint.Progress):
             groups(self.net, settings.decay), lr=settings.rate, betas=(0.9, 0.99)
         )
         parts = {"net": self.net, "mean": self.mean, "optimiser": self.optimiser}
-        pictures = made_of_streets() | (made_of_roads() if settings.clips else {})
+        pictures = {**made_of_streets(), **(made_of_roads() if settings.clips else {})}
         super().__init__(settings.out, parts, of_settings(settings, "stills") | pictures)
 
     def begin(self, source: Words) -> None:

@@ -133,7 +133,7 @@ def _painted(
         plain = np.ascontiguousarray(plain * fall[None, :, None], np.float32)
     if rng.random() < 0.3:
         edge = max(1, round(pad * 0.2))
-        plain = cv2.rectangle(
+        cv2.rectangle(
             plain, (edge, edge), (size_px[0] - edge - 1, size_px[1] - edge - 1),
             tuple(float(v) for v in fore), max(1, edge // 2),
         )  # fmt: skip

@@ -1,6 +1,5 @@
 """Scores of the text detector: what counts as found."""
 
-
 import numpy as np
 import pytest
 
