@@ -8,7 +8,6 @@ frame. All rows have the same clips and the same reader. Seeds of 0 to 9,999 are
 
 import json
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from fractions import Fraction
