@@ -6,9 +6,9 @@ import pytest
 pytest.importorskip("PIL", reason="needs the text extra")
 
 from operators.saliency.text import evaluate
-from operators.saliency.text.evaluate import WAYS, pictures_of, quads_of
+from operators.saliency.text.evaluate import WAYS, Look, look, looks, mark, quads_of, settings_for
 from operators.saliency.text.quads import corners
-from operators.saliency.text.streets import Picture
+from operators.saliency.text.streets import FULL_PX, Picture
 from pipeline import Detections
 from pipeline.testing import header
 
@@ -29,10 +29,11 @@ def found(boxes: np.ndarray) -> Detections:
     )
 
 
-def told(*ignored: bool) -> Picture:
+def told(*ignored: bool) -> Look:
     quads = corners(WORDS.astype(np.float32))
-    empty = np.zeros((720, 1280, 3), np.uint8)
-    return Picture(pixels=empty, quads=quads, ignored=np.array(ignored, np.bool_))
+    empty = np.zeros((180, 320, 3), np.uint8)
+    seen = Picture(pixels=empty, quads=quads, ignored=np.array(ignored, np.bool_))
+    return look(seen, 0, FULL_PX)
 
 
 def test_detections_have_the_corners_of_the_words_that_they_found() -> None:
@@ -43,7 +44,7 @@ def test_a_word_found_at_another_angle_counts_as_upright_box_alone() -> None:
     mirrored = WORDS.copy()
     mirrored[0, 4] *= -1
 
-    hits = {way: evaluate._mark(found(mirrored), told(False, False, False), way)[1] for way in WAYS}
+    hits = {way: mark(found(mirrored), told(False, False, False), way)[1] for way in WAYS}
 
     assert hits["upright"].tolist() == [True, True, True]
     assert hits["polygon"].tolist() == [False, True, True]
@@ -53,7 +54,7 @@ def test_a_detection_on_a_word_that_cannot_be_read_does_not_count() -> None:
     part = WORDS.copy()
     part[2, 2] = 30  # a third of the word
 
-    scores, hits = evaluate._mark(found(part), told(False, False, True), "upright")
+    scores, hits = mark(found(part), told(False, False, True), "upright")
 
     assert hits.tolist() == [True, True]
     assert len(scores) == 2
@@ -62,7 +63,7 @@ def test_a_detection_on_a_word_that_cannot_be_read_does_not_count() -> None:
 def test_a_word_is_found_once() -> None:
     twice = np.concatenate([WORDS[1:2], WORDS[1:2]])
 
-    _, hits = evaluate._mark(found(twice), told(False, False, False), "polygon")
+    _, hits = mark(found(twice), told(False, False, False), "polygon")
 
     assert hits.tolist() == [True, False]
 
@@ -71,7 +72,16 @@ def test_seeds_of_development_and_of_the_tables_are_not_those_of_training() -> N
     from operators.saliency.text.settings import TRAIN_SEEDS
 
     assert all(first >= TRAIN_SEEDS for first in evaluate.SEEDS.values())
-    first = next(pictures_of("drives", evaluate.SEEDS["held-out"], 1))
-    again = next(pictures_of("drives", evaluate.SEEDS["held-out"], 1))
-    np.testing.assert_array_equal(first.pixels, again.pixels)
+    first, again = (next(looks("drives", evaluate.SEEDS["held-out"], 1)) for _ in range(2))
+    np.testing.assert_array_equal(first.frame.pixels, again.frame.pixels)
     assert (~first.ignored).any()
+
+
+def test_a_larger_picture_is_read_at_the_same_resolution() -> None:
+    seen = next(looks("drives", 50_000, 1, (1920, 1080)))
+
+    assert seen.frame.pixels.shape == (270, 480, 3)
+    assert seen.frame.window == (0, 0, 1920, 1080)
+    assert seen.quads[..., 0].max() > 1280
+    assert settings_for("text", (1920, 1080), 0.1).input_px == (480, 288)
+    assert settings_for("text", (1280, 720), 0.1).input_px == (320, 192)

@@ -1,13 +1,20 @@
 """Drawn streets: words whose corners are known."""
 
+from functools import partial
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 
 pytest.importorskip("PIL", reason="needs the text extra")
 
+from operators.saliency.text.examples import KEPT_PX, PICTURES, draw
+from operators.saliency.text.examples import drawn as drawn_parts
 from operators.saliency.text.quads import areas, upright
-from operators.saliency.text.streets import FULL_PX, Picture, backdrop, street
+from operators.saliency.text.streets import FULL_PX, Picture, _share, backdrop, street
 from operators.saliency.text.words import board
+from pipeline.errors import DriverError
 
 
 def drawn(seed: int) -> Picture:
@@ -46,8 +53,6 @@ def test_words_that_are_wanted_are_in_the_picture() -> None:
 
 
 def test_a_word_behind_a_pole_is_not_wanted() -> None:
-    from operators.saliency.text.streets import _share
-
     quad = np.array([[100, 100], [180, 100], [180, 120], [100, 120]], np.float32)
     hidden = np.zeros(FULL_PX[::-1], np.bool_)
 
@@ -64,3 +69,33 @@ def test_a_photograph_may_lie_behind_the_words() -> None:
     assert (picture.pixels == 7).all(2).mean() > 0.3
     assert (photograph == 7).all()
     assert backdrop(np.random.default_rng(2)).std() > 5
+
+
+def test_kept_pictures_are_drawn_once_and_every_other_one_lies_on_a_photograph(
+    tmp_path: Path,
+) -> None:
+    photograph = tmp_path / "wall.jpg"
+    cv2.imwrite(str(photograph), np.full((900, 1600, 3), (10, 200, 30), np.uint8))
+    made = {"code": "1"}
+
+    def parts() -> None:
+        draw([4], tmp_path / "kept", made, partial(drawn_parts, stills=[photograph]), 1, "draw")
+
+    parts()
+    pictures = np.load(tmp_path / "kept" / "4.npy")
+    before = (tmp_path / "kept" / "4.npz").stat().st_mtime_ns
+    parts()
+
+    green = (np.abs(pictures.astype(int) - [30, 200, 10]).max(3) < 12).mean((1, 2))
+    assert pictures.shape == (PICTURES, KEPT_PX[1], KEPT_PX[0], 3)
+    assert green[1::2].min() > 0.1
+    assert np.median(green[::2]) < 0.02
+    assert (tmp_path / "kept" / "4.npz").stat().st_mtime_ns == before
+
+
+def test_a_photograph_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.jpg"
+    broken.write_bytes(b"no picture")
+
+    with pytest.raises(DriverError, match=r"broken\.jpg: expected a picture"):
+        drawn_parts(1, [broken])
