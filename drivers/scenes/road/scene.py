@@ -160,7 +160,7 @@ class RoadScene:
                 text=text,
                 corners=corners.astype(np.float32),
                 seen=covers.share(order, corners),
-                blur_px=float(np.hypot(*panels[order].way, shaken)),
+                blur_px=float(np.linalg.norm((*panels[order].way, shaken))),
             )
             for order, text, corners in found
         ]
