@@ -1,0 +1,245 @@
+"""Evaluation of the text task."""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("rapidocr")
+pytest.importorskip("PIL")
+
+from bench.reading.evaluate import GRAPH, command, key, markdown_of, told
+from bench.reading.oracle import Oracle, OracleSettings
+from bench.reading.rows import ALL, Row, rows_of
+from bench.reading.trial import Job, Outcome, needed, plan_of, sensor_of, trial
+from drivers.source import Annotations
+from operators.transcribed import ILLEGIBLE
+from pipeline import Header, Percept, SettingsError, Tracks
+from pipeline.errors import RunError
+from pipeline.graph.loader import load
+from pipeline.graph.overlay import Overlay
+from pipeline.messages import Geometry
+
+HD = (1280, 720)
+EIGHTH = Fraction(1, 8)
+
+
+def job(strategy: str, frames: int = 2, *changes: str) -> Job:
+    budget = Fraction(1) if strategy == "full" else EIGHTH
+    return Job(
+        graph=str(GRAPH), changes=changes, frames=frames, row=Row(strategy=strategy, budget=budget)
+    )
+
+
+def outcome(seed: int, read: int, legible: int = 10) -> Outcome:
+    return Outcome(
+        seed=seed, legible=legible, read=read, nearly=read, waits_s=(0.5,) * read, duration_s=6.0,
+        pixels=0.125,
+    )  # fmt: skip
+
+
+def test_every_strategy_reads_what_its_budget_allows() -> None:
+    for row in rows_of(["all"], [Fraction(1, 4), EIGHTH, Fraction(1, 16)], HD):
+        plan = plan_of(job(row.strategy), 1)
+        settings = sensor_of(load(GRAPH, Overlay(changes=row.changes(HD), clock="lockstep")))
+        emitted = settings.sampling(HD)
+        share = emitted.emitted_px() / (HD[0] * HD[1]) / emitted.interval
+        wanted = float(row.budget)
+        assert share <= wanted * 1.02, row
+        if row.strategy != "context":
+            assert share == pytest.approx(wanted, rel=0.05), row
+        assert "reader" in {node.name for node in plan.nodes}
+
+
+def test_rows_without_a_policy_run_the_sensor_and_the_reader_only() -> None:
+    names = {node.name for node in plan_of(job("spatial"), 1).nodes}
+
+    assert names == {"capture", "reader"}
+
+
+def test_a_row_with_a_policy_has_all_that_aims_the_roi() -> None:
+    plan = plan_of(job("greedy"), 1)
+
+    names = {node.name for node in plan.nodes}
+    assert {"saliency", "association", "policy", "dispatch"} <= names
+    assert not {"score", "visualise"} & names
+    assert plan.node("policy").operator.endswith(":GreedyReadingPolicy")
+
+
+def test_what_the_reader_needs_is_kept_whatever_else_a_graph_has() -> None:
+    plan = load(GRAPH, Overlay(clock="lockstep"))
+
+    kept = needed(plan, aimed=True)
+
+    for edge in kept.edges:
+        assert {edge.source, edge.target} <= {node.name for node in kept.nodes}
+
+
+def test_other_clips_or_settings_are_measured_anew_and_the_same_are_not() -> None:
+    one = key(job("spatial"))
+
+    assert key(job("spatial")) == one
+    assert key(job("spatial", 3)) != one
+    assert key(job("spatial", 2, "reader.least_score=0.7")) != one
+    assert key(job("context")) != one
+
+
+def test_a_clip_is_played_and_counted() -> None:
+    found = trial(job("spatial", 2), 50_000)
+
+    assert found.legible > 0
+    assert 0 <= found.read <= found.nearly <= found.legible
+    assert found.pixels == pytest.approx(1 / 8, rel=0.02)
+    assert found.duration_s == pytest.approx(0.2)
+
+
+def test_what_is_legible_is_the_same_for_every_strategy() -> None:
+    counts = {trial(job(name, 9), 50_000).legible for name in ("temporal", "context")}
+
+    assert len(counts) == 1
+
+
+def test_a_share_of_the_pixels_that_is_not_the_budget_is_refused() -> None:
+    from bench.reading.trial import check_budget
+
+    with pytest.raises(RunError, match=r"spatial: expected 0\.12500 of the pixels, got 0\.20000"):
+        check_budget(Row(strategy="spatial", budget=EIGHTH), 0.2)
+
+
+def test_differences_are_paired_by_clip() -> None:
+    ours, theirs = (Row(strategy=name, budget=EIGHTH) for name in ("foveated", "spatial"))
+    clips = range(8)
+    outcomes = {
+        ours: [outcome(seed, 5 + seed % 3) for seed in clips],
+        theirs: [outcome(seed, 3 + seed % 3) for seed in clips],
+    }
+
+    row = told(theirs, outcomes)
+
+    apart, low, high = row["to_foveated"]
+    assert apart == pytest.approx(-0.2)
+    assert low == pytest.approx(high)
+    assert row["wait_s"] == 0.5
+
+
+def test_clips_without_a_legible_text_count_for_nothing() -> None:
+    row = Row(strategy="spatial", budget=EIGHTH)
+    outcomes = [*[outcome(seed, 5) for seed in range(7)], outcome(7, 0, legible=0)]
+
+    assert told(row, {row: outcomes})["read"] == 0.5
+
+
+def test_the_table_has_the_papers_figures_beside_ours() -> None:
+    row = Row(strategy="foveated", budget=EIGHTH)
+
+    text = markdown_of([told(row, {row: [outcome(seed, 5) for seed in range(8)]})])
+
+    assert "| 0.264 |" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--strategies", "guess"], "strategies: expected all, full"),
+        (["--budgets", "2/1"], "budgets"),
+        (["--clips", "0"], "clips: expected 1 to"),
+        (["--plot", "picture.txt", "--clips", "1", "--frames", "0"], "frames: expected 1 to"),
+        (["--graph", "graphs/tracking.yaml"], "node reader, got none"),
+    ],
+)
+def test_wrong_options_are_refused_in_a_sentence(
+    tmp_path: Path, words: list[str], sentence: str
+) -> None:
+    result = CliRunner().invoke(command, [*words, "--work", str(tmp_path)])
+
+    assert result.exit_code != 0
+    assert sentence in result.output
+    assert "Traceback" not in result.output
+
+
+def test_an_interrupted_evaluation_goes_on_where_it_was(tmp_path: Path) -> None:
+    words = ["--strategies", "context", "--budgets", "1/8", "--frames", "2", "--jobs", "1"]
+    words += ["--seed", "50000", "--work", str(tmp_path / "work")]
+    assert CliRunner().invoke(command, [*words, "--clips", "1"]).exit_code == 0
+    (path,) = (tmp_path / "work").glob("*.json")
+    first = json.loads(path.read_text())
+    first[0]["legible"] = 77
+    path.write_text(json.dumps(first))
+
+    report = tmp_path / "report.json"
+    result = CliRunner().invoke(command, [*words, "--clips", "2", "--report", str(report)])
+
+    assert result.exit_code == 0, result.output
+    (row,) = json.loads(report.read_text())["rows"]
+    assert row["legible"] > 77
+
+
+GEOMETRY = Geometry(width_px=1280, height_px=720, roi_width_px=320, roi_height_px=180)
+
+
+def oracle(*rows: tuple[int, str, tuple[float, float, float, float]]) -> Oracle:
+    made = Oracle(OracleSettings())
+    made.open()
+    truth = Annotations(
+        boxes=np.array([row[2] for row in rows], np.float32).reshape(-1, 4),
+        ids=np.array([row[0] for row in rows], np.int32),
+        labels=tuple(row[1] for row in rows),
+        visibility=np.ones(len(rows), np.float32),
+    )
+    made.truth_of = lambda index: truth
+    return made
+
+
+def header(seq: int = 0) -> Header:
+    return Header(stream="s", seq=seq, stamp_ns=seq, geometry=GEOMETRY)
+
+
+def no_tracks(seq: int = 0) -> Tracks:
+    values: dict[str, Any] = {
+        "ids": np.zeros(0, np.int32), "labels": np.zeros(0, np.int32),
+        "scores": np.zeros(0, np.float32), "boxes": np.zeros((0, 1, 4), np.float32),
+        "visible": np.zeros((0, 1), bool), "features": np.zeros((0, 1, 1), np.float32),
+        "predicted": np.zeros((0, 1, 4), np.float32),
+    }  # fmt: skip
+    return Tracks(header=header(seq), **values)
+
+
+NEAR, FAR, ALONE = (100, 100, 160, 115), (200, 120, 260, 135), (900, 400, 960, 415)
+
+
+def test_the_oracle_looks_where_most_texts_are_unread() -> None:
+    policy = oracle((1, "A", NEAR), (2, "B", FAR), (3, "C", ALONE))
+
+    box = policy.on_tracks(no_tracks()).boxes[0]
+
+    assert box[0] < 300
+
+
+def test_the_oracle_leaves_what_is_read_and_what_nobody_can_read() -> None:
+    policy = oracle((1, "A", NEAR), (2, ILLEGIBLE, FAR), (3, "C", ALONE))
+    policy.on_percept(
+        Percept(
+            header=header(), boxes=np.array([NEAR], np.float32), ids=np.array([9], np.int32),
+            scores=np.ones(1, np.float32), texts=("a",),
+        )
+    )  # fmt: skip
+
+    assert policy.on_tracks(no_tracks()).boxes[0].tolist() == list(ALONE)
+
+
+def test_the_oracle_gives_up_on_a_text_that_is_never_read() -> None:
+    policy = oracle((1, "A", NEAR), (2, "B", ALONE))
+    looks = [policy.on_tracks(no_tracks(seq)).boxes[0, 0] for seq in range(8)]
+
+    assert looks.count(100) == 3
+    assert looks.count(900) == 3
+
+
+def test_all_strategies_are_known_to_the_table() -> None:
+    assert {row.strategy for row in rows_of(["all"], [EIGHTH], HD)} == set(ALL)
+    with pytest.raises(SettingsError, match="strategies: expected all"):
+        rows_of(["none"], [EIGHTH], HD)
