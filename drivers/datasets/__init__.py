@@ -3,6 +3,14 @@
 from drivers.datasets.images import ImageFolder
 from drivers.datasets.mot import MotSequence
 from drivers.datasets.soccernet import SoccerNetSequence
+from drivers.datasets.texts import PannedPictures, RoadTextVideo
 from drivers.datasets.video import VideoFile
 
-__all__ = ["ImageFolder", "MotSequence", "SoccerNetSequence", "VideoFile"]
+__all__ = [
+    "ImageFolder",
+    "MotSequence",
+    "PannedPictures",
+    "RoadTextVideo",
+    "SoccerNetSequence",
+    "VideoFile",
+]
