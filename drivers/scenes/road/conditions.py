@@ -39,5 +39,5 @@ def draw_conditions(rng: np.random.Generator, weather: str) -> Conditions:
         haze=float(rng.uniform(0.08, 0.22)) if rain else 0.0,
         grain=float(rng.uniform(4, 9) if night else rng.uniform(1, 4)),
         shake=float(rng.uniform(0.5, 3.5)),
-        speed_m_s=float(rng.uniform(6, 12)),
+        speed_m_s=float(rng.uniform(8, 15)),
     )

@@ -24,7 +24,7 @@ LEAST_LETTER_PX = 4.0  # width of a letter, which a slanting board narrows
 LEAST_SEEN = 0.85  # share of a text that must be visible
 LEAST_TEXT_PX = 2.0  # height of the smallest text that is told at all
 USUAL_PX = 1280  # width for which the street has its usual width
-HALF_WIDTH_M = 8.0
+HALF_WIDTH_M = 10.0
 FOCAL = 0.9  # of the picture's width
 FARTHEST_M = 95.0
 TILE = 512  # side of the noise and of the rain
@@ -56,7 +56,7 @@ class RoadScene:
 
     The camera looks ahead. Texts grow until they leave the picture at its sides: shop boards on the
     houses, signs across them, traffic signs, and plates of cars ahead. In a picture of 1280x720 the
-    houses are 8 m away; a larger one shows a wider street, so that its texts are no larger in
+    houses are 10 m away; a larger one shows a wider street, so that its texts are no larger in
     pixels, and more. The picture is read by windows or whole; the same seed gives the same street
     in any order of access. `fonts` is a folder with fonts in place of the installed ones.
     """

@@ -78,7 +78,7 @@ class Street:
     def cars(self) -> list[Panel]:
         """Return the backs of cars that drive ahead; their place is that at the start."""
         found = []
-        k = self.half_width_m / 8.0
+        k = self.half_width_m / 10.0
         for number in range(CARS):
             rng = np.random.default_rng([self.seed, 62, number])
             lane = float(rng.choice([0.0, 3.2, -3.4])) * (1 if number < 3 else k * 0.6)
@@ -142,7 +142,7 @@ class Street:
             line, font = self._line(rng, next_id(), words.shop(rng))
             ground, ink = BOARDS[int(rng.integers(len(BOARDS)))]
             picture, (wide, high), texts = board(
-                [line], font, letter_m=float(rng.uniform(0.4, 0.8)), ink=ink, ground=ground,
+                [line], font, letter_m=float(rng.uniform(0.26, 0.5)), ink=ink, ground=ground,
                 light=self._light(rng),
             )  # fmt: skip
             wide *= WIDENED
@@ -160,7 +160,7 @@ class Street:
         line, font = self._line(rng, next_id(), words.shop(rng))
         ground, ink = BOARDS[int(rng.integers(len(BOARDS)))]
         picture, (wide, high), texts = board(
-            [line], font, letter_m=float(rng.uniform(0.18, 0.36)), ink=ink, ground=ground,
+            [line], font, letter_m=float(rng.uniform(0.16, 0.28)), ink=ink, ground=ground,
             light=self._light(rng), rim=bool(rng.random() < 0.5),
         )  # fmt: skip
         fit = min(1.0, 2.2 / wide)
@@ -184,7 +184,7 @@ class Street:
             lines.append((next_id(), text, False))
         ground, ink = SIGNS[int(rng.integers(len(SIGNS)))]
         picture, (wide, high), texts = board(
-            lines, font, letter_m=float(rng.uniform(0.16, 0.34)), ink=ink, ground=ground,
+            lines, font, letter_m=float(rng.uniform(0.13, 0.24)), ink=ink, ground=ground,
             light=self._light(rng), rim=True,
         )  # fmt: skip
         at, kerb = z + float(rng.uniform(0, 12)), x - sign * float(rng.uniform(1.6, 3.2))
