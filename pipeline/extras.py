@@ -6,18 +6,23 @@ from typing import Any
 from pipeline.errors import InstallError
 
 EXTRAS = {  # by the name that is imported
+    "PIL": "text",
     "cryptography": "fleet",
+    "fontTools": "text",
     "google": "record",
     "matplotlib": "eval",
     "mcap": "record",
     "onnx": "train",
     "prometheus_client": "metrics",
+    "rapidocr": "text",
     "torch": "train",
     "trackeval": "mot",
     "usb": "usb",
     "zstandard": "record",
 }
 PACKAGES = {
+    "PIL": "pillow",
+    "fontTools": "fonttools",
     "google": "protobuf",
     "prometheus_client": "prometheus-client",
     "usb": "pyusb",

@@ -1,7 +1,8 @@
 """Procedural scenes, drawn on request, with exact ground truth."""
 
 from drivers.scenes.panorama import PanoramaScene
+from drivers.scenes.road import RoadScene
 from drivers.scenes.soccer import SoccerScene
 from drivers.scenes.whole_pitch import WholePitchScene
 
-__all__ = ["PanoramaScene", "SoccerScene", "WholePitchScene"]
+__all__ = ["PanoramaScene", "RoadScene", "SoccerScene", "WholePitchScene"]

@@ -8,7 +8,11 @@ from drivers.source import FrameSource
 from pipeline.errors import SettingsError
 from pipeline.import_path import imported
 
-SCENES = {"soccer": "drivers.scenes:SoccerScene", "panorama": "drivers.scenes:PanoramaScene"}
+SCENES = {
+    "soccer": "drivers.scenes:SoccerScene",
+    "panorama": "drivers.scenes:PanoramaScene",
+    "road": "drivers.scenes:RoadScene",
+}
 CAMERAS = {  # of the scene `soccer`, by its option `camera`: each draws in a way of its own
     "broadcast": "drivers.scenes:SoccerScene",
     "whole": "drivers.scenes:WholePitchScene",
