@@ -4,7 +4,8 @@ Each policy looks at the same recorded clips of streets, whose pictures, detecti
 not depend on where it looks; missing clips are recorded. What a window shows is read by a simulated
 reader (operators/policy/reading_street.py), and what was read returns to the policy, so that a clip
 takes a second. Prints the share of the legible texts that were shown at a readable size and that
-were read, and the frames from the first one in which a text is legible to its reading. The oracle
+were read, and the frames from the first one in which a text is legible to its reading (below 0:
+it was read before). The oracle
 knows the truth: it shows the window that reads most. `fovea eval text` has the real reader.
 """
 
@@ -35,14 +36,14 @@ from operators.policy import (
 )
 from operators.policy.data import Recording, record
 from operators.policy.gaze_plan import GazePlan, scanpath, stay
-from operators.policy.greedy import best_window
 from operators.policy.inputs import PolicyInputs
 from operators.policy.reading_settings import GRAPH
 from operators.policy.reading_street import SimulatedReader, Street
+from operators.policy.reading_windows import around
 from operators.policy.rollout import within
 from operators.policy.utility import windows
 from pipeline import Frame, Percept, Scanpath, Tracks
-from pipeline.boxes import roi_window
+from pipeline.boxes import from_centres, roi_window
 
 Box = NDArray[np.float32]
 BESIDE = "greedy"  # the rows' differences are to this one
@@ -63,12 +64,15 @@ class Oracle(PolicyInputs[OracleSettings]):
     def on_tracks(self, tracks: Tracks) -> Scanpath:
         """Plan the next frame only."""
         frame = tracks.header.seq - self._street.recording.header(0).seq + 1
-        boxes = self._street.boxes[frame : frame + 1][0]
+        boxes, geometry = self._street.boxes[frame], tracks.header.geometry
         gain = self._street.chance[frame] * ~self._reader.read
         if not gain.any():
             return scanpath(tracks, GazePlan(choice=np.zeros(0, np.int32), boxes=boxes[:0]))
-        box, _ = best_window(boxes, gain.astype(np.float64), tracks.header.geometry)
-        return scanpath(tracks, stay(box, 1))
+        rows = np.flatnonzero(gain)
+        places, shows = around(boxes[rows], gain[rows], geometry)
+        best = places[int((shows @ gain[rows]).argmax())]
+        size = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
+        return scanpath(tracks, stay(from_centres(best, size), 1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +203,9 @@ def blocks(streets: list[Street], readers: list[SimulatedReader], what: str) -> 
     """Return by clip how many of its texts have a frame in the column `what` of the reader."""
     return {
         street.recording.path.stem: Block(
-            total=float((getattr(reader, what) >= 0).sum()), frames=len(street.ids), starts=1
+            total=float((getattr(reader, what)[street.counts] >= 0).sum()),
+            frames=int(street.counts.sum()),
+            starts=1,
         )
         for street, reader in zip(streets, readers, strict=True)
     }

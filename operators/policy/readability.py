@@ -1,14 +1,15 @@
 """Chance that a reader reads a text in the ROI: boxes -> chances.
 
-A logistic curve in the height of the text in pixels of full resolution. Its two points are those
-of `HALF_PX` and `MOST_PX`.
+Measured with PP-OCR on windows of 320x180 of the street scene (seeds 200 to 215, 641 looks at
+visible texts that are legible at some time, upright boxes): nothing is read below 5 pixels, most
+texts of 7, and what is not read above 19 is lettered too closely or cut by the window's edge.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-HALF_PX, MOST_PX, MOST = 9.0, 14.0, 0.9  # read by half at HALF_PX, by MOST at MOST_PX
-STEEPNESS = float(np.log(MOST / (1 - MOST)) / (MOST_PX - HALF_PX))
+HEIGHTS_PX = (5.0, 6.5, 8.0, 16.0, 19.0)
+SHARES = (0.0, 0.6, 0.7, 0.77, 0.92)  # read rightly, of texts of these heights
 Array = NDArray[np.float32]
 
 
@@ -20,8 +21,7 @@ def heights(boxes: Array) -> Array:
 def chances(height_px: Array) -> Array:
     """Return the chance that a text of each height (...) is read in one look: (...), 0..1.
 
-    >>> chances(np.array([9, 14, 40], np.float32)).round(2).tolist()
-    [0.5, 0.8999999761581421, 1.0]
+    >>> chances(np.array([4, 7, 40], np.float32)).round(2).tolist()
+    [0.0, 0.6299999952316284, 0.9200000166893005]
     """
-    steps = np.clip(STEEPNESS * (height_px - HALF_PX), -30, 30)
-    return np.asarray(1 / (1 + np.exp(-steps)), np.float32)
+    return np.asarray(np.interp(height_px, HEIGHTS_PX, SHARES), np.float32)

@@ -1,8 +1,9 @@
 """A rule that reads: Tracks and what was read -> the windows that promise most new readings.
 
 A track promises the more, the larger its text is than it was when it was last shown, and the longer
-ago that was. One window may show several texts. While no track promises anything, the whole field
-is searched, as the detector misses most texts in the context.
+ago that was. One window may show several texts. What was read is verified while nothing else is to
+be read, as a reader is sure of wrong readings, too. While no track promises anything, the whole
+field is searched for texts that the detector misses in the context.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.gaze_plan import PLACE, GazePlan, future, scanpath
-from operators.policy.greedy import best_window
 from operators.policy.looks import Looks
 from operators.policy.readability import chances, heights
 from operators.policy.reading_inputs import (
@@ -20,8 +20,10 @@ from operators.policy.reading_inputs import (
     brought_up,
     planned,
 )
+from operators.policy.reading_windows import around
 from operators.policy.search import search
 from pipeline import Scanpath, SettingsError, Tracks
+from pipeline.boxes import Array, from_centres
 
 MOST_AGE = 32  # frames: an older look makes no difference
 
@@ -30,12 +32,13 @@ MOST_AGE = 32  # frames: an older look makes no difference
 class GreedyReadingPolicySettings(TextPolicySettings):
     """What a graph may set."""
 
-    retry: float = 0.2  # gain of a second look after MOST_AGE frames, of that of the first
-    least_gain: float = 0.05  # below it, the field is searched instead
+    retry: float = 0.5  # gain of a second look after MOST_AGE frames, of that of the first
+    verify: float = 0.2  # gain of a text that was read, of that of one that was not
+    least_gain: float = 0.005  # below it, the field is searched instead
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("retry", "least_gain"):
+        for name in ("retry", "verify", "least_gain"):
             if not 0 <= getattr(self, name) <= 1:
                 raise SettingsError(f"{name}: expected 0 to 1, got {getattr(self, name)}")
 
@@ -64,7 +67,8 @@ def greedy_plan(tracks: Tracks, looks: Looks, s: GreedyReadingPolicySettings) ->
     choice = np.full(s.horizon, PLACE, np.int32)
     if not count:
         return GazePlan(choice=choice, boxes=boxes, probability=probability)
-    unread = looks.read[:count] < s.sure
+    size: Array = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
+    unread = np.where(looks.read[:count] < s.sure, 1, s.verify)
     tried, shown_seq = looks.tried[:count].copy(), looks.shown_seq[:count].copy()
     ahead = np.stack([future(tracks, row, s.horizon) for row in range(count)], axis=1)
     for step in range(s.delay, s.horizon):
@@ -73,7 +77,9 @@ def greedy_plan(tracks: Tracks, looks: Looks, s: GreedyReadingPolicySettings) ->
         gain = np.where(gain >= s.least_gain, gain, 0)
         if not gain.any():
             continue
-        boxes[step], inside = best_window(ahead[step], gain.astype(np.float64), geometry)
+        places, shows = around(ahead[step], gain, geometry)
+        best = int((shows @ gain).argmax())
+        boxes[step], inside = from_centres(places[best], size), shows[best]
         probability[step] = gain / gain.sum()
         tried[inside] = np.maximum(tried, chance)[inside]
         shown_seq[inside] = first + step

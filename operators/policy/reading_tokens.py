@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.policy.gaze_plan import PLACE
-from operators.policy.looks import INSIDE, Looks
+from operators.policy.looks import Looks
 from operators.policy.readability import chances, heights
+from operators.policy.reading_windows import around
 from operators.policy.search import search
 from operators.policy.tokens import MOST_OBJECTS, Array, encode_boxes
 from pipeline import Geometry, Tracks
-from pipeline.boxes import areas, centres, from_centres, intersections
+from pipeline.boxes import centres, from_centres
 
 PARTS = ("roi", "global", "motion", "feedback")  # parts that an ablation may omit
 LOOKS = 9  # numbers of one text beside its boxes
@@ -25,7 +26,6 @@ FEEDBACK = (5, 6)  # those that the reader says
 CONDITION = 9
 SHARE_READ = 7  # the number of the condition that the reader says
 ALIGNED = 4  # step of a plan at which windows are placed
-NEARER = 1e-3  # worth of a text in the middle of its window
 LONG = 32  # frames: an older look makes no difference
 
 
@@ -58,7 +58,7 @@ def encode_texts(tracks: Tracks, looks: Looks, roi: Array, *, sure: float) -> Te
     first = tracks.header.seq + 1
     places = search(geometry, None, np.arange(first, first + horizon))[None]
     foreseen = np.concatenate([tracks.predicted[rows], places])
-    aims = around(tracks.predicted[rows], worth_of(tracks, looks, sure)[rows], geometry)
+    aims = aimed(tracks.predicted[rows], worth_of(tracks, looks, sure)[rows], geometry)
     past = np.concatenate([tracks.boxes[rows], np.repeat(places[:, :1], observed, 1)])
     seen = np.zeros((len(foreseen), observed, 1), np.float32)
     seen[:-1, :, 0] = tracks.visible[rows]
@@ -84,30 +84,18 @@ def worth_of(tracks: Tracks, looks: Looks, sure: float) -> Array:
     return np.asarray(chance * (looks.read[:count] < sure), np.float32)
 
 
-def around(predicted: Array, worth: Array, geometry: Geometry) -> Array:
+def aimed(predicted: Array, worth: Array, geometry: Geometry) -> Array:
     """Return for each text a path of windows that show it and what is worth most beside it.
 
-    From boxes (n, Tp, 4) and worths (n,): (n, Tp, 4). Tried are windows around the text and between
-    it and any other, at one step; neighbours move alike, so that the other steps keep the offset.
+    From boxes (n, Tp, 4) and worths (n,): (n, Tp, 4). Windows are placed at one step; neighbours
+    move alike, so that the other steps keep the offset.
     """
-    count, horizon = predicted.shape[:2]
-    if not count:
-        return np.zeros((0, horizon, 4), np.float32)
-    boxes = predicted[:, min(ALIGNED, horizon - 1)]
-    middle = centres(boxes)
-    roi: Array = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
-    places: Array = (middle[:, None] + middle[None]) / np.float32(2)  # (n, n, 2)
-    tried = from_centres(places.reshape(-1, 2), np.broadcast_to(roi, (count * count, 2)))
-    shows = intersections(tried, boxes) >= INSIDE * np.maximum(areas(boxes), 1e-9)
-    shows = shows.reshape(count, count, count)  # (text, other, shown)
-    own = np.arange(count)
-    gain = (shows @ worth) + NEARER * np.eye(count, dtype=np.float32)
-    gain[~shows[own, :, own]] = -1  # the text itself is not in it
-    best = gain.argmax(1)
-    best[gain[own, best] < 0] = own[gain[own, best] < 0]  # larger than a window
-    offset = places[own, best] - middle
-    size = np.broadcast_to(roi, (count, horizon, 2))
-    return from_centres(centres(predicted) + offset[:, None], size)
+    boxes = predicted[:, min(ALIGNED, predicted.shape[1] - 1)]
+    places, _ = around(boxes, worth, geometry)
+    offset = places - centres(boxes)
+    size = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
+    centre = centres(predicted) + offset[:, None]
+    return from_centres(centre, np.broadcast_to(size, centre.shape))
 
 
 def encode_looks(looks: Looks, rows: NDArray[np.intp], path: Array, seq: int, sure: float) -> Array:

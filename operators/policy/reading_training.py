@@ -140,7 +140,8 @@ def figures(episodes: Sequence[Episode]) -> dict[str, float]:
     shown, read, count = 0, 0, 0
     for episode in episodes:
         frames = slice(episode.task.start, episode.frame)
-        able = episode.street.legible[frames].any(0)
+        street = episode.street
+        able = street.legible[frames].any(0)
         count += int(able.sum())
         shown += int((episode.reader.shown_at >= 0)[able].sum())
         read += int(episode.reader.read[able].sum())

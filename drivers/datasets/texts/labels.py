@@ -136,7 +136,8 @@ def read_textocr(path: Path) -> dict[str, list[Label]]:
     document = read_json(path)
     pictures = _part(document, "imgs", dict, str(path))
     texts = _part(document, "anns", dict, str(path))
-    names, found = {}, {}
+    names: dict[str, str] = {}
+    found: dict[str, list[Label]] = {}
     for id_, picture in pictures.items():
         name = Path(_part(picture, "file_name", str, f"{path}: imgs.{id_}")).name
         names[id_], found[name] = name, []

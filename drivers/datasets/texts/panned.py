@@ -129,7 +129,7 @@ def _labelled(files: list[Path], labels: str) -> list[tuple[Path, list[Label]]]:
     return [(file, own) for file, own in found if own]
 
 
-def height_of(outline: NDArray[np.float32]) -> float:
+def height_of(outline: NDArray[np.floating]) -> float:
     """Return the smaller side of the smallest rectangle around a text, pixels."""
     (_, size, _) = cv2.minAreaRect(np.asarray(outline, np.float32))
     return float(min(size))

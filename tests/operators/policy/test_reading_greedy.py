@@ -52,7 +52,7 @@ def test_a_plan_shows_every_readable_text() -> None:
 
 
 def test_a_text_that_was_read_is_worth_nothing_more() -> None:
-    subject = policy()
+    subject = policy(verify=0.0)
     world = tracks(0, NEAR, FAR)
     subject.on_tracks(world)
     subject.on_percept(reading(0, world.boxes[:1, -1], 0.95))
@@ -61,6 +61,18 @@ def test_a_text_that_was_read_is_worth_nothing_more() -> None:
 
     assert not path.probability[:, 0].any()
     assert shown(path, world) == [2]
+
+
+def test_a_reading_is_verified_when_nothing_else_is_to_be_read() -> None:
+    subject = policy()
+    world = tracks(0, NEAR, FAR)
+    subject.on_tracks(world)
+    subject.on_percept(reading(0, world.boxes[:1, -1], 0.95))
+
+    path = subject.on_tracks(tracks(1, NEAR, FAR))
+
+    assert shown(path, world) == [2]
+    assert 1 in [each for row in range(1, 16) for each in shown(path, world, row)]
 
 
 def test_a_reading_that_is_not_sure_changes_nothing() -> None:
@@ -86,7 +98,7 @@ def test_a_text_that_was_shown_in_vain_is_shown_again_when_it_is_larger() -> Non
 
 
 def test_a_text_that_was_shown_in_vain_is_tried_again_later() -> None:
-    assert 2 <= watched(policy(), NEAR, frames=60).count(1) <= 10
+    assert 2 <= watched(policy(least_gain=0.2), NEAR, frames=60).count(1) <= 10
 
 
 def test_without_readable_texts_the_field_is_searched() -> None:
@@ -124,7 +136,7 @@ def test_another_stream_has_other_texts() -> None:
 
 
 def test_a_text_is_planned_again_where_the_sensor_showed_nothing() -> None:
-    subject = policy()
+    subject = policy(least_gain=0.2)
     subject.on_tracks(tracks(0, NEAR))
     subject.on_roi(roi(0, np.zeros(4)))
     now, following = tracks(1, NEAR), tracks(2, NEAR)
@@ -144,6 +156,7 @@ def test_baselines_have_the_same_inputs(rule: type) -> None:
     [
         ({"sure": 0.0}, "sure: expected above 0 to 1, got 0"),
         ({"retry": 2.0}, "retry: expected 0 to 1, got 2"),
+        ({"verify": 1.1}, "verify: expected 0 to 1, got 1.1"),
         ({"least_gain": -1.0}, "least_gain: expected 0 to 1, got -1"),
         ({"delay": 16}, "delay: expected 0 to below the horizon of 16, got 16"),
         ({"horizon": 0}, "horizon: must be at least 1, got 0"),

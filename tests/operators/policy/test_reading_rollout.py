@@ -21,8 +21,8 @@ LEFT = np.array([60, 90, 380, 270], np.float32)  # shows the signs 1 and 3
 def test_only_texts_with_a_transcription_are_to_be_read(tmp_path: Path) -> None:
     clip = street(tmp_path)
 
-    assert clip.ids.tolist() == [101, 102, 103]
-    assert clip.legible.all()
+    assert clip.ids[clip.counts].tolist() == [101, 102, 103]
+    assert not clip.chance[:, ~clip.counts].any()
 
 
 def test_the_reader_reads_what_the_window_shows_and_reports_it_from_then_on(tmp_path: Path) -> None:
@@ -32,8 +32,8 @@ def test_the_reader_reads_what_the_window_shows_and_reports_it_from_then_on(tmp_
         reader.look(LEFT, frame)
     percept = reader.look(np.array([900, 500, 1220, 680], np.float32), 8)
 
-    assert reader.read.tolist() == [True, percept.ids.tolist().count(102) == 1, True]
-    assert {101, 103} <= set(percept.ids.tolist())
+    assert reader.read[[0, 2]].all()
+    assert {101, 103} <= set(percept.ids.tolist()) <= {101, 102, 103}
     assert (reader.shown_at[[0, 2]] == 0).all()
 
 
@@ -69,7 +69,7 @@ def test_what_was_read_does_not_draw_a_window() -> None:
     worth = worth_of(world, looks, 0.8)
 
     assert worth[2] == 0
-    assert worth[0] > worth[1] > 0.9
+    assert worth[0] > worth[1] > 0.7
 
 
 def test_a_plan_is_worth_the_texts_that_it_is_expected_to_read() -> None:
@@ -101,7 +101,7 @@ def test_a_teacher_that_knows_the_truth_reads_everything_soon(tmp_path: Path) ->
 
     samples = roll([episode], teacher([episode], 0.0, rng), frames=20, how="argmax", rng=rng)
 
-    assert episode.reader.read.all()
+    assert episode.reader.read.tolist() == [True, True, True, False]
     assert episode.reader.read_at.max() <= 12
     assert samples[0].reads.shape == (5, 3, 16)
     assert len(samples) < 15  # moments with nothing left to read are left out
