@@ -17,7 +17,8 @@ class Conditions:
     sky: tuple[float, float, float]
     haze: float  # share of grey in the picture
     grain: float  # standard deviation of the noise, digital numbers
-    shake: float  # pixels per 1280 of width at most, during one exposure
+    shake: float  # pixels per 1280 of width during one exposure, standard deviation
+    exposure_s: float
     speed_m_s: float
 
     @property
@@ -38,6 +39,7 @@ def draw_conditions(rng: np.random.Generator, weather: str) -> Conditions:
         sky=tuple(float(c * rng.uniform(0.9, 1.08)) for c in sky),  # type: ignore[arg-type]
         haze=float(rng.uniform(0.08, 0.22)) if rain else 0.0,
         grain=float(rng.uniform(4, 9) if night else rng.uniform(1, 4)),
-        shake=float(rng.uniform(0.5, 3.5)),
+        shake=float(rng.uniform(0.5, 2.0)),
+        exposure_s=float(1 / rng.uniform(40, 80) if night else 1 / rng.uniform(70, 240)),
         speed_m_s=float(rng.uniform(8, 15)),
     )

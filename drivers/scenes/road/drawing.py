@@ -1,6 +1,6 @@
 """Draw panels as a camera sees them: panels and a view -> pixels of a window, and outlines."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ Image = NDArray[np.uint8]
 NEAR_M = 0.6  # nearer than this nothing is drawn
 EYE_M = 1.5  # height of the camera
 LANE_M = 3.4
+MOST_STREAK_PX = 63
 DASH_M = (3.0, 9.0)  # length of a dash, and from one to the next
 
 
@@ -41,6 +42,7 @@ class Seen:
     panel: Panel
     corners: NDArray[np.float64]
     away_m: float  # of its middle
+    way: tuple[float, float] = (0.0, 0.0)  # pixels by which it moves during the exposure
 
     @property
     def box(self) -> tuple[float, float, float, float]:
@@ -49,15 +51,24 @@ class Seen:
         return x0, y0, x1, y1
 
 
-def seen(panels: list[Panel], view: View, farthest_m: float) -> list[Seen]:
-    """Return the panels in the picture in the order of drawing: walls, then the farthest first."""
+def seen(panels: list[Panel], view: View, farthest_m: float, moved_m: float) -> list[Seen]:
+    """Return the panels in the picture in the order of drawing: walls, then the farthest first.
+
+    The camera moves on by `moved_m` during the exposure, and blurs what it passes.
+    """
+    opened = replace(view, z_m=view.z_m - moved_m)
     found = []
     for panel in panels:
         corners = panel.corners()
         away = corners[:, 2] - view.z_m
         if away.min() < NEAR_M or away.max() > farthest_m:
             continue
-        each = Seen(panel=panel, corners=view.pixels(corners), away_m=float(away.mean()))
+        there = view.pixels(corners)
+        way = (0.0, 0.0)
+        if panel.texts and not panel.drives:
+            dx, dy = (there - opened.pixels(corners)).mean(0).tolist()
+            way = dx, dy
+        each = Seen(panel=panel, corners=there, away_m=float(away.mean()), way=way)
         x0, y0, x1, y1 = each.box
         if x1 > 0 and y1 > 0 and x0 < view.size_px[0] and y0 < view.size_px[1]:
             found.append(each)
@@ -68,8 +79,10 @@ def paste(out: Image, each: Seen, left: int, top: int, reduce: int) -> None:
     """Draw a panel over `out` (h, w, 4), a window that begins at `left`, `top`, reduced."""
     corners = (each.corners - (left, top)) / reduce
     high, wide = out.shape[:2]
-    x0, y0 = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0)
-    x1, y1 = np.minimum(np.ceil(corners.max(0)).astype(int) + 2, (wide, high))
+    kernel = streak((each.way[0] / reduce, each.way[1] / reduce))
+    rim = max(kernel.shape) // 2
+    x0, y0 = np.maximum(np.floor(corners.min(0)).astype(int) - 1 - rim, 0)
+    x1, y1 = np.minimum(np.ceil(corners.max(0)).astype(int) + 2 + rim, (wide, high))
     if x0 >= x1 or y0 >= y1:
         return
     lengths = np.linalg.norm(corners - np.roll(corners, -1, 0), axis=1)
@@ -89,7 +102,24 @@ def paste(out: Image, each: Seen, left: int, top: int, reduce: int) -> None:
         )  # fmt: skip
         return
     patch = cv2.warpPerspective(picture, matrix, (int(x1 - x0), int(y1 - y0)))
+    if rim:
+        patch = cv2.filter2D(patch, -1, kernel, borderType=cv2.BORDER_CONSTANT)
     over(out, np.asarray(patch, np.uint8), int(x0), int(y0))
+
+
+def streak(way: tuple[float, float]) -> NDArray[np.float32]:
+    """Return the kernel of a movement by `way` pixels: a line of sum 1; 1x1 for less than a pixel.
+
+    >>> streak((0.4, 0.2)).shape, streak((4.0, 0.0)).shape, float(streak((3.0, 3.0)).sum())
+    ((1, 1), (5, 5), 1.0)
+    """
+    side = 2 * int(min(max(abs(way[0]), abs(way[1])), MOST_STREAK_PX) / 2) + 1
+    kernel = np.zeros((side, side), np.float32)
+    half, middle = side / 2 - 0.5, side // 2
+    length = max(abs(way[0]), abs(way[1]), 1e-6)
+    dx, dy = (round(half * part / length) for part in way)
+    cv2.line(kernel, (middle - dx, middle - dy), (middle + dx, middle + dy), 1.0)
+    return kernel / kernel.sum()
 
 
 def paint_ground(

@@ -40,6 +40,7 @@ class Panel:
     picture: Image  # (h, w, 4) premultiplied RGBA
     texts: tuple[Lettered, ...] = ()
     wall: bool = False  # behind everything that is no wall
+    drives: bool = False  # along with the camera
     _halves: list[Image] = field(default_factory=list)
 
     def corners(

@@ -21,6 +21,7 @@ Image = NDArray[np.uint8]
 ILLEGIBLE = "###"  # the label of a text that is not to be scored in this frame
 LEAST_LEGIBLE_PX = 10.0  # height of a text's ink at full resolution
 LEAST_LETTER_PX = 4.0  # width of a letter, which a slanting board narrows
+MOST_BLUR = 0.35  # of its height, by which a text may move during the exposure
 LEAST_SEEN = 0.85  # share of a text that must be visible
 LEAST_TEXT_PX = 2.0  # height of the smallest text that is told at all
 USUAL_PX = 1280  # width for which the street has its usual width
@@ -40,6 +41,7 @@ class Quad:
     text: Lettered
     corners: NDArray[np.float32]
     seen: float  # share that nothing hides
+    blur_px: float  # by which it moves during the exposure
 
     @property
     def legible(self) -> bool:
@@ -48,6 +50,7 @@ class Quad:
         tall = min(np.linalg.norm(a - d), np.linalg.norm(b - c))
         wide = min(np.linalg.norm(a - b), np.linalg.norm(d - c)) / max(1, len(self.text.text))
         clear = tall >= LEAST_LEGIBLE_PX and wide >= LEAST_LETTER_PX
+        clear = clear and self.blur_px <= MOST_BLUR * tall
         return bool(clear and self.seen >= LEAST_SEEN and not self.text.foreign)
 
 
@@ -143,6 +146,7 @@ class RoadScene:
         """Return the texts in frame `index` whose outline is at least partly in the picture."""
         _, view, panels = self._placed(index)
         covers = _Covers(self.size_px)
+        shaken = self._shaken(index)
         found: list[tuple[int, Lettered, NDArray[np.float64]]] = []
         for order, each in enumerate(panels):
             covers.draw(order, each)
@@ -152,7 +156,12 @@ class RoadScene:
                 if tall >= LEAST_TEXT_PX:
                     found.append((order, text, corners))
         made = [
-            Quad(text=text, corners=corners.astype(np.float32), seen=covers.share(order, corners))
+            Quad(
+                text=text,
+                corners=corners.astype(np.float32),
+                seen=covers.share(order, corners),
+                blur_px=float(np.linalg.norm((*panels[order].way, shaken))),
+            )
             for order, text, corners in found
         ]
         return sorted((q for q in made if q.seen > 0), key=lambda q: q.text.id)
@@ -181,7 +190,8 @@ class RoadScene:
                 replace(car, origin=(car.origin[0], car.origin[1], car.origin[2] + ahead))
                 for car in self._cars
             ]
-            self._last = index, view, seen(panels, view, far)
+            moved_m = self._conditions.speed_m_s * self._conditions.exposure_s
+            self._last = index, view, seen(panels, view, far, moved_m)
         return self._last
 
     def _segment(self, number: int, side: int) -> list[Panel]:
@@ -206,12 +216,14 @@ class RoadScene:
             centre_px=(width * (0.5 + turn), height * 0.5 + width * (0.06 + nod)),
         )
 
+    def _shaken(self, index: int) -> float:
+        """Return by how many pixels the camera shook upwards during the exposure."""
+        rng = np.random.default_rng([self._seed, 65, index])
+        return float(abs(rng.normal(0, self._conditions.shake)) * self._larger)
+
     def _kernel(self, index: int, reduce: int) -> int:
-        """Return the side of the blur by which the camera shook during the exposure, odd."""
-        time_s = index / self.rate_hz
-        swing = max(0.0, np.sin(2.3 * time_s + self._waves[4])) ** 3
-        shake = self._conditions.shake * self._larger * swing / reduce
-        return 2 * int(shake / 2) + 1
+        """Return the side of the blur by which the camera shook, odd."""
+        return 2 * int(self._shaken(index) / reduce / 2) + 1
 
     def _finish(
         self, canvas: Image, index: int, left: int, top: int, reduce: int, out: Image

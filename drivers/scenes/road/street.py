@@ -249,7 +249,7 @@ class Street:
         )  # fmt: skip
         plate = Panel(
             origin=(x - 0.26, 0.72, z - 0.02), along=(0.52, 0, 0), down=(0, -0.12, 0),
-            picture=picture, texts=texts,
+            picture=picture, texts=texts, drives=True,
         )  # fmt: skip
         return [body, plate]
 

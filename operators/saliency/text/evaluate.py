@@ -1,13 +1,14 @@
 """Score the detector of text: `python -m operators.saliency.text.evaluate --help`.
 
 Runs the operator as in a graph, on pictures shrunk to a context. The confidence is chosen on
-pictures for development with `--choose`, which writes it into the network's metadata.
+pictures of all kinds for development with `--choose`, which writes it into the network's metadata.
 """
 
 import argparse
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -178,8 +179,8 @@ def main(words: Sequence[str] | None = None) -> None:
     result: dict[str, object] = {"weights": given.weights.name, "pictures": given.pictures}
     if given.choose:
         need("onnx", "--choose")
-        drawn = looks("drives", SEEDS["development"], given.pictures)
-        result["confidence"] = choose(given.weights, each_of(drawn, "choose"))
+        parts = (looks(kind, SEEDS["development"], given.pictures) for kind in KINDS)
+        result["confidence"] = choose(given.weights, each_of(chain.from_iterable(parts), "choose"))
     drawn = looks(given.kind, SEEDS[given.split], given.pictures, given.size)
     table = report(each_of(drawn, "score"), weights, given.size)
     result |= {"on": f"{given.split} {given.kind}", "size_px": given.size, "figures": table}

@@ -37,16 +37,16 @@ def main(words: Sequence[str] | None = None) -> None:
     settings, target = asked(words)
     need("torch", "train")
     from operators.saliency.text.model import TextNet
-    from operators.saliency.text.training_run import export, train
+    from operators.saliency.text.training_run import export, train, trained_on
     from operators.training import checkpoint
 
     if target is not None:
         net = TextNet()
         checkpoint.take(checkpoint.path_in(settings.out), {"mean": net})
-        export(net, target)
+        export(net, target, trained_on(settings))
         return
     run = train(settings)
-    export(run.mean, settings.out / "text.onnx")
+    export(run.mean, settings.out / "text.onnx", trained_on(settings))
     print(json.dumps({"step": run.step, "elapsed_s": run.elapsed_s}))
 
 

@@ -35,6 +35,7 @@ PHASES = Phases("draw streets", "draw drives", "train")
 CALIBRATION = 64  # pictures over which an exported network is measured before training goes on
 NAME = "text"
 TRAINED_ON = "texts in streets that fovea draws itself"
+BEGUN = "begun with the weights of its other detector"
 
 
 class Run(checkpoint.Progress):
@@ -142,7 +143,12 @@ def advance(run: Run, forward: Any, batch: Batch) -> dict[str, Tensor]:
     return {name: part.detach() for name, part in parts.items()}
 
 
-def export(net: TextNet, path: Path) -> None:
+def trained_on(settings: TextTrainSettings) -> str:
+    """Return what a training has seen, for the file that it writes."""
+    return f"{TRAINED_ON}; {BEGUN}" if settings.init else TRAINED_ON
+
+
+def export(net: TextNet, path: Path, seen: str = TRAINED_ON) -> None:
     """Write the detector as ONNX; its input may have any sides that are multiples of 32."""
     net = fused(net).to(memory_format=torch.contiguous_format)
     width, height = INPUT_PX
@@ -161,5 +167,5 @@ def export(net: TextNet, path: Path) -> None:
         stride="32",
         task="obb",
         format="yolo",
-        trained_on=TRAINED_ON,
+        trained_on=seen,
     )

@@ -1,12 +1,24 @@
 """Scores of the text detector: what counts as found."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 pytest.importorskip("PIL", reason="needs the text extra")
 
 from operators.saliency.text import evaluate
-from operators.saliency.text.evaluate import WAYS, Look, look, looks, mark, quads_of, settings_for
+from operators.saliency.text.evaluate import (
+    WAYS,
+    Look,
+    look,
+    looks,
+    main,
+    mark,
+    quads_of,
+    settings_for,
+)
 from operators.saliency.text.quads import corners
 from operators.saliency.text.streets import FULL_PX, Picture
 from pipeline import Detections
@@ -85,3 +97,26 @@ def test_a_larger_picture_is_read_at_the_same_resolution() -> None:
     assert seen.quads[..., 0].max() > 1280
     assert settings_for("text", (1920, 1080), 0.1).input_px == (480, 288)
     assert settings_for("text", (1280, 720), 0.1).input_px == (320, 192)
+
+
+def test_the_command_writes_what_it_prints(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = tmp_path / "report.json"
+
+    main(["--kind", "streets", "--pictures", "3", "--json", str(report)])
+
+    told = json.loads(report.read_text())
+    assert told["on"] == "development streets"
+    assert set(told["figures"]) == set(WAYS)
+    assert f"recall {told['figures']['polygon']['recall']:.3f}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", ["1281x720", "1280", "0x0", "wide"])
+def test_a_size_without_a_quarter_is_refused(
+    words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["--size", words])
+
+    assert "argument --size" in capsys.readouterr().err
