@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.detector import TEXT
+from operators.saliency.detector import TEXT, Detector
 from operators.saliency.judging import (
     FLOOR,
     LEAST_IOU,
@@ -138,7 +138,7 @@ def report(
     size_px: tuple[int, int] = FULL_PX,
     confidence: float = 0.0,
 ) -> dict[str, dict[str, float]]:
-    """Precision and recall at a confidence, and average precision over all; 0: the network's own."""
+    """Precision and recall at a confidence, 0: the network's own, and average precision."""
     kept = list(seen)
     working = collect(kept, settings_for(weights, size_px, confidence))
     whole = collect(kept, settings_for(weights, size_px, FLOOR))
@@ -180,6 +180,7 @@ def main(words: Sequence[str] | None = None) -> None:
     given = parser.parse_args(words)
     need("PIL", "text")
     weights = str(given.weights)
+    Detector(settings_for(weights, given.size, given.confidence))  # refused before the drawing
     result: dict[str, object] = {"weights": given.weights.name, "pictures": given.pictures}
     if given.choose:
         need("onnx", "--choose")
