@@ -21,7 +21,7 @@ MOST_BYTES = 1 << 30  # of a file
 MOST_TEXTS = 10_000  # of a picture
 MOST_LETTERS = 500  # of a text
 TOTAL_TEXT = re.compile(
-    r"x: \[\[(?P<x>[-\d\s]*)\]\], y: \[\[(?P<y>[-\d\s]*)\]\], ornt: \[u?'?\w*'?\]"
+    r"x: \[\[(?P<x>[-\d\s]*)\]\], y: \[\[(?P<y>[-\d\s]*)\]\], ornt: \[u?'?[\w#]*'?\]"
     r", transcriptions: \[u?(?P<quote>['\"])(?P<text>.*)(?P=quote)\]\s*"
 )
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.saliency.detector import TEXT
+from operators.saliency.detector import TEXT, Detector
 from operators.saliency.judging import (
     FLOOR,
     LEAST_IOU,
@@ -133,11 +133,14 @@ def quads_of(found: Detections) -> NDArray[np.float32]:
 
 
 def report(
-    seen: Iterable[Look], weights: str, size_px: tuple[int, int] = FULL_PX
+    seen: Iterable[Look],
+    weights: str,
+    size_px: tuple[int, int] = FULL_PX,
+    confidence: float = 0.0,
 ) -> dict[str, dict[str, float]]:
-    """Precision and recall at the network's own confidence, and average precision over all."""
+    """Precision and recall at a confidence, 0: the network's own, and average precision."""
     kept = list(seen)
-    working = collect(kept, settings_for(weights, size_px, 0.0))
+    working = collect(kept, settings_for(weights, size_px, confidence))
     whole = collect(kept, settings_for(weights, size_px, FLOOR))
     return {
         way: at_threshold(working[way], 0.0) | {"average_precision": average_precision(whole[way])}
@@ -172,17 +175,19 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--kind", choices=KINDS, default="drives", help="what is scored")
     parser.add_argument("--pictures", type=count, default=200)
     parser.add_argument("--size", type=size, default=FULL_PX, help="of drives, as 1280x720")
+    parser.add_argument("--confidence", type=float, default=0.0, help="0: the network's own")
     parser.add_argument("--json", type=Path, help="write the figures here")
     given = parser.parse_args(words)
     need("PIL", "text")
     weights = str(given.weights)
+    Detector(settings_for(weights, given.size, given.confidence))  # refused before the drawing
     result: dict[str, object] = {"weights": given.weights.name, "pictures": given.pictures}
     if given.choose:
         need("onnx", "--choose")
         parts = (looks(kind, SEEDS["development"], given.pictures) for kind in KINDS)
         result["confidence"] = choose(given.weights, each_of(chain.from_iterable(parts), "choose"))
     drawn = looks(given.kind, SEEDS[given.split], given.pictures, given.size)
-    table = report(each_of(drawn, "score"), weights, given.size)
+    table = report(each_of(drawn, "score"), weights, given.size, given.confidence)
     result |= {"on": f"{given.split} {given.kind}", "size_px": given.size, "figures": table}
     for name, row in table.items():
         print(f"{name:12}", *(f"{figure} {value:.3f}" for figure, value in row.items()))

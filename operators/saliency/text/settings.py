@@ -17,7 +17,7 @@ class TextTrainSettings:
     out: Path
     stills: Path | None = None  # folder of photographs without words, to draw upon
     streets: int = 110  # parts of drawn streets
-    clips: int = 60  # drawn drives, of seeds from 0 on
+    clips: int = 110  # drawn drives, of seeds from 0 on
     clips_share: float = 0.6  # of the pictures of a batch
     steps: int = 4200
     batch: int = 16

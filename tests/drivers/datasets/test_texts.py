@@ -37,7 +37,9 @@ def told(labels: list[Label]) -> list[tuple[str, list[list[float]]]]:
 
 
 def test_icdar_2015_is_read_with_commas_and_mark(tmp_path: Path) -> None:
-    path = written(tmp_path / "gt.txt", "\ufeff10,20,60,20,60,40,10,40,A, B\n1,1,9,1,9,5,1,5,###\n\n")
+    path = written(
+        tmp_path / "gt.txt", "\ufeff10,20,60,20,60,40,10,40,A, B\n1,1,9,1,9,5,1,5,###\n\n"
+    )
 
     labels = read_icdar(path)
 
@@ -116,7 +118,11 @@ def test_any_other_text_is_refused_or_read_but_never_a_crash(
     tmp_path_factory: pytest.TempPathFactory, text: str
 ) -> None:
     folder = tmp_path_factory.mktemp("any")
-    for name, read in (("gt.txt", read_icdar), ("p.txt", read_total_text), ("a.json", read_labelme)):
+    for name, read in (
+        ("gt.txt", read_icdar),
+        ("p.txt", read_total_text),
+        ("a.json", read_labelme),
+    ):
         path = folder / name
         path.write_bytes(text.encode("utf-8", "surrogatepass"))
         try:
@@ -165,7 +171,7 @@ def test_small_texts_and_those_of_the_next_photograph_are_told_apart(tmp_path: P
 def test_photographs_without_labels_are_refused_together(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((20, 30, 3), np.uint8))
 
-    with pytest.raises(DriverError, match="expected photographs with labels.*got 1 without"):
+    with pytest.raises(DriverError, match=r"expected photographs with labels.*got 1 without"):
         PannedPictures(path=str(tmp_path))
 
 
@@ -180,7 +186,9 @@ LABEL = {"box2d": BOX, "category": "English", "id": 4, "ocr": "BANK"}
 
 
 def test_the_challenge_release_counts_frames_from_1(tmp_path: Path) -> None:
-    path = written(tmp_path / "t.json", json.dumps({"7": {"1": {"labels": None}, "2": {"labels": [LABEL]}}}))
+    path = written(
+        tmp_path / "t.json", json.dumps({"7": {"1": {"labels": None}, "2": {"labels": [LABEL]}}})
+    )
 
     rows = read_roadtext(path, "7")
 
