@@ -18,7 +18,8 @@ CHANNELS = 64  # features of a detection, as the detector of texts has them
 LEAST_VISIBLE = 0.5  # of a text, to be detected
 WHOLE = 0.99  # share of a text in the ROI, to be read
 
-S, Out = TypeVar("S"), TypeVar("Out")
+S = TypeVar("S")
+Out = TypeVar("Out")
 
 
 class Knowing(Operator[S, Out]):

@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,18 +15,13 @@ pytest.importorskip("PIL")
 
 from bench.reading.clips import clips_of
 from bench.reading.evaluate import GRAPH, command, key, markdown_of, told
-from bench.reading.known import NothingToSet, TrueReader
-from bench.reading.oracle import Oracle
 from bench.reading.plot import plot
 from bench.reading.rows import ALL, Row, rows_of
 from bench.reading.trial import Job, Outcome, needed, plan_of, sensor_of, trial
-from drivers.source import Annotations
-from operators.transcribed import ILLEGIBLE
-from pipeline import Frame, Header, Percept, SettingsError, Tracks
+from pipeline import SettingsError
 from pipeline.errors import DriverError, RunError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
-from pipeline.messages import Geometry
 
 HD = (1280, 720)
 EIGHTH = Fraction(1, 8)
@@ -229,19 +223,6 @@ def test_another_policy_takes_the_place_of_the_graphs_own(tmp_path: Path) -> Non
     assert rows[1].policy == ""
 
 
-def test_a_true_reader_reads_what_the_roi_shows_whole_and_nothing_else() -> None:
-    reader = TrueReader(NothingToSet())
-    reader.open()
-    reader.truth_of = lambda index: truth((1, "A", NEAR), (2, ILLEGIBLE, FAR), (3, "C", ALONE))
-    pixels = np.zeros((180, 320, 3), np.uint8)
-    roi = Frame(header=header(), pixels=pixels, window=(50, 50, 370, 230))
-
-    percept = reader.on_context_roi(roi, roi)
-
-    assert percept.texts == ("A",)
-    assert percept.ids.tolist() == [1]
-
-
 def test_the_table_has_the_papers_figures_beside_ours() -> None:
     row = Row(strategy="foveated", budget=EIGHTH)
 
@@ -289,70 +270,6 @@ def test_an_interrupted_evaluation_goes_on_where_it_was(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     (row,) = json.loads(report.read_text())["rows"]
     assert row["legible"] > 77
-
-
-GEOMETRY = Geometry(width_px=1280, height_px=720, roi_width_px=320, roi_height_px=180)
-
-
-def oracle(*rows: tuple[int, str, tuple[float, float, float, float]]) -> Oracle:
-    made = Oracle(NothingToSet())
-    made.open()
-    made.truth_of = lambda index: truth(*rows)
-    return made
-
-
-def truth(*rows: tuple[int, str, tuple[float, float, float, float]]) -> Annotations:
-    return Annotations(
-        boxes=np.array([row[2] for row in rows], np.float32).reshape(-1, 4),
-        ids=np.array([row[0] for row in rows], np.int32),
-        labels=tuple(row[1] for row in rows),
-        visibility=np.ones(len(rows), np.float32),
-    )
-
-
-def header(seq: int = 0) -> Header:
-    return Header(stream="s", seq=seq, stamp_ns=seq, geometry=GEOMETRY)
-
-
-def no_tracks(seq: int = 0) -> Tracks:
-    values: dict[str, Any] = {
-        "ids": np.zeros(0, np.int32), "labels": np.zeros(0, np.int32),
-        "scores": np.zeros(0, np.float32), "boxes": np.zeros((0, 1, 4), np.float32),
-        "visible": np.zeros((0, 1), bool), "features": np.zeros((0, 1, 1), np.float32),
-        "predicted": np.zeros((0, 1, 4), np.float32),
-    }  # fmt: skip
-    return Tracks(header=header(seq), **values)
-
-
-NEAR, FAR, ALONE = (100, 100, 160, 115), (200, 120, 260, 135), (900, 400, 960, 415)
-
-
-def test_the_oracle_looks_where_most_texts_are_unread() -> None:
-    policy = oracle((1, "A", NEAR), (2, "B", FAR), (3, "C", ALONE))
-
-    box = policy.on_tracks(no_tracks()).boxes[0]
-
-    assert box[0] < 300
-
-
-def test_the_oracle_leaves_what_is_read_and_what_nobody_can_read() -> None:
-    policy = oracle((1, "A", NEAR), (2, ILLEGIBLE, FAR), (3, "C", ALONE))
-    policy.on_percept(
-        Percept(
-            header=header(), boxes=np.array([NEAR], np.float32), ids=np.array([9], np.int32),
-            scores=np.ones(1, np.float32), texts=("a",),
-        )
-    )  # fmt: skip
-
-    assert policy.on_tracks(no_tracks()).boxes[0].tolist() == list(ALONE)
-
-
-def test_the_oracle_gives_up_on_a_text_that_is_never_read() -> None:
-    policy = oracle((1, "A", NEAR), (2, "B", ALONE))
-    looks = [policy.on_tracks(no_tracks(seq)).boxes[0, 0] for seq in range(8)]
-
-    assert looks.count(100) == 3
-    assert looks.count(900) == 3
 
 
 def test_all_strategies_are_known_to_the_table() -> None:
