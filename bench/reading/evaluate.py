@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from fractions import Fraction
 from hashlib import sha256
+from math import isnan
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -23,7 +24,7 @@ from rich.table import Table
 from bench.machine import facts
 from bench.options import Bench
 from bench.reading.plot import plot
-from bench.reading.rows import FULL, Row, rows_of
+from bench.reading.rows import FOVEATED, FULL, INPUTS, PARTS, Row, rows_of
 from bench.reading.trial import Job, Outcome, plan_of, sensor_of, trial
 from bench.tracking.budgets import parsed
 from bench.tracking.intervals import METHOD, Block, difference, mean
@@ -65,6 +66,8 @@ HEAD = [
 @click.option("--graph", default=str(GRAPH), help="the loop")
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--policy", default="", help="an ONNX file in place of the graph's own policy")
+@click.option("--replace", multiple=True, help="part known from the truth: " + ", ".join(PARTS))
+@click.option("--without", multiple=True, help="input left out: " + ", ".join(INPUTS))
 @click.option("--jobs", default=2, help="processes")
 @click.option("--report", type=Path, help="JSON")
 @click.option("--markdown", type=Path, help="the table as Markdown")
@@ -77,8 +80,8 @@ def command(**given: Any) -> None:
 
 def evaluate(
     *, strategies: str, budgets: str, clips: int, frames: int, seed: int, graph: str,
-    changes: tuple[str, ...], policy: str, jobs: int, report: Path | None,
-    markdown: Path | None, picture: Path | None, work: Path | None,
+    changes: tuple[str, ...], policy: str, replace: tuple[str, ...], without: tuple[str, ...],
+    jobs: int, report: Path | None, markdown: Path | None, picture: Path | None, work: Path | None,
 ) -> None:  # fmt: skip
     """Measure what is asked for and write it; raises `FoveaError`."""
     for name, value, most in (("clips", clips, MOST_CLIPS), ("frames", frames, MOST_FRAMES)):
@@ -86,10 +89,13 @@ def evaluate(
             raise SettingsError(f"{name}: expected 1 to {most}, got {value}")
     if seed < 0 or jobs < 1:
         raise SettingsError(f"seed, jobs: expected at least 0 and 1, got {seed} and {jobs}")
-    if policy:
-        changes = (*changes, f"policy.weights={policy}")
+    if policy and not Path(policy).is_file():
+        raise SettingsError(f"policy: expected an ONNX file, got {policy}")
     size_px = sensor_of(load(Path(graph), Overlay(changes=changes, clock="lockstep"))).size_px
-    asked = rows_of(strategies.split(","), parsed(budgets), size_px)
+    asked = rows_of(
+        strategies.split(","), parsed(budgets), size_px, policy=policy, replaced=replace,
+        without=without,
+    )  # fmt: skip
     work = work or (report or Path("text")).with_suffix(".work")
     jobs_of = {row: Job(graph=graph, changes=changes, frames=frames, row=row) for row in asked}
     outcomes = measured(jobs_of, range(seed, seed + clips), work, jobs)
@@ -128,7 +134,7 @@ def measured(jobs_of: dict[Row, Job], seeds: Sequence[int], folder: Path, jobs: 
             outcome = job.result()
             found[row][outcome.seed] = outcome
             write_whole(paths[row], json.dumps([asdict(o) for o in found[row].values()]))
-            shown.step(f"{row.strategy} {row.budget}")
+            shown.step(f"{row.name} {row.budget}")
     return {row: [found[row][seed] for seed in seeds] for row in jobs_of}
 
 
@@ -153,42 +159,55 @@ def told(row: Row, outcomes: Outcomes) -> dict[str, Any]:
     share, nearly = mean(blocks(own)), mean(blocks(own, "nearly"))
     waits = [wait for o in own for wait in o.waits_s]
     found: dict[str, Any] = {
-        "strategy": row.strategy,
+        "strategy": row.name,
         "budget": str(row.budget),
         "pixels": round(sum(o.pixels for o in own) / len(own), 5),
         "clips": len(own),
         "legible": sum(o.legible for o in own),
         "read": round(share.iou, 4),
-        "ci95": [round(share.low, 4), round(share.high, 4)],
+        "ci95": finite(share.low, share.high),
         "nearly": round(nearly.iou, 4),
         "per_s": round(sum(o.read for o in own) / sum(o.duration_s for o in own), 3),
         "wait_s": round(median(waits), 3) if waits else None,
-        "paper": PAPER.get((row.strategy, str(row.budget))),
+        "paper": PAPER.get((row.name, str(row.budget))),
     }
     full = outcomes.get(Row(strategy=FULL, budget=Fraction(1)))
     if full:
         found["of_full"] = round(share.iou / (mean(blocks(full)).iou or 1), 4)
-    ours = outcomes.get(Row(strategy="foveated", budget=row.budget))
-    if ours and ours is not own:
-        apart = difference(blocks(own), blocks(ours))
-        found["to_foveated"] = [round(value, 4) for value in apart]
+    ours = next(
+        (o for r, o in outcomes.items() if (r.name, r.budget) == (FOVEATED, row.budget)), own
+    )
+    if ours is not own:
+        apart, low, high = difference(blocks(own), blocks(ours))
+        found["to_foveated"], found["to_foveated_ci95"] = round(apart, 4), finite(low, high)
     return found
+
+
+def finite(low: float, high: float) -> list[float] | None:
+    """Return an interval; None over fewer clips than it needs."""
+    return None if isnan(low) else [round(low, 4), round(high, 4)]
+
+
+def within(interval: list[float] | None, form: str) -> str:
+    """Return an interval as text, empty for none."""
+    return f"{interval[0]:{form}} to {interval[1]:{form}}" if interval else ""
 
 
 def cells(row: dict[str, Any]) -> list[str]:
     """Return a row as texts."""
-    low, high = row["ci95"]
-    apart = row.get("to_foveated")
+    apart = f"{row['to_foveated']:+.3f}" if "to_foveated" in row else ""
+    if arms := within(row.get("to_foveated_ci95"), "+.3f"):
+        apart += f" ({arms})"
     return [
         row["strategy"],
         row["budget"],
         f"{row['read']:.3f}",
-        f"{low:.3f} to {high:.3f}",
+        within(row["ci95"], ".3f"),
         f"{row['nearly']:.3f}",
         f"{row['per_s']:.2f}",
         "" if row["wait_s"] is None else f"{row['wait_s']:.1f}",
         f"{row['of_full']:.2f}" if "of_full" in row else "",
-        "{:+.3f} ({:+.3f} to {:+.3f})".format(*apart) if apart else "",
+        apart,
         "" if row["paper"] is None else f"{row['paper']:.3f}",
     ]
 

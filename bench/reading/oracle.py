@@ -5,34 +5,24 @@ the texts that are legible and unread, it takes the one with most of them; of se
 will leave the picture first.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
-from drivers.source import Annotations
+from bench.reading.known import Knowing, NothingToSet
 from operators.transcribed import ILLEGIBLE, matches, plain
-from pipeline import Frame, Header, Input, Operator, Percept, RoiFeatures, Scanpath, Tracks
+from pipeline import Frame, Header, Input, Percept, RoiFeatures, Scanpath, Tracks
 from pipeline.boxes import centres, covered, roi_window
 
 TRIES = 3  # looks at a text that is not read for all that
 POSITION = -1
 
 
-@dataclass(frozen=True, kw_only=True)
-class OracleSettings:
-    """Nothing to set."""
-
-
-class Oracle(Operator[OracleSettings, Scanpath]):
-    """Takes the place of a policy in the evaluation, which sets `truth_of`."""
+class Oracle(Knowing[NothingToSet, Scanpath]):
+    """Takes the place of a policy."""
 
     tracks = Input(Tracks, keep="every")
     features = Input(RoiFeatures, join=False, optional=True)
     percept = Input(Percept, join=False)
     roi = Input(Frame, join=False, optional=True)
-
-    truth_of: Callable[[int], Annotations | None]
 
     def open(self) -> None:
         """Start without readings."""

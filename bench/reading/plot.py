@@ -27,8 +27,9 @@ def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
             (r for r in rows if r["strategy"] == name), key=lambda r: Fraction(r["budget"])
         )
         shares = [float(Fraction(row["budget"])) * 2 ** (0.02 * k) for row in own]
-        arms = [[r["read"] - r["ci95"][0] for r in own], [r["ci95"][1] - r["read"] for r in own]]
-        known = all(arm == arm and arm >= 0 for side in arms for arm in side)
+        known = all(r["ci95"] for r in own)
+        ends = [r["ci95"] or [r["read"]] * 2 for r in own]
+        arms = [[abs(e[k] - r["read"]) for r, e in zip(own, ends, strict=True)] for k in (0, 1)]
         marker, line = looks(k)
         panel.errorbar(
             shares, [row["read"] for row in own], yerr=arms if known else None, marker=marker,

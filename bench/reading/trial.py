@@ -1,13 +1,14 @@
 """Play one clip through the graph in line: a row and a seed in, how many texts were read out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from bench.reading.oracle import Oracle
-from bench.reading.rows import POLICIES, Row
+from bench.reading.known import Knowing
+from bench.reading.rows import LEARNED, PARTS, POLICIES, Row
 from bench.tracking.classes import with_class
 from drivers.simulated.settings import SimulatedSensorSettings
 from drivers.simulated.sources import open_scene
@@ -63,10 +64,9 @@ def trial(job: Job, seed: int) -> Outcome:
             percepts[message.header.seq] = message
 
     with InlineRunner(plan, watch=watch) as runner:
-        if job.row.strategy == "oracle":
-            policy = runner.operator(POLICY)
-            assert isinstance(policy, Oracle)
-            policy.truth_of = lambda index: source.truth(index) if index < job.frames else None
+        for node in plan.nodes:
+            if isinstance(operator := runner.operator(node.name), Knowing):
+                operator.truth_of = truth_until(source, job.frames)
         for _ in runner.run():
             pass
         pixels = runner.operator(CAPTURE).summary()["pixels"]
@@ -82,6 +82,11 @@ def trial(job: Job, seed: int) -> Outcome:
         duration_s=job.frames / source.rate_hz,
         pixels=round(pixels["used"], 5),
     )
+
+
+def truth_until(source: FrameSource, frames: int) -> Callable[[int], Annotations | None]:
+    """Return the truth of a frame, None past the end."""
+    return lambda index: source.truth(index) if index < frames else None
 
 
 def tallied(percepts: dict[int, Percept], source: FrameSource, frames: int) -> Tally:
@@ -135,7 +140,22 @@ def plan_of(job: Job, seed: int) -> Plan:
     plan = load(Path(job.graph), Overlay(changes=changes, clock="lockstep"))
     if path := POLICIES.get(job.row.strategy, ""):
         plan = with_class(plan, POLICY, path, {})
+    elif job.row.policy:
+        plan = with_class(plan, POLICY, LEARNED, {"weights": job.row.policy})
+    if job.row.replaced:
+        node, path = PARTS[job.row.replaced]
+        plan = with_class(plan, node, path, {})
+    if job.row.without:
+        plan = cut(plan, job.row.without)
     return needed(plan, aimed=job.row.aimed)
+
+
+def cut(plan: Plan, name: str) -> Plan:
+    """Return the plan without an input of the policy; raises `GraphError` if it has none."""
+    kept = [edge for edge in plan.edges if (edge.target, edge.input) != (POLICY, name)]
+    if len(kept) == len(plan.edges):
+        raise GraphError(f"without: expected an input of {POLICY}, got {name}, which is not there")
+    return replace(plan, edges=tuple(replace(edge, index=i) for i, edge in enumerate(kept)))
 
 
 def needed(plan: Plan, *, aimed: bool) -> Plan:

@@ -1,6 +1,7 @@
 """Evaluation of the text task."""
 
 import json
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,14 @@ pytest.importorskip("rapidocr")
 pytest.importorskip("PIL")
 
 from bench.reading.evaluate import GRAPH, command, key, markdown_of, told
-from bench.reading.oracle import Oracle, OracleSettings
+from bench.reading.known import NothingToSet, TrueReader
+from bench.reading.oracle import Oracle
+from bench.reading.plot import plot
 from bench.reading.rows import ALL, Row, rows_of
 from bench.reading.trial import Job, Outcome, needed, plan_of, sensor_of, trial
 from drivers.source import Annotations
 from operators.transcribed import ILLEGIBLE
-from pipeline import Header, Percept, SettingsError, Tracks
+from pipeline import Frame, Header, Percept, SettingsError, Tracks
 from pipeline.errors import RunError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
@@ -120,8 +123,8 @@ def test_differences_are_paired_by_clip() -> None:
 
     row = told(theirs, outcomes)
 
-    apart, low, high = row["to_foveated"]
-    assert apart == pytest.approx(-0.2)
+    low, high = row["to_foveated_ci95"]
+    assert row["to_foveated"] == pytest.approx(-0.2)
     assert low == pytest.approx(high)
     assert row["wait_s"] == 0.5
 
@@ -131,6 +134,71 @@ def test_clips_without_a_legible_text_count_for_nothing() -> None:
     outcomes = [*[outcome(seed, 5) for seed in range(7)], outcome(7, 0, legible=0)]
 
     assert told(row, {row: outcomes})["read"] == 0.5
+
+
+def test_few_clips_have_no_interval_and_the_report_is_json(tmp_path: Path) -> None:
+    row = Row(strategy="spatial", budget=EIGHTH)
+
+    figures = told(row, {row: [outcome(seed, 5) for seed in range(3)]})
+
+    assert figures["ci95"] is None
+    json.dumps(figures, allow_nan=False)
+    plot([figures], tmp_path / "budgets.svg")
+    assert "spatial" in (tmp_path / "budgets.svg").read_text()
+    assert markdown_of([figures]).startswith("| strategy |")
+
+
+def test_a_part_that_knows_the_truth_takes_its_place() -> None:
+    rows = rows_of(["foveated"], [EIGHTH], HD, replaced=["detections", "reader"])
+    plans = {row.name: plan_of(replace(job("foveated"), row=row), 1) for row in rows}
+
+    true = plans["foveated, true detections"].node("saliency").operator
+    assert true == "bench.reading.known:TrueDetections"
+    assert plans["foveated, true reader"].node("reader").operator.endswith(":TrueReader")
+    assert plans["foveated"].node("reader").operator.endswith(":Reader")
+
+
+def test_with_true_detections_and_a_true_reader_a_clip_is_played() -> None:
+    for row in rows_of(["foveated"], [EIGHTH], HD, replaced=["detections", "reader"])[1:]:
+        found = trial(replace(job("foveated", 6), row=row), 50_000)
+
+        assert found.legible > 0, row
+
+
+def test_an_input_of_the_policy_is_left_out() -> None:
+    row = rows_of(["foveated"], [EIGHTH], HD, without=["percept"])[1]
+
+    plan = plan_of(replace(job("foveated"), row=row), 1)
+
+    assert row.name == "foveated without percept"
+    assert "percept" not in plan.inputs("policy")
+    assert "tracks" in plan.inputs("policy")
+
+
+def test_another_policy_takes_the_place_of_the_graphs_own(tmp_path: Path) -> None:
+    weights = str(tmp_path / "reading.onnx")
+    rows = rows_of(["foveated", "greedy"], [EIGHTH], HD, policy=weights)
+
+    settings = plan_of(replace(job("foveated"), row=rows[0]), 1).node("policy")
+
+    assert (settings.operator, settings.settings) == (
+        "operators.policy:ReadingPolicy",
+        {"weights": weights},
+    )
+    assert rows[1].policy == ""
+
+
+def test_a_true_reader_reads_what_the_roi_shows_whole_and_nothing_else() -> None:
+    reader = TrueReader(NothingToSet())
+    reader.open()
+    reader.truth_of = lambda index: truth((1, "A", NEAR), (2, ILLEGIBLE, FAR), (3, "C", ALONE))
+    pixels = np.zeros((180, 320, 3), np.uint8)
+    roi = Frame(header=header(), pixels=pixels, window=(50, 50, 370, 230))
+
+    percept = reader.on_context_roi(roi, roi)
+
+    assert percept.texts == ("A",)
+    assert percept.ids.tolist() == [1]
 
 
 def test_the_table_has_the_papers_figures_beside_ours() -> None:
@@ -147,6 +215,9 @@ def test_the_table_has_the_papers_figures_beside_ours() -> None:
         (["--strategies", "guess"], "strategies: expected all, full"),
         (["--budgets", "2/1"], "budgets"),
         (["--clips", "0"], "clips: expected 1 to"),
+        (["--policy", "no.onnx"], "policy: expected an ONNX file, got no.onnx"),
+        (["--replace", "eyes"], "replace: expected detections, reader, got eyes"),
+        (["--without", "tracks"], "without: expected features, percept, roi, got tracks"),
         (["--plot", "picture.txt", "--clips", "1", "--frames", "0"], "frames: expected 1 to"),
         (["--graph", "graphs/tracking.yaml"], "node reader, got none"),
     ],
@@ -182,16 +253,19 @@ GEOMETRY = Geometry(width_px=1280, height_px=720, roi_width_px=320, roi_height_p
 
 
 def oracle(*rows: tuple[int, str, tuple[float, float, float, float]]) -> Oracle:
-    made = Oracle(OracleSettings())
+    made = Oracle(NothingToSet())
     made.open()
-    truth = Annotations(
+    made.truth_of = lambda index: truth(*rows)
+    return made
+
+
+def truth(*rows: tuple[int, str, tuple[float, float, float, float]]) -> Annotations:
+    return Annotations(
         boxes=np.array([row[2] for row in rows], np.float32).reshape(-1, 4),
         ids=np.array([row[0] for row in rows], np.int32),
         labels=tuple(row[1] for row in rows),
         visibility=np.ones(len(rows), np.float32),
     )
-    made.truth_of = lambda index: truth
-    return made
 
 
 def header(seq: int = 0) -> Header:
