@@ -9,7 +9,7 @@ frame. All rows have the same clips and the same reader. Seeds of 0 to 9,999 are
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from fractions import Fraction
 from hashlib import sha256
 from math import isnan
@@ -23,9 +23,10 @@ from rich.table import Table
 
 from bench.machine import facts
 from bench.options import Bench
+from bench.reading.clips import ROAD, clips_of
 from bench.reading.plot import plot
 from bench.reading.rows import FOVEATED, FULL, INPUTS, PARTS, Row, rows_of
-from bench.reading.trial import Job, Outcome, plan_of, sensor_of, trial
+from bench.reading.trial import Job, Outcome, plan_of, size_of, trial
 from bench.tracking.budgets import parsed
 from bench.tracking.intervals import METHOD, Block, difference, mean
 from operators.training.identity import of_code, of_plan
@@ -60,13 +61,16 @@ HEAD = [
 )
 @click.option("--strategies", default="all", help="all, or some of them by comma")
 @click.option("--budgets", "--budget", default="1/4,1/8,1/16", help="shares of the pixel rate")
+@click.option("--data", default=ROAD, help=f"{ROAD}, or a folder of videos or photographs")
 @click.option("--clips", default=10, help="of every row")
 @click.option("--frames", default=60, help="of a clip")
-@click.option("--seed", default=70_000, help="of the first clip")
+@click.option("--seed", default=70_000, help="of the first street")
 @click.option("--graph", default=str(GRAPH), help="the loop")
 @click.option("--set", "changes", multiple=True, help="node.setting=value of the graph")
 @click.option("--policy", default="", help="an ONNX file in place of the graph's own policy")
-@click.option("--replace", multiple=True, help="part known from the truth: " + ", ".join(PARTS))
+@click.option(
+    "--replace", "replaced", multiple=True, help="part known from the truth: " + ", ".join(PARTS)
+)
 @click.option("--without", multiple=True, help="input left out: " + ", ".join(INPUTS))
 @click.option("--jobs", default=2, help="processes")
 @click.option("--report", type=Path, help="JSON")
@@ -79,8 +83,8 @@ def command(**given: Any) -> None:
 
 
 def evaluate(
-    *, strategies: str, budgets: str, clips: int, frames: int, seed: int, graph: str,
-    changes: tuple[str, ...], policy: str, replace: tuple[str, ...], without: tuple[str, ...],
+    *, strategies: str, budgets: str, data: str, clips: int, frames: int, seed: int, graph: str,
+    changes: tuple[str, ...], policy: str, replaced: tuple[str, ...], without: tuple[str, ...],
     jobs: int, report: Path | None, markdown: Path | None, picture: Path | None, work: Path | None,
 ) -> None:  # fmt: skip
     """Measure what is asked for and write it; raises `FoveaError`."""
@@ -91,20 +95,30 @@ def evaluate(
         raise SettingsError(f"seed, jobs: expected at least 0 and 1, got {seed} and {jobs}")
     if policy and not Path(policy).is_file():
         raise SettingsError(f"policy: expected an ONNX file, got {policy}")
-    size_px = sensor_of(load(Path(graph), Overlay(changes=changes, clock="lockstep"))).size_px
+    played = clips_of(data, count=clips, frames=frames, seed=seed)
+    overlay = Overlay(changes=(*played[0].changes, *changes), clock="lockstep")
+    size_px = size_of(load(Path(graph), overlay))
     asked = rows_of(
-        strategies.split(","), parsed(budgets), size_px, policy=policy, replaced=replace,
+        strategies.split(","), parsed(budgets), size_px, policy=policy, replaced=replaced,
         without=without,
     )  # fmt: skip
     work = work or (report or Path("text")).with_suffix(".work")
-    jobs_of = {row: Job(graph=graph, changes=changes, frames=frames, row=row) for row in asked}
-    outcomes = measured(jobs_of, range(seed, seed + clips), work, jobs)
+    outcomes = measured(
+        [
+            Job(graph=graph, changes=changes, frames=frames, row=row, clip=clip)
+            for clip in played
+            for row in asked
+        ],
+        work,
+        jobs,
+    )
     found = {
         **facts(LIBRARIES),
         "graph": Path(graph).name,
         "changes": list(changes),
         "interval": METHOD,
-        "clips": clips,
+        "data": data if data == ROAD else Path(data).name,
+        "clips": len(played),
         "frames": frames,
         "seed": seed,
         "rows": [told(row, outcomes) for row in asked],
@@ -121,33 +135,35 @@ def evaluate(
 Outcomes = dict[Row, list[Outcome]]
 
 
-def measured(jobs_of: dict[Row, Job], seeds: Sequence[int], folder: Path, jobs: int) -> Outcomes:
+def measured(asked: Sequence[Job], folder: Path, jobs: int) -> Outcomes:
     """Return all outcomes: those of finished clips from the folder, others after playing them."""
     folder.mkdir(parents=True, exist_ok=True)
-    paths = {row: folder / f"{key(job)}.json" for row, job in jobs_of.items()}
-    found = {row: {o.seed: o for o in _read(path)} for row, path in paths.items()}
-    left = [(row, seed) for seed in seeds for row in jobs_of if seed not in found[row]]
-    count = len(jobs_of) * len(seeds)
-    with pool_of(jobs) as pool, bar("clips", count, count - len(left)) as shown:
-        waiting = [(row, pool.submit(trial, jobs_of[row], seed)) for row, seed in left]
-        for row, job in waiting:
-            outcome = job.result()
-            found[row][outcome.seed] = outcome
-            write_whole(paths[row], json.dumps([asdict(o) for o in found[row].values()]))
-            shown.step(f"{row.name} {row.budget}")
-    return {row: [found[row][seed] for seed in seeds] for row in jobs_of}
+    paths = {
+        job.row: folder / f"{key(job)}.json" for job in asked if job.clip.name == asked[0].clip.name
+    }
+    found = {row: {o.clip: o for o in _read(path)} for row, path in paths.items()}
+    left = [job for job in asked if job.clip.name not in found[job.row]]
+    with pool_of(jobs) as pool, bar("clips", len(asked), len(asked) - len(left)) as shown:
+        for job, waiting in [(job, pool.submit(trial, job)) for job in left]:
+            outcome, own = waiting.result(), found[job.row]
+            own[outcome.clip] = outcome
+            write_whole(paths[job.row], json.dumps([asdict(o) for o in own.values()]))
+            shown.step(f"{job.row.name} {job.row.budget}")
+    clips = dict.fromkeys(job.clip.name for job in asked)
+    return {row: [found[row][clip] for clip in clips] for row in found}
 
 
 def key(job: Job) -> str:
-    """Return the name of a row's file, by everything that determines its clips but the seed."""
-    parts = of_plan(plan_of(job, 0)) | of_code(*CODE)
+    """Return the name of a row's file, by everything that determines its clips but the clip."""
+    alike = replace(job, clip=replace(job.clip, changes=job.clip.alike))
+    parts = of_plan(plan_of(alike)) | of_code(*CODE)
     return sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def blocks(outcomes: Sequence[Outcome], what: str = "read") -> dict[str, Block]:
     """Return a block for each clip with legible texts."""
     return {
-        str(o.seed): Block(total=float(getattr(o, what)), frames=o.legible, starts=1)
+        o.clip: Block(total=float(getattr(o, what)), frames=o.legible, starts=1)
         for o in outcomes
         if o.legible
     }

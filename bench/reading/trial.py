@@ -7,11 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from bench.reading.clips import Clip
 from bench.reading.known import Knowing
 from bench.reading.rows import LEARNED, PARTS, POLICIES, Row
 from bench.tracking.classes import with_class
 from drivers.simulated.settings import SimulatedSensorSettings
-from drivers.simulated.sources import open_scene
+from drivers.simulated.sources import open_recording, open_scene
 from drivers.source import Annotations, FrameSource
 from operators.transcribed import Tally
 from pipeline import settings as checked
@@ -34,13 +35,14 @@ class Job:
     changes: tuple[str, ...]
     frames: int
     row: Row
+    clip: Clip
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """What a clip has come to."""
 
-    seed: int
+    clip: str
     legible: int
     read: int
     nearly: int  # read but for one edit, or exactly
@@ -49,14 +51,15 @@ class Outcome:
     pixels: float  # share of the full pixel rate that was read
 
 
-def trial(job: Job, seed: int) -> Outcome:
-    """Play the clip of a seed.
+def trial(job: Job) -> Outcome:
+    """Play the clip.
 
     Raises `RunError` where another share of the pixels was read than the budget.
     """
     cv2.setNumThreads(1)
-    plan = plan_of(job, seed)
+    plan = plan_of(job)
     source = source_of(plan)
+    frames = frames_of(source, job.frames)
     percepts: dict[int, Percept] = {}
 
     def watch(output: str, message: Message) -> None:
@@ -66,22 +69,27 @@ def trial(job: Job, seed: int) -> Outcome:
     with InlineRunner(plan, watch=watch) as runner:
         for node in plan.nodes:
             if isinstance(operator := runner.operator(node.name), Knowing):
-                operator.truth_of = truth_until(source, job.frames)
+                operator.truth_of = truth_until(source, frames)
         for _ in runner.run():
             pass
         pixels = runner.operator(CAPTURE).summary()["pixels"]
     check_budget(job.row, pixels["used"])
-    tally = tallied(percepts, source, job.frames)
+    tally = tallied(percepts, source, frames)
     counts = tally.counts()
     return Outcome(
-        seed=seed,
+        clip=job.clip.name,
         legible=counts["legible"],
         read=counts["read"],
         nearly=counts["nearly"],
         waits_s=tuple(round(wait / source.rate_hz, 3) for wait in tally.waits()),
-        duration_s=job.frames / source.rate_hz,
+        duration_s=frames / source.rate_hz,
         pixels=round(pixels["used"], 5),
     )
+
+
+def frames_of(source: FrameSource, most: int) -> int:
+    """Return how many frames of a source are played."""
+    return most if source.length is None else min(most, source.length)
 
 
 def truth_until(source: FrameSource, frames: int) -> Callable[[int], Annotations | None]:
@@ -125,18 +133,17 @@ def check_budget(row: Row, used: float) -> None:
         raise RunError(f"{row.strategy}: expected {allowed:.5f} of the pixels, got {used:.5f} read")
 
 
-def plan_of(job: Job, seed: int) -> Plan:
+def plan_of(job: Job) -> Plan:
     """Return the graph of a row, in lockstep, with what it needs only.
 
     Raises `GraphError` for a graph without the nodes of the task.
     """
-    bare = load(Path(job.graph), Overlay(clock="lockstep"))
+    shown = (*job.clip.changes, f"{CAPTURE}.frames={job.frames}")
+    bare = load(Path(job.graph), Overlay(changes=shown, clock="lockstep"))
     for name in (CAPTURE, READER, POLICY):
         if name not in {node.name for node in bare.nodes}:
             raise GraphError(f"{job.graph}: texts are read with a node {name}, got none")
-    options = sensor_of(bare)
-    own = (f"{CAPTURE}.seed={seed}", f"{CAPTURE}.frames={job.frames}")
-    changes = (*job.changes, *job.row.changes(options.size_px), *own)
+    changes = (*shown, *job.changes, *job.row.changes(size_of(bare)))
     plan = load(Path(job.graph), Overlay(changes=changes, clock="lockstep"))
     if path := POLICIES.get(job.row.strategy, ""):
         plan = with_class(plan, POLICY, path, {})
@@ -186,9 +193,21 @@ def sensor_of(plan: Plan) -> SimulatedSensorSettings:
     return checked.build(SimulatedSensorSettings, dict(settings.get("options", {})), CAPTURE)
 
 
+def size_of(plan: Plan) -> tuple[int, int]:
+    """Return the size of the sensor's field, pixels."""
+    size_px = sensor_of(plan).size_px
+    if any(size_px):
+        return size_px
+    source = source_of(plan)
+    source.close()
+    return source.size_px
+
+
 def source_of(plan: Plan) -> FrameSource:
     """Return the source of the graph's sensor, opened once more for its truth."""
     s = sensor_of(plan)
+    if s.source:
+        return open_recording(s.source, path=s.path, options=s.source_options)
     return open_scene(
         s.scene, size_px=s.size_px, rate_hz=s.rate_hz, seed=s.seed, length=s.frames or None,
         options=s.source_options,

@@ -6,6 +6,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -13,6 +14,7 @@ from click.testing import CliRunner
 pytest.importorskip("rapidocr")
 pytest.importorskip("PIL")
 
+from bench.reading.clips import clips_of
 from bench.reading.evaluate import GRAPH, command, key, markdown_of, told
 from bench.reading.known import NothingToSet, TrueReader
 from bench.reading.oracle import Oracle
@@ -22,7 +24,7 @@ from bench.reading.trial import Job, Outcome, needed, plan_of, sensor_of, trial
 from drivers.source import Annotations
 from operators.transcribed import ILLEGIBLE
 from pipeline import Frame, Header, Percept, SettingsError, Tracks
-from pipeline.errors import RunError
+from pipeline.errors import DriverError, RunError
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.messages import Geometry
@@ -31,23 +33,23 @@ HD = (1280, 720)
 EIGHTH = Fraction(1, 8)
 
 
-def job(strategy: str, frames: int = 2, *changes: str) -> Job:
+def job(strategy: str, frames: int = 2, *changes: str, seed: int = 50_000) -> Job:
     budget = Fraction(1) if strategy == "full" else EIGHTH
-    return Job(
-        graph=str(GRAPH), changes=changes, frames=frames, row=Row(strategy=strategy, budget=budget)
-    )
+    (clip,) = clips_of("road", count=1, frames=frames, seed=seed)
+    row = Row(strategy=strategy, budget=budget)
+    return Job(graph=str(GRAPH), changes=changes, frames=frames, row=row, clip=clip)
 
 
 def outcome(seed: int, read: int, legible: int = 10) -> Outcome:
     return Outcome(
-        seed=seed, legible=legible, read=read, nearly=read, waits_s=(0.5,) * read, duration_s=6.0,
-        pixels=0.125,
+        clip=str(seed), legible=legible, read=read, nearly=read, waits_s=(0.5,) * read,
+        duration_s=6.0, pixels=0.125,
     )  # fmt: skip
 
 
 def test_every_strategy_reads_what_its_budget_allows() -> None:
     for row in rows_of(["all"], [Fraction(1, 4), EIGHTH, Fraction(1, 16)], HD):
-        plan = plan_of(job(row.strategy), 1)
+        plan = plan_of(job(row.strategy))
         settings = sensor_of(load(GRAPH, Overlay(changes=row.changes(HD), clock="lockstep")))
         emitted = settings.sampling(HD)
         share = emitted.emitted_px() / (HD[0] * HD[1]) / emitted.interval
@@ -59,13 +61,13 @@ def test_every_strategy_reads_what_its_budget_allows() -> None:
 
 
 def test_rows_without_a_policy_run_the_sensor_and_the_reader_only() -> None:
-    names = {node.name for node in plan_of(job("spatial"), 1).nodes}
+    names = {node.name for node in plan_of(job("spatial")).nodes}
 
     assert names == {"capture", "reader"}
 
 
 def test_a_row_with_a_policy_has_all_that_aims_the_roi() -> None:
-    plan = plan_of(job("greedy"), 1)
+    plan = plan_of(job("greedy"))
 
     names = {node.name for node in plan.nodes}
     assert {"saliency", "association", "policy", "dispatch"} <= names
@@ -89,10 +91,11 @@ def test_other_clips_or_settings_are_measured_anew_and_the_same_are_not() -> Non
     assert key(job("spatial", 3)) != one
     assert key(job("spatial", 2, "reader.least_score=0.7")) != one
     assert key(job("context")) != one
+    assert key(job("spatial", seed=50_007)) == one  # a row's clips are in one file
 
 
 def test_a_clip_is_played_and_counted() -> None:
-    found = trial(job("spatial", 2), 50_000)
+    found = trial(job("spatial", 2))
 
     assert found.legible > 0
     assert 0 <= found.read <= found.nearly <= found.legible
@@ -101,9 +104,47 @@ def test_a_clip_is_played_and_counted() -> None:
 
 
 def test_what_is_legible_is_the_same_for_every_strategy() -> None:
-    counts = {trial(job(name, 9), 50_000).legible for name in ("temporal", "context")}
+    counts = {trial(job(name, 9)).legible for name in ("temporal", "context")}
 
     assert len(counts) == 1
+
+
+def photographs(folder: Path) -> Path:
+    for number in range(2):
+        drawn = np.full((360, 640, 3), (30, 60, 120), np.uint8)
+        cv2.putText(drawn, "BAKERY", (200, 190), cv2.FONT_HERSHEY_SIMPLEX, 1.2, (250,) * 3, 2)
+        cv2.imwrite(str(folder / f"img_{number}.png"), drawn)
+        corners = "195,155,360,155,360,195,195,195"
+        (folder / f"gt_img_{number}.txt").write_text(f"{corners},BAKERY\n")
+    return folder
+
+
+def test_each_labelled_photograph_of_a_folder_is_a_clip(tmp_path: Path) -> None:
+    clips = clips_of(str(photographs(tmp_path)), count=9, frames=3, seed=0)
+
+    outcomes = [trial(replace(job("temporal", 3), clip=clip)) for clip in clips]
+
+    assert [each.clip for each in outcomes] == ["img_0.png", "img_1.png"]
+    assert [each.legible for each in outcomes] == [1, 1]
+    assert [each.read for each in outcomes] == [1, 1]
+
+
+def test_a_video_goes_with_the_labels_of_its_name_or_the_only_ones(tmp_path: Path) -> None:
+    for name in ("1.mp4", "2.mp4", "all.json"):
+        (tmp_path / name).touch()
+    first, second = clips_of(str(tmp_path), count=9, frames=3, seed=0)
+    assert any(change.endswith('all.json"}') for change in second.changes)
+    assert first.alike == second.alike
+
+    (tmp_path / "2.json").touch()
+
+    (only,) = clips_of(str(tmp_path), count=9, frames=3, seed=0)
+    assert only.name == "2.mp4"
+
+
+def test_a_folder_without_clips_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DriverError, match=r"expected videos with NAME\.json or one JSON file"):
+        clips_of(str(tmp_path), count=9, frames=3, seed=0)
 
 
 def test_a_share_of_the_pixels_that_is_not_the_budget_is_refused() -> None:
@@ -150,7 +191,7 @@ def test_few_clips_have_no_interval_and_the_report_is_json(tmp_path: Path) -> No
 
 def test_a_part_that_knows_the_truth_takes_its_place() -> None:
     rows = rows_of(["foveated"], [EIGHTH], HD, replaced=["detections", "reader"])
-    plans = {row.name: plan_of(replace(job("foveated"), row=row), 1) for row in rows}
+    plans = {row.name: plan_of(replace(job("foveated"), row=row)) for row in rows}
 
     true = plans["foveated, true detections"].node("saliency").operator
     assert true == "bench.reading.known:TrueDetections"
@@ -160,7 +201,7 @@ def test_a_part_that_knows_the_truth_takes_its_place() -> None:
 
 def test_with_true_detections_and_a_true_reader_a_clip_is_played() -> None:
     for row in rows_of(["foveated"], [EIGHTH], HD, replaced=["detections", "reader"])[1:]:
-        found = trial(replace(job("foveated", 6), row=row), 50_000)
+        found = trial(replace(job("foveated", 6), row=row))
 
         assert found.legible > 0, row
 
@@ -168,7 +209,7 @@ def test_with_true_detections_and_a_true_reader_a_clip_is_played() -> None:
 def test_an_input_of_the_policy_is_left_out() -> None:
     row = rows_of(["foveated"], [EIGHTH], HD, without=["percept"])[1]
 
-    plan = plan_of(replace(job("foveated"), row=row), 1)
+    plan = plan_of(replace(job("foveated"), row=row))
 
     assert row.name == "foveated without percept"
     assert "percept" not in plan.inputs("policy")
@@ -179,7 +220,7 @@ def test_another_policy_takes_the_place_of_the_graphs_own(tmp_path: Path) -> Non
     weights = str(tmp_path / "reading.onnx")
     rows = rows_of(["foveated", "greedy"], [EIGHTH], HD, policy=weights)
 
-    settings = plan_of(replace(job("foveated"), row=rows[0]), 1).node("policy")
+    settings = plan_of(replace(job("foveated"), row=rows[0])).node("policy")
 
     assert (settings.operator, settings.settings) == (
         "operators.policy:ReadingPolicy",
@@ -215,6 +256,7 @@ def test_the_table_has_the_papers_figures_beside_ours() -> None:
         (["--strategies", "guess"], "strategies: expected all, full"),
         (["--budgets", "2/1"], "budgets"),
         (["--clips", "0"], "clips: expected 1 to"),
+        (["--data", "nowhere"], "data: expected road or a folder, got nowhere"),
         (["--policy", "no.onnx"], "policy: expected an ONNX file, got no.onnx"),
         (["--replace", "eyes"], "replace: expected detections, reader, got eyes"),
         (["--without", "tracks"], "without: expected features, percept, roi, got tracks"),

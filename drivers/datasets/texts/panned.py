@@ -28,6 +28,8 @@ ROOM = 10_000  # ids of one photograph
 class PannedPictures:
     """A `FrameSource`: `frames_each` frames of each labelled photograph, in order of name.
 
+    `path` is a folder or one photograph.
+
     The labels are files beside the photographs (ICDAR, labelme, Total-Text), or one of TextOCR,
     named by `labels`. Photographs without labels are left out. All pictures have the size of the
     first photograph, or `size_px`.
@@ -43,9 +45,10 @@ class PannedPictures:
                 f"{frames_each}, {seed} and {rate_hz:g}"
             )
         folder = Path(path)
-        if not folder.is_dir():
-            raise DriverError(f"{folder}: expected a folder of photographs, got no such folder")
-        files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in SUFFIXES)
+        if not folder.exists():
+            raise DriverError(f"{folder}: expected photographs, got no such folder or file")
+        among = folder.rglob("*") if folder.is_dir() else [folder]
+        files = sorted(f for f in among if f.suffix.lower() in SUFFIXES)
         self._clips = _labelled(files, labels)
         if not self._clips:
             raise DriverError(
