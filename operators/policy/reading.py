@@ -70,7 +70,12 @@ class ReadingPolicy(TextPolicy[ReadingPolicySettings]):
         s = self.settings
         self._network = ReadingNetwork(file_of(s.weights), **s.compute)
         self._network.suits(horizon=s.horizon, observed=s.observed)
+        self._sure = self._network.sure(s.sure)
         self._warned: set[str] = set()
+
+    def on_settings(self, settings: ReadingPolicySettings) -> None:
+        """Take another score as sure from the next plan on."""
+        self.settings, self._sure = settings, self._network.sure(settings.sure)
 
     def on_features(self, features: RoiFeatures) -> None:
         """Store the ROI features of the last frames."""
@@ -91,7 +96,7 @@ class ReadingPolicy(TextPolicy[ReadingPolicySettings]):
         if not len(tracks.ids):
             tracks = shaped(tracks, network)
         state, candidates, condition = observe(
-            self._state, tracks, sure=s.sure, delay=s.delay, roi_channels=network.roi_channels
+            self._state, tracks, sure=self._sure, delay=s.delay, roi_channels=network.roi_channels
         )
         probability = network(candidates, condition)
         rng = np.random.default_rng([s.seed, tracks.header.seq])

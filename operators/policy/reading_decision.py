@@ -28,7 +28,7 @@ def observe(
         window = before.planned[row]
     state, looks = brought_up(before, tracks, delay)
     roi = recall(state.memory, tracks.ids, seq=seq, observed=observed, channels=roi_channels)
-    candidates = encode_texts(tracks, looks, roi, sure=sure)
+    candidates = encode_texts(tracks, looks, roi, sure=sure, delay=delay)
     return state, candidates, encode_scene(tracks, looks, window, sure=sure, delay=delay)
 
 

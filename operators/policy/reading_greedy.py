@@ -9,11 +9,11 @@ field is searched for texts that the detector misses in the context.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from operators.policy.gaze_plan import PLACE, GazePlan, future, scanpath
 from operators.policy.looks import Looks
 from operators.policy.readability import chances, heights
+from operators.policy.reading_gain import RETRY, SEARCH, VERIFY, gains
 from operators.policy.reading_inputs import (
     TextPolicy,
     TextPolicySettings,
@@ -25,16 +25,14 @@ from operators.policy.search import search
 from pipeline import Scanpath, SettingsError, Tracks
 from pipeline.boxes import Array, from_centres
 
-MOST_AGE = 32  # frames: an older look makes no difference
-
 
 @dataclass(frozen=True, kw_only=True)
 class GreedyReadingPolicySettings(TextPolicySettings):
     """What a graph may set."""
 
-    retry: float = 0.5  # gain of a second look after MOST_AGE frames, of that of the first
-    verify: float = 0.2  # gain of a text that was read, of that of one that was not
-    least_gain: float = 0.005  # below it, the field is searched instead
+    retry: float = RETRY  # gain of a second look after MOST_AGE frames, of that of the first
+    verify: float = VERIFY  # gain of a text that was read, of that of one that was not
+    least_gain: float = SEARCH  # below it, the field is searched instead
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -84,18 +82,3 @@ def greedy_plan(tracks: Tracks, looks: Looks, s: GreedyReadingPolicySettings) ->
         tried[inside] = np.maximum(tried, chance)[inside]
         shown_seq[inside] = first + step
     return GazePlan(choice=choice, boxes=boxes, probability=probability)
-
-
-def gains(
-    chance: NDArray[np.float32],
-    tried: NDArray[np.float32],
-    age: NDArray[np.int64],
-    retry: float,
-) -> NDArray[np.float32]:
-    """Return what a look at each text (n,) promises, 0..1.
-
-    `chance` is that of reading it now, `tried` the highest at which it was shown, 0: never shown,
-    and `age` the frames since its last look.
-    """
-    again = np.where(tried > 0, retry * np.clip(age / MOST_AGE, 0, 1), 0)
-    return np.asarray(np.maximum(chance - tried, 0) + again * chance, np.float32)

@@ -1,7 +1,8 @@
 """The network of the policy that reads: features of up to 25 candidates -> logits for Tp frames.
 
 It is the paper's network (model.py). What was shown and read joins the detection part, as both tell
-of the text's own state; the condition is the present window instead of a target.
+of the text's own state, and so does the rule of reading_gain.py, which the network corrects: before
+training it decides as the rule does. The condition is the present window instead of a target.
 """
 
 # mypy: disallow-subclassing-any=False
@@ -15,7 +16,8 @@ from operators.policy.reading_tokens import CONDITION, FEEDBACK, LOOKS, PARTS, S
 from operators.policy.tokens import BOX
 from operators.training.onnx_files import write
 
-INPUTS = ("roi", "context", "boxes", "predicted", "looks", "condition", "mask")
+INPUTS = ("roi", "context", "boxes", "predicted", "looks", "rule", "condition", "mask")
+PRIOR, LEAST = 3.0, 1e-3  # of the rule: logits are PRIOR log(rule + LEAST) before training
 
 
 class ReadingNet(PolicyNet):
@@ -37,21 +39,25 @@ class ReadingNet(PolicyNet):
             horizon=horizon,
             use=use,
         )
-        self.detection = perceptron((BOX + 1) * observed + LOOKS, WIDTHS["detection"])
+        self.detection = perceptron((BOX + 1) * observed + LOOKS + horizon, WIDTHS["detection"])
         self.condition = conditioner(CONDITION)
+        last = self.head[-1]
+        torch.nn.init.zeros_(last.weight)
+        torch.nn.init.zeros_(last.bias)
         told, counted = torch.ones(LOOKS), torch.ones(CONDITION)
         if "feedback" not in use:
             told[list(FEEDBACK)] = counted[SHARE_READ] = 0
         self.register_buffer("told", told)
         self.register_buffer("counted", counted)
 
-    def forward(  # type: ignore[override]
+    def forward(
         self,
         roi: Tensor,  # (B, N, To, D)
         context: Tensor,  # (B, N, To, C)
         boxes: Tensor,  # (B, N, To, 5)
         predicted: Tensor,  # (B, N, Tp, 4)
         looks: Tensor,  # (B, N, LOOKS)
+        rule: Tensor,  # (B, N, Tp)
         condition: Tensor,  # (B, CONDITION)
         mask: Tensor,  # (B, N) bool, True: a candidate
     ) -> Tensor:
@@ -59,10 +65,11 @@ class ReadingNet(PolicyNet):
         parts = {
             "roi": self.roi(roi),
             "global": self.context(context),
-            "detection": self.detection(torch.cat([boxes.flatten(2), looks * self.told], -1)),
+            "detection": self.detection(torch.cat([boxes.flatten(2), looks * self.told, rule], -1)),
             "motion": self.motion(predicted.flatten(2)),
         }
-        return self.chosen(parts, condition * self.counted, mask)
+        corrected = self.chosen(parts, condition * self.counted, mask)
+        return corrected + PRIOR * torch.log(rule + LEAST)
 
 
 def export(net: ReadingNet, path: Path) -> None:
@@ -74,6 +81,7 @@ def export(net: ReadingNet, path: Path) -> None:
         "boxes": torch.zeros(1, count, s["observed"], BOX + 1),
         "predicted": torch.zeros(1, count, s["horizon"], BOX),
         "looks": torch.zeros(1, count, LOOKS),
+        "rule": torch.zeros(1, count, s["horizon"]),
         "condition": torch.zeros(1, CONDITION),
         "mask": torch.ones(1, count, dtype=torch.bool),
     }

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from operators.policy.network import softmax
-from operators.policy.reading_tokens import CONDITION, ENCODED, LOOKS, Texts, batched
+from operators.policy.reading_tokens import CONDITION, DEAF, ENCODED, LOOKS, Texts, batched
 from operators.policy.tokens import BOX, Array
 from pipeline import Tracks
 from pipeline.errors import MessageError, WeightsError
@@ -39,11 +39,16 @@ class ReadingNetwork:
             "boxes": [self.observed, BOX + 1],
             "predicted": [self.horizon, BOX],
             "looks": [LOOKS],
+            "rule": [self.horizon],
             "condition": [CONDITION],
         }.items():
             got = sides[name][-len(wanted) :]
             if got != wanted or not all(wanted):
                 raise WeightsError(f"{path}: expected {name} of {wanted}, got {got}")
+
+    def sure(self, asked: float) -> float:
+        """Return the score from which a text counts as read; above all where it heeds no reader."""
+        return asked if "feedback" in self.network.metadata.get("use", "feedback") else DEAF
 
     def suits(self, *, horizon: int, observed: int) -> None:
         """Raise `WeightsError` unless the network was trained for these settings."""

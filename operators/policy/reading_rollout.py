@@ -51,8 +51,9 @@ class Sample:
 class Episode:
     """One task in progress, frame by frame."""
 
-    def __init__(self, street: Street, task: Task, roi_channels: int) -> None:
-        self.street, self.task, self._channels = street, task, roi_channels
+    def __init__(self, street: Street, task: Task, roi_channels: int, sure: float = SURE) -> None:
+        self.street, self.task = street, task
+        self._channels, self._sure = roi_channels, sure
         self.reader = SimulatedReader(street, task.seed)
         self.frame, self._state = task.start, at_first()
         field = street.geometry
@@ -73,7 +74,7 @@ class Episode:
         self._state, self._candidates, condition = observe(
             self._state,
             self._moment.tracks,
-            sure=SURE,
+            sure=self._sure,
             delay=self.task.delay,
             roi_channels=self._channels,
         )

@@ -1,8 +1,9 @@
 """Encode texts as network inputs: Tracks, features and looks -> arrays.
 
 As `tokens.py` has them for tracking, and besides: whether and how often a text was shown at full
-resolution, what the reader said of it, and the chance of reading it. A text has no class. The last
-candidate is no text but a search of the field, as the detector misses most texts in the context.
+resolution, what the reader said of it, and the chance of reading it. A text has no class. A rule
+says what each window promises (reading_gain.py); the network corrects it. The last candidate is no
+text but a search of the field, as the detector misses most texts in the context.
 """
 
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from operators.policy.gaze_plan import PLACE
 from operators.policy.looks import Looks
 from operators.policy.readability import chances, heights
+from operators.policy.reading_gain import SEARCH, foreseen, promised
 from operators.policy.reading_windows import around
 from operators.policy.search import search
 from operators.policy.tokens import MOST_OBJECTS, Array, encode_boxes
@@ -24,8 +26,8 @@ PARTS = ("roi", "global", "motion", "feedback")  # parts that an ablation may om
 LOOKS = 9  # numbers of one text beside its boxes
 FEEDBACK = (5, 6)  # those that the reader says
 CONDITION = 9
+DEAF = 2.0  # as a score that is sure: no reading is
 SHARE_READ = 7  # the number of the condition that the reader says
-ALIGNED = 4  # step of a plan at which windows are placed
 LONG = 32  # frames: an older look makes no difference
 
 
@@ -39,13 +41,14 @@ class Texts:
     boxes: Array  # (N, To, 5) encoded boxes and whether seen
     predicted: Array  # (N, Tp, 4) encoded boxes
     looks: Array  # (N, LOOKS)
+    rule: Array  # (N, Tp) what its window promises by the rule
     path: Array  # (N, Tp, 4) the windows that show it, sensor pixels
 
 
-ENCODED = ("roi", "context", "boxes", "predicted", "looks")
+ENCODED = ("roi", "context", "boxes", "predicted", "looks", "rule")
 
 
-def encode_texts(tracks: Tracks, looks: Looks, roi: Array, *, sure: float) -> Texts:
+def encode_texts(tracks: Tracks, looks: Looks, roi: Array, *, sure: float, delay: int = 0) -> Texts:
     """Return the tracks as candidates, best first by score if too many, and the search.
 
     The tracks are the first rows of `looks`; `roi` is (n, To, D).
@@ -57,10 +60,17 @@ def encode_texts(tracks: Tracks, looks: Looks, roi: Array, *, sure: float) -> Te
     observed, horizon = tracks.boxes.shape[1], tracks.predicted.shape[1]
     first = tracks.header.seq + 1
     places = search(geometry, None, np.arange(first, first + horizon))[None]
-    foreseen = np.concatenate([tracks.predicted[rows], places])
-    aims = aimed(tracks.predicted[rows], worth_of(tracks, looks, sure)[rows], geometry)
+    ahead = tracks.predicted[rows]
+    chance = foreseen(ahead, geometry)
+    alone = promised(
+        looks, rows, chance[:, delay : delay + 1], np.eye(len(rows), dtype=np.bool_),
+        first_seq=first, sure=sure, delay=0,
+    )[:, 0]  # fmt: skip
+    middles, shows = around(ahead[:, delay], alone, geometry)
+    rule = promised(looks, rows, chance, shows, first_seq=first, sure=sure, delay=delay)
+    both = np.concatenate([ahead, places])
     past = np.concatenate([tracks.boxes[rows], np.repeat(places[:, :1], observed, 1)])
-    seen = np.zeros((len(foreseen), observed, 1), np.float32)
+    seen = np.zeros((len(both), observed, 1), np.float32)
     seen[:-1, :, 0] = tracks.visible[rows]
 
     def searched(values: Array) -> Array:
@@ -71,28 +81,18 @@ def encode_texts(tracks: Tracks, looks: Looks, roi: Array, *, sure: float) -> Te
         roi=searched(roi[rows]),
         context=searched(tracks.features[rows]),
         boxes=np.concatenate([encode_boxes(past, geometry), seen], -1),
-        predicted=encode_boxes(foreseen, geometry),
-        looks=encode_looks(looks, rows, foreseen, tracks.header.seq, sure),
-        path=np.concatenate([aims, places]),
+        predicted=encode_boxes(both, geometry),
+        looks=encode_looks(looks, rows, both, tracks.header.seq, sure),
+        rule=np.concatenate([rule, np.full((1, horizon), SEARCH, np.float32)]),
+        path=np.concatenate([aimed(ahead, middles - centres(ahead[:, delay]), geometry), places]),
     )
 
 
-def worth_of(tracks: Tracks, looks: Looks, sure: float) -> Array:
-    """Return the chance that each track (n,) is read now for the first time: (n,)."""
-    count = len(tracks.ids)
-    chance = chances(heights(tracks.boxes[:, -1]))
-    return np.asarray(chance * (looks.read[:count] < sure), np.float32)
+def aimed(predicted: Array, offset: Array, geometry: Geometry) -> Array:
+    """Return paths of windows (n, Tp, 4) at an offset (n, 2) from boxes (n, Tp, 4).
 
-
-def aimed(predicted: Array, worth: Array, geometry: Geometry) -> Array:
-    """Return for each text a path of windows that show it and what is worth most beside it.
-
-    From boxes (n, Tp, 4) and worths (n,): (n, Tp, 4). Windows are placed at one step; neighbours
-    move alike, so that the other steps keep the offset.
+    Windows are placed at the first step that counts; neighbours move alike after it.
     """
-    boxes = predicted[:, min(ALIGNED, predicted.shape[1] - 1)]
-    places, _ = around(boxes, worth, geometry)
-    offset = places - centres(boxes)
     size = np.array([geometry.roi_width_px, geometry.roi_height_px], np.float32)
     centre = centres(predicted) + offset[:, None]
     return from_centres(centre, np.broadcast_to(size, centre.shape))

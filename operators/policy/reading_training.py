@@ -19,7 +19,7 @@ from operators.policy.data import Recording, made_with, record
 from operators.policy.decision import Selection
 from operators.policy.network import softmax
 from operators.policy.reading_model import INPUTS, ReadingNet
-from operators.policy.reading_rollout import Choose, Episode, Sample, roll, tasks, teacher
+from operators.policy.reading_rollout import SURE, Choose, Episode, Sample, roll, tasks, teacher
 from operators.policy.reading_settings import (
     GRAPH,
     TRAIN_SEEDS,
@@ -27,7 +27,7 @@ from operators.policy.reading_settings import (
     ReadingTrainSettings,
 )
 from operators.policy.reading_street import Street
-from operators.policy.reading_tokens import Texts, batched
+from operators.policy.reading_tokens import DEAF, Texts, batched
 from operators.policy.reading_utility import DISCOUNT
 from operators.policy.tokens import Array
 from operators.policy.training_run import plot
@@ -116,7 +116,8 @@ def episodes_of(
     late = None if plain else s.late
     found = tasks(streets, count, frames=s.length, seed=seed, late=late)
     channels = streets[0].recording.sides["roi_channels"]
-    return [Episode(streets[t.clip], t, channels) for t in found]
+    sure = SURE if "feedback" in s.use else DEAF
+    return [Episode(streets[t.clip], t, channels, sure) for t in found]
 
 
 def round_of(run: Run, streets: Sequence[Street], number: int) -> list[Sample]:

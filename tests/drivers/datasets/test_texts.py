@@ -100,7 +100,7 @@ def test_textocr_takes_boxes_from_points(tmp_path: Path) -> None:
         ("poly_gt.txt", "x: [[1 2]]\n", r"poly_gt\.txt:1: expected transcriptions"),
         ("poly_gt.txt", "x: [[1 2 3]], y: [[1 2]], ornt: [u'm'], transcriptions: [u'A']",
          "as many x as y, got 3 and 2"),
-        ("t.json", '{"imgs": {}, "anns": {"1": {"image_id": "b"}}}', "expected an image_id of imgs"),
+        ("t.json", '{"imgs": {}, "anns": {"1": {"image_id": "b"}}}', "an image_id of imgs"),
     ],
 )  # fmt: skip
 def test_malformed_files_are_refused_with_file_and_place(

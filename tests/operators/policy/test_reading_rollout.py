@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from operators.policy.looks import carried, no_looks, noted
+from operators.policy.looks import carried, exposed, no_looks, noted
+from operators.policy.reading_gain import VERIFY
 from operators.policy.reading_rollout import Episode, Task, roll, tasks, teacher
 from operators.policy.reading_street import SimulatedReader
-from operators.policy.reading_tokens import LOOKS, encode_texts, worth_of
+from operators.policy.reading_tokens import LOOKS, encode_texts
 from operators.policy.reading_utility import DISCOUNT, expected, marginal
 from operators.policy.rollout import Late
 from pipeline.boxes import covered
@@ -62,14 +63,30 @@ def test_a_window_around_one_text_shows_its_neighbour_as_well(tmp_path: Path) ->
     assert texts.ids.tolist() == [1, 2, 3, 4, -1]
 
 
-def test_what_was_read_does_not_draw_a_window() -> None:
+def test_the_rule_promises_less_where_a_text_was_read_and_nothing_where_it_was_just_shown() -> None:
     world = tracks(0, *SIGNS)
-    looks = noted(carried(no_looks(), world), reading(0, world.boxes[2:3, -1], 0.9))
+    fresh = carried(no_looks(), world)
+    read = noted(fresh, reading(0, world.boxes[1:2, -1], 0.9))
+    shown = exposed(fresh, world.boxes[1, -1] + np.array([-9, -9, 9, 9], np.float32), 0)
+    roi = np.zeros((3, 4, 2), np.float32)
 
-    worth = worth_of(world, looks, 0.8)
+    rules = [encode_texts(world, looks, roi, sure=0.8).rule for looks in (fresh, read, shown)]
 
-    assert worth[2] == 0
-    assert worth[0] > worth[1] > 0.7
+    assert rules[0][1, 0] > 0.7
+    assert rules[1][1, 0] == pytest.approx(VERIFY * rules[0][1, 0])
+    assert rules[2][1, 0] < 0.05
+    assert (rules[0][0] == rules[0][2]).all()  # one window shows both
+    assert rules[0][0, 0] > 1.2
+
+
+def test_a_plan_by_the_rule_turns_to_what_it_has_not_shown() -> None:
+    world = tracks(0, *SIGNS)
+
+    rule = encode_texts(
+        world, carried(no_looks(), world), np.zeros((3, 4, 2), np.float32), sure=0.8, delay=2
+    ).rule
+
+    assert rule[:3, :5].argmax(0).tolist() == [0, 0, 0, 1, 0]
 
 
 def test_a_plan_is_worth_the_texts_that_it_is_expected_to_read() -> None:

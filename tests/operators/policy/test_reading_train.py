@@ -11,7 +11,7 @@ pytest.importorskip("onnx", reason="needs the train extra")
 import torch
 from click.testing import CliRunner
 
-from operators.policy import ReadingPolicy, ReadingPolicySettings
+from operators.policy import GreedyReadingPolicy, ReadingPolicy, ReadingPolicySettings
 from operators.policy import reading_training as training
 from operators.policy.model import PolicyNet
 from operators.policy.model import export as export_other
@@ -31,6 +31,7 @@ from operators.policy.reading_training import (
 from operators.policy.reading_utility import expected
 from operators.training import checkpoint
 from pipeline import SettingsError
+from pipeline.boxes import covered
 from pipeline.errors import MessageError, WeightsError
 from pipeline.testing import drive
 from tests.operators.policy.made_up_texts import reading, tracks
@@ -147,6 +148,16 @@ def test_another_training_in_the_same_folder_is_refused(tmp_path: Path) -> None:
 
     with pytest.raises(SettingsError, match="seed: this folder's training has 1, got 9"):
         train(settings(tmp_path, seed=9), say=pytest.fail)
+
+
+def test_before_training_the_network_decides_as_the_rule_does(network: Path) -> None:
+    world = tracks(0, *SIGNS, channels=CONTEXT)
+
+    learned = drive(ReadingPolicy, [world], {"weights": str(network)})[0]
+    rule = drive(GreedyReadingPolicy, [world])[0]
+
+    shown = [covered(world.predicted[:, 0], path.boxes[0]) == 1 for path in (learned, rule)]
+    assert shown[0].tolist() == shown[1].tolist() == [True, False, True]
 
 
 def test_without_feedback_what_was_read_changes_nothing(network: Path) -> None:
