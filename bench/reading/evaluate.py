@@ -39,7 +39,10 @@ from pipeline.whole_file import write_whole
 
 GRAPH = Path(__file__).parents[2] / "graphs" / "text.yaml"
 LIBRARIES = ("numpy", "onnxruntime", "opencv-python-headless", "rapidocr", "pillow")
-CODE = ("drivers.scenes.road", "drivers.simulated", "operators.transcribed", "bench.reading.trial")
+CODE = (
+    *("drivers.scenes.road", "drivers.datasets", "drivers.simulated"),
+    *("operators.transcribed", "bench.reading.trial"),
+)
 MOST_CLIPS, MOST_FRAMES = 1000, 100_000
 PAPER = {  # Table 1 and the budget sweep: transcription rate on RoadText-1K
     (FULL, "1"): 0.333, ("oracle", "1/8"): 0.271,
@@ -116,6 +119,7 @@ def evaluate(
         **facts(LIBRARIES),
         "graph": Path(graph).name,
         "changes": list(changes),
+        "policy": Path(policy).name,
         "interval": METHOD,
         "data": data if data == ROAD else Path(data).name,
         "clips": len(played),
