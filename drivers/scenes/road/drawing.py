@@ -119,7 +119,7 @@ def streak(way: tuple[float, float]) -> NDArray[np.float32]:
     length = max(abs(way[0]), abs(way[1]), 1e-6)
     dx, dy = (round(half * part / length) for part in way)
     cv2.line(kernel, (middle - dx, middle - dy), (middle + dx, middle + dy), 1.0)
-    return kernel / kernel.sum()
+    return np.asarray(kernel / kernel.sum(), np.float32)
 
 
 def paint_ground(
