@@ -85,7 +85,7 @@ class Timing:
 
 @click.command(cls=Bench)
 @click.option("--data", type=click.Path(path_type=Path), required=True, help="recorded clips")
-@click.option("--policy", "weights", type=click.Path(path_type=Path, exists=True))
+@click.option("--policy", "weights", type=click.Path(path_type=Path))
 @click.option("--first-seed", default=50_000, show_default=True, help="of the clips")
 @click.option("--clips", default=20, show_default=True, type=click.IntRange(1))
 @click.option("--frames", default=90, show_default=True, type=click.IntRange(2))
