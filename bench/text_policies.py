@@ -6,7 +6,7 @@ reader (operators/policy/reading_street.py), and what was read returns to the po
 takes a second. Prints the share of the legible texts that were shown at a readable size and that
 were read, and the frames from the first one in which a text is legible to its reading (below 0:
 it was read before). The oracle
-knows the truth: it shows the window that reads most. `fovea eval text` has the real reader.
+knows the truth: it shows the window that reads most. The evaluation of the task has the real reader.
 """
 
 import json
