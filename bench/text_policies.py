@@ -3,10 +3,9 @@
 Each policy looks at the same recorded clips of streets, whose pictures, detections and tracks do
 not depend on where it looks; missing clips are recorded. What a window shows is read by a simulated
 reader (operators/policy/reading_street.py), and what was read returns to the policy, so that a clip
-takes a second. Prints the share of the legible texts that were shown at a readable size and that
-were read, and the frames from the first one in which a text is legible to its reading (below 0:
-it was read before). The oracle
-knows the truth: it shows the window that reads most. The evaluation of the task has the real reader.
+takes a second. Prints the share of the legible texts that were shown at a readable size, and that
+were read, and the frames from the first one in which a text is legible to its reading (below 0: it
+was read before). The oracle knows the truth: it shows the window that reads most in the next frame.
 """
 
 import json
