@@ -3,10 +3,9 @@
 Each policy looks at the same recorded clips of streets, whose pictures, detections and tracks do
 not depend on where it looks; missing clips are recorded. What a window shows is read by a simulated
 reader (operators/policy/reading_street.py), and what was read returns to the policy, so that a clip
-takes a second. Prints the share of the legible texts that were shown at a readable size and that
-were read, and the frames from the first one in which a text is legible to its reading (below 0:
-it was read before). The oracle
-knows the truth: it shows the window that reads most. `fovea eval text` has the real reader.
+takes a second. Prints the share of the legible texts that were shown at a readable size, and that
+were read, and the frames from the first one in which a text is legible to its reading (below 0: it
+was read before). The oracle knows the truth: it shows the window that reads most in the next frame.
 """
 
 import json
@@ -91,31 +90,32 @@ class Timing:
 @click.option("--frames", default=90, show_default=True, type=click.IntRange(2))
 @click.option("--delay", default=0, show_default=True, type=click.IntRange(0))
 @click.option("--replan", default=1, show_default=True, type=click.IntRange(1))
+@click.option("--roi-scale", default=1.0, show_default=True, type=click.FloatRange(0.05, 1))
 @click.option("--seed", default=1, show_default=True, help="of the reader's luck")
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE", help="of recording")
 @JSON
 def main(
     data: Path, weights: Path | None, first_seed: int, clips: int, frames: int, delay: int,
-    replan: int, seed: int, changes: tuple[str, ...], path: Path | None,
+    replan: int, roi_scale: float, seed: int, changes: tuple[str, ...], path: Path | None,
 ) -> None:  # fmt: skip
     """Compare policies that read on recorded clips."""
     seeds = range(first_seed, first_seed + clips)
     paths = record(seeds, frames, data, workers=1, changes=changes, graph=GRAPH)
-    streets = [Street(Recording(each)) for each in paths]
+    streets = [Street(Recording(each), roi_scale) for each in paths]
     timing = Timing(delay=delay, replan=replan)
     found = {
         name: [watched(street, make, timing, seed) for street in streets]
         for name, make in policies(weights, delay).items()
     }
     rows = [row(name, streets, readers, found[BESIDE]) for name, readers in found.items()]
-    title = (
-        f"{clips} clips of {frames} frames from seed {first_seed} on, delay {delay}, Ta {replan}"
-    )
+    timed = f"delay {delay}, Ta {replan}, ROI of {roi_scale:g} of the side"
+    title = f"{clips} clips of {frames} frames, seeds {first_seed} and up, {timed}"
     Console().print(table(title, rows))
     if path:
         result = {
             "bench": "text_policies", **facts(), "first_seed": first_seed, "clips": clips,
             "frames": frames, "delay_frames": delay, "replan_frames": replan, "seed": seed,
+            "roi_scale": roi_scale,
             "policy": weights.name if weights else "reading.onnx", "changes": list(changes),
             "rows": rows,
         }  # fmt: skip

@@ -33,6 +33,7 @@ class ReadingTrainSettings:
     checks: int = 48  # episodes on the clips to check on, after each round and at the end
     keep: float = 0.5  # share of the moments that are learned from
     late: Late = field(default_factory=Late)
+    scales: tuple[float, ...] = (1.0, 0.5)  # sides of the ROI, of that of the recordings
     seed: int = 1
     threads: int = 1
     device: str = "auto"  # of the network; clips are recorded on the CPU
@@ -48,4 +49,6 @@ class ReadingTrainSettings:
         for name in ("warmup", "keep"):
             if getattr(self, name) > 1:
                 raise SettingsError(f"{name}: must be within 0..1, got {getattr(self, name)}")
+        if not self.scales or not all(0.05 <= scale <= 1 for scale in self.scales):
+            raise SettingsError(f"scales: expected some of .05 to 1, got {self.scales}")
         known_device(self.device)

@@ -6,6 +6,8 @@ Most of its luck belongs to the text, so that one that was not read is less like
 next look.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,10 +28,18 @@ Array = NDArray[np.float32]
 
 
 class Street:
-    """The truth of a recording as arrays over F frames and its K texts."""
+    """The truth of a recording as arrays over F frames and its K texts.
 
-    def __init__(self, recording: Recording) -> None:
-        self.recording, self.geometry = recording, recording.geometry
+    `roi_scale` is the side of the ROI, of the one that was recorded: no other output depends on it.
+    """
+
+    def __init__(self, recording: Recording, roi_scale: float = 1.0) -> None:
+        self.recording, field = recording, recording.geometry
+        self.geometry = replace(
+            field,
+            roi_width_px=field.aligned(round(field.roi_width_px * roi_scale)),
+            roi_height_px=field.aligned(round(field.roi_height_px * roi_scale)),
+        )
         truths = [self.moment(frame).truth for frame in range(len(recording))]
         self.ids = np.unique(np.concatenate([t.ids for t in truths]))
         shape = (len(recording), len(self.ids))
@@ -52,7 +62,9 @@ class Street:
 
     def moment(self, frame: int) -> Moment:
         """Frame `frame`, counted from 0."""
-        return self.recording.moment(frame)
+        found = self.recording.moment(frame)
+        header = replace(found.tracks.header, geometry=self.geometry)
+        return replace(found, tracks=replace(found.tracks, header=header))
 
     def shown(self, windows: Array, frames: slice) -> Array:
         """Return the chance that windows (n, T, 4) read each text in T frames: (n, K, T)."""

@@ -18,6 +18,8 @@ from operators.training.command_line import GOES_ON, in_a_sentence
 from operators.training.ranges import DEVICES
 from pipeline.extras import need
 
+SCALES = ",".join(f"{scale:g}" for scale in ReadingTrainSettings.scales)
+
 
 @click.command(
     help=(__doc__ or "").split("\n", 1)[0],
@@ -28,10 +30,13 @@ from pipeline.extras import need
 @click.option("--use", default=",".join(PARTS), show_default=True, help="inputs; for ablations")
 @click.option("--delays", default=told(Late.delays), show_default=True, help="frames, when late")
 @click.option("--replans", default=told(Late.replans), show_default=True, help="Ta, when seldom")
+@click.option(
+    "--scales", default=SCALES, show_default=True, help="sides of the ROI, of the recorded"
+)
 @click.option("--device", default="auto", show_default=True, help=DEVICES)
 @click.option("--set", "changes", multiple=True, metavar="NODE.SETTING=VALUE", help="of recording")
 def command(
-    data: Path, out: Path, use: str, delays: str, replans: str, device: str,
+    data: Path, out: Path, use: str, delays: str, replans: str, scales: str, device: str,
     changes: tuple[str, ...], **numbers: float,
 ) -> None:  # fmt: skip
     """Train the policy on roll-outs of itself."""
@@ -40,13 +45,17 @@ def command(
         if part not in PARTS:
             raise click.UsageError(f"--use: expected some of {', '.join(PARTS)}, got {part}")
     late = Late(delays=frames_of("--delays", delays), replans=frames_of("--replans", replans))
+    try:
+        sides = tuple(float(part) for part in scales.split(","))
+    except ValueError:
+        raise click.UsageError(f"--scales: expected shares such as 1,0.5, got {scales!r}") from None
     with in_a_sentence(GOES_ON):
         need("torch", "train")
         from operators.policy.reading_model import export
         from operators.policy.reading_training import train
 
         settings = ReadingTrainSettings(
-            data=data, out=out, use=parts, late=late, device=device, changes=changes,
+            data=data, out=out, use=parts, late=late, scales=sides, device=device, changes=changes,
             **numbers,  # type: ignore[arg-type]
         )  # fmt: skip
         export(train(settings), settings.out / "reading.onnx")

@@ -236,7 +236,8 @@ def recorded(
             name=name,
             graph=GRAPH,
         )
-        groups.append([Street(Recording(path)) for path in paths])
+        recordings = [Recording(path) for path in paths]
+        groups.append([Street(each, scale) for scale in settings.scales for each in recordings])
     return groups[0], groups[1]
 
 

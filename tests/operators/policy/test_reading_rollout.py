@@ -8,7 +8,7 @@ import pytest
 from operators.policy.looks import carried, exposed, no_looks, noted
 from operators.policy.reading_gain import VERIFY
 from operators.policy.reading_rollout import Episode, Task, roll, tasks, teacher
-from operators.policy.reading_street import SimulatedReader
+from operators.policy.reading_street import SimulatedReader, Street
 from operators.policy.reading_tokens import LOOKS, encode_texts
 from operators.policy.reading_utility import DISCOUNT, expected, marginal
 from operators.policy.rollout import Late
@@ -24,6 +24,19 @@ def test_only_texts_with_a_transcription_are_to_be_read(tmp_path: Path) -> None:
 
     assert clip.ids[clip.counts].tolist() == [101, 102, 103]
     assert not clip.chance[:, ~clip.counts].any()
+
+
+def test_a_smaller_roi_shows_fewer_texts_at_once(tmp_path: Path) -> None:
+    recording = street(tmp_path).recording
+
+    shown = []
+    for scale in (1.0, 0.4):
+        clip = Street(recording, scale)
+        tracked, looks = clip.moment(0).tracks, carried(no_looks(), clip.moment(0).tracks)
+        path = encode_texts(tracked, looks, np.zeros((4, 4, 2), np.float32), sure=0.8).path[:, 0]
+        shown.append(sum(int((covered(tracked.boxes[:, -1], one) == 1).sum()) for one in path[:4]))
+
+    assert shown == [6, 4]
 
 
 def test_the_reader_reads_what_the_window_shows_and_reports_it_from_then_on(tmp_path: Path) -> None:

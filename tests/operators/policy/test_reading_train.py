@@ -233,6 +233,8 @@ def test_the_network_of_another_policy_is_refused(tmp_path: Path) -> None:
         ("--use", "roi,smell", "expected some of roi, global, motion, feedback, got smell"),
         ("--delays", "soon", "--delays: expected frames such as 1,2,4, got 'soon'"),
         ("--device", "gpu", "device: expected auto, cpu, cuda, cuda:N or mps, got gpu"),
+        ("--scales", "half", "--scales: expected shares such as 1,0.5, got 'half'"),
+        ("--scales", "2", "scales: expected some of .05 to 1, got (2.0,)"),
         ("--keep", "1.5", "keep: must be within 0..1, got 1.5"),
         ("--episodes", "0", "episodes: must be at least 1, got 0"),
         ("--out", __file__, "test_reading_train.py: expected a folder, got a file"),
