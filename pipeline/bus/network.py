@@ -16,6 +16,7 @@ LARGEST_BYTES = 256 << 20  # upper limit of a message
 AGENT_PORT = 7447  # where an agent listens by default
 NODE_PORTS = (7500, 7599)  # default range for nodes with an edge to another host
 MOST_SESSIONS = 64
+MOST_ROUTED = 1024  # sessions at a router
 HALF_OPEN = 128  # links being opened at once, so that a flood of them fills no memory
 OPEN_MS = 3000
 RETRY_MS = (100, 1000)  # first and longest pause between attempts to reach a host
@@ -41,6 +42,10 @@ class Network:
     connect: tuple[str, ...] = ()
     credentials: str = ""  # folder with ca.pem, own.pem, own.key; empty: unix sockets only
     permits: tuple[Permit, ...] = ()
+    # A router carries messages between regions. A session behind one names its own, which nobody
+    # else has, because within a region Zenoh expects direct links.
+    region: str = ""
+    routes: tuple[str, ...] = ()  # the regions behind this session; not empty: it is a router
     # a message waits this long for a blocked link; then it is lost, and counted
     timeout_ms: int = 0
 
@@ -57,7 +62,7 @@ class Network:
             drop = {"wait_before_drop": wait_us, "max_wait_before_drop_fragments": wait_us}
             queue["congestion_control"] = {"drop": drop}
         config: dict[str, Any] = {
-            "mode": "peer",
+            "mode": "router" if self.routes else "peer",
             "listen": {"endpoints": list(self.listen)},
             "connect": {
                 "endpoints": list(self.connect),
@@ -72,7 +77,8 @@ class Network:
                 "shared_memory": {"enabled": False},
                 "unicast": {
                     "open_timeout": OPEN_MS, "accept_timeout": OPEN_MS,
-                    "accept_pending": HALF_OPEN, "max_sessions": MOST_SESSIONS,
+                    "accept_pending": HALF_OPEN, 
+                    "max_sessions": MOST_ROUTED if self.routes else MOST_SESSIONS,
                 },
                 "link": {
                     "tx": {"lease": LEASE_MS, "keep_alive": 4, "queue": queue},
@@ -81,6 +87,11 @@ class Network:
                 },
             },
         }  # fmt: skip
+        if self.region:
+            config["region_name"] = self.region
+        if self.routes:
+            south = [{"filters": [{"region_names": [name]}]} for name in self.routes]
+            config["gateway"] = {"south": south}
         if self.credentials:
             config["access_control"] = access_control(self.permits)
         return config

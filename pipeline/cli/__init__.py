@@ -15,7 +15,7 @@ from pipeline.errors import FoveaError, GraphError, InstallError, SettingsError,
 from pipeline.extras import remedy
 from pipeline.text import error_text, harmless
 
-LOGGING = ("run", "agent")  # commands whose output is a log; the others print a result
+LOGGING = ("run", "agent", "router")  # commands whose output is a log; the others print a result
 INTERRUPTED = 130
 USAGE = (GraphError, InstallError, SettingsError, WeightsError)  # exit status 2
 RUN, INSPECTION, CONTROL = "pipeline.cli.run", "pipeline.cli.inspection", "pipeline.cli.control"
@@ -44,6 +44,7 @@ TABLE = {
     "remove": (f"{CONTROL}:remove", "Remove a node without readers from a running graph."),
     "replay": (f"{RECORDING}:replay_command", "Run a graph on a recording in place of its source."),
     "rewire": (f"{CONTROL}:rewire", "Connect an input of a running graph elsewhere."),
+    "router": (f"{FLEET}:router_command", "Carry messages between hosts that cannot meet."),
     "run": (f"{RUN}:run", "Run a graph until its source ends, a limit or Ctrl-C."),
     "schema": (f"{INSPECTION}:schema_command", "Print inputs and outputs of a running node."),
     "secure": (f"{FLEET}:secure_commands", "Manage a certificate authority for hosts and users."),

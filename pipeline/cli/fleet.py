@@ -1,4 +1,4 @@
-"""`fovea agent | up | attach | down | export | secure`: the commands for several hosts."""
+"""`fovea agent | router | up | attach | down | export | secure`: the commands for several hosts."""
 
 import logging
 from collections.abc import Callable
@@ -32,7 +32,8 @@ from pipeline.fleet.export.export import KINDS, engines
 from pipeline.fleet.export.systemd import agent_unit
 from pipeline.fleet.names import check_identity, check_user, user_identity
 from pipeline.fleet.placement import identities
-from pipeline.fleet.provisioning import check_addressed, issue_for
+from pipeline.fleet.provisioning import check_addressed, issue_for, placed
+from pipeline.fleet.router import Router
 from pipeline.graph.loader import load
 from pipeline.graph.overlay import Overlay
 from pipeline.naming import check_name
@@ -77,6 +78,21 @@ def agent_command(config: Path | None, label: str, state: Path | None, unit: boo
             agent.stop()
         agent.run()
     logging.getLogger(__name__).info("host %s: stopped", own.label)
+
+
+@click.command("router")
+@click.option(
+    "--config", required=True, type=click.Path(path_type=Path, dir_okay=False),
+    help="Its router.yaml.",
+)  # fmt: skip
+def router_command(config: Path) -> None:
+    """Carry messages between hosts that cannot reach one another, as its access list permits."""
+    with Interruption(last=True) as asked, Router(config) as router:
+        asked.on_signal = router.stop
+        if asked.count:  # asked to end during the start
+            router.stop()
+        router.run()
+    logging.getLogger(__name__).info("router: stopped")
 
 
 @click.command("up")
@@ -183,6 +199,9 @@ def _identities(command: Callable[..., None]) -> Callable[..., None]:
         renamed_option("--person", "--user"),
         click.option("--user", "users", multiple=True, metavar="NAME", help="May deploy."),
         click.option("--graph", "graphs", multiple=True, type=GRAPH_FILE, help="For its nodes."),
+        click.option(
+            "--router", default="", metavar="ADDRESS", help="Hosts without an address meet there."
+        ),
         renamed_option("--box", "--host"),
         click.option(
             "--host", "hosts", multiple=True, metavar="LABEL=ADDRESS", help="Agent's host."
@@ -210,16 +229,17 @@ def add_command(folder: Path, **named: Any) -> None:
 
 
 def _add(
-    folder: Path, hosts: tuple[str, ...], graphs: tuple[Path, ...], users: tuple[str, ...], *,
-    fresh: bool,
+    folder: Path, hosts: tuple[str, ...], graphs: tuple[Path, ...], users: tuple[str, ...],
+    router: str, *, fresh: bool,
 ) -> None:  # fmt: skip
     need("cryptography", "secure")
-    addresses = {}
+    addresses: dict[str, str] = {}
     for word in hosts:
         label, _, address = word.partition("=")
         addresses[check_name(label, "--host", SettingsError)] = address
     names = tuple(check_user(name, "--user") for name in users or (default_user(),))
     plans = [load(graph) for graph in graphs]
+    addresses = placed(folder, addresses, plans, router)
     check_addressed(folder, addresses, plans)
     nodes = [identity for p in plans for label in p.hosts for identity in identities(p, label)]
     for identity in (*map(user_identity, names), *nodes):

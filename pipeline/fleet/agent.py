@@ -25,7 +25,17 @@ from pipeline.fleet.links import (
     networks,
     own_end_points,
 )
-from pipeline.fleet.names import ANYBODY, agent_key, endpoint, endpoint_host, host_identity
+from pipeline.fleet.names import (
+    ANYBODY,
+    ROUTER,
+    agent_key,
+    connected,
+    endpoint,
+    endpoint_host,
+    host_identity,
+    is_routed,
+    region_of,
+)
 from pipeline.fleet.placement import DIGEST_PREFIX, permitted
 from pipeline.fleet.questions import Question, Questions
 from pipeline.fleet.relay import NodeGateway, TapRelay, check_here
@@ -62,8 +72,8 @@ class Agent:
         self._store = GraphStore(own.state)
         self._inspector = Inspector(own.state, self._stop.is_set, reaper)
         self._identities = own.identities if self._credentials else (ANYBODY, *own.identities)
-        permits = agent_permits(self.label, self._identities)
-        self._session = Session.across(self._network((own.endpoint,), permits=permits))
+        permits = agent_permits(self.label, self._identities, ROUTER if own.router else "")
+        self._session = Session.across(self._network(permits=permits, **self._place()))
         self._served: set[str] = set()
         for identity in self._identities:
             self._serve(identity)
@@ -91,7 +101,8 @@ class Agent:
         """Resume the former graphs, then answer questions until stopped."""
         worker = threading.Thread(target=self._work, name="works")
         worker.start()
-        log.info("host %s listens at %s", self.label, self.host.endpoint)
+        how = "is reached through" if self.host.router else "listens at"
+        log.info("host %s %s %s", self.label, how, self.host.endpoint)
         self._answer_all(slow=False)
         worker.join()
 
@@ -115,9 +126,16 @@ class Agent:
         except Exception as error:
             log.exception("host %s: %s", self.label, error)
 
-    def _network(self, listen: tuple[str, ...], **more: Any) -> Network:
+    def _place(self) -> dict[str, tuple[str, ...]]:
+        """Return where its own session listens, or to which router it connects."""
+        if self.host.router:
+            return {"connect": (connected(self.host.router),)}
+        return {"listen": (self.host.endpoint,)}
+
+    def _network(self, **more: Any) -> Network:
         credentials = str(self._credentials.folder) if self._credentials else ""
-        return Network(listen=listen, credentials=credentials, **more)
+        region = region_of(host_identity(self.label)) if self.host.router else ""
+        return Network(credentials=credentials, region=region, **more)
 
     def _serve(self, identity: str) -> None:
         """Start answering an identity."""
@@ -283,6 +301,7 @@ class Agent:
         self._check_unused(local, own)
         identity = host_identity(self.label)
         others = sorted({n.host for n in local.nodes} - {self.label})
+        points = {label: self._reached(label, asked.hosts[label]) for label in others}
         if self._credentials is None:  # only agents of the same user can reach this one
             for other in others:
                 self._serve(host_identity(other))
@@ -290,12 +309,26 @@ class Agent:
             plan=local,
             ports=ports,
             fingerprint=identity_of(asked),
-            networks=networks(local, own, asked.endpoints, self._credentials),
-            hosts={label: endpoint(asked.hosts[label], "hosts") for label in others},
-            way=self._network((), permits=asker_permits(identity, others)),
+            networks=networks(local, own, asked.endpoints, self._credentials, self.host.router),
+            hosts=points,
+            way=self._network(permits=asker_permits(identity, points)),
             begins=partial(self._store.count, local.name),
             reaper=self._reaper,
         )
+
+    def _reached(self, label: str, address: str) -> str:
+        """Return the end point of another host; behind a router it is this host's own router.
+
+        Raises `RunError` unless both are behind a router or neither is.
+        """
+        point = endpoint(address, "hosts")
+        if is_routed(point) != bool(self.host.router):
+            behind, other = (label, self.label) if is_routed(point) else (self.label, label)
+            raise RunError(
+                f"{behind} is behind a router and {other} is not: expected every host of a graph "
+                "behind it, or none"
+            )
+        return self.host.router or point
 
     def _check_partners(self, plan: Plan, asked: Start) -> None:
         for label, point in asked.hosts.items():
@@ -311,6 +344,8 @@ class Agent:
 
     def _free_end_points(self, local: Plan) -> dict[str, str]:
         """Return free end points for local processes with edges to other hosts."""
+        if self.host.router:  # its processes connect to it, and nothing listens here
+            return {}
         if self._credentials is None:
             return local_end_points(local)
         first, last = self.host.file.ports
@@ -324,7 +359,7 @@ class Agent:
 
     def _check_unused(self, local: Plan, own: Mapping[str, str]) -> None:
         """Raise `RunError` for an end point that is not this host's, or already in use."""
-        if self._credentials is None:
+        if self._credentials is None or self.host.router:
             return
         first, last = self.host.file.ports
         host = endpoint_host(self.host.endpoint)

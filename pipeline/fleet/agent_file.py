@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 from pipeline import settings as checked
 from pipeline.bus.network import LOCAL, NODE_PORTS
 from pipeline.errors import GraphError, MessageError, RunError, SettingsError
-from pipeline.fleet.names import check_user, endpoint, host_identity, user_identity
+from pipeline.fleet.names import ROUTED, check_user, endpoint, host_identity, user_identity
 from pipeline.fleet.placement import ANY, Allowed, is_digest
 from pipeline.fleet.secure import Credentials
 from pipeline.graph.yaml_lines import YamlFile, plain
@@ -35,6 +35,7 @@ class AgentFile:
     }
     label: str
     address: str = ""  # HOST[:PORT], requires credentials; empty: a unix socket of this user
+    router: str = ""  # HOST[:PORT] where it meets the others, in place of an address
     credentials: str = ""  # folder made by `fovea secure`, relative to this file
     ports: tuple[int, int] = NODE_PORTS  # port range of nodes with an edge to another host
     users: tuple[str, ...] = ()  # names of those who may deploy
@@ -55,7 +56,11 @@ class AgentFile:
                 f"address: {self.address}: a network address needs `credentials`, see "
                 "`fovea secure`"
             )
-        if self.credentials and not self.address:
+        if self.router and self.address:
+            raise SettingsError("router: expected no address beside it, got one")
+        if self.router and not self.credentials:
+            raise SettingsError(f"router: {self.router}: needs `credentials`, see `fovea secure`")
+        if self.credentials and not (self.address or self.router):
             raise SettingsError("address: expected HOST[:PORT] beside credentials, got nothing")
         first, last = self.ports
         if not 0 < first <= last < 65536:
@@ -96,10 +101,17 @@ class HostConfig:
 
     @property
     def endpoint(self) -> str:
-        """The end point at which the agent listens."""
+        """The end point of the agent: where it listens, or that of its router."""
+        if self.router:
+            return self.router
         if self.file.address:
             return endpoint(self.file.address, "address")
         return local_endpoint(self.label)
+
+    @property
+    def router(self) -> str:
+        """The end point of an agent behind its router; empty for one that listens."""
+        return endpoint(f"{ROUTED}{self.file.router}", "router") if self.file.router else ""
 
     @property
     def state(self) -> Path:

@@ -24,7 +24,7 @@ from pipeline.fleet.agent_file import local_endpoint
 from pipeline.fleet.hosted_graph import END_S
 from pipeline.fleet.inspection import INSPECT_S
 from pipeline.fleet.links import asker_permits
-from pipeline.fleet.names import ANYBODY, agent_key, endpoint
+from pipeline.fleet.names import ANYBODY, agent_key, connected, endpoint, is_routed, region_of
 from pipeline.fleet.placement import (
     DIGEST_PREFIX,
     MOST_WEIGHTS_BYTES,
@@ -75,7 +75,9 @@ def read_hosts(words: Iterable[str], credentials: Path | None, labels: Iterable[
         if credentials and not address:
             raise SettingsError(f"--hosts: expected {label}=ADDRESS, as {credentials} knows none")
         points[label] = endpoint(address, f"--hosts {label}") if address else local_endpoint(label)
-    if credentials is None and any(point.startswith("tls/") for point in points.values()):
+    if credentials is None and any(
+        point.startswith("tls/") or is_routed(point) for point in points.values()
+    ):
         raise SettingsError("--hosts: a network address needs --credentials, see `fovea secure`")
     return Hosts(points, str(credentials.resolve()) if credentials else "")
 
@@ -97,10 +99,13 @@ class Fleet:
     def __init__(self, hosts: Hosts) -> None:
         self.hosts = hosts
         self._identity = hosts.identity
-        permits = asker_permits(self._identity, tuple(hosts.points))
+        points = hosts.points
         self._session = Session.across(
             Network(
-                connect=tuple(hosts.points.values()), credentials=hosts.credentials, permits=permits
+                connect=tuple(dict.fromkeys(map(connected, points.values()))),
+                credentials=hosts.credentials,
+                permits=asker_permits(self._identity, points),
+                region=region_of(self._identity) if any(map(is_routed, points.values())) else "",
             )
         )
 
@@ -118,9 +123,12 @@ class Fleet:
         data = question if isinstance(question, bytes) else encode(question)
         found = self._session.ask(agent_key(label, self._identity, verb), data, timeout_s)
         if found is None:
+            point = self.hosts.points[label]
+            router = f"through the router at {connected(point)}" if is_routed(point) else ""
             raise Silent(
-                f"{label}: no agent answers at {self.hosts.points[label]} within "
-                f"{timeout_s:.0f} s; it does not run, or {self._identity} may not ask it"
+                f"{label}: no agent answers {router or f'at {point}'} within {timeout_s:.0f} s; "
+                f"{'one of them' if router else 'it'} does not run, or {self._identity} may not "
+                "ask it"
             )
         return decode_answer(answer, found, label)
 

@@ -16,9 +16,11 @@ import msgspec
 
 from pipeline.bus.clocks import Clocks
 from pipeline.bus.network import Network
+from pipeline.bus.session import Session
 from pipeline.codec import to_bytes
 from pipeline.errors import FoveaError, RunError
 from pipeline.fleet.agent_file import GraphStore
+from pipeline.fleet.names import connected
 from pipeline.fleet.peers import Peer, Replication, adopt
 from pipeline.graph.plan import Edge, Plan
 from pipeline.graph.ports import Ports
@@ -157,15 +159,19 @@ class HostedGraph:
         supervisor.manager.asked_to_end = lambda: self._stop.is_set() + self._in_haste
         graph, done = self.plan.name, threading.Event()
         self.peers = {}
+        # one for each host, or for all of them behind a router
+        sessions: dict[str, Session] = {}
         telling = threading.Thread(target=self._tell, args=(supervisor, done), name=f"tell-{graph}")
         try:
             for label, point in self.hosts.items():
                 replication = Replication(
                     self.plan, supervisor.ledger, label, starts, self.fingerprint
                 )
-                way = replace(self.way, connect=(point,))
+                if point not in sessions:
+                    way = replace(self.way, connect=(connected(point),))
+                    sessions[point] = Session.across(way)
                 clock = self.clocks.readings[label]
-                self.peers[label] = Peer(graph, self.plan.here, replication, clock, way)
+                self.peers[label] = Peer(graph, self.plan.here, replication, clock, sessions[point])
             if starts > 1:
                 told = [n.recall() for n in self.peers.values()]
                 mine = [t for t in told if t is not None and t.fingerprint == self.fingerprint]
@@ -181,6 +187,8 @@ class HostedGraph:
                 telling.join()
             for peer in self.peers.values():
                 peer.close()
+            for session in sessions.values():
+                session.close()
 
     def _supervise(self, supervisor: Supervisor) -> None:
         supervisor.manager.begin_all()

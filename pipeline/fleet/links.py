@@ -1,15 +1,25 @@
 """End points and access lists of processes with edges to other hosts.
 
 Of two connected processes, the first by name listens and the other one connects. Access lists are
-derived from the graph: they permit what its nodes and agents need and nothing else.
+derived from the graph: they permit what its nodes and agents need and nothing else. Behind a router
+nothing listens, and what was permitted to the others is permitted to the router, which keeps the
+access list of all of them (`pipeline.fleet.router`).
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 
 from pipeline.bus.network import LOCAL, Network, Permit
 from pipeline.bus.outport import BYTES_SUFFIX
 from pipeline.errors import RunError
-from pipeline.fleet.names import agent_key, host_identity, node_identity
+from pipeline.fleet.names import (
+    ROUTER,
+    agent_key,
+    connected,
+    host_identity,
+    is_routed,
+    node_identity,
+    region_of,
+)
 from pipeline.fleet.placement import borders, listeners, place
 from pipeline.fleet.secure import Credentials
 from pipeline.graph.plan import Edge, Node, Plan
@@ -19,10 +29,11 @@ from pipeline.run.rundir import base
 TIMEOUT_MS = 1000  # a shorter pause of a host loses nothing on a lossless edge
 
 
-def node_permits(plan: Plan, process: str) -> tuple[Permit, ...]:
+def node_permits(plan: Plan, process: str, router: str = "") -> tuple[Permit, ...]:
     """Return the permits of a process: send to its readers, receive from its writers.
 
-    Questions to nodes (`@schema`, `@config`, …) are served on their own host only.
+    `router`: the identity of the router behind which the others are. Questions to nodes (`@schema`,
+    `@config`, …) are served on their own host only.
     """
     permits = []
     for edge in plan.edges:
@@ -31,23 +42,23 @@ def node_permits(plan: Plan, process: str) -> tuple[Permit, ...]:
         source, target = plan.node(edge.source), plan.node(edge.target)
         key = edge_key(plan, edge)
         if source.process == process:
-            reader = node_identity(plan.name, target)
+            reader = router or node_identity(plan.name, target)
             permits.append(
                 Permit(identity=reader, key=key, inward=("declare_subscriber",), outward=("put",))
             )
         if target.process == process:
-            writer = node_identity(plan.name, source)
+            writer = router or node_identity(plan.name, source)
             permits.append(
                 Permit(identity=writer, key=key, inward=("put",), outward=("declare_subscriber",))
             )
     return tuple(dict.fromkeys(permits))
 
 
-def agent_permits(label: str, identities: Iterable[str]) -> tuple[Permit, ...]:
+def agent_permits(label: str, identities: Iterable[str], router: str = "") -> tuple[Permit, ...]:
     """Return the permits of an agent: each identity may ask and publish under its own key."""
     return tuple(
         Permit(
-            identity=identity,
+            identity=router or identity,
             key=agent_key(label, identity, "**"),
             inward=("query", "put"),
             outward=("reply", "declare_queryable", "declare_subscriber"),
@@ -56,16 +67,19 @@ def agent_permits(label: str, identities: Iterable[str]) -> tuple[Permit, ...]:
     )
 
 
-def asker_permits(identity: str, labels: Sequence[str]) -> tuple[Permit, ...]:
-    """Return the permits of a client: it asks and publishes, and receives replies only."""
+def asker_permits(identity: str, points: Mapping[str, str]) -> tuple[Permit, ...]:
+    """Return the permits of a client: it asks and publishes, and receives replies only.
+
+    `points`: label -> end point of the agent.
+    """
     return tuple(
         Permit(
-            identity=host_identity(label),
+            identity=ROUTER if is_routed(point) else host_identity(label),
             key=agent_key(label, identity, "**"),
             inward=("reply", "declare_queryable", "declare_subscriber"),
             outward=("query", "put"),
         )
-        for label in labels
+        for label, point in points.items()
     )
 
 
@@ -110,26 +124,31 @@ def check_credentials(plan: Plan, credentials: Credentials | None) -> None:
 
 
 def networks(
-    plan: Plan, own: Mapping[str, str], theirs: Mapping[str, str], credentials: Credentials | None
-) -> dict[str, Network]:
-    """Return the networks of processes with edges to other hosts; raises `RunError`."""
+    plan: Plan, own: Mapping[str, str], theirs: Mapping[str, str], credentials: Credentials | None,
+    router: str = "",
+) -> dict[str, Network]:  # fmt: skip
+    """Return the networks of processes with edges to other hosts; raises `RunError`.
+
+    `router`: end point of the router behind which this host is.
+    """
     found = {}
     for node in plan.nodes:
         name = place(node)
         others = borders(plan).get(name, frozenset())
         if not others or not plan.is_here(node):
             continue
-        lacking = [o for o in others if o < name and o not in theirs]
+        lacking = [o for o in others if o < name and o not in theirs and not router]
         if lacking:
             raise RunError(f"{plan.name}: no address for {lacking[0]}")
-        folder = (
-            credentials.folder / "nodes" / node_identity(plan.name, node) if credentials else None
-        )
+        reached = {connected(router)} if router else {theirs[o] for o in others if o < name}
+        identity = node_identity(plan.name, node)
+        folder = credentials.folder / "nodes" / identity if credentials else None
         found[node.process] = Network(
             listen=(own[name],) if name in own else (),
-            connect=tuple(sorted(theirs[o] for o in others if o < name)),
+            connect=tuple(sorted(reached)),
             credentials=str(Credentials.of(folder).folder) if folder else "",
-            permits=node_permits(plan, node.process),
+            permits=node_permits(plan, node.process, ROUTER if router else ""),
+            region=region_of(identity) if router else "",
             timeout_ms=TIMEOUT_MS if _promises(plan, node) else 0,
         )
     return found

@@ -1,5 +1,9 @@
-"""Names in a deployment: labels, identities in certificates, keys and addresses."""
+"""Names in a deployment: labels, identities in certificates, keys and addresses.
 
+The address of an agent behind a router is `router/HOST[:PORT]`, that of the router.
+"""
+
+import hashlib
 import re
 
 from pipeline.bus.network import AGENT_PORT, LOCAL
@@ -8,6 +12,8 @@ from pipeline.graph.plan import Node
 from pipeline.naming import check_name
 
 ANYBODY = "local"  # identity of clients on a unix socket that only this user can reach
+ROUTER = "router"  # identity of a router
+ROUTED = "router/"  # begins the end point of an agent behind a router
 MOST_LETTERS = 64  # of a common name (RFC 5280, ub-common-name)
 _USER = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.@-]{0,62}")
 _HOST = re.compile(r"(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.-]+?)(?::(\d{1,5}))?")
@@ -59,9 +65,16 @@ def endpoint(address: str, where: str) -> str:
 
     >>> endpoint("10.0.0.1", "hosts"), endpoint("[::1]:9", "hosts")
     ('tls/10.0.0.1:7447', 'tls/[::1]:9')
+    >>> endpoint("router/10.0.0.9", "hosts")
+    'router/10.0.0.9:7447'
     """
     if address.startswith(LOCAL):
         return address
+    if address.startswith(ROUTED):
+        rest = address.removeprefix(ROUTED)
+        if rest.startswith((LOCAL, ROUTED)):
+            raise SettingsError(f"{where}: expected {ROUTED}HOST[:PORT], got {address!r}")
+        return ROUTED + endpoint(rest, where).removeprefix("tls/")
     found = _HOST.fullmatch(address.removeprefix("tls/"))
     if found is None or int(found[2] or AGENT_PORT) > 65535:
         raise SettingsError(f"{where}: expected HOST[:PORT], got {address!r}")
@@ -71,3 +84,22 @@ def endpoint(address: str, where: str) -> str:
 def endpoint_host(point: str) -> str:
     """Return the host of a TLS end point."""
     return point.removeprefix("tls/").rpartition(":")[0]
+
+
+def is_routed(point: str) -> bool:
+    """Whether an end point is that of an agent behind a router."""
+    return point.startswith(ROUTED)
+
+
+def connected(point: str) -> str:
+    """Return the end point to connect to: an agent's own, or that of its router.
+
+    >>> connected("tls/10.0.0.1:7447"), connected("router/10.0.0.9:7447")
+    ('tls/10.0.0.1:7447', 'tls/10.0.0.9:7447')
+    """
+    return f"tls/{point.removeprefix(ROUTED)}" if is_routed(point) else point
+
+
+def region_of(identity: str) -> str:
+    """Return the region, at a router, of the sessions of an identity: up to 32 bytes, for Zenoh."""
+    return hashlib.sha256(identity.encode()).hexdigest()[:32]

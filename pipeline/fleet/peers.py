@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 from pipeline.bus.clocks import Reading
 from pipeline.bus.ledger import DROPS, EdgeAccount, Ledger
-from pipeline.bus.network import Network
 from pipeline.bus.session import Sender, Session
 from pipeline.errors import FoveaError, MessageError
 from pipeline.fleet.names import agent_key, host_identity
@@ -189,13 +188,13 @@ class Peer:
     """The link of this host to another."""
 
     def __init__(
-        self, graph: str, own: str, replication: Replication, reading: Reading, way: Network
+        self, graph: str, own: str, replication: Replication, reading: Reading, session: Session
     ) -> None:
-        """`own`: this host's label; `reading`: of the other's clock; `way`: network to it."""
+        """`own`: this host's label; `reading`: of the other's clock; `session`: to reach it."""
         self.label, self._graph, self._own = replication.other, graph, own
         self.replication, self._reading = replication, reading
         self._offset = Offset()
-        self._session = Session.across(way)
+        self._session = session
         self._telling: Sender = self._session.sender(self._key(f"accounts/{graph}"), urgent=True)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._watch, name=f"ping-{self.label}")
@@ -215,7 +214,6 @@ class Peer:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
-        self._session.close()
 
     def tell(self, *, ready: bool, anyway: bool) -> None:
         """Send the other host this host's half of the accounts, if it has changed."""

@@ -7,8 +7,16 @@ from pathlib import Path
 from pipeline.errors import RunError, SettingsError
 from pipeline.fleet import secure
 from pipeline.fleet.deploy import known_addresses
-from pipeline.fleet.names import endpoint, host_identity, user_identity
+from pipeline.fleet.names import (
+    ROUTED,
+    ROUTER,
+    endpoint,
+    host_identity,
+    is_routed,
+    user_identity,
+)
 from pipeline.fleet.placement import code_digest, code_of, file_digest, identities, is_path, strings
+from pipeline.fleet.router import extended, router_yaml
 from pipeline.graph.plan import Plan
 from pipeline.whole_file import write_whole
 
@@ -16,7 +24,10 @@ from pipeline.whole_file import write_whole
 def issue_for(
     folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan], users: Sequence[str]
 ) -> Iterator[str]:
-    """Create missing credentials and files; yield a line for each."""
+    """Create missing credentials and files; yield a line for each.
+
+    `addresses`: label -> address, which names a router for the hosts behind it (see `placed`).
+    """
     labels = _labels(addresses, plans)
     for name in users:
         own = folder / user_identity(name)
@@ -39,6 +50,38 @@ def issue_for(
         others = [other for other in labels if other != label]
         write_whole(path, agent_yaml(label, addresses[label], users, others, plans))
         yield f"{own}: credentials and agent.yaml of host {label}, which allows what graphs need"
+    routed = [label for label in labels if is_routed(addresses.get(label, ""))]
+    if routed or _router_file(folder).exists():
+        yield _issue_router(folder, {label: addresses[label] for label in routed}, plans, users)
+
+
+def placed(
+    folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan], router: str
+) -> dict[str, str]:
+    """Return the addresses with that of the router for every new host without one.
+
+    Raises `SettingsError` for an invalid address of the router.
+    """
+    if not router:
+        return dict(addresses)
+    point = endpoint(f"{ROUTED}{router}", "--router")
+    new = [o for o in _labels(addresses, plans) if not _agent_file(folder, o).exists()]
+    return {**addresses, **{label: point for label in new if not addresses.get(label)}}
+
+
+def _issue_router(
+    folder: Path, behind: Mapping[str, str], plans: Sequence[Plan], users: Sequence[str]
+) -> str:
+    """Create or extend the credentials and the file of the router; return a line."""
+    path = _router_file(folder)
+    address = next(iter(behind.values()), "").removeprefix(ROUTED)
+    file = extended(path, address, list(behind), users, plans)
+    secure.issue(path.parent, folder, ROUTER)
+    write_whole(path, router_yaml(file))
+    return (
+        f"{path.parent}: credentials and router.yaml of the router, which carries what "
+        f"{len(file.hosts)} hosts need; copy them there again when they change"
+    )
 
 
 def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[Plan]) -> None:
@@ -48,7 +91,7 @@ def check_addressed(folder: Path, addresses: Mapping[str, str], plans: Sequence[
     """
     taken: dict[str, str] = {}
     for label, address in {**_addresses_known(folder), **addresses}.items():
-        if address:
+        if address and not is_routed(address):
             point = endpoint(address, f"--host {label}")
             if point in taken:
                 raise SettingsError(
@@ -74,7 +117,10 @@ def agent_yaml(
     }
     lines = [
         f"label: {label}",
-        f"address: {json.dumps(address)}" if address else "",
+        f"{'router' if is_routed(address) else 'address'}: "
+        f"{json.dumps(address.removeprefix(ROUTED))}"
+        if address
+        else "",
         "credentials: ." if address else "",
         "state: state # what runs here and the weights it was sent, kept over a restart",
         f"users: {json.dumps(list(users))}",
@@ -104,3 +150,7 @@ def _addresses_known(folder: Path) -> dict[str, str]:
 
 def _agent_file(folder: Path, label: str) -> Path:
     return folder / host_identity(label) / "agent.yaml"
+
+
+def _router_file(folder: Path) -> Path:
+    return folder / ROUTER / "router.yaml"

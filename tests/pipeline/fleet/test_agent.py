@@ -122,7 +122,7 @@ def test_a_host_without_permission_is_refused_and_blocks_nothing(
 ) -> None:
     way = Network(
         connect=(fleet.hosts.points["sensor"],),
-        permits=asker_permits(host_identity("viewer"), ["sensor"]),
+        permits=asker_permits(host_identity("viewer"), {"sensor": fleet.hosts.points["sensor"]}),
     )
     session = Session.across(way)
     try:

@@ -228,7 +228,7 @@ def test_an_edge_between_hosts_stays_as_it_was_deployed(fleet: Fleet) -> None:
 
 
 def test_a_host_may_not_listen_or_change_the_plan_and_noise_is_refused(fleet: Fleet) -> None:
-    permits = asker_permits(host_identity("brain"), ["eye"])
+    permits = asker_permits(host_identity("brain"), {"eye": fleet.hosts.points["eye"]})
     way = Network(connect=(fleet.hosts.points["eye"],), permits=permits)
     session = Session.across(way)
     try:
