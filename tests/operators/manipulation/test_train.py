@@ -42,17 +42,20 @@ def test_the_error_falls_where_targets_follow_from_the_joints() -> None:
     subject, shown = net(), pictures(4)
     joints = torch.randn(4, 14, generator=torch.Generator().manual_seed(3))
     targets = joints[:, None].expand(-1, SMALL.chunk, -1)
+    places = torch.tensor([[0.5, -0.5], [float("nan")] * 2]).expand(4, 2, 2)
     optimiser = torch.optim.Adam(subject.parameters(), 1e-2)
     errors = []
 
     for _ in range(40):
-        loss, error = loss_of(subject, shown, joints, targets, divergence=0.01)
+        loss, error = loss_of(subject, shown, joints, targets, places, divergence=0.01, guide=1.0)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         errors.append(float(error))
 
     assert errors[-1] < 0.5 * errors[0]
+    looked = subject.eval().eyes(shown)[:, 0, :2].detach()
+    assert (looked - places[:, 0]).abs().max() < 0.3  # the first point, and the second nowhere
 
 
 def test_the_exported_network_answers_as_the_trained_one(tmp_path: Path) -> None:
