@@ -62,7 +62,8 @@ def made_with(frames: int) -> dict[str, str]:
     return {
         "frames": str(frames),
         "picture_px": str(PICTURE_PX),
-        "disturbed": f"{DISTURBED_RAD} {DISTURBED_STEPS} {CALM}",
+        "disturbed": f"{DISTURBED_RAD} {DISTURBED_STEPS} {CALM} {UNDISTURBED}",
+        "places": str(SEEN_STEPS),
         **of_code("drivers.scenes.insertion"),
     }
 
